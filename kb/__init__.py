@@ -1,1 +1,50 @@
-"""Placeholder."""
+"""What a robot knows: which actions are feasible now, why, and how it has to be configured for what it does."""
+
+from kb.diagnostics import DiagnosticProblem
+from kb.elements import AttributeKind, ComponentKind, EstimationKind, Expression
+from kb.events import Event, EventKind, StatusChange
+from kb.exceptions import AmbiguousName, DuplicateName, InvalidValue, KnowledgeBaseError, ModelError, UnknownName
+from kb.execution import StagedExecutor
+from kb.explanation import Explanation
+from kb.knowledge_base import KnowledgeBase
+from kb.managed import ManagedObject, ManagedObjects, ManagedSystem, Operation
+from kb.manager import ConfigurationManager, Executor, Monitor, Planner, PriorityPlanner
+from kb.model import Model
+from kb.reconfiguration import Obsolete, ReconfigurationPlan
+from kb.requests import Reply, RequiredAction
+from kb.status import Status
+
+__all__ = [
+    "AmbiguousName",
+    "AttributeKind",
+    "ComponentKind",
+    "ConfigurationManager",
+    "DiagnosticProblem",
+    "DuplicateName",
+    "EstimationKind",
+    "Event",
+    "EventKind",
+    "Executor",
+    "Explanation",
+    "Expression",
+    "InvalidValue",
+    "KnowledgeBase",
+    "KnowledgeBaseError",
+    "ManagedObject",
+    "ManagedObjects",
+    "ManagedSystem",
+    "Model",
+    "ModelError",
+    "Monitor",
+    "Obsolete",
+    "Operation",
+    "Planner",
+    "PriorityPlanner",
+    "ReconfigurationPlan",
+    "Reply",
+    "RequiredAction",
+    "StagedExecutor",
+    "Status",
+    "StatusChange",
+    "UnknownName",
+]

@@ -1,0 +1,94 @@
+"""Monitoring data by the /diagnostics convention of ROS (REP 107): what an array of statuses says, in our words.
+
+An array is taken in any of the forms in which it travels: an object or a mapping with `status`, or a list of statuses;
+a status is an object or a mapping with `message` and `values`; values are a mapping, key/value pairs, or objects or
+mappings with `key` and `value`. A message of a ROS 2 Python node, its JSON, and a plain dict all do.
+"""
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Final, NamedTuple
+
+__all__ = ["ComponentReport", "DiagnosticProblem", "Measurement", "read_diagnostics"]
+
+MEASUREMENTS: Final = frozenset({"qa status", "qa measurement", "ea status", "ea measurement", "attribute measurement"})
+COMPONENT_REPORTS: Final = frozenset({"component status", "component"})
+RECOVERED: Final = frozenset({"recovered", "ok"})
+FAILED: Final = frozenset({"false", "failure", "error"})
+
+
+class Measurement(NamedTuple):
+    """An attribute was measured."""
+
+    attribute: str
+    value: float
+
+
+class ComponentReport(NamedTuple):
+    """A component is reported failed, or recovered."""
+
+    component: str
+    failed: bool
+
+
+class DiagnosticProblem(NamedTuple):
+    """A part of an array that could not be used, and why."""
+
+    key: str
+    value: str
+    reason: str
+
+    def __str__(self) -> str:
+        return f"{self.key}={self.value!r}: {self.reason}"
+
+
+def read_diagnostics(array: object) -> Iterator[Measurement | ComponentReport | DiagnosticProblem]:
+    """Yield what each key/value of an array says; statuses whose message is not ours are passed over."""
+    for status in _items(array, "status"):
+        message = str(_part(status, "message", "")).strip().casefold()
+        if message in MEASUREMENTS or message in COMPONENT_REPORTS:
+            for key, value in _pairs(_part(status, "values", ())):
+                yield _measurement(key, value) if message in MEASUREMENTS else _component_report(key, value)
+
+
+def _measurement(key: str, value: str) -> Measurement | DiagnosticProblem:
+    try:
+        number = float(value)
+    except ValueError:
+        return DiagnosticProblem(key, value, "a measurement is a number")
+    if not math.isfinite(number):
+        return DiagnosticProblem(key, value, "a measurement is a finite number")
+    return Measurement(key, number)
+
+
+def _component_report(key: str, value: str) -> ComponentReport | DiagnosticProblem:
+    word = value.strip().casefold()
+    if word in RECOVERED or word in FAILED:
+        return ComponentReport(key, word in FAILED)
+    return DiagnosticProblem(
+        key, value, f"a component status is one of {', '.join(sorted(RECOVERED))} or {', '.join(sorted(FAILED))}"
+    )
+
+
+def _part(whole: object, name: str, default: object) -> object:
+    return whole.get(name, default) if isinstance(whole, Mapping) else getattr(whole, name, default)
+
+
+def _items(whole: object, name: str) -> Iterable[object]:
+    items = _part(whole, name, whole)
+    if isinstance(items, Mapping) or not isinstance(items, Iterable) or isinstance(items, str | bytes):
+        return (items,)  # one status by itself
+    return items
+
+
+def _pairs(values: object) -> Iterator[tuple[str, str]]:
+    if isinstance(values, Mapping):
+        items: Iterable[object] = values.items()
+    else:
+        items = values if isinstance(values, Iterable) else ()
+    for item in items:
+        if isinstance(item, tuple | list) and len(item) == 2:
+            key, value = item
+        else:
+            key, value = _part(item, "key", ""), _part(item, "value", "")
+        yield str(key), str(value)

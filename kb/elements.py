@@ -1,0 +1,241 @@
+"""What a robot is made of and can do, in ROSA's words, as frozen values; `model` is their builder."""
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+from kb.exceptions import InvalidValue, ModelError
+
+if TYPE_CHECKING:
+    from kb.model import Model
+
+__all__ = [
+    "Action",
+    "Attribute",
+    "AttributeKind",
+    "Component",
+    "ComponentKind",
+    "Configuration",
+    "Constrainable",
+    "Constraint",
+    "Element",
+    "Estimable",
+    "Estimation",
+    "EstimationKind",
+    "Expression",
+    "Function",
+    "FunctionDesign",
+    "Parameter",
+    "Parameters",
+    "finite_number",
+]
+
+Parameter = bool | int | float | str | list[bool] | list[int] | list[float] | list[str]
+Parameters = Mapping[str, Parameter]
+
+
+class AttributeKind(StrEnum):
+    """What an attribute describes: the system itself, or its surroundings."""
+
+    QUALITY = "quality"
+    ENVIRONMENTAL = "environmental"
+
+
+class ComponentKind(StrEnum):
+    """How a component is switched.
+
+    `plain`: hardware, or software without a driver; never commanded, its activity is bookkeeping.
+    `process`: started and stopped. `lifecycle`: runs all the time and is made active or inactive.
+    """
+
+    PLAIN = "plain"
+    PROCESS = "process"
+    LIFECYCLE = "lifecycle"
+
+
+class EstimationKind(StrEnum):
+    """How a choice affects an attribute: adds to it, takes from it, or sets it."""
+
+    POSITIVE = "positive"
+    NEGATIVE = "negative"
+    ABSOLUTE = "absolute"
+
+
+@dataclass(frozen=True, slots=True)
+class Expression:
+    """A comparison of an attribute with a number, e.g. `light >= 0.5`; becomes a constraint of what is given it."""
+
+    attribute: str
+    operator: str
+    value: float
+
+    def __bool__(self) -> bool:
+        raise ModelError(
+            f"{self} has no truth value before something is measured; a chained comparison such as "
+            "`0.2 <= light <= 0.8` is written as two constraints"
+        )
+
+    def __str__(self) -> str:
+        return f"{self.attribute} {self.operator} {self.value:g}"
+
+
+@dataclass(frozen=True, slots=True)
+class Constraint:
+    """An expression that must not be violated for the constrained elements to be possible."""
+
+    attribute: str
+    operator: str
+    value: float
+    constrained: tuple["Constrainable", ...]
+
+    def __str__(self) -> str:
+        return f"{self.attribute} {self.operator} {self.value:g}"
+
+
+@dataclass(frozen=True, slots=True)
+class Estimation:
+    """What choosing the causer (a design, a component or a configuration) is expected to do to an attribute."""
+
+    attribute: str
+    value: float
+    kind: EstimationKind
+    causer: "Estimable"
+
+
+@dataclass(frozen=True, slots=True)
+class Element:
+    """Something with a name in a model."""
+
+    name: str
+    model: "Model" = field(repr=False, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class _Constrainable(Element):
+    def constrain(self, *expressions: Expression) -> None:
+        """Add one constraint per expression to this element."""
+        for expression in expressions:
+            self.model.constrain([self], expression)  # type: ignore[list-item]  # a subclass is one of the four
+
+
+@dataclass(frozen=True, slots=True)
+class _Estimable(_Constrainable):
+    def estimate(self, attribute: "Attribute | str", value: float, kind: EstimationKind | str = "positive") -> None:
+        """State what choosing this element does to an attribute.
+
+        Args:
+            attribute: the affected attribute, or its name.
+            value: how much, in the attribute's unit.
+            kind: "positive" adds, "negative" takes away, "absolute" sets.
+
+        """
+        self.model.add_estimation(self, attribute, value, kind)  # type: ignore[arg-type]  # a subclass is one of three
+
+
+@dataclass(frozen=True, slots=True)
+class Attribute(Element):
+    """Something that is measured; comparing it with a number gives an expression."""
+
+    kind: AttributeKind = AttributeKind.QUALITY
+
+    def __ge__(self, value: float) -> Expression:
+        return Expression(self.name, ">=", finite_number(value))
+
+    def __gt__(self, value: float) -> Expression:
+        return Expression(self.name, ">", finite_number(value))
+
+    def __le__(self, value: float) -> Expression:
+        return Expression(self.name, "<=", finite_number(value))
+
+    def __lt__(self, value: float) -> Expression:
+        return Expression(self.name, "<", finite_number(value))
+
+
+@dataclass(frozen=True, slots=True)
+class Configuration(_Estimable):
+    """One set of values for the parameters of a component."""
+
+    component: str
+    parameters: Parameters = field(hash=False)
+    priority: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Component(_Estimable):
+    """A hardware or software part of the robot.
+
+    Attributes:
+        kind: how it is switched.
+        always_improve: choose again for it even while it is solved.
+        stops_to_configure: new parameters are given while it is stopped, not while it runs.
+        package: where its program is found, for a process or lifecycle component.
+        executable: the program's name there.
+
+    """
+
+    kind: ComponentKind = ComponentKind.PLAIN
+    always_improve: bool = False
+    stops_to_configure: bool = False
+    package: str = ""
+    executable: str = ""
+
+    def configuration(
+        self,
+        name: str,
+        parameters: Parameters | None = None,
+        *,
+        priority: int | None = None,
+        constraints: Iterable[Expression] = (),
+    ) -> Configuration:
+        """Declare one way to set this component's parameters; the lowest priority number is tried first."""
+        return self.model.add_configuration(name, self, parameters or {}, priority, constraints)
+
+
+@dataclass(frozen=True, slots=True)
+class FunctionDesign(_Estimable):
+    """One way to realise a function: the components that together do it."""
+
+    function: str
+    components: tuple[str, ...]
+    priority: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Function(Element):
+    """Something the robot can do as a means, e.g. localise; realised by one of its designs."""
+
+    always_improve: bool = False
+
+    def design(
+        self,
+        name: str,
+        components: Iterable[Component | str],
+        *,
+        priority: int | None = None,
+        constraints: Iterable[Expression] = (),
+    ) -> FunctionDesign:
+        """Declare one set of components that realises this function; the lowest priority number is tried first."""
+        return self.model.add_design(name, self, components, priority, constraints)
+
+
+@dataclass(frozen=True, slots=True)
+class Action(_Constrainable):
+    """Something a mission does, and the functions it needs for that."""
+
+    functions: tuple[str, ...] = ()
+
+
+Constrainable = Action | FunctionDesign | Component | Configuration
+Estimable = FunctionDesign | Component | Configuration
+
+
+def finite_number(value: object) -> float:
+    """Return the value as a float; text, booleans, NaN and infinities are refused."""
+    if isinstance(value, bool | str) or not hasattr(value, "__float__"):
+        raise InvalidValue(f"a number is needed, not {value!r}")
+    number = float(value)
+    if not math.isfinite(number):
+        raise InvalidValue(f"a finite number is needed, not {value!r}")
+    return number

@@ -1,0 +1,53 @@
+"""What can go wrong in the knowledge base; each message names what was given, what exists and what to do."""
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+__all__ = ["AmbiguousName", "DuplicateName", "InvalidValue", "KnowledgeBaseError", "ModelError", "UnknownName"]
+
+
+class KnowledgeBaseError(Exception):
+    """Base of every error that this package raises on purpose."""
+
+
+class ModelError(KnowledgeBaseError, ValueError):
+    """A model is declared in a way that has no meaning."""
+
+
+class DuplicateName(ModelError):
+    """A name is given twice within one kind of element."""
+
+
+class InvalidValue(KnowledgeBaseError, ValueError):
+    """A value is outside what is allowed; the facts are as they were."""
+
+
+class AmbiguousName(KnowledgeBaseError, ValueError):
+    """A bare name stands for elements of several kinds."""
+
+
+class UnknownName(KnowledgeBaseError, KeyError):
+    """A name that nothing of that kind has.
+
+    Args:
+        kind: what was looked for, e.g. "action".
+        name: what was given.
+        known: the names that exist; the message lists the nearest ones first.
+
+    """
+
+    def __init__(self, kind: str, name: object, known: Iterable[str]) -> None:
+        names = list(known)
+        near = get_close_matches(str(name), names, n=3, cutoff=0.5)
+        if near:
+            hint = f"did you mean {' or '.join(repr(match) for match in near)}?"
+        elif names:
+            shown = ", ".join(repr(known_name) for known_name in names[:8])
+            hint = f"known: {shown}{', ...' if len(names) > 8 else ''}"
+        else:
+            hint = "the model has none"
+        self.message = f"unknown {kind} {name!r}; {hint}"
+        super().__init__(self.message)
+
+    def __str__(self) -> str:
+        return self.message

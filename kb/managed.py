@@ -1,0 +1,78 @@
+"""The managed system: what the manager commands, as a protocol, and an adapter for objects in this process."""
+
+from collections.abc import Mapping
+from typing import Protocol
+
+from kb.elements import Parameters
+from kb.exceptions import UnknownName
+
+__all__ = ["ManagedObject", "ManagedObjects", "ManagedSystem", "Operation"]
+
+
+class Operation(Protocol):
+    """Something under way; a `concurrent.futures.Future` is one."""
+
+    def done(self) -> bool:
+        """Tell, at once, whether it has ended."""
+
+    def exception(self) -> BaseException | None:
+        """Return what went wrong, or None; asked only after it has ended."""
+
+
+class ManagedSystem(Protocol):
+    """What can be told to switch components and set their parameters.
+
+    Each call returns at once: None if it is done already, an operation if it takes time. What cannot be done raises,
+    now or as the operation's exception.
+    """
+
+    def activate(self, component: str) -> Operation | None:
+        """Make a component run; its parameters were set before."""
+
+    def deactivate(self, component: str) -> Operation | None:
+        """Make a component stop."""
+
+    def set_parameters(self, component: str, parameters: Parameters) -> Operation | None:
+        """Give a component its parameters; a stopped one keeps them for when it is activated."""
+
+
+class ManagedObject(Protocol):
+    """A component that lives in this process."""
+
+    def activate(self) -> Operation | None:
+        """Start working."""
+
+    def deactivate(self) -> Operation | None:
+        """Stop working."""
+
+    def set_parameters(self, parameters: Parameters) -> Operation | None:
+        """Take parameters."""
+
+
+class ManagedObjects:
+    """A managed system made of objects in this process.
+
+    Args:
+        objects: the objects by component name.
+
+    """
+
+    def __init__(self, objects: Mapping[str, ManagedObject]) -> None:
+        self._objects = dict(objects)
+
+    def activate(self, component: str) -> Operation | None:
+        """Activate the object of that name."""
+        return self._object(component).activate()
+
+    def deactivate(self, component: str) -> Operation | None:
+        """Deactivate the object of that name."""
+        return self._object(component).deactivate()
+
+    def set_parameters(self, component: str, parameters: Parameters) -> Operation | None:
+        """Give the object of that name its parameters."""
+        return self._object(component).set_parameters(parameters)
+
+    def _object(self, component: str) -> ManagedObject:
+        if component not in self._objects:
+            raise UnknownName("managed object", component, self._objects)
+        return self._objects[component]

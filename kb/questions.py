@@ -1,0 +1,142 @@
+"""The questions a knowledge base answers, from whatever state it is in.
+
+"What can the robot do now?", "what needs another configuration?", "which would do?": answered here without changing
+anything. A knowledge base adds facts to this; a situation answers the same from an overlay.
+"""
+
+from collections.abc import Callable, Iterable
+from threading import RLock
+
+from kb.elements import Element, Parameters
+from kb.exceptions import AmbiguousName, UnknownName
+from kb.explanation import Explanation, explain
+from kb.inference import Network, Node, Overlay, State, is_adaptable
+from kb.reconfiguration import Obsolete, obsolete, reselect
+from kb.status import Status
+from kb.views import (
+    ActionView,
+    AttributeView,
+    ComponentView,
+    ConfigurationView,
+    DesignView,
+    ElementView,
+    FunctionView,
+    Views,
+)
+
+__all__ = ["Questions"]
+
+
+class Questions:
+    """Everything that can be asked.
+
+    Args:
+        network: what depends on what.
+        state: the facts and statuses to answer from.
+        clock: gives the time [s]; for the age of measurements in explanations.
+
+    Attributes:
+        actions, functions, components, designs, configurations, attributes: views by name.
+
+    """
+
+    def __init__(self, network: Network, state: State, clock: Callable[[], float]) -> None:
+        self._network = network
+        self._state = state
+        self._clock = clock
+        self._lock = RLock()
+        self._in_force: dict[str, Parameters] = {}
+        self.actions = Views(self, "action", network.actions, ActionView)
+        self.functions = Views(self, "function", network.functions, FunctionView)
+        self.components = Views(self, "component", network.components, ComponentView)
+        self.designs = Views(self, "function design", network.designs, DesignView)
+        self.configurations = Views(self, "configuration", network.configurations, ConfigurationView)
+        self.attributes = Views(self, "attribute", network.attributes, AttributeView)
+
+    def is_feasible(self, action: str) -> bool:
+        """Tell whether an action can be done now: its status is not "unfeasible"."""
+        try:
+            node = self._network.actions[action]
+        except (KeyError, TypeError):
+            node = self.actions.node(action)
+        return self._state.status[node.index] is not Status.UNFEASIBLE
+
+    def selectable_actions(self) -> tuple[str, ...]:
+        """Names of the actions that can be done now."""
+        with self._lock:
+            return self._selectable(self._network.actions.values())
+
+    def selectable_designs(self, function: str) -> tuple[str, ...]:
+        """Names of a function's designs that can be selected now, in order of declaration."""
+        with self._lock:
+            return self._selectable(self.functions.node(function).parts)
+
+    def selectable_configurations(self, component: str) -> tuple[str, ...]:
+        """Names of a component's configurations that can be selected now, in order of declaration."""
+        with self._lock:
+            return self._selectable(self.components.node(component).parts)
+
+    def adaptable_functions(self) -> tuple[str, ...]:
+        """Names of the functions for which a design has to be chosen, or may be chosen better."""
+        with self._lock:
+            return _adaptable(self._state, "function")
+
+    def adaptable_components(self, designs: Iterable[str] = ()) -> tuple[str, ...]:
+        """Names of the components for which a configuration has to be chosen, or may be chosen better.
+
+        Args:
+            designs: names of designs just chosen; the answer is what it will be once they are selected and
+                what is obsolete is not.
+
+        """
+        with self._lock:
+            chosen = [self.designs.node(name) for name in designs]
+            supposed = Overlay(self._state)
+            reselect(supposed, chosen, ())
+            return _adaptable(supposed, "component")
+
+    def obsolete(self) -> Obsolete:
+        """Names of the components, designs and configurations that nothing required needs any more."""
+        with self._lock:
+            return obsolete(self._state)
+
+    def explain(self, element: ElementView | Element | str) -> Explanation:
+        """Say why an element has the status that it has.
+
+        Args:
+            element: a view, an element of the model, or a name; a name that several kinds share means the action
+                before the function, component, design and configuration.
+
+        """
+        with self._lock:
+            return explain(self._state, self._node(element), self._clock())
+
+    def _selectable(self, nodes: Iterable[Node]) -> tuple[str, ...]:
+        status = self._state.status
+        return tuple(node.name for node in nodes if status[node.index] is not Status.UNFEASIBLE)
+
+    def _node(self, element: ElementView | Element | str, kinds: Iterable[str] = (), unique: bool = False) -> Node:
+        """Return the node that is meant; a bare name is looked for in the given kinds (all), in this order."""
+        if isinstance(element, ElementView):
+            return element._node
+        if isinstance(element, Element):
+            return self._network.find(element)
+        tables = {
+            "action": self._network.actions,
+            "function": self._network.functions,
+            "component": self._network.components,
+            "function design": self._network.designs,
+            "configuration": self._network.configurations,
+        }
+        searched = {kind: tables[kind] for kind in (tuple(kinds) or tables)}
+        found = [table[element] for table in searched.values() if element in table]
+        if not found:
+            raise UnknownName(" or ".join(searched), element, [name for table in searched.values() for name in table])
+        if unique and len(found) > 1:
+            listed = " and a ".join(node.kind for node in found)
+            raise AmbiguousName(f"{element!r} names a {listed}; pass the view, e.g. kb.components[{element!r}]")
+        return found[0]
+
+
+def _adaptable(state: State, kind: str) -> tuple[str, ...]:
+    return tuple(node.name for node in state.watch() if node.kind == kind and is_adaptable(state, node))

@@ -1,0 +1,143 @@
+"""Reconfiguration plans: from what is selected now to what shall be, and what has to be switched on the way."""
+
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+from kb.inference import Node, State, settle
+
+__all__ = ["Obsolete", "ReconfigurationPlan", "Selection", "obsolete", "reselect"]
+
+
+class Obsolete(NamedTuple):
+    """Names of what nothing required needs any more: active components, selected designs and configurations."""
+
+    components: tuple[str, ...]
+    designs: tuple[str, ...]
+    configurations: tuple[str, ...]
+
+    def __bool__(self) -> bool:
+        return any(self)
+
+
+class Selection(NamedTuple):
+    """What has to be done to the managed system after a selection, by name."""
+
+    activate: tuple[str, ...]
+    deactivate: tuple[str, ...]
+    parameters: tuple[str, ...]
+
+
+class ReconfigurationPlan:
+    """What to switch, and what became of it.
+
+    Attributes:
+        activate: names of components to activate.
+        deactivate: names of components to deactivate.
+        parameters: names of configurations whose parameters are to be set.
+        reason: why, in words.
+        start: when it was made [s].
+        end: when it ended [s], None while it is open.
+        result: "completed", "failed" or "abandoned", None while it is open.
+
+    """
+
+    __slots__ = ("_end", "_result", "activate", "deactivate", "parameters", "reason", "start")
+
+    def __init__(self, selection: Selection, reason: str, start: float) -> None:
+        self.activate, self.deactivate, self.parameters = selection
+        self.reason = reason
+        self.start = start
+        self._end: float | None = None
+        self._result: str | None = None
+
+    @property
+    def end(self) -> float | None:
+        """When it ended [s], None while it is open."""
+        return self._end
+
+    @property
+    def result(self) -> str | None:
+        """How it ended, None while it is open."""
+        return self._result
+
+    def __str__(self) -> str:
+        steps = (("deactivate", self.deactivate), ("activate", self.activate), ("configure", self.parameters))
+        return "; ".join(f"{verb} {', '.join(names)}" for verb, names in steps if names)
+
+    def __repr__(self) -> str:
+        return f"<ReconfigurationPlan {self} ({self.result or 'open'})>"
+
+    def _finish(self, result: str, end: float) -> None:
+        self._end, self._result = end, result
+
+
+def obsolete(state: State) -> Obsolete:
+    """Return what is obsolete: selected or active for no required function (an asserted `required` does not count)."""
+    components, designs, configurations = _obsolete_nodes(state)
+    return Obsolete(_names(components), _names(designs), _names(configurations))
+
+
+def reselect(state: State, designs: Iterable[Node], configurations: Iterable[Node]) -> Selection:
+    """Mark the given designs and configurations selected instead of their rivals, and unselect what is obsolete.
+
+    Returns:
+        What leads the managed system there from its present state.
+
+    """
+    replaced, changed = _choose(state, designs)
+    _, newly_configured = _choose(state, configurations)
+    settle(state, changed)
+    settle(state, newly_configured)
+    _, idle_designs, idle_configurations = _obsolete_nodes(state)
+    for node in (*idle_designs, *idle_configurations):
+        state.selected[node.index] = False
+    settle(state, (*idle_designs, *idle_configurations))
+    needed = dict.fromkeys(
+        component
+        for design in state.watch()
+        if design.kind == "function design" and state.selected[design.index] and state.required[design.wholes[0].index]
+        for component in design.parts
+    )
+    given_up = [component for design in replaced for component in design.parts if component not in needed]
+    idle, _, _ = _obsolete_nodes(state)
+    return Selection(
+        activate=_names(node for node in needed if not state.active[node.index]),
+        deactivate=_names(node for node in dict.fromkeys([*given_up, *idle]) if state.active[node.index]),
+        parameters=_names(node for node in newly_configured if state.selected[node.index]),
+    )
+
+
+def _choose(state: State, chosen: Iterable[Node]) -> tuple[list[Node], list[Node]]:
+    """Select each chosen node and unselect its rivals; return those unselected, and all that changed."""
+    replaced, changed = [], []
+    for node in chosen:
+        for rival in node.wholes[0].parts:
+            wanted = rival is node
+            if state.selected[rival.index] == wanted:
+                continue
+            state.selected[rival.index] = wanted
+            changed.append(rival)
+            if not wanted:
+                replaced.append(rival)
+    return replaced, changed
+
+
+def _obsolete_nodes(state: State) -> tuple[Sequence[Node], Sequence[Node], Sequence[Node]]:
+    components, designs, configurations = [], [], []
+    for node in state.watch():
+        if node.kind == "component" and state.active[node.index] and not _could_serve(state, node):
+            components.append(node)
+        elif node.kind == "function design" and state.selected[node.index] and not state.required[node.wholes[0].index]:
+            designs.append(node)
+        elif node.kind == "configuration" and state.selected[node.index] and not _could_serve(state, node.wholes[0]):
+            configurations.append(node)
+    return components, designs, configurations
+
+
+def _could_serve(state: State, component: Node) -> bool:
+    """Tell whether the component is in a design, selected or not, of a required function."""
+    return any(state.required[design.wholes[0].index] for design in component.wholes)
+
+
+def _names(nodes: Iterable[Node]) -> tuple[str, ...]:
+    return tuple(node.name for node in nodes)

@@ -1,0 +1,298 @@
+"""Read-only views of the elements of a knowledge base: what they are, and what is known of them at this moment.
+
+A view answers from the base it was taken from each time it is asked; nothing can be changed through it.
+"""
+
+from collections.abc import Iterator, Mapping
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Generic, TypeVar
+
+from kb.elements import (
+    Attribute,
+    Component,
+    ComponentKind,
+    Configuration,
+    Constraint,
+    Function,
+    FunctionDesign,
+    Parameters,
+)
+from kb.exceptions import UnknownName
+from kb.inference import Node
+from kb.status import Status
+
+if TYPE_CHECKING:
+    from kb.questions import Questions
+
+__all__ = [
+    "ActionView",
+    "AttributeView",
+    "ComponentView",
+    "ConfigurationView",
+    "ConstraintView",
+    "DesignView",
+    "ElementView",
+    "FunctionView",
+    "Views",
+]
+
+
+class ElementView:
+    """What every element has: a name, and its kind in words."""
+
+    __slots__ = ("_base", "_node")
+
+    def __init__(self, base: "Questions", node: Node) -> None:
+        self._base = base
+        self._node = node
+
+    @property
+    def name(self) -> str:
+        """The element's name, unique within its kind."""
+        return self._node.name
+
+    def __repr__(self) -> str:
+        return f"<{self._node.kind} {self.name!r}>"
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, ElementView) and other._node is self._node and other._base is self._base
+
+    def __hash__(self) -> int:
+        return hash((id(self._base), self._node.index))
+
+
+class _StatusView(ElementView):
+    __slots__ = ()
+
+    @property
+    def status(self) -> Status:
+        """The one status that the element has now."""
+        return self._base._state.status[self._node.index]
+
+
+class ConstraintView(_StatusView):
+    """A constraint: `attribute operator value`."""
+
+    __slots__ = ()
+
+    @property
+    def attribute(self) -> str:
+        """Name of the attribute that is compared."""
+        return self._constraint.attribute
+
+    @property
+    def operator(self) -> str:
+        """One of `>=`, `>`, `<=`, `<`."""
+        return self._constraint.operator
+
+    @property
+    def value(self) -> float:
+        """The threshold, in the attribute's unit."""
+        return self._constraint.value
+
+    @property
+    def _constraint(self) -> Constraint:
+        assert isinstance(self._node.element, Constraint)
+        return self._node.element
+
+
+class _ConstrainedView(_StatusView):
+    __slots__ = ()
+
+    @property
+    def constraints(self) -> tuple[ConstraintView, ...]:
+        """The constraints on this element itself."""
+        return tuple(ConstraintView(self._base, node) for node in self._node.constraints)
+
+
+class _RequiredView(_StatusView):
+    __slots__ = ()
+
+    @property
+    def is_required(self) -> bool:
+        """Whether what the mission is doing needs it."""
+        return self._base._state.required[self._node.index]
+
+
+class ActionView(_RequiredView, _ConstrainedView):
+    """An action, and whether it can be done now."""
+
+    __slots__ = ()
+
+    @property
+    def functions(self) -> tuple[str, ...]:
+        """Names of the functions that it requires."""
+        return tuple(part.name for part in self._node.parts)
+
+
+class FunctionView(_RequiredView):
+    """A function, and whether it is realised now."""
+
+    __slots__ = ()
+
+    @property
+    def always_improve(self) -> bool:
+        """Whether a better design is taken even while it is solved."""
+        assert isinstance(self._node.element, Function)
+        return self._node.element.always_improve
+
+    @property
+    def designs(self) -> tuple[str, ...]:
+        """Names of its designs, in order of declaration."""
+        return tuple(part.name for part in self._node.parts)
+
+
+class ComponentView(_RequiredView, _ConstrainedView):
+    """A component: whether it runs, and with which parameters."""
+
+    __slots__ = ()
+
+    @property
+    def always_improve(self) -> bool:
+        """Whether a better configuration is taken even while it is solved."""
+        return self._component.always_improve
+
+    @property
+    def is_active(self) -> bool:
+        """Whether it is running."""
+        return self._base._state.active[self._node.index]
+
+    @property
+    def kind(self) -> ComponentKind:
+        """How it is switched: plain, process or lifecycle."""
+        return self._component.kind
+
+    @property
+    def stops_to_configure(self) -> bool:
+        """Whether new parameters are given while it is stopped."""
+        return self._component.stops_to_configure
+
+    @property
+    def package(self) -> str:
+        """Where its program is found."""
+        return self._component.package
+
+    @property
+    def executable(self) -> str:
+        """Its program's name."""
+        return self._component.executable
+
+    @property
+    def configurations(self) -> tuple[str, ...]:
+        """Names of its configurations, in order of declaration."""
+        return tuple(part.name for part in self._node.parts)
+
+    @property
+    def selected_configuration(self) -> str | None:
+        """Name of the configuration that is selected, if one is."""
+        selected = self._base._state.selected
+        return next((part.name for part in self._node.parts if selected[part.index]), None)
+
+    @property
+    def parameters_in_force(self) -> Parameters:
+        """The parameters that it was last given; empty before that."""
+        return MappingProxyType(self._base._in_force.get(self.name, {}))
+
+    @property
+    def _component(self) -> Component:
+        assert isinstance(self._node.element, Component)
+        return self._node.element
+
+
+class _SelectableView(_ConstrainedView):
+    __slots__ = ()
+
+    @property
+    def is_selected(self) -> bool:
+        """Whether it is the one chosen."""
+        return self._base._state.selected[self._node.index]
+
+    @property
+    def priority(self) -> int | None:
+        """The lowest number is preferred; None comes last."""
+        assert isinstance(self._node.element, FunctionDesign | Configuration)
+        return self._node.element.priority
+
+
+class DesignView(_SelectableView):
+    """A function design: one set of components that realises a function."""
+
+    __slots__ = ()
+
+    @property
+    def function(self) -> str:
+        """Name of the function that it realises."""
+        return self._node.wholes[0].name
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        """Names of its components."""
+        return tuple(part.name for part in self._node.parts)
+
+
+class ConfigurationView(_SelectableView):
+    """A component configuration: one set of parameter values."""
+
+    __slots__ = ()
+
+    @property
+    def component(self) -> str:
+        """Name of the component that it configures."""
+        return self._node.wholes[0].name
+
+    @property
+    def parameters(self) -> Parameters:
+        """Its values by parameter name."""
+        assert isinstance(self._node.element, Configuration)
+        return self._node.element.parameters
+
+
+class AttributeView(ElementView):
+    """A measured attribute."""
+
+    __slots__ = ()
+
+    @property
+    def kind(self) -> str:
+        """What it describes: "quality" (the robot) or "environmental"."""
+        assert isinstance(self._node.element, Attribute)
+        return str(self._node.element.kind)
+
+    @property
+    def value(self) -> float | None:
+        """The latest measurement, or None before the first."""
+        return self._base._state.value[self._node.index]
+
+    @property
+    def time(self) -> float | None:
+        """When that was measured [s], or None."""
+        return self._base._state.time[self._node.index]
+
+
+ViewT = TypeVar("ViewT", bound=ElementView)
+
+
+class Views(Mapping[str, ViewT], Generic[ViewT]):
+    """The elements of one kind by name, in order of declaration; an unknown name says which are near it."""
+
+    def __init__(self, base: "Questions", kind: str, nodes: Mapping[str, Node], view: type[ViewT]) -> None:
+        self._base = base
+        self._kind = kind
+        self._nodes = nodes
+        self._view = view
+
+    def __getitem__(self, name: str) -> ViewT:
+        return self._view(self._base, self.node(name))
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._nodes)
+
+    def __len__(self) -> int:
+        return len(self._nodes)
+
+    def node(self, name: str) -> Node:
+        """Return the node behind a name."""
+        try:
+            return self._nodes[name]
+        except (KeyError, TypeError):
+            raise UnknownName(self._kind, name, self._nodes) from None
