@@ -143,7 +143,7 @@ def _comparison(state: State, constraint: Constraint, attribute: Node, now: floa
 def shortest(value: float, relation: str, threshold: float) -> str:
     """Write a number with as few digits as leave the comparison with the threshold what it is."""
     holds = OPERATORS[relation](value, threshold)
-    for digits in (3, 6, 9, 12):
+    for digits in (3, 6, 9, 12, 15):
         text = f"{value:.{digits}g}"
         if OPERATORS[relation](float(text), threshold) == holds:
             return text
