@@ -1,0 +1,299 @@
+"""Which names a PDDL domain and problem declare and use, and whether each used one is declared."""
+
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from enum import Enum
+from itertools import chain
+
+from rosa_pddl.exceptions import nearest
+from rosa_pddl.syntax import Node, Source
+
+
+class Kind(Enum):
+    """What a name stands for."""
+
+    TYPE = "type"
+    PREDICATE = "predicate"
+    OBJECT = "object"
+    SCHEMA = "action"
+
+
+@dataclass(frozen=True)
+class Mention:
+    """One place where a name is declared or used.
+
+    Args:
+        kind: what the name stands for.
+        node: the word itself.
+        source: the file it stands in.
+        declares: whether this place declares it.
+        arity: number of arguments, for predicates and functions.
+
+    """
+
+    kind: Kind
+    node: Node
+    source: Source
+    declares: bool = False
+    arity: int | None = None
+
+
+_DOMAIN_SECTIONS = (
+    "domain",
+    ":requirements",
+    ":types",
+    ":constants",
+    ":predicates",
+    ":functions",
+    ":action",
+    ":durative-action",
+)
+_PROBLEM_SECTIONS = ("problem", ":domain", ":requirements", ":objects", ":init", ":goal", ":metric")
+_UNSUPPORTED = {":derived", ":process", ":event", ":task", ":method", ":constraints", ":htn"}
+_BODY = {
+    ":action": (":parameters", ":precondition", ":effect"),
+    ":durative-action": (":parameters", ":duration", ":condition", ":effect"),
+}
+_CONNECTIVES = ("and", "or", "not", "imply", "when")
+_QUANTIFIERS = ("forall", "exists")
+_COMPARISONS = ("<", ">", "<=", ">=")
+_CHANGES = ("assign", "increase", "decrease", "scale-up", "scale-down")
+_WORDS = _CONNECTIVES + _QUANTIFIERS + _CHANGES
+
+
+def mentions(domain: Source, problem: Source) -> tuple[Mention, ...]:
+    """Every declaration and use of a name in both files, checked.
+
+    Raises:
+        PddlError: something is misspelt, undeclared or misplaced.
+        UnsupportedPddlError: a construct that cannot be planned or executed here.
+
+    """
+    _check_frame(domain, "domain", _DOMAIN_SECTIONS)
+    _check_frame(problem, "problem", _PROBLEM_SECTIONS)
+    found_in_domain = tuple(chain.from_iterable(_section(domain, node) for node in domain.root.children[2:]))
+    found_in_problem = tuple(chain.from_iterable(_section(problem, node) for node in problem.root.children[2:]))
+    _check(found_in_domain, _declared(found_in_domain))
+    _check(found_in_problem, _declared(found_in_domain + found_in_problem))
+    return found_in_domain + found_in_problem
+
+
+def _check_frame(source: Source, what: str, sections: Collection[str]) -> None:
+    root = source.root
+    if root.head != "define" or len(root.children) < 2:
+        raise source.error(root, f"found {_start(root)!r}, expected '(define ({what} ...) ...)'")
+    title = root.children[1]
+    if title.head != what or len(title.children) != 2:
+        raise source.error(title, f"found {_start(title)!r}, expected '({what} NAME)'; is this the {what} file?")
+    for node in root.children[2:]:
+        if node.head in _UNSUPPORTED:
+            raise source.unsupported(node, f"found '({node.head}': no installed planner of this package handles it")
+        if node.head not in sections:
+            raise source.error(node, f"found {_start(node)!r}, expected a section; {nearest(node.head, sections)}")
+    if what == "problem":
+        for needed in (":domain", ":init", ":goal"):
+            if all(node.head != needed for node in root.children):
+                raise source.error(root, f"the problem has no '({needed} ...)'")
+
+
+def _start(node: Node) -> str:
+    text = str(node)
+    return text if len(text) <= 40 else text[:37] + "..."
+
+
+def _section(source: Source, node: Node) -> Iterator[Mention]:
+    body = node.children[1:]
+    if node.head == ":types":
+        yield from _typed(source, body, Kind.TYPE)
+    elif node.head in (":constants", ":objects"):
+        yield from _typed(source, body, Kind.OBJECT)
+    elif node.head in (":predicates", ":functions"):
+        yield from _signatures(source, body)
+    elif node.head in _BODY:
+        yield from _schema(source, node)
+    elif node.head == ":init":
+        yield from chain.from_iterable(_fact(source, fact) for fact in body)
+    elif node.head == ":goal":
+        yield from chain.from_iterable(_formula(source, goal, frozenset()) for goal in body)
+
+
+def _typed(source: Source, nodes: Iterable[Node], kind: Kind | None) -> Iterator[Mention]:
+    """A typed list such as `a b - t c`; `kind` is what it declares, None for variables."""
+    expects_type = False
+    for node in nodes:
+        if node.is_list:
+            if expects_type and node.head == "either":
+                raise source.unsupported(node, "found '(either ...)': a type of several is not supported")
+            raise source.error(node, f"found {_start(node)!r}, expected {'a type' if expects_type else 'a name'}")
+        if node.word == "-":
+            expects_type = True
+        elif expects_type:
+            yield Mention(Kind.TYPE, node, source, declares=kind is Kind.TYPE)
+            expects_type = False
+        elif kind is None:
+            if not node.lower.startswith("?"):
+                raise source.error(node, f"found {node.word!r}, expected a variable such as '?{node.word}'")
+        else:
+            yield Mention(kind, node, source, declares=True)
+
+
+def _variables(nodes: Iterable[Node]) -> frozenset[str]:
+    return frozenset(node.lower for node in nodes if node.lower.startswith("?"))
+
+
+def _signatures(source: Source, nodes: Iterable[Node]) -> Iterator[Mention]:
+    for node in nodes:
+        if not node.is_list:
+            if node.lower in ("-", "number"):
+                continue
+            raise source.error(node, f"found {node.word!r}, expected a list such as '({node.word} ?x)'")
+        if not node.head:
+            raise source.error(node, f"found {_start(node)!r}, expected a name")
+        arguments = node.children[1:]
+        yield from _typed(source, arguments, None)
+        yield Mention(Kind.PREDICATE, node.children[0], source, declares=True, arity=len(_variables(arguments)))
+
+
+def _schema(source: Source, node: Node) -> Iterator[Mention]:
+    if len(node.children) < 2 or node.children[1].is_list or node.children[1].lower.startswith(":"):
+        raise source.error(node, f"found {_start(node)!r}, expected '({node.head} NAME ...)'")
+    name = node.children[1]
+    yield Mention(Kind.SCHEMA, name, source, declares=True)
+    parts = _parts(source, node)
+    parameters = parts[":parameters"].children if ":parameters" in parts else ()
+    yield from _typed(source, parameters, None)
+    scope = _variables(parameters)
+    for keyword in (":precondition", ":condition", ":effect"):
+        if keyword in parts:
+            _refuse_numbers(source, parts[keyword], name)
+            yield from _formula(source, parts[keyword], scope)
+    if ":duration" in parts:
+        yield from _term(source, parts[":duration"], scope)
+    elif node.head == ":durative-action":
+        raise source.error(node, f"(:durative-action {name} has no ':duration'")
+
+
+def _parts(source: Source, schema: Node) -> dict[str, Node]:
+    allowed = _BODY[schema.head]
+    parts: dict[str, Node] = {}
+    words = list(schema.children[2:])
+    while words:
+        keyword = words.pop(0)
+        if keyword.lower not in allowed:
+            message = f"found {_start(keyword)!r} in {schema.head} {schema.children[1]}, expected one of "
+            message += f"{' '.join(allowed)}; {nearest(keyword.lower, allowed)}"
+            raise source.error(keyword, message)
+        if not words or not words[0].is_list:
+            raise source.error(keyword, f"expected '(' after {keyword.word}")
+        parts[keyword.lower] = words.pop(0)
+    return parts
+
+
+def _refuse_numbers(source: Source, node: Node, schema: Node) -> None:
+    """Numbers may only be action costs: the planner of this package and the executor know true and false."""
+    if node.head == "increase" and len(node.children) > 1 and node.children[1].head == "total-cost":
+        return
+    numeric = node.head in _COMPARISONS + _CHANGES
+    numeric = numeric or (node.head == "=" and any(child.is_list for child in node.children))
+    if numeric:
+        message = f"{_start(node)!r} in {schema.word} computes with numbers; Fast Downward plans with costs only"
+        raise source.unsupported(node, message + " (a numeric engine such as ENHSP or Aries would do)")
+    for child in node.children:
+        _refuse_numbers(source, child, schema)
+
+
+def _formula(source: Source, node: Node, scope: frozenset[str]) -> Iterator[Mention]:
+    if not node.is_list:
+        raise source.error(node, f"found {node.word!r}, expected a list such as '({node.word})'")
+    if not node.children:
+        return
+    head, rest = node.head, node.children[1:]
+    if head in _CONNECTIVES:
+        yield from chain.from_iterable(_formula(source, child, scope) for child in rest)
+    elif head in _QUANTIFIERS:
+        yield from _quantified(source, node, scope)
+    elif _is_timed(node):
+        yield from _formula(source, rest[1], scope)
+    elif head in ("=", *_COMPARISONS, *_CHANGES):
+        yield from chain.from_iterable(_term(source, child, scope) for child in rest)
+    else:
+        yield from _atom(source, node, scope)
+
+
+def _is_timed(node: Node) -> bool:
+    if len(node.children) != 3 or not node.children[2].is_list:
+        return False
+    return (node.head, node.children[1].lower) in (("at", "start"), ("at", "end"), ("over", "all"))
+
+
+def _quantified(source: Source, node: Node, scope: frozenset[str]) -> Iterator[Mention]:
+    if len(node.children) != 3 or not node.children[1].is_list:
+        raise source.error(node, f"found {_start(node)!r}, expected '({node.head} (?x - type) (...))'")
+    variables = node.children[1].children
+    yield from _typed(source, variables, None)
+    yield from _formula(source, node.children[2], scope | _variables(variables))
+
+
+def _atom(source: Source, node: Node, scope: frozenset[str]) -> Iterator[Mention]:
+    if not node.head:
+        raise source.error(node, f"found {_start(node)!r}, expected the name of a predicate first")
+    yield Mention(Kind.PREDICATE, node.children[0], source, arity=len(node.children) - 1)
+    yield from chain.from_iterable(_term(source, child, scope) for child in node.children[1:])
+
+
+def _term(source: Source, node: Node, scope: frozenset[str]) -> Iterator[Mention]:
+    if node.is_list:
+        if node.head in ("+", "-", "*", "/", "=", "and", *_COMPARISONS):
+            yield from chain.from_iterable(_term(source, child, scope) for child in node.children[1:])
+        elif node.children:
+            yield from _atom(source, node, scope)
+    elif node.lower.startswith("?"):
+        if node.lower not in scope and node.lower != "?duration":
+            raise source.error(
+                node, f"found the variable {node.word!r}, expected a parameter; {nearest(node.lower, scope)}"
+            )
+    elif not _is_number(node.lower) and node.lower != "#t":
+        yield Mention(Kind.OBJECT, node, source)
+
+
+def _is_number(word: str) -> bool:
+    return word.replace(".", "", 1).isdigit()
+
+
+def _fact(source: Source, node: Node) -> Iterator[Mention]:
+    if node.head == "at" and len(node.children) == 3 and _is_number(node.children[1].lower):
+        raise source.unsupported(node, f"found {_start(node)!r}: facts that become true at a time are not supported")
+    yield from _formula(source, node, frozenset())
+
+
+Declared = Mapping[tuple[Kind, str], Mention]
+
+
+def _declared(found: Iterable[Mention]) -> Declared:
+    declared: dict[tuple[Kind, str], Mention] = {}
+    for mention in found:
+        key = (mention.kind, mention.node.lower)
+        if mention.declares:
+            first = declared.setdefault(key, mention)
+            if first is not mention and mention.kind is not Kind.TYPE:
+                message = (
+                    f"the {mention.kind.value} {mention.node.word!r} was declared before, in line {first.node.line}"
+                )
+                raise mention.source.error(mention.node, f"{message} of {first.source.file}")
+    return declared
+
+
+def _check(found: Iterable[Mention], declared: Declared) -> None:
+    for mention in found:
+        kind, node, source = mention.kind, mention.node, mention.source
+        if (kind is Kind.TYPE and node.lower in ("object", "number")) or mention.declares:
+            continue
+        known = declared.get((kind, node.lower))
+        if known is None:
+            names = [name for other, name in declared if other is kind]
+            hints = names + list(_WORDS) if kind is Kind.PREDICATE else names
+            message = f"found the unknown {kind.value} {node.word!r}, expected a declared one; "
+            raise source.error(node, message + nearest(node.lower, hints))
+        if mention.arity != known.arity:
+            message = f"found {mention.arity} arguments of {node.word!r}, expected {known.arity}"
+            raise source.error(node, f"{message} as declared in line {known.node.line} of {known.source.file}")

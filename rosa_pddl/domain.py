@@ -1,0 +1,182 @@
+"""A domain with its problem: ROSA's view of what was read, in the names that the files use."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol, TypeAlias
+
+from rosa_pddl.exceptions import PddlError, UnknownNameError, nearest
+
+ACTION_TYPE = "action"
+FEASIBLE = "action_feasible"
+
+UpThing: TypeAlias = Any
+"""A problem, expression, effect or engine of unified-planning, which ships no types."""
+
+State = frozenset[str]
+"""The true atoms, as text: `frozenset({"(lit room)", "(action_feasible scan)"})`."""
+
+
+class KnowledgeBase(Protocol):
+    """What this package asks a knowledge base."""
+
+    @property
+    def actions(self) -> Mapping[str, object]:
+        """The ROSA actions by name."""
+
+    def is_feasible(self, action: str) -> bool:
+        """Whether the action can be done now."""
+
+
+@dataclass(frozen=True)
+class Schema:
+    """A PDDL action. An instantaneous one keeps its conditions at the start and its effects at the end.
+
+    Args:
+        name: as the file spells it.
+        parameters: name and type of each parameter, in order.
+        start: conditions that hold when it starts, as unified-planning expressions.
+        over_all: conditions that hold throughout.
+        end: conditions that hold when it ends.
+        start_effects: what becomes so when it starts, as unified-planning effects.
+        end_effects: what becomes so when it ends.
+        action: the parameter (`?a` without the mark) or constant that is the ROSA action; None if there is none.
+
+    """
+
+    name: str
+    parameters: tuple[tuple[str, str], ...]
+    start: tuple[UpThing, ...]
+    over_all: tuple[UpThing, ...]
+    end: tuple[UpThing, ...]
+    start_effects: tuple[UpThing, ...]
+    end_effects: tuple[UpThing, ...]
+    action: str | None
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step of a plan: a PDDL action with its arguments.
+
+    Args:
+        schema: name of the PDDL action.
+        arguments: names of the objects, in the order of the parameters.
+        action: name of the ROSA action that is done, None if the step needs none.
+
+    """
+
+    schema: str
+    arguments: tuple[str, ...] = ()
+    action: str | None = None
+
+    def __str__(self) -> str:
+        return f"{self.schema}({', '.join(self.arguments)})"
+
+
+@dataclass(frozen=True, eq=False)
+class Domain:
+    """What `load_domain` returns; never changes.
+
+    Args:
+        name: as the domain file gives it.
+        file: the domain file.
+        problem_file: the problem file.
+        rosa_actions: names of the objects of type `action`, in the order of the files.
+        schemas: names of the PDDL actions, in the order of the file.
+        up_problem: the same as unified-planning's `Problem`, in the names of `inside`.
+        schema_of: the PDDL actions by name.
+        outside: the files' spelling by the unique name that unified-planning was given.
+        inside: the reverse, by kind (predicate, object, action) and lower-case name.
+        places: file and line where each object is declared.
+        types: for each object its type and the ancestors of that, in lower case.
+
+    """
+
+    name: str
+    file: str
+    problem_file: str
+    rosa_actions: tuple[str, ...]
+    schemas: tuple[str, ...]
+    up_problem: UpThing = field(repr=False)
+    schema_of: Mapping[str, Schema] = field(repr=False)
+    outside: Mapping[str, str] = field(repr=False)
+    inside: Mapping[tuple[str, str], str] = field(repr=False)
+    places: Mapping[str, tuple[str, int]] = field(repr=False)
+    types: Mapping[str, tuple[str, ...]] = field(repr=False)
+    _atoms: dict[str, str] = field(default_factory=dict, repr=False)
+
+    def check(self, kb: KnowledgeBase) -> None:
+        """Assure that the knowledge base knows every ROSA action of the files.
+
+        Raises:
+            PddlError: it does not know one; the message points at the object and names the nearest actions.
+
+        """
+        for action in self.rosa_actions:
+            if action not in kb.actions:
+                file, line = self.places[action]
+                hint = nearest(action, kb.actions)
+                raise PddlError(f"the knowledge base does not know the action {action!r}; {hint}", file, line)
+
+    def atom(self, text: str) -> str:
+        """The canonical text of an atom, e.g. `(lit room)` for `lit ROOM`.
+
+        Raises:
+            UnknownNameError: no such predicate, object, or number of arguments.
+
+        """
+        if text not in self._atoms:
+            self._atoms[text] = self._canonical(text)
+        return self._atoms[text]
+
+    def feasible_atom(self, action: str) -> str:
+        """The atom that says that a ROSA action is feasible."""
+        return f"({self._spelling('predicate', FEASIBLE, FEASIBLE)} {action})"
+
+    @property
+    def tracks_feasibility(self) -> bool:
+        """Whether the domain has the predicate `action_feasible` at all."""
+        return ("predicate", FEASIBLE) in self.inside
+
+    def is_feasibility(self, atom: str) -> bool:
+        """Whether an atom says that a ROSA action is feasible."""
+        return atom[1:-1].lower().split()[0] == FEASIBLE
+
+    def objects_of(self, type_name: str) -> tuple[str, ...]:
+        """The objects of a type or of its subtypes, in the order of the files."""
+        return tuple(name for name, types in self.types.items() if type_name.lower() in types)
+
+    def step(self, schema: str, arguments: Iterable[str]) -> Step:
+        """A step, with the ROSA action that it does."""
+        given = tuple(arguments)
+        known = self.schema_of[schema]
+        names = [name for name, _ in known.parameters]
+        action = dict(zip(names, given, strict=True)).get(known.action, known.action) if known.action else None
+        return Step(schema, given, action)
+
+    def expression(self, atom: str) -> UpThing:
+        """An atom as unified-planning's expression."""
+        name, *arguments = atom[1:-1].split()
+        fluent = self.up_problem.fluent(self.inside["predicate", name.lower()])
+        return fluent(*(self.up_problem.object(self.inside["object", word.lower()]) for word in arguments))
+
+    def _canonical(self, text: str) -> str:
+        words = text.strip().removeprefix("(").removesuffix(")").split()
+        if not words:
+            raise UnknownNameError(f"{text!r} is not an atom, expected e.g. '(predicate object)'")
+        predicate = self._spelling("predicate", words[0], text)
+        arguments = [self._spelling("object", word, text) for word in words[1:]]
+        fluent = self.up_problem.fluent(self.inside["predicate", words[0].lower()])
+        expected = [(parameter.type, self.outside[parameter.type.name]) for parameter in fluent.signature]
+        if len(expected) != len(arguments):
+            raise UnknownNameError(f"{text!r} has {len(arguments)} arguments, {predicate!r} takes {len(expected)}")
+        for argument, (_, type_name) in zip(arguments, expected, strict=True):
+            if type_name.lower() not in self.types[argument]:
+                known = ", ".join(self.objects_of(type_name)) or "none"
+                raise UnknownNameError(f"{argument!r} in {text!r} is not of type {type_name!r}; of that type: {known}")
+        return "(" + " ".join([predicate, *arguments]) + ")"
+
+    def _spelling(self, kind: str, word: str, text: str) -> str:
+        if (kind, word.lower()) not in self.inside:
+            known = [self.outside[inner] for (other, _), inner in self.inside.items() if other == kind]
+            raise UnknownNameError(f"{self.file} has no {kind} {word!r} (in {text!r}); {nearest(word, known)}")
+        return self.outside[self.inside[kind, word.lower()]]

@@ -1,0 +1,54 @@
+"""What can go wrong in the PDDL layer; everything derives from `RosaPddlError`."""
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+from pathlib import Path
+
+
+class RosaPddlError(Exception):
+    """Base of every error that this package raises."""
+
+
+class PddlError(RosaPddlError):
+    """A PDDL file cannot be used; says where, what was found and what was expected.
+
+    Args:
+        message: what was found and what was expected.
+        file: the file that the message is about.
+        line: counted from 1; None when unknown.
+        column: counted from 1; None when unknown.
+
+    """
+
+    def __init__(self, message: str, file: str | Path, line: int | None = None, column: int | None = None) -> None:
+        self.message = message
+        self.file = str(file)
+        self.line = line
+        self.column = column
+        place = ":".join(str(part) for part in (file, line, column) if part is not None)
+        super().__init__(f"{place}: {message}")
+
+
+class UnsupportedPddlError(PddlError):
+    """Correct PDDL that neither the executor nor its planner can handle."""
+
+
+class UnknownNameError(RosaPddlError):
+    """A name that the domain does not know; the message lists the nearest known ones."""
+
+
+class MissingBehaviourError(RosaPddlError):
+    """A PDDL action has no factory that makes its behaviour."""
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """Half a sentence that answers "what did I mean?": the names nearest to a misspelt one, or all of a few."""
+    names = sorted(set(known))
+    if not names:
+        return "there are none"
+    by_lower = {candidate.lower(): candidate for candidate in names}
+    close = [by_lower[match] for match in get_close_matches(name.lower(), by_lower, n=3, cutoff=0.5)]
+    if close:
+        return "nearest: " + ", ".join(close)
+    shown = ", ".join(names[:10]) + (", ..." if len(names) > 10 else "")
+    return "known: " + shown

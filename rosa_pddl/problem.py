@@ -1,0 +1,152 @@
+"""From what the knowledge base says and the mission senses to the problem that a planner gets."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+
+from rosa_pddl.domain import Domain, KnowledgeBase, Schema, State, UpThing
+from rosa_pddl.exceptions import UnsupportedPddlError
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What to plan: the goal of a domain from a state.
+
+    Args:
+        domain: what `load_domain` returned.
+        state: the atoms that are true now, feasibility included.
+
+    """
+
+    domain: Domain
+    state: State
+
+    def build(self) -> UpThing:
+        """The same for unified-planning, with every action instantaneous.
+
+        Raises:
+            UnsupportedPddlError: the metric cannot be kept when steps run one after the other.
+
+        """
+        problem = _sequential(self.domain)
+        true = problem.environment.expression_manager.TRUE()
+        for atom in sorted(self.state):
+            problem.set_initial_value(self.domain.expression(atom), true)
+        return problem
+
+
+def initial_state(domain: Domain) -> State:
+    """The facts that the problem file begins with, as it states feasibility itself."""
+    return frozenset(_initial_atoms(domain))
+
+
+def feasible_atoms(domain: Domain, kb: KnowledgeBase) -> State:
+    """The facts `(action_feasible ?a)` as the knowledge base has them now."""
+    if not domain.tracks_feasibility:
+        return frozenset()
+    return frozenset(domain.feasible_atom(action) for action in domain.rosa_actions if kb.is_feasible(action))
+
+
+def without_feasibility(domain: Domain, state: State) -> State:
+    """A state less its facts `(action_feasible ?a)`: those are the knowledge base's to say, never a plan's."""
+    return frozenset(atom for atom in state if not domain.is_feasibility(atom))
+
+
+def sensed_into(domain: Domain, state: State, sensed: Mapping[str, bool]) -> State:
+    """A state in which what is sensed replaces what was believed.
+
+    Raises:
+        UnknownNameError: a sensed atom is not one of the domain.
+
+    """
+    facts = {domain.atom(text): value for text, value in sensed.items()}
+    true = {atom for atom, value in facts.items() if value}
+    return (state - facts.keys()) | true
+
+
+def _initial_atoms(domain: Domain) -> Iterator[str]:
+    for expression, value in domain.up_problem.explicit_initial_values.items():
+        if value.is_bool_constant() and value.constant_value():
+            words = [expression.fluent().name, *(argument.object().name for argument in expression.args)]
+            yield "(" + " ".join(domain.outside[word] for word in words) + ")"
+
+
+def _sequential(domain: Domain) -> UpThing:
+    """A unified-planning problem without initial facts, its actions made instantaneous."""
+    from unified_planning.model import Problem as UpProblem
+
+    read = domain.up_problem
+    false = read.environment.expression_manager.FALSE()
+    defaults = {read.environment.type_manager.BoolType(): false}
+    problem = UpProblem(read.name, read.environment, initial_defaults=defaults)
+    problem.add_objects(read.all_objects)
+    metric = _metric(domain)
+    for fluent in read.fluents:
+        # a number that no metric needs would only keep engines from taking the problem
+        if fluent.type.is_bool_type() or metric is not None:
+            problem.add_fluent(fluent)
+    for expression, value in read.explicit_initial_values.items():
+        if not value.is_bool_constant() and metric is not None:
+            problem.set_initial_value(expression, value)
+    actions = {action.name: _instantaneous(action, domain) for action in read.actions}
+    problem.add_actions(actions.values())
+    for goal in read.goals:
+        problem.add_goal(goal)
+    if metric is not None:
+        problem.add_quality_metric(_costs(metric, actions, read.environment))
+    return problem
+
+
+def _metric(domain: Domain) -> UpThing:
+    """The action costs to minimise; None for the number of steps, which is what a makespan comes to step by step."""
+    metrics = domain.up_problem.quality_metrics
+    if not metrics or metrics[0].is_minimize_makespan() or metrics[0].is_minimize_sequential_plan_length():
+        return None
+    if metrics[0].is_minimize_action_costs():
+        return metrics[0]
+    message = f"the metric '{metrics[0]}' cannot be planned for; expected none, (total-cost) or (total-time)"
+    raise UnsupportedPddlError(message, domain.problem_file)
+
+
+def _costs(metric: UpThing, actions: Mapping[str, UpThing], environment: UpThing) -> UpThing:
+    from unified_planning.model.metrics import MinimizeActionCosts
+
+    costs = {actions[action.name]: cost for action, cost in metric.costs.items()}
+    return MinimizeActionCosts(costs, metric.default, environment)
+
+
+def _instantaneous(action: UpThing, domain: Domain) -> UpThing:
+    from unified_planning.exceptions import UPException
+    from unified_planning.model import InstantaneousAction
+
+    schema = domain.schema_of[domain.outside[action.name]]
+    parameters = {parameter.name: parameter.type for parameter in action.parameters}
+    made = InstantaneousAction(action.name, parameters, action.environment)
+    for condition in schema.start + _not_of_its_own_making(schema):
+        made.add_precondition(condition)
+    try:
+        for effect in (*_lasting(schema), *schema.end_effects):
+            made.add_effect(effect.fluent, effect.value, effect.condition, effect.forall)
+    except UPException as error:
+        message = f"the effects of {schema.name} contradict one another when it is made instantaneous: {error}"
+        raise UnsupportedPddlError(message, domain.file) from error
+    return made
+
+
+def _not_of_its_own_making(schema: Schema) -> tuple[UpThing, ...]:
+    """The later conditions that the action's own effects at start do not make true."""
+    made = {(effect.fluent, effect.value.is_true()) for effect in schema.start_effects if _is_certain(effect)}
+    return tuple(c for c in schema.over_all + schema.end if _literal(c) not in made)
+
+
+def _lasting(schema: Schema) -> Iterable[UpThing]:
+    """The effects at start that the effects at end leave as they are."""
+    overwritten = {effect.fluent for effect in schema.end_effects if _is_certain(effect)}
+    return (effect for effect in schema.start_effects if effect.fluent not in overwritten)
+
+
+def _is_certain(effect: UpThing) -> bool:
+    return bool(effect.condition.is_true()) and not effect.forall
+
+
+def _literal(formula: UpThing) -> tuple[UpThing, bool]:
+    return (formula.arg(0), False) if formula.is_not() else (formula, True)

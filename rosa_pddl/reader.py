@@ -1,0 +1,203 @@
+"""Reads PDDL files through unified-planning, and tolerates what its reader does not."""
+
+import re
+import threading
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+from rosa_pddl.declarations import Kind, Mention, mentions
+from rosa_pddl.domain import ACTION_TYPE, FEASIBLE, Domain, Schema, UpThing
+from rosa_pddl.exceptions import PddlError, UnsupportedPddlError
+from rosa_pddl.syntax import Source, read_source
+
+_GLOBAL = threading.Lock()
+_LINE = re.compile(r"line:?\s*(\d+),?\s*\(?col(?:umn)?:?\s*(\d+)")
+
+Edit = tuple[int, int, str]
+
+
+def load_domain(domain: str | Path, problem: str | Path) -> Domain:
+    """Read a PDDL domain and problem.
+
+    Names keep the spelling of the files, and an object, an action, a predicate and a type may share one.
+
+    Args:
+        domain: path of the domain file.
+        problem: path of the problem file.
+
+    Raises:
+        PddlError: a file cannot be read or is not correct PDDL; says the place.
+        UnsupportedPddlError: correct PDDL that cannot be planned or executed here.
+
+    """
+    domain_source, problem_source = read_source(domain), read_source(problem)
+    found = mentions(domain_source, problem_source)
+    inside = _unique_names(found)
+    texts = [_rewritten(source, found, inside) for source in (domain_source, problem_source)]
+    up_problem = _read(texts[0], texts[1], domain_source)
+    return _domain(domain_source, problem_source, up_problem, found, inside)
+
+
+def _unique_names(found: Iterable[Mention]) -> dict[tuple[Kind, str], str]:
+    """A name for each kind and word such that no two are the same, as unified-planning wants it."""
+    inside: dict[tuple[Kind, str], str] = {}
+    taken = {"object"}
+    for kind in (Kind.TYPE, Kind.PREDICATE, Kind.OBJECT, Kind.SCHEMA):
+        for word in _declared_words(found, kind):
+            name = word
+            while name in taken:
+                name += f"_{kind.name.lower()}"
+            taken.add(name)
+            inside[kind, word] = name
+    return inside
+
+
+def _declared_words(found: Iterable[Mention], kind: Kind) -> list[str]:
+    return list(dict.fromkeys(m.node.lower for m in found if m.declares and m.kind is kind))
+
+
+def _rewritten(source: Source, found: Iterable[Mention], inside: Mapping[tuple[Kind, str], str]) -> str:
+    """The text that unified-planning reads: same lines, unique names, none of what its grammar stumbles over."""
+    edits: dict[int, Edit] = {}
+    for mention in found:
+        new = inside.get((mention.kind, mention.node.lower))
+        if mention.source is source and new is not None and new != mention.node.lower:
+            edits[mention.node.start] = (mention.node.start, mention.node.end, new)
+    for start, end, new in _tolerated(source):
+        edits[start] = (start, end, new + "\n" * source.text.count("\n", start, end))
+    text = source.text
+    for start, end, new in sorted(edits.values(), reverse=True):
+        text = text[:start] + new + text[end:]
+    return text
+
+
+def _tolerated(source: Source) -> Iterator[Edit]:
+    for node in source.root.children[2:]:
+        # requirements promise what the sections then show; unified-planning refuses the ones it does not know
+        if node.head == ":requirements" or (len(node.children) == 1 and node.head not in (":init", ":goal")):
+            yield node.start, node.end, ""
+        elif node.head in (":action", ":durative-action"):
+            words = [child.lower for child in node.children]
+            if ":parameters" not in words:
+                yield node.children[1].end, node.children[1].end, " :parameters ()"
+            for keyword, body in zip(node.children, node.children[1:], strict=False):
+                if keyword.lower in (":precondition", ":condition", ":effect") and not body.children:
+                    yield body.start, body.end, "(and)"
+
+
+def _read(domain: str, problem: str, source: Source) -> UpThing:
+    from unified_planning.environment import Environment
+    from unified_planning.io import PDDLReader
+
+    environment = Environment()
+    environment.credits_stream = None
+    try:
+        with _as_global(environment):
+            return PDDLReader(environment).parse_problem_string(domain, problem)
+    except Exception as error:
+        raise _located(error, source) from error
+
+
+@contextmanager
+def _as_global(environment: UpThing) -> Iterator[None]:
+    """unified-planning 1.3 makes the variables of forall effects in the global environment, whatever it was given."""
+    import unified_planning.environment as module
+
+    with _GLOBAL:
+        before = module.GLOBAL_ENVIRONMENT
+        module.GLOBAL_ENVIRONMENT = environment
+        try:
+            yield
+        finally:
+            module.GLOBAL_ENVIRONMENT = before
+
+
+def _located(error: Exception, source: Source) -> PddlError:
+    text = " ".join(str(error).split()) or repr(error)
+    place = _LINE.search(text)
+    message = f"unified-planning cannot read this domain with its problem: {text}"
+    if place is None:
+        return PddlError(message, source.file)
+    return PddlError(message, source.file, int(place.group(1)), int(place.group(2)))
+
+
+def _domain(domain: Source, problem: Source, up_problem: UpThing, found: Iterable[Mention], inside: UpThing) -> Domain:
+    spelled = {(m.kind, m.node.lower): m.node.lower for m in found if m.declares}
+    spelled |= {(m.kind, m.node.lower): str(m.node) for m in found if m.declares}
+    outside = {name: spelled[key] for key, name in inside.items()} | {"object": "object"}
+    types = {outside[thing.name]: tuple(_lineage(thing.type, outside)) for thing in up_problem.all_objects}
+    places = {str(m.node): (m.source.file, m.node.line) for m in found if m.declares and m.kind is Kind.OBJECT}
+    schemas = [_schema(action, outside, domain) for action in up_problem.actions]
+    return Domain(
+        name=str(domain.root.children[1].children[1]),
+        file=domain.file,
+        problem_file=problem.file,
+        rosa_actions=tuple(name for name, lineage in types.items() if ACTION_TYPE in lineage),
+        schemas=tuple(schema.name for schema in schemas),
+        up_problem=up_problem,
+        schema_of={schema.name: schema for schema in schemas},
+        outside=outside,
+        inside={(kind.value, word): name for (kind, word), name in inside.items()},
+        places=places,
+        types=types,
+    )
+
+
+def _lineage(type_: UpThing, outside: Mapping[str, str]) -> Iterator[str]:
+    while type_ is not None:
+        yield outside[type_.name].lower()
+        type_ = type_.father
+
+
+def _schema(action: UpThing, outside: Mapping[str, str], source: Source) -> Schema:
+    name = outside[action.name]
+    if hasattr(action, "conditions"):
+        parts = _timed(action, name, source)
+    elif hasattr(action, "preconditions"):
+        parts = {"start": tuple(_conjuncts(action.preconditions)), "end_effects": tuple(action.effects)}
+    else:
+        raise UnsupportedPddlError(f"the action {name!r} is of an unsupported kind", source.file)
+    complete = {key: parts.get(key, ()) for key in ("start", "over_all", "end", "start_effects", "end_effects")}
+    complete |= {key: _true_or_false(complete[key]) for key in ("start_effects", "end_effects")}
+    conditions = complete["start"] + complete["over_all"] + complete["end"]
+    parameters = tuple((parameter.name, outside[parameter.type.name]) for parameter in action.parameters)
+    rosa_action = _rosa_action(conditions, action.parameters, outside)
+    return Schema(name=name, parameters=parameters, action=rosa_action, **complete)
+
+
+def _true_or_false(effects: tuple[UpThing, ...]) -> tuple[UpThing, ...]:
+    """Costs are the planner's business: what is assumed after a step are facts."""
+    return tuple(effect for effect in effects if effect.fluent.type.is_bool_type())
+
+
+def _timed(action: UpThing, name: str, source: Source) -> dict[str, tuple[UpThing, ...]]:
+    parts: dict[str, tuple[UpThing, ...]] = {}
+    for interval, conditions in action.conditions.items():
+        at_start, at_end = interval.lower.is_from_start(), interval.upper.is_from_end()
+        key = "over_all" if at_start and at_end else "start" if at_start else "end"
+        parts[key] = parts.get(key, ()) + tuple(_conjuncts(conditions))
+    for timing, effects in action.effects.items():
+        key = "start_effects" if timing.is_from_start() else "end_effects"
+        parts[key] = parts.get(key, ()) + tuple(effects)
+    if action.continuous_effects:
+        raise UnsupportedPddlError(f"the action {name!r} changes numbers continuously", source.file)
+    return parts
+
+
+def _conjuncts(formulas: Iterable[UpThing]) -> Iterator[UpThing]:
+    for formula in formulas:
+        if formula.is_and():
+            yield from _conjuncts(formula.args)
+        elif not formula.is_true():
+            yield formula
+
+
+def _rosa_action(conditions: tuple[UpThing, ...], parameters: UpThing, outside: Mapping[str, str]) -> str | None:
+    """The `?a` of a condition `(action_feasible ?a)`; without one, the only parameter of type action."""
+    for formula in conditions:
+        if formula.is_fluent_exp() and outside[formula.fluent().name].lower() == FEASIBLE:
+            argument = formula.arg(0)
+            return str(argument.parameter().name) if argument.is_parameter_exp() else outside[argument.object().name]
+    actions = [p.name for p in parameters if ACTION_TYPE in _lineage(p.type, outside)]
+    return actions[0] if len(actions) == 1 else None
