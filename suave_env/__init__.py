@@ -1,1 +1,24 @@
-"""Placeholder."""
+"""The simulated sea of the (extended) SUAVE mission: a BlueROV2 in MuJoCo that searches for a pipeline and follows it."""
+
+from suave_env.env import Observation, SuaveEnv
+from suave_env.exceptions import SuaveEnvError
+from suave_env.managed import ManagedSystem, Operation
+from suave_env.messages import Message, Status
+from suave_env.metrics import Disturbance, Metrics
+from suave_env.pipeline import Pipeline
+from suave_env.settings import SettingInfo, Settings
+
+__all__ = [
+    "Disturbance",
+    "ManagedSystem",
+    "Message",
+    "Metrics",
+    "Observation",
+    "Operation",
+    "Pipeline",
+    "SettingInfo",
+    "Settings",
+    "Status",
+    "SuaveEnv",
+    "SuaveEnvError",
+]

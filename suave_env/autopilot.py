@@ -1,0 +1,62 @@
+"""The loop that flies the vehicle: setpoint, wanted force, thrusts, physics, at the control period."""
+
+import math
+
+from suave_env.guidance import Guidance, Vector
+from suave_env.settings import Settings
+from suave_env.thrusters import Thrusters
+from suave_env.vehicle import Vehicle, yaw_of
+
+__all__ = ["Autopilot"]
+
+
+class Autopilot:
+    """Holds a heading of east and flies to setpoints.
+
+    Args:
+        settings: Gains and the control period.
+        vehicle: What is flown.
+        thrusters: What it is flown with.
+        bias: True minus commanded height [m].
+    """
+
+    def __init__(self, settings: Settings, vehicle: Vehicle, thrusters: Thrusters, bias: float) -> None:
+        self._settings = settings
+        self._vehicle = vehicle
+        self._thrusters = thrusters
+        self._bias = bias
+        self._period = settings.control_period_s
+        self._periods = 0
+        self._guidance = Guidance(settings, vehicle.position)
+
+    @property
+    def position(self) -> Vector:
+        """Where the vehicle is [m], world frame ENU, z up."""
+        return self._vehicle.position
+
+    def go_to(self, target: Vector, time: float) -> None:
+        """Fly to a setpoint [m], world frame ENU, z up, from now [s] on."""
+        x, y, z = target
+        self._guidance.go_to((x, y, z + self._bias), self._vehicle.position, self._vehicle.velocity, time)
+
+    def hold(self, time: float) -> None:
+        """Come to rest where that is soonest, from now [s] on."""
+        position, velocity = self._vehicle.position, self._vehicle.velocity
+        self._guidance.go_to(self._guidance.stopping_point(position, velocity), position, velocity, time)
+
+    def fly(self, until: float) -> None:
+        """Simulate all control periods that end by a time [s]; between two of them the state is that of the earlier."""
+        period, settings = self._period, self._settings
+        guidance, thrusters, vehicle = self._guidance, self._thrusters, self._vehicle
+        heading_gain, heading_damping = settings.heading_gain, settings.heading_damping
+        roll_damping = settings.roll_damping
+        last = math.floor(until / period + 1e-9)
+        for count in range(self._periods, last):
+            pose, motion = vehicle.pose, vehicle.motion
+            east, north, up = guidance.force(pose, motion, count * period, period)
+            yaw = yaw_of(pose[3:])
+            cosine, sine = math.cos(yaw), math.sin(yaw)
+            turn = -heading_gain * yaw - heading_damping * motion[5]
+            forward, left = cosine * east + sine * north, cosine * north - sine * east
+            vehicle.push(thrusters.allocate(forward, left, up, -roll_damping * motion[3], turn))
+        self._periods = max(self._periods, last)

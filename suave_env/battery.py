@@ -1,0 +1,35 @@
+"""The battery."""
+
+from suave_env.settings import Settings
+
+__all__ = ["LOW_LEVEL", "Battery"]
+
+LOW_LEVEL = 0.25
+"""Level [1] below which the extended SUAVE mission recharges; kas-lab/suave v1.3.0."""
+
+
+class Battery:
+    """A battery that drains evenly, in steps, from full at GUIDED.
+
+    Attributes:
+        level: Charge, 1.0 full to 0.0 empty.
+        recharges: How often it was recharged.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self.level = 1.0
+        self.recharges = 0
+        self._discharge_time = settings.discharge_time_s
+
+    def drain(self, duration: float) -> None:
+        """Take out what a duration [s] costs; never below empty.
+
+        The level is lowered step by step, as in kas-lab/suave v1.3.0, and so carries the rounding of the steps: after 150
+        steps of 1 s out of 200 s it is 0.24999999999999933.
+        """
+        self.level = max(0.0, self.level - duration / self._discharge_time)
+
+    def recharge(self) -> None:
+        """Fill the battery at once."""
+        self.level = 1.0
+        self.recharges += 1

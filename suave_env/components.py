@@ -1,0 +1,299 @@
+"""The four nodes that can be managed: spiral search, follow pipeline, recover thrusters, recharge.
+
+Each has a free-running timer and acts only while active. Their rules are those of the nodes of kas-lab/suave v1.3.0.
+"""
+
+import math
+from collections import deque
+from collections.abc import Callable
+from typing import ClassVar
+
+from suave_env.agenda import Agenda
+from suave_env.autopilot import Autopilot
+from suave_env.guidance import Vector
+from suave_env.messages import COMPONENT_STATUS, MISSION_STATUS, Outbox
+from suave_env.pipeline import SEABED_Z_M
+from suave_env.settings import Settings
+from suave_env.thrusters import COUNT, Thrusters
+
+__all__ = ["Component", "FollowPipeline", "Recharge", "RecoverThrusters", "SpiralSearch"]
+
+
+class Component:
+    """A node that can be active or inactive.
+
+    Attributes:
+        name: Its identity.
+        moves: Whether it sends setpoints.
+        active: Whether it acts.
+        parameters: Numbers by name.
+    """
+
+    name: ClassVar[str]
+    moves: ClassVar[bool] = True
+
+    def __init__(self) -> None:
+        self.active = False
+        self.parameters: dict[str, float] = {}
+
+    def activated(self, time: float) -> None:
+        """Called when it has become active; `time` [s]."""
+
+    def deactivated(self, time: float) -> None:
+        """Called when it has become inactive; `time` [s]."""
+
+
+class SpiralSearch(Component):
+    """Searches along a spiral: one point every 0.1 rad, whose turns lie as far apart as the camera sees.
+
+    Per point the radius grows by `2 a tan(30 deg) 0.1 / (2 pi)` for an altitude `a`, the parameter `spiral_altitude` [m].
+    A change of altitude skips one angle. A point counts as reached within 0.4 m in x, y and z; after more than 10 ticks without
+    reaching it, it is sent again, and lower by 0.25 m if only the height is off, while the goal that is checked stays as it was.
+
+    Args:
+        settings: Constants.
+        autopilot: Where setpoints go.
+        centre: Centre (x, y) of the spiral [m], world frame ENU.
+    """
+
+    name = "spiral_search"
+
+    def __init__(self, settings: Settings, autopilot: Autopilot, centre: tuple[float, float]) -> None:
+        super().__init__()
+        self.parameters["spiral_altitude"] = settings.spiral_altitude_m
+        self._settings = settings
+        self._autopilot = autopilot
+        self._begin(centre)
+
+    def _begin(self, centre: tuple[float, float]) -> None:
+        self._centre = centre
+        self._offset = (0.0, 0.0)
+        self._goal: Vector | None = None
+        self._altitude: float | None = None
+        self._count = 0
+        self._waits = 0
+        self._correction = 0.0
+
+    def activated(self, time: float) -> None:
+        """Begin a new spiral here if the settings say so; otherwise go on with the old one."""
+        if self._settings.spiral_restarts:
+            x, y, _ = self._autopilot.position
+            self._begin((x, y))
+
+    def tick(self, time: float) -> None:
+        """Take at most one step of the spiral."""
+        if not self.active or time < self._settings.start_delay_s:
+            return
+        altitude = self.parameters["spiral_altitude"]
+        if altitude != self._altitude:
+            self._altitude = altitude
+            self._count += 1
+        if self._waits > self._settings.spiral_patience:
+            self._resend(altitude, time)
+        if self._goal is None or self._is_reached(self._goal, 3):
+            self._advance(altitude, time)
+        else:
+            self._waits += 1
+
+    def _is_reached(self, goal: Vector, axes: int) -> bool:
+        tolerance = self._settings.spiral_tolerance_m
+        offsets = [abs(here - there) for here, there in zip(self._autopilot.position, goal, strict=True)]
+        return all(offset <= tolerance for offset in offsets[:axes])
+
+    def _resend(self, altitude: float, time: float) -> None:
+        if self._goal is not None and self._is_reached(self._goal, 2) and not self._is_reached(self._goal, 3):
+            self._correction -= self._settings.spiral_correction_m
+        self._send(altitude, time)
+        self._waits = 0
+
+    def _advance(self, altitude: float, time: float) -> None:
+        step = self._settings.spiral_angle_step_rad
+        width = 2 * altitude * math.tan(self._settings.half_view_angle_rad)
+        radius = math.hypot(*self._offset) + width * step / (2 * math.pi)
+        angle = step * self._count
+        self._offset = (radius * math.cos(angle), radius * math.sin(angle))
+        self._goal = self._send(altitude, time)
+        self._count += 1
+        self._waits = 0
+
+    def _send(self, altitude: float, time: float) -> Vector:
+        """Send the current point, corrected in height; return it uncorrected."""
+        x, y = self._centre[0] + self._offset[0], self._centre[1] + self._offset[1]
+        z = SEABED_Z_M + altitude
+        self._autopilot.go_to((x, y, z + self._correction), time)
+        return x, y, z
+
+
+class FollowPipeline(Component):
+    """Follows the path along the pipeline, point by point, 1.25 m above the seabed.
+
+    Every 2 s it checks the point under way, and takes on as many further points as are within 0.5 m in x and in y.
+    What is left of the path outlives a deactivation; the distance does not outlive the next activation.
+
+    Args:
+        settings: Constants.
+        autopilot: Where setpoints go.
+        outbox: Where the distance and the end of the path are published.
+
+    Attributes:
+        distance_m: Distance inspected since the last activation [m].
+        total_m: Distance inspected since GUIDED [m].
+    """
+
+    name = "follow_pipeline"
+
+    def __init__(self, settings: Settings, autopilot: Autopilot, outbox: Outbox) -> None:
+        super().__init__()
+        self.distance_m = 0.0
+        self.total_m = 0.0
+        self._settings = settings
+        self._autopilot = autopilot
+        self._outbox = outbox
+        self._path: deque[tuple[float, float]] | None = None
+        self._target: tuple[float, float] | None = None
+        self._last: tuple[float, float] | None = None
+        self._waits = 0
+        self._published: tuple[float, float] | None = None
+
+    @property
+    def remaining(self) -> tuple[tuple[float, float], ...]:
+        """Points (x, y) [m] that are left of the path, the one under way not among them."""
+        return tuple(self._path or ())
+
+    def take_path(self, path: tuple[tuple[float, float], ...]) -> None:
+        """Take over the path of a pipeline that was found: points (x, y) [m], world frame ENU."""
+        self._path = deque(path)
+
+    def activated(self, time: float) -> None:
+        """Count the distance from 0 again."""
+        self.distance_m = 0.0
+        self._last = None
+
+    def deactivated(self, time: float) -> None:
+        """Give up the point under way, or put it back if the settings say so."""
+        if self._target is not None and self._path is not None and not self._settings.follow_loses_point:
+            self._path.appendleft(self._target)
+        self._target = None
+
+    def tick(self, time: float) -> None:
+        """Check the point under way and go on to as many further ones as are reached already."""
+        if not self.active or self._path is None or time < self._settings.start_delay_s:
+            return
+        before = self._last
+        while self._target is not None or self._path:
+            if self._target is None:
+                self._target = self._path.popleft()
+                self._waits = 0
+                self._send(self._target, time)
+            if not self._is_reached(self._target):
+                self._wait(self._target, time)
+                break
+            self._count(self._target)
+            self._target = None
+        else:
+            self._finish(time)
+        if self._last != before:
+            self._publish_distance(time)
+
+    def _send(self, point: tuple[float, float], time: float) -> None:
+        self._autopilot.go_to((*point, SEABED_Z_M + self._settings.follow_altitude_m), time)
+
+    def _is_reached(self, point: tuple[float, float]) -> bool:
+        x, y, _ = self._autopilot.position
+        tolerance = self._settings.follow_tolerance_m
+        return abs(x - point[0]) <= tolerance and abs(y - point[1]) <= tolerance
+
+    def _wait(self, point: tuple[float, float], time: float) -> None:
+        self._waits += 1
+        if self._waits > self._settings.follow_patience:
+            self._send(point, time)
+
+    def _count(self, point: tuple[float, float]) -> None:
+        if self._last is not None:
+            leg = math.dist(self._last, point)
+            self.distance_m += leg
+            self.total_m += leg
+        self._last = point
+
+    def _publish_distance(self, time: float) -> None:
+        if self._published is not None:
+            since, distance = self._published
+            if distance == self.distance_m or time - since < 1:
+                return
+        self._published = (time, self.distance_m)
+        self._outbox.publish(time, self.name, MISSION_STATUS, "distance_inspected", self.distance_m)
+
+    def _finish(self, time: float) -> None:
+        self._path = None
+        self._outbox.publish(time, self.name, MISSION_STATUS, "pipeline_inspected", "true")
+
+
+class RecoverThrusters(Component):
+    """Restores the thrusters one after another: after 10 s the first, then one every 0.25 s, whether they had failed or not.
+
+    Once begun it runs to its end, deactivated or not, unless the settings say otherwise.
+
+    Args:
+        settings: Constants.
+        thrusters: What is restored.
+        agenda: Where the steps are entered.
+        outbox: Where each recovery is published.
+    """
+
+    name = "recover_thrusters"
+    moves = False
+
+    def __init__(self, settings: Settings, thrusters: Thrusters, agenda: Agenda, outbox: Outbox) -> None:
+        super().__init__()
+        self._settings = settings
+        self._thrusters = thrusters
+        self._agenda = agenda
+        self._outbox = outbox
+        self._run = 0
+
+    def activated(self, time: float) -> None:
+        """Begin a recovery."""
+        self._run += 1
+        for index in range(COUNT):
+            due = time + self._settings.recovery_wait_s + index * self._settings.recovery_spacing_s
+            self._agenda.at(due, self._restoring(index + 1, self._run))
+
+    def _restoring(self, number: int, run: int) -> Callable[[float], None]:
+        def restore(time: float) -> None:
+            if self._settings.recovery_interruptible and (run != self._run or not self.active):
+                return
+            self._thrusters.recover(number)
+            self._outbox.publish(time, self.name, COMPONENT_STATUS, f"c_thruster_{number}", "RECOVERED")
+
+        return restore
+
+
+class Recharge(Component):
+    """Drives to the recharge station and recharges the battery there.
+
+    Every 5 s it sends the station as setpoint and recharges if it is within 0.5 m in x and in y.
+
+    Args:
+        settings: Constants.
+        autopilot: Where setpoints go.
+        recharge: Called with the time [s] to recharge.
+    """
+
+    name = "recharge"
+
+    def __init__(self, settings: Settings, autopilot: Autopilot, recharge: Callable[[float], None]) -> None:
+        super().__init__()
+        self._settings = settings
+        self._autopilot = autopilot
+        self._recharge = recharge
+
+    def tick(self, time: float) -> None:
+        """Send the station as setpoint, and recharge if the vehicle is there."""
+        settings = self._settings
+        if not self.active or time < settings.start_delay_s:
+            return
+        station = (settings.station_x_m, settings.station_y_m, SEABED_Z_M + settings.transit_altitude_m)
+        self._autopilot.go_to(station, time)
+        x, y, _ = self._autopilot.position
+        if max(abs(x - station[0]), abs(y - station[1])) <= settings.recharge_tolerance_m:
+            self._recharge(time)

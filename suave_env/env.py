@@ -1,0 +1,244 @@
+"""The simulated sea: everything wired together and advanced in lock-step."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from suave_env.agenda import Agenda
+from suave_env.autopilot import Autopilot
+from suave_env.battery import LOW_LEVEL, Battery
+from suave_env.components import FollowPipeline, Recharge, RecoverThrusters, SpiralSearch
+from suave_env.exceptions import SuaveEnvError
+from suave_env.guidance import Vector
+from suave_env.managed import ManagedSystem
+from suave_env.messages import MISSION_STATUS, Message, Outbox
+from suave_env.metrics import Disturbance, Metrics
+from suave_env.monitors import BatteryMonitor, ThrusterMonitor, VisibilityMonitor
+from suave_env.pipeline import SEABED_Z_M, Pipeline
+from suave_env.settings import Settings, ThrusterEvent, parse_thruster_events
+from suave_env.thrusters import Thrusters
+from suave_env.vehicle import Vehicle, yaw_of
+from suave_env.water import THRESHOLDS_M, Water
+
+__all__ = ["Observation", "SuaveEnv"]
+
+
+@dataclass(frozen=True)
+class Observation:
+    """The truth at one moment, for plots and records; decisions hear of the world by messages only.
+
+    Attributes:
+        time: Time since GUIDED [s].
+        x: Position east [m], world frame ENU, z up.
+        y: Position north [m].
+        z: Position up [m], 0 at the surface.
+        altitude: Height above the seabed [m].
+        yaw: Heading from east to the left [rad].
+        speed: Speed [m/s].
+        water_visibility: How far one can see [m].
+        battery_level: Charge, 1.0 full to 0.0 empty.
+        thrusters_failed: Numbers of the thrusters that are stuck.
+        active: Names of the components that are active.
+        spiral_altitude: Altitude that the spiral search is set to [m].
+        pipeline_found: Whether the pipeline was found.
+        recharged: How often the battery was recharged.
+        distance_inspected_m: As in `Metrics` [m].
+    """
+
+    time: float
+    x: float
+    y: float
+    z: float
+    altitude: float
+    yaw: float
+    speed: float
+    water_visibility: float
+    battery_level: float
+    thrusters_failed: tuple[int, ...]
+    active: tuple[str, ...]
+    spiral_altitude: float
+    pipeline_found: bool
+    recharged: int
+    distance_inspected_m: float
+
+
+class SuaveEnv:
+    """The sea of the (extended) SUAVE mission with an underwater vehicle that searches for a pipeline and follows it.
+
+    Time is simulated and moves only in `advance`; the same settings and seed give the same floats.
+
+    Args:
+        settings: Every constant.
+        rng: The only source of chance: start position, vertical bias and the phases of the free-running timers.
+
+    Attributes:
+        managed: The components, to be activated, deactivated and given parameters.
+        pipeline: The pipeline; its `points` are for plots.
+        station: Position of the recharge station [m], world frame ENU, z up.
+    """
+
+    def __init__(self, settings: Settings, rng: np.random.Generator) -> None:
+        self._settings = settings
+        east, north, bias = rng.standard_normal(3).tolist()
+        phases = rng.random(7).tolist()
+        x = settings.start_x_m + settings.start_x_sd_m * east
+        y = settings.start_y_m + settings.start_y_sd_m * north
+        self._now = 0.0
+        self._closed = False
+        self._search_time: float | None = None
+        self._disturbances: list[Disturbance] = []
+        self._agenda, self._outbox = Agenda(), Outbox()
+        self._water, self._battery, self._thrusters = Water(settings), Battery(settings), Thrusters(settings)
+        self.pipeline = Pipeline(settings)
+        self.station: Vector = (settings.station_x_m, settings.station_y_m, settings.station_z_m)
+        self._vehicle = Vehicle(settings, x, y, settings.start_z_m)
+        bias = settings.vertical_bias_m + settings.vertical_bias_sd_m * bias
+        self._autopilot = Autopilot(settings, self._vehicle, self._thrusters, bias)
+        self._spiral = SpiralSearch(settings, self._autopilot, (x, y))
+        self._follower = FollowPipeline(settings, self._autopilot, self._outbox)
+        self._start_nodes(phases[:3])
+        self._start_monitors(phases[3:])
+        self._enter_disturbances()
+
+    def _start_nodes(self, phases: list[float]) -> None:
+        settings, agenda = self._settings, self._agenda
+        recover = RecoverThrusters(settings, self._thrusters, agenda, self._outbox)
+        recharge = Recharge(settings, self._autopilot, self._recharge)
+        components = (self._spiral, self._follower, recover, recharge)
+        self.managed = ManagedSystem(settings, components, agenda, lambda: self._now, self._autopilot.hold)
+        agenda.every(settings.spiral_period_s, phases[0] * settings.spiral_period_s, self._spiral.tick)
+        agenda.every(settings.follow_period_s, phases[1] * settings.follow_period_s, self._follower.tick)
+        agenda.every(settings.recharge_period_s, phases[2] * settings.recharge_period_s, recharge.tick)
+
+    def _start_monitors(self, phases: list[float]) -> None:
+        settings, agenda = self._settings, self._agenda
+        self._visibility_monitor = VisibilityMonitor(settings, self._water, self._outbox)
+        self._thruster_monitor = ThrusterMonitor(self._thrusters, self._outbox)
+        self._battery_monitor = BatteryMonitor(self._battery, self._outbox)
+        visibility_period, thruster_period = settings.visibility_monitor_period_s, settings.thruster_monitor_period_s
+        agenda.every(visibility_period, phases[0] * visibility_period, self._visibility_monitor.tick)
+        agenda.every(thruster_period, phases[1] * thruster_period, self._thruster_monitor.tick)
+        agenda.every(settings.pose_period_s, phases[2] * settings.pose_period_s, self._look)
+        if settings.battery:
+            phase = phases[3] * settings.battery_period_s
+            agenda.at(phase, self._battery_monitor.publish)
+            agenda.every(settings.battery_period_s, phase + settings.battery_period_s, self._drain)
+
+    def _enter_disturbances(self) -> None:
+        for event in parse_thruster_events(self._settings.thruster_events):
+            self._agenda.at(event.time, lambda time, event=event: self._thruster_event(event, time))  # type: ignore[misc]
+        for threshold in THRESHOLDS_M:
+            self._await_crossing(threshold, 0.0)
+
+    @property
+    def now(self) -> float:
+        """Time since GUIDED [s]."""
+        return self._now
+
+    @property
+    def metrics(self) -> Metrics:
+        """The figures of the run up to now."""
+        return Metrics(self._search_time, self._follower.distance_m, self._follower.total_m)
+
+    @property
+    def disturbances(self) -> list[Disturbance]:
+        """What has happened to the vehicle and the sea up to now, in order of time: the truth."""
+        return list(self._disturbances)
+
+    def advance(self, until: float) -> list[Message]:
+        """Simulate to a time.
+
+        Args:
+            until: Time since GUIDED [s], not before now.
+
+        Returns:
+            What was published in `(now, until]`, in order of time.
+
+        Raises:
+            SuaveEnvError: If the time is not a number from now on, or the environment is closed.
+        """
+        if self._closed:
+            raise SuaveEnvError("the environment is closed and cannot advance")
+        if not self._now <= until < math.inf:
+            raise SuaveEnvError(f"cannot advance to {until!r} s; allowed is a finite time from now, {self._now} s, on")
+        agenda = self._agenda
+        while agenda.next_time <= until:
+            self._autopilot.fly(agenda.next_time)
+            self._now = agenda.next_time
+            agenda.happen()
+        self._autopilot.fly(until)
+        self._now = float(until)
+        return self._outbox.fetch()
+
+    def observe(self) -> Observation:
+        """Return the truth now; between two control periods, the vehicle is where the earlier left it."""
+        x, y, z, *quaternion = self._vehicle.pose
+        return Observation(
+            time=self._now,
+            x=x,
+            y=y,
+            z=z,
+            altitude=z - SEABED_Z_M,
+            yaw=yaw_of(quaternion),
+            speed=math.hypot(*self._vehicle.velocity),
+            water_visibility=self._water.visibility(self._now),
+            battery_level=self._battery.level,
+            thrusters_failed=self._thrusters.failed,
+            active=self.managed.active,
+            spiral_altitude=self._spiral.parameters["spiral_altitude"],
+            pipeline_found=self._search_time is not None,
+            recharged=self._battery.recharges,
+            distance_inspected_m=self._follower.distance_m,
+        )
+
+    def close(self) -> None:
+        """End the simulation; changes under way fail, and time stands still."""
+        self._closed = True
+        self.managed.close()
+
+    def _look(self, time: float) -> None:
+        """Look for the pipeline until it is found, whichever component is active."""
+        visibility = self._visibility_monitor.visibility
+        if self._search_time is not None or visibility is None:
+            return
+        index = self.pipeline.first_visible(*self._vehicle.position, visibility)
+        if index is not None:
+            self._search_time = time
+            self._follower.take_path(self.pipeline.path_from(index))
+            self._outbox.publish(time, "pipeline_detection", MISSION_STATUS, "pipeline_found", "true")
+
+    def _drain(self, time: float) -> None:
+        before = self._battery.level
+        self._battery.drain(self._settings.battery_period_s)
+        if before >= LOW_LEVEL > self._battery.level:
+            self._disturb(time, "battery", f"battery level fell below {LOW_LEVEL}")
+        self._battery_monitor.publish(time)
+
+    def _recharge(self, time: float) -> None:
+        self._battery.recharge()
+        if self._settings.battery:
+            self._battery_monitor.publish(time)
+        self._outbox.publish(time, "recharge", MISSION_STATUS, "battery_recharged", "true")
+
+    def _thruster_event(self, event: ThrusterEvent, time: float) -> None:
+        change = self._thrusters.fail if event.fails else self._thrusters.recover
+        change(event.thruster)
+        self._thruster_monitor.notice(event.thruster, event.fails)
+        self._disturb(time, "thruster", f"thruster {event.thruster} {'failed' if event.fails else 'recovered'}")
+
+    def _await_crossing(self, threshold: float, after: float) -> None:
+        crossing = self._water.next_crossing(threshold, after)
+        if crossing is None:
+            return
+        due, falls = crossing
+        text = f"water visibility {'fell below' if falls else 'rose to'} {threshold} m"
+
+        def cross(time: float) -> None:
+            self._disturb(time, "visibility", text)
+            self._await_crossing(threshold, time)
+
+        self._agenda.at(due, cross)
+
+    def _disturb(self, time: float, kind: str, text: str) -> None:
+        self._disturbances.append(Disturbance(time, kind, text))

@@ -1,0 +1,28 @@
+"""What can go wrong in the simulated sea; every error derives from `SuaveEnvError`."""
+
+import difflib
+from collections.abc import Iterable
+
+__all__ = ["SuaveEnvError", "unknown_name"]
+
+
+class SuaveEnvError(Exception):
+    """The base of every error that this package raises: it says what was given, what is allowed and what exists."""
+
+
+def unknown_name(kind: str, name: object, known: Iterable[str]) -> SuaveEnvError:
+    """Make the error for a name that does not exist.
+
+    Args:
+        kind: What the name was taken for, such as "setting" or "component".
+        name: The name as it was given.
+        known: The names that exist.
+
+    Returns:
+        An error whose message lists the nearest known names, or all of them if none is near.
+    """
+    names = list(known)
+    near = difflib.get_close_matches(str(name), names, n=3)
+    if near:
+        return SuaveEnvError(f"there is no {kind} {name!r}; the nearest are {', '.join(near)}")
+    return SuaveEnvError(f"there is no {kind} {name!r}; known are {', '.join(names) or 'none'}")

@@ -1,0 +1,82 @@
+"""The pipeline on the seabed: where it lies, when the camera sees it, and the path along it."""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from suave_env.settings import Settings
+
+__all__ = ["SEABED_Z_M", "VERTICES_M", "Pipeline"]
+
+SEABED_Z_M = -20.0
+"""Height of the flat seabed [m], world frame z up; the constant that every motion node of kas-lab/suave v1.3.0 uses."""
+
+VERTICES_M = ((-15.0, 0.0), (-25.0, 0.0), (-35.0, 0.0), (-37.41, -1.0), (-44.49, -8.07), (-51.56, -15.14))
+"""Origins (x, y) of the six pipes [m], world frame ENU, in the order received; remaro_worlds 2650f19."""
+
+_STEPS_PER_EDGE = 20
+
+
+class Pipeline:
+    """The pipeline as the 100 points that the detection of kas-lab/suave v1.3.0 interpolates.
+
+    Every edge between two pipe origins is divided in 20 equal steps, of which the end points are kept.
+
+    Attributes:
+        points: The points [m], (100, 2), world frame ENU; read only.
+        z: Height of the points for the detection [m], world frame z up.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self.z = SEABED_Z_M + settings.pipe_point_offset_m
+        self._xy = tuple(_interpolated())
+        self._tangent = math.tan(settings.half_view_angle_rad)
+        self.points: NDArray[np.float64] = np.array(self._xy)
+        self.points.flags.writeable = False
+
+    def first_visible(self, x: float, y: float, z: float, visibility: float) -> int | None:
+        """Return the smallest index of a point that the camera sees.
+
+        A point is seen if `|dx|` and `|dy|` are at most `h tan(half angle)`, where `h = |dz|`, and `h` is at most the
+        visibility: a square field of view that does not turn with the vehicle (kas-lab/suave v1.3.0).
+
+        Args:
+            x: Vehicle position east [m], world frame ENU.
+            y: Vehicle position north [m].
+            z: Vehicle position up [m].
+            visibility: Water visibility [m].
+
+        Returns:
+            An index into `points`, or None if no point is seen.
+        """
+        height = abs(z - self.z)
+        half = height * self._tangent
+        if height > visibility or y > half:  # the whole pipeline lies at y <= 0: the usual case ends here
+            return None
+        for index, (px, py) in enumerate(self._xy):
+            if abs(px - x) <= half and abs(py - y) <= half:
+                return index
+        return None
+
+    def path_from(self, index: int) -> tuple[tuple[float, float], ...]:
+        """Return the path of an inspection begun at a point.
+
+        Args:
+            index: Index of the point that was seen first.
+
+        Returns:
+            Points (x, y) [m], world frame ENU: from that point to the far end, then all of them back to the near end, the
+            far end twice (kas-lab/suave v1.3.0).
+        """
+        return self._xy[index:] + self._xy[::-1]
+
+
+def _interpolated() -> list[tuple[float, float]]:
+    points = []
+    for (x0, y0), (x1, y1) in pairwise(VERTICES_M):
+        for step in range(1, _STEPS_PER_EDGE + 1):
+            share = step / _STEPS_PER_EDGE
+            points.append((x0 + share * (x1 - x0), y0 + share * (y1 - y0)))
+    return points

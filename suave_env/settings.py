@@ -1,0 +1,298 @@
+"""Every constant of the simulated sea, with its unit, its meaning and where the figure comes from."""
+
+import dataclasses
+import math
+from dataclasses import dataclass, field, fields
+from typing import TypeVar
+
+from suave_env.exceptions import SuaveEnvError, unknown_name
+
+__all__ = ["SettingInfo", "Settings", "ThrusterEvent"]
+
+T = TypeVar("T", float, int, bool, str)
+
+_SUAVE = "kas-lab/suave v1.3.0"
+_WORLD = "remaro_worlds 2650f19, min_pipes_environment"
+_MODEL = "vehicle model clydemcqueen/bluerov2_ignition"
+_ARDUPILOT = "ArduPilot, defaults of Sub"
+_OWN = "own choice"
+_CALIBRATED = "own choice, to be calibrated on the published search times of SUAVE"
+_EXPERIMENT = "extended SUAVE experiment of the ROSA paper (300 s, visibility period 80 s)"
+
+
+def _setting(default: T, unit: str, meaning: str, source: str, low: float = -math.inf, high: float = math.inf) -> T:
+    """Declare a setting; `low` and `high` are the inclusive bounds of a number."""
+    metadata = {"unit": unit, "meaning": meaning, "source": source, "low": low, "high": high}
+    return field(default=default, metadata=metadata)
+
+
+@dataclass(frozen=True)
+class SettingInfo:
+    """What is known of one setting, for listing.
+
+    Attributes:
+        name: The field of `Settings`.
+        unit: The unit, "-" if there is none.
+        default: The default value.
+        meaning: One line.
+        source: One line: where the figure comes from.
+    """
+
+    name: str
+    unit: str
+    default: float | int | bool | str
+    meaning: str
+    source: str
+
+
+@dataclass(frozen=True)
+class ThrusterEvent:
+    """A thruster that fails or recovers by itself.
+
+    Attributes:
+        thruster: Number, 1 to 6.
+        fails: True for a failure, False for a recovery.
+        time: Time since GUIDED [s].
+    """
+
+    thruster: int
+    fails: bool
+    time: float
+
+
+@dataclass(frozen=True)
+class Settings:
+    """The constants of the sea, the vehicle and the mission; frozen, so change them with `replace`.
+
+    Frames: world frame ENU, z up, surface at z = 0. Times [s] count from GUIDED, the moment at which the vehicle obeys.
+    The rules are those of SUAVE v1.3.0 of 2024; where later versions differ there is a switch.
+    """
+
+    # The loop
+    physics_step_s: float = _setting(0.025, "s", "step of the physics engine", _OWN, 1e-4, 0.1)
+    control_period_s: float = _setting(0.025, "s", "period at which thrust is chosen anew, then held", _OWN, 1e-4, 0.2)
+    pose_period_s: float = _setting(0.05, "s", "period at which the camera looks for the pipeline", _MODEL, 1e-3)
+
+    # Start
+    start_x_m: float = _setting(-17.0, "m", "mean start position, east; also the centre of the spiral", _SUAVE)
+    start_y_m: float = _setting(2.4, "m", "mean start position, north; also the centre of the spiral", _CALIBRATED)
+    start_z_m: float = _setting(-18.5, "m", "start position, up", _SUAVE, -19.9, -1.0)
+    start_x_sd_m: float = _setting(0.1, "m", "standard deviation of the start position, east", _CALIBRATED, 0)
+    start_y_sd_m: float = _setting(0.15, "m", "standard deviation of the start position, north", _CALIBRATED, 0)
+    start_delay_s: float = _setting(5.0, "s", "time before the first setpoint is obeyed", _CALIBRATED, 0)
+    vertical_bias_m: float = _setting(
+        0.0, "m", "mean of true minus commanded height (home against origin)", _OWN, -5, 5
+    )
+    vertical_bias_sd_m: float = _setting(0.0, "m", "standard deviation of that bias between runs", _OWN, 0)
+
+    # Vehicle
+    mass_kg: float = _setting(10.012, "kg", "mass with thrusters", _MODEL, 0.1)
+    inertia_roll_kg_m2: float = _setting(0.105, "kg m2", "moment of inertia about the forward axis", _MODEL, 1e-3)
+    inertia_pitch_kg_m2: float = _setting(0.184, "kg m2", "moment of inertia about the left axis", _MODEL, 1e-3)
+    inertia_yaw_kg_m2: float = _setting(0.275, "kg m2", "moment of inertia about the upward axis", _MODEL, 1e-3)
+    centre_of_mass_z_m: float = _setting(0.011, "m", "height of the centre of mass, body frame", _MODEL, -1, 1)
+    displaced_mass_kg: float = _setting(10.040, "kg", "mass of the displaced water", _MODEL, 0)
+    centre_of_buoyancy_z_m: float = _setting(0.06, "m", "height of the centre of buoyancy, body frame", _MODEL, -1, 1)
+    gravity_m_s2: float = _setting(9.8, "m/s2", "gravity", "Gazebo, default", 0)
+    drag_surge: float = _setting(33.732, "N s2/m2", "quadratic drag, forward", _MODEL, 0)
+    drag_sway: float = _setting(54.16, "N s2/m2", "quadratic drag, sideways", _MODEL, 0)
+    drag_heave: float = _setting(73.225, "N s2/m2", "quadratic drag, upward", _MODEL, 0)
+    drag_roll: float = _setting(3.992, "N m s2", "quadratic drag about the forward axis", _MODEL, 0)
+    drag_pitch: float = _setting(3.992, "N m s2", "quadratic drag about the left axis", _MODEL, 0)
+    drag_yaw: float = _setting(3.992, "N m s2", "quadratic drag about the upward axis", _MODEL, 0)
+    thrust_limit_n: float = _setting(50.0, "N", "largest thrust of one thruster, either way", _MODEL, 0.1)
+
+    # Guidance and control
+    speed_limit_m_s: float = _setting(1.0, "m/s", "horizontal speed limit", f"{_ARDUPILOT}: WPNAV_SPEED", 0.01)
+    climb_limit_m_s: float = _setting(2.5, "m/s", "upward speed limit", f"{_ARDUPILOT}: WPNAV_SPEED_UP", 0.01)
+    descent_limit_m_s: float = _setting(1.5, "m/s", "downward speed limit", f"{_ARDUPILOT}: WPNAV_SPEED_DN", 0.01)
+    acceleration_limit_m_s2: float = _setting(
+        2.5, "m/s2", "horizontal acceleration limit", f"{_ARDUPILOT}: WPNAV_ACCEL", 0.01
+    )
+    climb_acceleration_limit_m_s2: float = _setting(
+        1.0, "m/s2", "vertical acceleration limit", f"{_ARDUPILOT}: WPNAV_ACCEL_Z", 0.01
+    )
+    jerk_limit_m_s3: float = _setting(0.5, "m/s3", "jerk limit of a move", _CALIBRATED, 0.01)
+    velocity_lag_s: float = _setting(0.5, "s", "time constant of the velocity loop", _CALIBRATED, 0.05)
+    position_gain: float = _setting(1.0, "1/s", "horizontal position gain", f"{_ARDUPILOT}: PSC_POSXY_P", 0)
+    height_gain: float = _setting(3.0, "1/s", "vertical position gain", f"{_ARDUPILOT}: PSC_POSZ_P", 0)
+    height_lag_s: float = _setting(0.2, "s", "time constant of the vertical velocity loop", _OWN, 0.05)
+    integral_gain: float = _setting(5.0, "N/m", "gain on the integral of the velocity error", _OWN, 0)
+    integral_limit_n: float = _setting(20.0, "N", "largest force of the integral, each axis", _OWN, 0)
+    heading_gain: float = _setting(4.0, "N m/rad", "gain of the heading loop", _OWN, 0)
+    heading_damping: float = _setting(2.0, "N m s", "damping of the heading loop", _OWN, 0)
+    roll_damping: float = _setting(0.5, "N m s", "damping of roll", _OWN, 0)
+
+    # Camera and pipeline
+    half_view_angle_rad: float = _setting(math.pi / 6, "rad", "half of the camera's field of view", _SUAVE, 0.01, 1.5)
+    pipe_point_offset_m: float = _setting(0.75, "m", "height of the detected points above the pipe (later: 0)", _SUAVE)
+
+    # Water
+    visibility_min_m: float = _setting(1.25, "m", "least water visibility", _EXPERIMENT, 0)
+    visibility_max_m: float = _setting(3.75, "m", "greatest water visibility", _EXPERIMENT, 0)
+    visibility_period_s: float = _setting(80.0, "s", "period of the water visibility", _EXPERIMENT, 1)
+    visibility_shift_s: float = _setting(0.0, "s", "time by which the visibility is ahead", _EXPERIMENT)
+    visibility_monitor_period_s: float = _setting(1.0, "s", "period of the visibility monitor", _SUAVE, 0.05)
+
+    # Thruster failure and its recovery
+    thruster_events: str = _setting(
+        "1 failure 35", "-", "thruster, failure or recovery, time [s]; separated by commas; empty for none", _EXPERIMENT
+    )
+    thruster_monitor_period_s: float = _setting(1.0, "s", "period of the thruster monitor", _SUAVE, 0.05)
+    recovery_wait_s: float = _setting(10.0, "s", "wait before the first thruster is restored", _SUAVE, 0)
+    recovery_spacing_s: float = _setting(0.25, "s", "wait between thrusters being restored", _SUAVE, 0)
+    recovery_interruptible: bool = _setting(False, "-", "deactivation stops a recovery (later: true)", _SUAVE)
+
+    # Battery and recharge
+    battery: bool = _setting(True, "-", "the battery drains and is monitored", _EXPERIMENT)
+    discharge_time_s: float = _setting(200.0, "s", "time in which a full battery is empty", _EXPERIMENT, 1)
+    battery_period_s: float = _setting(1.0, "s", "period of the battery and its monitor", _SUAVE, 0.05)
+    recharge_period_s: float = _setting(5.0, "s", "period of the recharge node (later: 0.5)", _SUAVE, 0.05)
+    recharge_tolerance_m: float = _setting(
+        0.5, "m", "distance in x and in y at which the station is reached", _SUAVE, 0
+    )
+    station_x_m: float = _setting(-3.0, "m", "recharge station, east", _SUAVE)
+    station_y_m: float = _setting(-2.0, "m", "recharge station, north", _SUAVE)
+    station_z_m: float = _setting(-19.5, "m", "recharge station, up; never read by the vehicle", _SUAVE)
+    transit_altitude_m: float = _setting(1.25, "m", "altitude commanded on the way to the station", _SUAVE, 0.1, 19)
+
+    # Spiral search
+    spiral_period_s: float = _setting(1.0, "s", "period of the spiral node", _SUAVE, 0.05)
+    spiral_altitude_m: float = _setting(2.0, "m", "altitude of the spiral before one is set", _SUAVE, 0.1, 19)
+    spiral_angle_step_rad: float = _setting(0.1, "rad", "angle between points of the spiral", _SUAVE, 1e-3)
+    spiral_tolerance_m: float = _setting(0.4, "m", "distance in x, y and z at which a point is reached", _SUAVE, 0)
+    spiral_patience: int = _setting(10, "ticks", "ticks without a step after which the search corrects", _SUAVE, 0)
+    spiral_correction_m: float = _setting(0.25, "m", "descent of one correction", _SUAVE, 0)
+    spiral_restarts: bool = _setting(False, "-", "activation begins a new spiral there (later: true)", _SUAVE)
+
+    # Pipeline following
+    follow_period_s: float = _setting(2.0, "s", "period of the follower", _SUAVE, 0.05)
+    follow_altitude_m: float = _setting(1.25, "m", "altitude of following", _SUAVE, 0.1, 19)
+    follow_tolerance_m: float = _setting(0.5, "m", "distance in x and in y at which a point is reached", _SUAVE, 0)
+    follow_patience: int = _setting(10, "ticks", "waits after which the point is sent again each time", _SUAVE, 0)
+    follow_loses_point: bool = _setting(True, "-", "deactivation loses the point under way (later: false)", _SUAVE)
+
+    # Managed components
+    activation_s: float = _setting(0.05, "s", "time that activating a component takes", "of the order seen in ROS 2", 0)
+    deactivation_s: float = _setting(0.05, "s", "time that deactivating one takes", "of the order seen in ROS 2", 0)
+    parameter_s: float = _setting(0.05, "s", "time that setting parameters takes", "of the order seen in ROS 2", 0)
+
+    def __post_init__(self) -> None:
+        """Check every value, and the values against each other.
+
+        Raises:
+            SuaveEnvError: If one is of the wrong type, not finite, out of range or at odds with another.
+        """
+        for info in fields(self):
+            object.__setattr__(self, info.name, _checked(info, getattr(self, info.name)))
+        if self.visibility_min_m > self.visibility_max_m:
+            raise SuaveEnvError(
+                f"visibility_min_m {self.visibility_min_m} is above visibility_max_m {self.visibility_max_m}"
+            )
+        steps = self.control_period_s / self.physics_step_s
+        if steps < 0.999 or abs(steps - round(steps)) > 1e-6:
+            raise SuaveEnvError(
+                f"control_period_s {self.control_period_s} is not a whole multiple of physics_step_s {self.physics_step_s}"
+            )
+        parse_thruster_events(self.thruster_events)
+
+    def replace(self, **changes: float | int | bool | str) -> "Settings":
+        """Return settings with some values changed.
+
+        Args:
+            **changes: New values by name; a string is read as the type of the setting, as from a command line.
+
+        Returns:
+            The new settings; these stay as they are.
+
+        Raises:
+            SuaveEnvError: If a name is unknown or a value is not allowed.
+        """
+        known = {info.name: info for info in fields(self)}
+        for name in changes:
+            if name not in known:
+                raise unknown_name("setting", name, known)
+        read = {name: _read(known[name], value) for name, value in changes.items()}
+        return dataclasses.replace(self, **read)  # type: ignore[arg-type]  # checked by __post_init__, not by its type
+
+    @classmethod
+    def describe(cls) -> tuple[SettingInfo, ...]:
+        """List every setting with its unit, default, meaning and source, in the order of declaration."""
+        return tuple(
+            SettingInfo(i.name, i.metadata["unit"], i.default, i.metadata["meaning"], i.metadata["source"])  # type: ignore[arg-type]  # every field has a default
+            for i in fields(cls)
+        )
+
+
+def parse_thruster_events(text: str) -> tuple[ThrusterEvent, ...]:
+    """Read events such as "1 failure 35, 1 recovery 90".
+
+    Args:
+        text: Events separated by commas, each a thruster, "failure" or "recovery", and a time since GUIDED [s].
+
+    Returns:
+        The events in order of time.
+
+    Raises:
+        SuaveEnvError: If the text cannot be read.
+    """
+    events = [_thruster_event(part.split(), text) for part in text.split(",") if part.strip()]
+    return tuple(sorted(events, key=lambda event: event.time))
+
+
+def _thruster_event(words: list[str], text: str) -> ThrusterEvent:
+    allowed = 'allowed are events such as "1 failure 35, 1 recovery 90": thruster 1 to 6, what happens, time [s] from 0'
+    try:
+        number, kind, time = int(words[0]), words[1], float(words[2])
+    except (ValueError, IndexError):
+        raise SuaveEnvError(f"thruster_events cannot be {text!r}; {allowed}") from None
+    if len(words) != 3 or not 1 <= number <= 6 or kind not in ("failure", "recovery") or not 0 <= time < math.inf:
+        raise SuaveEnvError(f"thruster_events cannot be {text!r}; {allowed}")
+    return ThrusterEvent(number, kind == "failure", time)
+
+
+def _allowed(info: "dataclasses.Field[float]") -> str:
+    """Say what a setting may be."""
+    if isinstance(info.default, bool):
+        return "true or false"
+    if isinstance(info.default, str):
+        return "text"
+    kind = "a whole number" if isinstance(info.default, int) else "a number"
+    low, high = info.metadata["low"], info.metadata["high"]
+    bounds = [f"{word} {bound:g}" for word, bound in (("from", low), ("to", high)) if math.isfinite(bound)]
+    return " ".join([kind, *bounds])
+
+
+def _refusal(info: "dataclasses.Field[float]", value: object) -> SuaveEnvError:
+    return SuaveEnvError(
+        f"setting {info.name} cannot be {value!r}; allowed is {_allowed(info)} [{info.metadata['unit']}]"
+    )
+
+
+def _read(info: "dataclasses.Field[float]", value: float | int | bool | str) -> float | int | bool | str:
+    """Turn a string into the type of the setting; leave everything else alone."""
+    if not isinstance(value, str) or isinstance(info.default, str):
+        return value
+    word = value.strip().lower()
+    if isinstance(info.default, bool):
+        if word not in ("true", "false"):
+            raise _refusal(info, value)
+        return word == "true"
+    try:
+        return int(word) if isinstance(info.default, int) else float(word)
+    except ValueError:
+        raise _refusal(info, value) from None
+
+
+def _checked(info: "dataclasses.Field[float]", value: float | int | bool | str) -> float | int | bool | str:
+    """Return the value in the type of the setting, or refuse it."""
+    kind = type(info.default)
+    if kind is float and isinstance(value, int) and not isinstance(value, bool):
+        value = float(value)
+    if type(value) is not kind:
+        raise _refusal(info, value)
+    if isinstance(value, (str, bool)):
+        return value
+    if not (math.isfinite(value) and info.metadata["low"] <= value <= info.metadata["high"]):
+        raise _refusal(info, value)
+    return value

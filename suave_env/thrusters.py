@@ -1,0 +1,81 @@
+"""The six thrusters: how a wanted force is shared among them, their limit, and their failure."""
+
+from suave_env.exceptions import SuaveEnvError
+from suave_env.settings import Settings
+
+__all__ = ["COUNT", "Thrusters"]
+
+COUNT = 6
+"""Number of thrusters: 1 front right, 2 front left, 3 rear right, 4 rear left, 5 right and 6 left vertical."""
+
+_COSINE = 0.7071067811865476
+_YAW_ARM_M = 0.1676  # mean of the arms of the front pair (0.164 m) and the rear pair (0.171 m)
+_ROLL_ARM_M = 0.109
+
+
+class Thrusters:
+    """Shares a wanted force among the thrusters; the mixer knows nothing of failures.
+
+    A failed thruster is frozen at its last output: with its servo function set to 0, ArduPilot stops writing the channel,
+    and the simulated motor keeps pushing (kas-lab/suave v1.3.0).
+
+    Attributes:
+        outputs: Thrusts [N] of thrusters 1 to 6, positive along the direction of each in the model.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self.outputs = [0.0] * COUNT
+        self._limit = settings.thrust_limit_n
+        self._stuck: dict[int, float] = {}
+
+    @property
+    def failed(self) -> tuple[int, ...]:
+        """The numbers of the thrusters that are stuck, in order."""
+        return tuple(sorted(self._stuck))
+
+    def fail(self, number: int) -> None:
+        """Freeze a thruster, 1 to 6, at its last output."""
+        self._stuck.setdefault(_checked(number), self.outputs[number - 1])
+
+    def recover(self, number: int) -> None:
+        """Let a thruster, 1 to 6, obey again."""
+        self._stuck.pop(_checked(number), None)
+
+    def allocate(self, forward: float, left: float, up: float, roll: float, turn: float) -> list[float]:
+        """Share out a wanted force and torque, set the outputs and return them.
+
+        Args:
+            forward: Force along x of the body frame [N].
+            left: Force along y of the body frame [N].
+            up: Force along z of the body frame [N].
+            roll: Torque about x of the body frame [N m].
+            turn: Torque about z of the body frame [N m], positive to the left.
+
+        The shares are those of the "vectored" frame of ArduPilot's Sub, for thrusts along the directions of the model.
+
+        Returns:
+            The six outputs [N]. Beyond the limit, the thrusts of a group are scaled together, which keeps the direction.
+        """
+        forward, left, turn = forward / (4 * _COSINE), left / (4 * _COSINE), turn / (4 * _YAW_ARM_M)
+        one, two = -forward - left - turn, -forward + left + turn
+        three, four = forward - left + turn, forward + left - turn
+        five, six = roll / (2 * _ROLL_ARM_M) - up / 2, -roll / (2 * _ROLL_ARM_M) - up / 2
+        limit = self._limit
+        level = max(abs(one), abs(two), abs(three), abs(four))
+        if level > limit:
+            scale = limit / level
+            one, two, three, four = one * scale, two * scale, three * scale, four * scale
+        upright = max(abs(five), abs(six))
+        if upright > limit:
+            five, six = five * limit / upright, six * limit / upright
+        outputs = [one, two, three, four, five, six]
+        for number, frozen in self._stuck.items():
+            outputs[number - 1] = frozen
+        self.outputs = outputs
+        return outputs
+
+
+def _checked(number: int) -> int:
+    if number not in range(1, COUNT + 1):
+        raise SuaveEnvError(f"there is no thruster {number!r}; known are 1 to {COUNT}")
+    return number

@@ -1,0 +1,111 @@
+"""The BlueROV2 in the water, as MuJoCo simulates it. This is the only file that touches MuJoCo."""
+
+import math
+from importlib.resources import files
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from suave_env.settings import Settings
+from suave_env.thrusters import COUNT
+
+__all__ = ["Vehicle", "yaw_of"]
+
+_FLOAT_MASS_KG = 0.001  # of the body that carries the buoyancy, see assets/sea.xml
+
+
+class Vehicle:
+    """A rigid body with six thrusters, buoyancy at the centre of buoyancy and quadratic drag along and about its axes.
+
+    Drag along each body axis is `-D |v| v` without added mass or linear damping, as in clydemcqueen/bluerov2_ignition. It is
+    an actuator whose force is `-D v ctrl`, with `ctrl = |v|` of the last physics step: MuJoCo treats `v` implicitly, so drag
+    can only take energy out.
+
+    Args:
+        settings: Mass, inertia, buoyancy, drag, thrust limit and the physics step.
+        x: Start position east [m], world frame ENU, z up.
+        y: Start position north [m].
+        z: Start position up [m].
+
+    Attributes:
+        model: The MuJoCo model (`mujoco.MjModel`).
+        data: The MuJoCo state (`mujoco.MjData`).
+    """
+
+    def __init__(self, settings: Settings, x: float, y: float, z: float) -> None:
+        self.model: Any = _compiled(settings)
+        self.data: Any = mujoco.MjData(self.model)
+        self._substeps = round(settings.control_period_s / settings.physics_step_s)
+        self._step = mujoco.mj_step
+        self._qpos, self._qvel = self.data.qpos, self.data.qvel
+        self._thrust, self._flow = self.data.ctrl[:COUNT], self.data.ctrl[COUNT:]
+        self._body_velocity = self.data.actuator_velocity[COUNT:]
+        self._qpos[:] = (x, y, z, 1, 0, 0, 0)
+        mujoco.mj_forward(self.model, self.data)
+
+    @property
+    def pose(self) -> list[float]:
+        """Position [m], world frame ENU, z up, and quaternion (w, x, y, z) of the body frame x forward, y left, z up; (7,)."""
+        return self._qpos.tolist()  # type: ignore[no-any-return]
+
+    @property
+    def motion(self) -> list[float]:
+        """Velocity [m/s], world frame ENU, z up, and angular velocity [rad/s], body frame; (6,)."""
+        return self._qvel.tolist()  # type: ignore[no-any-return]
+
+    @property
+    def position(self) -> tuple[float, float, float]:
+        """Position [m], world frame ENU, z up."""
+        x, y, z, *_ = self._qpos.tolist()
+        return x, y, z
+
+    @property
+    def velocity(self) -> tuple[float, float, float]:
+        """Velocity [m/s], world frame ENU, z up."""
+        x, y, z, *_ = self._qvel.tolist()
+        return x, y, z
+
+    @property
+    def energy(self) -> float:
+        """Kinetic and potential energy [J]: of the moving bodies, of their weight and of their buoyancy."""
+        mujoco.mj_forward(self.model, self.data)
+        mujoco.mj_energyVel(self.model, self.data)
+        pull = -self.model.opt.gravity[2] * self.model.body_mass * (1 - self.model.body_gravcomp)
+        return float(self.data.energy[1] + pull @ self.data.xipos[:, 2])
+
+    def push(self, thrusts: list[float]) -> None:
+        """Advance by one control period under constant thrusts.
+
+        Args:
+            thrusts: Thrust of each thruster [N]; (6,).
+        """
+        self._thrust[:] = thrusts
+        for _ in range(self._substeps):
+            np.abs(self._body_velocity, out=self._flow)
+            self._step(self.model, self.data)
+
+
+def yaw_of(quaternion: list[float]) -> float:
+    """Return the heading [rad] of a quaternion (w, x, y, z), from east to the left."""
+    w, x, y, z = quaternion
+    return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+
+
+def _compiled(settings: Settings) -> Any:
+    """Compile the packaged model with the figures of the settings in it."""
+    spec = mujoco.MjSpec.from_string((files("suave_env") / "assets" / "sea.xml").read_text(encoding="utf-8"))
+    spec.option.timestep = settings.physics_step_s
+    spec.option.gravity = (0, 0, -settings.gravity_m_s2)
+    hull, buoyancy = spec.body("vehicle"), spec.body("buoyancy")
+    hull.mass = settings.mass_kg - _FLOAT_MASS_KG
+    hull.inertia = (settings.inertia_roll_kg_m2, settings.inertia_pitch_kg_m2, settings.inertia_yaw_kg_m2)
+    hull.ipos = (0, 0, settings.centre_of_mass_z_m)
+    spec.site("centre_of_mass").pos = (0, 0, settings.centre_of_mass_z_m)
+    buoyancy.gravcomp = settings.displaced_mass_kg / _FLOAT_MASS_KG
+    buoyancy.pos = (0, 0, settings.centre_of_buoyancy_z_m)
+    for number in range(1, COUNT + 1):
+        spec.actuator(f"thruster_{number}").ctrlrange = (-settings.thrust_limit_n, settings.thrust_limit_n)
+    for axis in ("surge", "sway", "heave", "roll", "pitch", "yaw"):
+        spec.actuator(f"drag_{axis}").gainprm[2] = -getattr(settings, f"drag_{axis}")
+    return spec.compile()
