@@ -1,4 +1,4 @@
-"""The simulated sea of the (extended) SUAVE mission: a BlueROV2 in MuJoCo that searches for a pipeline and follows it."""
+"""The simulated sea of the (extended) SUAVE mission: a BlueROV2 in MuJoCo looks for a pipeline and follows it."""
 
 from suave_env.env import Observation, SuaveEnv
 from suave_env.exceptions import SuaveEnvError

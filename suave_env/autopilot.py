@@ -18,6 +18,7 @@ class Autopilot:
         vehicle: What is flown.
         thrusters: What it is flown with.
         bias: True minus commanded height [m].
+
     """
 
     def __init__(self, settings: Settings, vehicle: Vehicle, thrusters: Thrusters, bias: float) -> None:
@@ -50,6 +51,7 @@ class Autopilot:
         guidance, thrusters, vehicle = self._guidance, self._thrusters, self._vehicle
         heading_gain, heading_damping = settings.heading_gain, settings.heading_damping
         roll_damping = settings.roll_damping
+        surge_drag, sway_drag, heave_drag = settings.drag_surge, settings.drag_sway, settings.drag_heave
         last = math.floor(until / period + 1e-9)
         for count in range(self._periods, last):
             pose, motion = vehicle.pose, vehicle.motion
@@ -57,6 +59,9 @@ class Autopilot:
             yaw = yaw_of(pose[3:])
             cosine, sine = math.cos(yaw), math.sin(yaw)
             turn = -heading_gain * yaw - heading_damping * motion[5]
-            forward, left = cosine * east + sine * north, cosine * north - sine * east
+            surge, sway, heave = cosine * motion[0] + sine * motion[1], cosine * motion[1] - sine * motion[0], motion[2]
+            forward = cosine * east + sine * north + surge_drag * abs(surge) * surge
+            left = cosine * north - sine * east + sway_drag * abs(sway) * sway
+            up += heave_drag * abs(heave) * heave
             vehicle.push(thrusters.allocate(forward, left, up, -roll_damping * motion[3], turn))
         self._periods = max(self._periods, last)

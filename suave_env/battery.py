@@ -14,6 +14,7 @@ class Battery:
     Attributes:
         level: Charge, 1.0 full to 0.0 empty.
         recharges: How often it was recharged.
+
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -24,8 +25,8 @@ class Battery:
     def drain(self, duration: float) -> None:
         """Take out what a duration [s] costs; never below empty.
 
-        The level is lowered step by step, as in kas-lab/suave v1.3.0, and so carries the rounding of the steps: after 150
-        steps of 1 s out of 200 s it is 0.24999999999999933.
+        The level is lowered step by step, as in kas-lab/suave v1.3.0, and so carries the rounding of the steps: after
+        150 steps of 1 s out of 200 s it is 0.24999999999999933.
         """
         self.level = max(0.0, self.level - duration / self._discharge_time)
 

@@ -27,6 +27,7 @@ class Component:
         moves: Whether it sends setpoints.
         active: Whether it acts.
         parameters: Numbers by name.
+
     """
 
     name: ClassVar[str]
@@ -37,23 +38,25 @@ class Component:
         self.parameters: dict[str, float] = {}
 
     def activated(self, time: float) -> None:
-        """Called when it has become active; `time` [s]."""
+        """Begin; called when it has become active, with the time [s]."""
 
     def deactivated(self, time: float) -> None:
-        """Called when it has become inactive; `time` [s]."""
+        """End; called when it has become inactive, with the time [s]."""
 
 
 class SpiralSearch(Component):
     """Searches along a spiral: one point every 0.1 rad, whose turns lie as far apart as the camera sees.
 
-    Per point the radius grows by `2 a tan(30 deg) 0.1 / (2 pi)` for an altitude `a`, the parameter `spiral_altitude` [m].
-    A change of altitude skips one angle. A point counts as reached within 0.4 m in x, y and z; after more than 10 ticks without
-    reaching it, it is sent again, and lower by 0.25 m if only the height is off, while the goal that is checked stays as it was.
+    Per point the radius grows by `2 a tan(30 deg) 0.1 / (2 pi)` for an altitude `a`, the parameter `spiral_altitude`
+    [m]. A change of altitude skips one angle. A point counts as reached within 0.4 m in x, y and z; after more than 10
+    ticks without reaching it, it is sent again, and lower by 0.25 m if only the height is off, while the goal that is
+    checked stays as it was.
 
     Args:
         settings: Constants.
         autopilot: Where setpoints go.
         centre: Centre (x, y) of the spiral [m], world frame ENU.
+
     """
 
     name = "spiral_search"
@@ -138,6 +141,7 @@ class FollowPipeline(Component):
     Attributes:
         distance_m: Distance inspected since the last activation [m].
         total_m: Distance inspected since GUIDED [m].
+
     """
 
     name = "follow_pipeline"
@@ -229,7 +233,7 @@ class FollowPipeline(Component):
 
 
 class RecoverThrusters(Component):
-    """Restores the thrusters one after another: after 10 s the first, then one every 0.25 s, whether they had failed or not.
+    """Restores the thrusters one after another: the first after 10 s, then one every 0.25 s, failed or not.
 
     Once begun it runs to its end, deactivated or not, unless the settings say otherwise.
 
@@ -238,6 +242,7 @@ class RecoverThrusters(Component):
         thrusters: What is restored.
         agenda: Where the steps are entered.
         outbox: Where each recovery is published.
+
     """
 
     name = "recover_thrusters"
@@ -277,6 +282,7 @@ class Recharge(Component):
         settings: Constants.
         autopilot: Where setpoints go.
         recharge: Called with the time [s] to recharge.
+
     """
 
     name = "recharge"

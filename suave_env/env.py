@@ -44,6 +44,7 @@ class Observation:
         pipeline_found: Whether the pipeline was found.
         recharged: How often the battery was recharged.
         distance_inspected_m: As in `Metrics` [m].
+
     """
 
     time: float
@@ -76,6 +77,7 @@ class SuaveEnv:
         managed: The components, to be activated, deactivated and given parameters.
         pipeline: The pipeline; its `points` are for plots.
         station: Position of the recharge station [m], world frame ENU, z up.
+
     """
 
     def __init__(self, settings: Settings, rng: np.random.Generator) -> None:
@@ -114,7 +116,7 @@ class SuaveEnv:
     def _start_monitors(self, phases: list[float]) -> None:
         settings, agenda = self._settings, self._agenda
         self._visibility_monitor = VisibilityMonitor(settings, self._water, self._outbox)
-        self._thruster_monitor = ThrusterMonitor(self._thrusters, self._outbox)
+        self._thruster_monitor = ThrusterMonitor(self._outbox)
         self._battery_monitor = BatteryMonitor(self._battery, self._outbox)
         visibility_period, thruster_period = settings.visibility_monitor_period_s, settings.thruster_monitor_period_s
         agenda.every(visibility_period, phases[0] * visibility_period, self._visibility_monitor.tick)
@@ -157,6 +159,7 @@ class SuaveEnv:
 
         Raises:
             SuaveEnvError: If the time is not a number from now on, or the environment is closed.
+
         """
         if self._closed:
             raise SuaveEnvError("the environment is closed and cannot advance")

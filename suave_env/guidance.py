@@ -14,23 +14,23 @@ Vector = tuple[float, float, float]
 class Guidance:
     """Flies to setpoints as GUIDED mode of ArduPilot's Sub does in essence; of our own making.
 
-    A new setpoint begins a jerk-limited move from rest to rest, in a straight line from the stopping point `p + v / k` to the
-    setpoint. Position gain `k` and a first-order velocity loop of time constant `tau` follow it:
+    A new setpoint begins a jerk-limited move from rest to rest, in a straight line from the stopping point `p + v / k`
+    to the setpoint. Position gain `k` and a first-order velocity loop of time constant `tau` follow it:
 
-        `v_wanted = v_move + k (p_move - p)`,  `F = m / tau (v_wanted - v) + integral + D |v| v`
+        `v_wanted = v_move + k (p_move - p)`,  `F = m / tau (v_wanted - v) + integral`
 
-    The last term is the vehicle's own drag, so that the loop has the lag `tau` at every speed.
+    Whoever applies the force adds the vehicle's drag, so that the loop has the lag `tau` at every speed.
 
     Args:
-        settings: Limits, gains and the vehicle's mass and drag.
+        settings: Limits, gains and the vehicle's mass.
         position: Where the vehicle is and stays until the first setpoint [m], world frame ENU, z up.
+
     """
 
     def __init__(self, settings: Settings, position: Vector) -> None:
         self._settings = settings
         self._gains = (settings.position_gain, settings.position_gain, settings.height_gain)
         self._stiffness = (settings.mass_kg / settings.velocity_lag_s, settings.mass_kg / settings.height_lag_s)
-        self._drag = ((settings.drag_surge + settings.drag_sway) / 2, settings.drag_heave)
         self._integral = [0.0, 0.0, 0.0]
         self.go_to(position, position, (0.0, 0.0, 0.0), 0.0)
 
@@ -42,6 +42,7 @@ class Guidance:
             position: Where the vehicle is [m].
             velocity: How fast it moves [m/s].
             time: Now [s].
+
         """
         origin = self.stopping_point(position, velocity)
         dx, dy, dz = (end - start for end, start in zip(target, origin, strict=True))
@@ -64,24 +65,19 @@ class Guidance:
             velocity: How fast it moves [m/s]; the first three numbers are read.
             time: Now [s].
             duration: For how long the force will be held [s].
+
         """
         along, speed = self._move.at(time - self._start)
         ox, oy, oz = self._origin
         ex, ey, ez = self._direction
         kx, ky, kz = self._gains
         level, upright = self._stiffness
-        level_drag, upright_drag = self._drag
         vx, vy, vz = velocity[0], velocity[1], velocity[2]
         wx = ex * speed + kx * (ox + ex * along - position[0]) - vx
         wy = ey * speed + ky * (oy + ey * along - position[1]) - vy
         wz = ez * speed + kz * (oz + ez * along - position[2]) - vz
         ix, iy, iz = self._accumulate(wx * duration, wy * duration, wz * duration)
-        flow = level_drag * math.sqrt(vx * vx + vy * vy)
-        return (
-            level * wx + ix + flow * vx,
-            level * wy + iy + flow * vy,
-            upright * wz + iz + upright_drag * abs(vz) * vz,
-        )
+        return level * wx + ix, level * wy + iy, upright * wz + iz
 
     def _accumulate(self, wx: float, wy: float, wz: float) -> list[float]:
         gain, limit = self._settings.integral_gain, self._settings.integral_limit_n

@@ -3,7 +3,6 @@
 from suave_env.battery import Battery
 from suave_env.messages import COMPONENT_STATUS, EA_MEASUREMENT, QA_STATUS, Outbox
 from suave_env.settings import Settings
-from suave_env.thrusters import Thrusters
 from suave_env.water import Water
 
 __all__ = ["BatteryMonitor", "ThrusterMonitor", "VisibilityMonitor"]
@@ -19,6 +18,7 @@ class VisibilityMonitor:
 
     Attributes:
         visibility: Last published visibility [m], None before the first.
+
     """
 
     name = "water_visibility_monitor"
@@ -43,6 +43,7 @@ class BatteryMonitor:
     Args:
         battery: What is measured.
         outbox: Where the level is published.
+
     """
 
     name = "battery_monitor"
@@ -62,14 +63,13 @@ class ThrusterMonitor:
     Recoveries brought about by the recovery node are published by that node.
 
     Args:
-        thrusters: What is watched.
         outbox: Where failures are published.
+
     """
 
     name = "thruster_monitor"
 
-    def __init__(self, thrusters: Thrusters, outbox: Outbox) -> None:
-        self._thrusters = thrusters
+    def __init__(self, outbox: Outbox) -> None:
         self._outbox = outbox
         self._news: list[tuple[int, str]] = []
 

@@ -8,9 +8,9 @@ __all__ = ["SCurve"]
 class SCurve:
     """A move over a length that starts and ends at rest, within limits on speed, acceleration and jerk.
 
-    The speed-up has three phases of constant jerk, `+J` for `tj`, 0 for `ta`, `-J` for `tj`; after cruising at the peak speed
-    for `tc`, the slow-down mirrors it. Peak speed `J tj (tj + ta)`, length of the speed-up half of peak speed times
-    `2 tj + ta`. Each duration is the longest that the limits and the length allow.
+    The speed-up has three phases of constant jerk: `+J` for `tj`, 0 for `ta`, `-J` for `tj`. It reaches the peak speed
+    `J tj (tj + ta)`; its length is half of the peak speed times `2 tj + ta`. After cruising, the slow-down mirrors it.
+    `tj`, then `ta`, are the longest that the limits and the length allow.
 
     Args:
         length: Length [m], from 0.
@@ -20,6 +20,7 @@ class SCurve:
 
     Attributes:
         duration: Time of the whole move [s].
+
     """
 
     __slots__ = ("_jerk", "_length", "_peak", "_plateau", "_ramp", "_rise", "duration")

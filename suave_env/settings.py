@@ -36,6 +36,7 @@ class SettingInfo:
         default: The default value.
         meaning: One line.
         source: One line: where the figure comes from.
+
     """
 
     name: str
@@ -53,6 +54,7 @@ class ThrusterEvent:
         thruster: Number, 1 to 6.
         fails: True for a failure, False for a recovery.
         time: Time since GUIDED [s].
+
     """
 
     thruster: int
@@ -182,6 +184,7 @@ class Settings:
 
         Raises:
             SuaveEnvError: If one is of the wrong type, not finite, out of range or at odds with another.
+
         """
         for info in fields(self):
             object.__setattr__(self, info.name, _checked(info, getattr(self, info.name)))
@@ -189,11 +192,9 @@ class Settings:
             raise SuaveEnvError(
                 f"visibility_min_m {self.visibility_min_m} is above visibility_max_m {self.visibility_max_m}"
             )
-        steps = self.control_period_s / self.physics_step_s
-        if steps < 0.999 or abs(steps - round(steps)) > 1e-6:
-            raise SuaveEnvError(
-                f"control_period_s {self.control_period_s} is not a whole multiple of physics_step_s {self.physics_step_s}"
-            )
+        period, step = self.control_period_s, self.physics_step_s
+        if round(period / step) < 1 or abs(period / step - round(period / step)) > 1e-6:
+            raise SuaveEnvError(f"control_period_s {period} is not a whole multiple of physics_step_s {step}")
         parse_thruster_events(self.thruster_events)
 
     def replace(self, **changes: float | int | bool | str) -> "Settings":
@@ -207,6 +208,7 @@ class Settings:
 
         Raises:
             SuaveEnvError: If a name is unknown or a value is not allowed.
+
         """
         known = {info.name: info for info in fields(self)}
         for name in changes:
@@ -235,6 +237,7 @@ def parse_thruster_events(text: str) -> tuple[ThrusterEvent, ...]:
 
     Raises:
         SuaveEnvError: If the text cannot be read.
+
     """
     events = [_thruster_event(part.split(), text) for part in text.split(",") if part.strip()]
     return tuple(sorted(events, key=lambda event: event.time))

@@ -16,11 +16,12 @@ _ROLL_ARM_M = 0.109
 class Thrusters:
     """Shares a wanted force among the thrusters; the mixer knows nothing of failures.
 
-    A failed thruster is frozen at its last output: with its servo function set to 0, ArduPilot stops writing the channel,
-    and the simulated motor keeps pushing (kas-lab/suave v1.3.0).
+    A failed thruster is frozen at its last output: with its servo function set to 0, ArduPilot stops writing the
+    channel, and the simulated motor keeps pushing (kas-lab/suave v1.3.0).
 
     Attributes:
         outputs: Thrusts [N] of thrusters 1 to 6, positive along the direction of each in the model.
+
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -54,7 +55,8 @@ class Thrusters:
         The shares are those of the "vectored" frame of ArduPilot's Sub, for thrusts along the directions of the model.
 
         Returns:
-            The six outputs [N]. Beyond the limit, the thrusts of a group are scaled together, which keeps the direction.
+            The six outputs [N]. Beyond the limit, the thrusts of a group are scaled together: the direction stays.
+
         """
         forward, left, turn = forward / (4 * _COSINE), left / (4 * _COSINE), turn / (4 * _YAW_ARM_M)
         one, two = -forward - left - turn, -forward + left + turn

@@ -7,6 +7,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from suave_env.exceptions import SuaveEnvError
 from suave_env.settings import Settings
 from suave_env.thrusters import COUNT
 
@@ -18,9 +19,9 @@ _FLOAT_MASS_KG = 0.001  # of the body that carries the buoyancy, see assets/sea.
 class Vehicle:
     """A rigid body with six thrusters, buoyancy at the centre of buoyancy and quadratic drag along and about its axes.
 
-    Drag along each body axis is `-D |v| v` without added mass or linear damping, as in clydemcqueen/bluerov2_ignition. It is
-    an actuator whose force is `-D v ctrl`, with `ctrl = |v|` of the last physics step: MuJoCo treats `v` implicitly, so drag
-    can only take energy out.
+    Drag along each body axis is `-D |v| v` without added mass or linear damping, as in clydemcqueen/bluerov2_ignition.
+    It is an actuator whose force is `-D v ctrl`, with `ctrl = |v|` of the last physics step: MuJoCo treats `v`
+    implicitly, so drag can only take energy out.
 
     Args:
         settings: Mass, inertia, buoyancy, drag, thrust limit and the physics step.
@@ -31,6 +32,7 @@ class Vehicle:
     Attributes:
         model: The MuJoCo model (`mujoco.MjModel`).
         data: The MuJoCo state (`mujoco.MjData`).
+
     """
 
     def __init__(self, settings: Settings, x: float, y: float, z: float) -> None:
@@ -46,7 +48,7 @@ class Vehicle:
 
     @property
     def pose(self) -> list[float]:
-        """Position [m], world frame ENU, z up, and quaternion (w, x, y, z) of the body frame x forward, y left, z up; (7,)."""
+        """Position [m], world frame ENU, z up, and quaternion (w, x, y, z) of the body x forward, y left; (7,)."""
         return self._qpos.tolist()  # type: ignore[no-any-return]
 
     @property
@@ -79,6 +81,7 @@ class Vehicle:
 
         Args:
             thrusts: Thrust of each thruster [N]; (6,).
+
         """
         self._thrust[:] = thrusts
         for _ in range(self._substeps):
@@ -92,7 +95,7 @@ def yaw_of(quaternion: list[float]) -> float:
     return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
-def _compiled(settings: Settings) -> Any:
+def _compiled(settings: Settings) -> Any:  # noqa: ANN401 - MuJoCo ships no types
     """Compile the packaged model with the figures of the settings in it."""
     spec = mujoco.MjSpec.from_string((files("suave_env") / "assets" / "sea.xml").read_text(encoding="utf-8"))
     spec.option.timestep = settings.physics_step_s
@@ -108,4 +111,7 @@ def _compiled(settings: Settings) -> Any:
         spec.actuator(f"thruster_{number}").ctrlrange = (-settings.thrust_limit_n, settings.thrust_limit_n)
     for axis in ("surge", "sway", "heave", "roll", "pitch", "yaw"):
         spec.actuator(f"drag_{axis}").gainprm[2] = -getattr(settings, f"drag_{axis}")
-    return spec.compile()
+    try:
+        return spec.compile()
+    except ValueError as error:
+        raise SuaveEnvError(f"MuJoCo refuses the vehicle of these settings: {error}") from error
