@@ -32,6 +32,7 @@ class Event(NamedTuple):
     Attributes:
         kind: one of the three kinds.
         time: when [s].
+        subject: name of the attribute, component, action or other element that it is about; empty for a plan.
         text: what, in words, e.g. "light is 0.3" or "gripper has failed".
         changes: the statuses that changed because of it.
         plan: the plan, for a reconfiguration plan.
@@ -40,6 +41,7 @@ class Event(NamedTuple):
 
     kind: EventKind
     time: float
+    subject: str
     text: str
     changes: tuple[StatusChange, ...] = ()
     plan: ReconfigurationPlan | None = None

@@ -7,7 +7,7 @@ from kb.elements import Constraint
 from kb.inference import Node, State
 from kb.status import OPERATORS, Status
 
-__all__ = ["Explanation", "explain", "why_selected"]
+__all__ = ["Explanation", "explain", "shortest", "why_selected"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +37,8 @@ class Explanation:
     def _sentence(self, subject: str) -> str:
         if self.kind == "constraint":
             return self.fact
+        if self.status is Status.FAILURE and not self.fact:
+            return f"{subject} has failed"
         verb = "is in" if self.status in _IN else "is"
         statement = f"{subject} {verb} {self.status}"
         if not self.causes:
@@ -76,7 +78,7 @@ def explain(state: State, node: Node, now: float) -> Explanation:
 
     selected = [part for part in node.parts if state.selected[part.index]]
     if status is Status.FAILURE:
-        return because(fact="it is reported failed")
+        return because()
     if status is Status.UNFEASIBLE:
         if violated:
             return because([*violated, *(parts_in(Status.UNFEASIBLE) if node.kind == "action" else [])])
@@ -112,7 +114,7 @@ def why_selected(state: State, chosen: Iterable[Node], now: float) -> str:
         elif state.status[before.index] is Status.UNFEASIBLE:
             reasons.append(str(explain(state, before, now)))
         else:
-            reasons.append(f"{node.name} is possible and comes before {before.name}")
+            reasons.append(f"{node.name} is feasible and preferred to {before.name}")
     return "; ".join(dict.fromkeys(reasons)) or "what was active or selected is no longer needed"
 
 
@@ -136,15 +138,15 @@ def _comparison(state: State, constraint: Constraint, attribute: Node, now: floa
         return f"{constraint.attribute} is not measured (wanted {bound})"
     holds = OPERATORS[constraint.operator](value, constraint.value)
     age = f" (measured {max(0.0, now - time):.1f} s ago)" if time is not None else ""
-    shown = shortest(value, constraint.operator, constraint.value)
+    shown = shortest(value, [constraint.value])
     return f"{constraint.attribute} {shown} {'satisfies' if holds else 'violates'} {bound}{age}"
 
 
-def shortest(value: float, relation: str, threshold: float) -> str:
-    """Write a number with as few digits as leave the comparison with the threshold what it is."""
-    holds = OPERATORS[relation](value, threshold)
+def shortest(value: float, thresholds: Iterable[float]) -> str:
+    """Write a number with as few digits as leave it on its side of every threshold."""
+    bounds = tuple(thresholds)
     for digits in (3, 6, 9, 12, 15):
         text = f"{value:.{digits}g}"
-        if OPERATORS[relation](float(text), threshold) == holds:
+        if all((float(text) < bound, float(text) > bound) == (value < bound, value > bound) for bound in bounds):
             return text
     return repr(value)

@@ -3,13 +3,13 @@
 import logging
 import math
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 
 from kb.diagnostics import DiagnosticProblem, Measurement, read_diagnostics
-from kb.elements import Element, Parameters, finite_number
+from kb.elements import Constraint, Element, Parameters, finite_number
 from kb.events import Event, EventKind, StatusChange
 from kb.exceptions import InvalidValue, KnowledgeBaseError
-from kb.explanation import explain, why_selected
+from kb.explanation import explain, shortest, why_selected
 from kb.inference import Network, Node, State, settle
 from kb.model import Model
 from kb.questions import Questions
@@ -62,7 +62,7 @@ class KnowledgeBase(Questions):
             now = self._clock()
             self._state.value[node.index] = number
             self._state.time[node.index] = now
-            self._told(EventKind.MONITORING_DATA, now, [node], lambda: f"{attribute} is {number:g}", plain=True)
+            self._told(EventKind.MONITORING_DATA, now, node, lambda: _reading(node, number), plain=True)
 
     def component_failed(self, component: str) -> None:
         """Tell that a component has failed."""
@@ -80,7 +80,7 @@ class KnowledgeBase(Questions):
                 return
             self._state.active[node.index] = active
             words = "active" if active else "inactive"
-            self._told(EventKind.MONITORING_DATA, self._clock(), [node], lambda: f"{component} is {words}")
+            self._told(EventKind.MONITORING_DATA, self._clock(), node, lambda: f"{component} is {words}")
 
     def component_configured(self, component: str, parameters: Parameters) -> None:
         """Tell which parameters a component was given; see `parameters_in_force` of its view."""
@@ -133,7 +133,7 @@ class KnowledgeBase(Questions):
             node = self._node(element, ("action", "function", "component"), unique=True)
             self._state.asserted_required[node.index] = bool(required)
             words = "asserted required" if required else "no longer asserted required"
-            self._told(EventKind.MONITORING_DATA, self._clock(), [node], lambda: f"{node.name} is {words}")
+            self._told(EventKind.MONITORING_DATA, self._clock(), node, lambda: f"{node.name} is {words}")
 
     def assert_selected(self, element: ElementView | Element | str, selected: bool | None) -> None:
         """State that a design or configuration is the selected one, or is not."""
@@ -141,7 +141,7 @@ class KnowledgeBase(Questions):
             node = self._node(element, ("function design", "configuration"), unique=True)
             self._state.selected[node.index] = bool(selected)
             words = "selected" if selected else "not selected"
-            self._told(EventKind.MONITORING_DATA, self._clock(), [node], lambda: f"{node.name} is {words}")
+            self._told(EventKind.MONITORING_DATA, self._clock(), node, lambda: f"{node.name} is {words}")
 
     # actions
 
@@ -165,7 +165,7 @@ class KnowledgeBase(Questions):
             self._open[action] = RequiredAction(action, preference, now)
             self._history.append(self._open[action])
             self._state.requested[node.index] = True
-            self._told(EventKind.ACTION_UPDATE, now, [node], lambda: f"{action} is requested")
+            self._told(EventKind.ACTION_UPDATE, now, node, lambda: f"{action} is requested")
             return Reply(True, f"{action} is required")
 
     def cancel_action(self, action: str, result: str = "abandoned") -> None:
@@ -185,7 +185,7 @@ class KnowledgeBase(Questions):
             now = self._clock()
             required._end, required._result = now, result
             self._state.requested[node.index] = False
-            self._told(EventKind.ACTION_UPDATE, now, [node], lambda: f"{action} is {result}")
+            self._told(EventKind.ACTION_UPDATE, now, node, lambda: f"{action} is {result}")
 
     @property
     def required_actions(self) -> tuple[RequiredAction, ...]:
@@ -229,7 +229,7 @@ class KnowledgeBase(Questions):
             plan = ReconfigurationPlan(selection, reason, now)
             self._plans.append(plan)
             self._open_plans.append(plan)
-            self._publish(Event(EventKind.RECONFIGURATION_PLAN, now, str(plan), (), plan))
+            self._publish(Event(EventKind.RECONFIGURATION_PLAN, now, "", str(plan), (), plan))
             return plan
 
     @property
@@ -305,29 +305,32 @@ class KnowledgeBase(Questions):
                 self._state.asserted[node.index] = None
             self._state.failed[node.index] = failed
             words = "has failed" if failed else "is recovered"
-            self._told(EventKind.MONITORING_DATA, self._clock(), [node], lambda: f"{component} {words}")
+            self._told(EventKind.MONITORING_DATA, self._clock(), node, lambda: f"{component} {words}")
 
     def _assert_status(self, element: ElementView | Element | str, status: Status | None) -> None:
         with self._lock:
             node = self._node(element, unique=True)
             self._state.asserted[node.index] = status
             words = f"asserted {status}" if status else "no longer asserted"
-            self._told(EventKind.MONITORING_DATA, self._clock(), [node], lambda: f"{node.name} is {words}")
+            self._told(EventKind.MONITORING_DATA, self._clock(), node, lambda: f"{node.name} is {words}")
 
-    def _told(
-        self, kind: EventKind, now: float, touched: Iterable[Node], text: Callable[[], str], plain: bool = False
-    ) -> None:
-        """Infer what follows from touched nodes and publish it; a plain fact matters only if a status changed."""
-        changes = settle(self._state, touched)
+    def _told(self, kind: EventKind, now: float, node: Node, text: Callable[[], str], plain: bool = False) -> None:
+        """Infer what follows from a changed fact and publish it; a plain fact matters only if a status changed."""
+        changes = settle(self._state, (node,))
         if changes or not plain:
             self._revision += 1
         if self._subscribers:
-            changed = tuple(StatusChange(node.kind, node.name, old, new) for node, old, new in changes)
-            self._publish(Event(kind, now, text(), changed))
+            changed = tuple(StatusChange(one.kind, one.name, old, new) for one, old, new in changes)
+            self._publish(Event(kind, now, node.name, text(), changed))
 
     def _publish(self, event: Event) -> None:
         for subscriber in tuple(self._subscribers):
             subscriber(event)
+
+
+def _reading(attribute: Node, value: float) -> str:
+    bounds = [one.element.value for one in attribute.constraints if isinstance(one.element, Constraint)]
+    return f"{attribute.name} is {shortest(value, bounds)}"
 
 
 def _measured(attribute: str, value: object) -> float:

@@ -26,13 +26,13 @@ class ManagedSystem(Protocol):
     now or as the operation's exception.
     """
 
-    def activate(self, component: str) -> Operation | None:
+    def activate(self, component: str, /) -> Operation | None:
         """Make a component run; its parameters were set before."""
 
-    def deactivate(self, component: str) -> Operation | None:
+    def deactivate(self, component: str, /) -> Operation | None:
         """Make a component stop."""
 
-    def set_parameters(self, component: str, parameters: Parameters) -> Operation | None:
+    def set_parameters(self, component: str, parameters: Parameters, /) -> Operation | None:
         """Give a component its parameters; a stopped one keeps them for when it is activated."""
 
 

@@ -1,1 +1,5 @@
-"""Placeholder."""
+"""Putting it together: missions that run, are recorded, replayed and reported."""
+
+from missions.registry import MISSIONS
+
+__all__ = ["MISSIONS"]

@@ -148,11 +148,12 @@ class SuaveEnv:
         """What has happened to the vehicle and the sea up to now, in order of time: the truth."""
         return list(self._disturbances)
 
-    def advance(self, until: float) -> list[Message]:
+    def advance(self, until: float, *, pause: bool = False) -> list[Message]:
         """Simulate to a time.
 
         Args:
             until: Time since GUIDED [s], not before now.
+            pause: Stop as soon as something was published or a change of a component has ended.
 
         Returns:
             What was published in `(now, until]`, in order of time.
@@ -165,11 +166,13 @@ class SuaveEnv:
             raise SuaveEnvError("the environment is closed and cannot advance")
         if not self._now <= until < math.inf:
             raise SuaveEnvError(f"cannot advance to {until!r} s; allowed is a finite time from now, {self._now} s, on")
-        agenda = self._agenda
+        agenda, changes = self._agenda, self.managed.changes
         while agenda.next_time <= until:
             self._autopilot.fly(agenda.next_time)
             self._now = agenda.next_time
             agenda.happen()
+            if pause and (self._outbox.is_waiting or self.managed.changes > changes):
+                return self._outbox.fetch()
         self._autopilot.fly(until)
         self._now = float(until)
         return self._outbox.fetch()

@@ -62,6 +62,12 @@ class ManagedSystem:
         self._busy_until = dict.fromkeys(self._components, 0.0)
         self._pending: list[Operation] = []
         self._closed = False
+        self._changes = 0
+
+    @property
+    def changes(self) -> int:
+        """How many changes have been carried out so far."""
+        return self._changes
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -101,7 +107,7 @@ class ManagedSystem:
         component = self._component(name)
         return self._carry_out(name, self._settings.deactivation_s, lambda time: self._deactivate(component, time))
 
-    def set_parameters(self, name: str, values: Mapping[str, float]) -> Operation:
+    def set_parameters(self, name: str, values: Mapping[str, object]) -> Operation:
         """Ask for parameters of a component to be set, all at the same time.
 
         Args:
@@ -140,6 +146,7 @@ class ManagedSystem:
             change(time)
             self._pending.remove(operation)
             operation._finish()
+            self._changes += 1
 
         self._agenda.at(self._busy_until[name], end)
         return operation
@@ -159,13 +166,13 @@ def _activate(component: Component, time: float) -> None:
         component.activated(time)
 
 
-def _checked(component: Component, name: str, value: float) -> float:
+def _checked(component: Component, name: str, value: object) -> float:
     if name not in component.parameters:
         raise unknown_name(f"parameter of {component.name}", name, component.parameters)
-    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    if not is_number or not math.isfinite(value) or not 0 < value <= HIGHEST_ALTITUDE_M:
+    number = float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
+    if not 0 < number <= HIGHEST_ALTITUDE_M:
         raise SuaveEnvError(
             f"parameter {name} of {component.name} cannot be {value!r}; allowed is a number above 0 and up to "
             f"{HIGHEST_ALTITUDE_M:g} [m]"
         )
-    return float(value)
+    return number

@@ -35,6 +35,11 @@ class Outbox:
     def __init__(self) -> None:
         self._messages: list[Message] = []
 
+    @property
+    def is_waiting(self) -> bool:
+        """Whether anything was published since the last fetch."""
+        return bool(self._messages)
+
     def publish(self, time: float, name: str, text: str, key: str, value: float | str) -> None:
         """Publish one status with one value.
 

@@ -1,0 +1,157 @@
+"""What a mission is: its knowledge, its task logic twice, its world, and when it has succeeded."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+from numpy.random import Generator
+from py_trees.behaviour import Behaviour
+
+from kb import KnowledgeBase, ManagedSystem, Model
+from missions.senses import Senses
+
+__all__ = ["Message", "Mission", "MissionError", "Sample", "Setting", "Verdict", "World", "WorldKind"]
+
+Message = Mapping[str, Any]
+"""Diagnostics as they travel: `{"time": s, "status": [{"name": ..., "message": ..., "values": {...}}, ...]}`."""
+
+
+class MissionError(Exception):
+    """A mission cannot be run as it was asked for; the message says what was given and what is possible."""
+
+
+class Setting(Protocol):
+    """What can be set from outside, with where its default comes from."""
+
+    @property
+    def name(self) -> str:
+        """What it is called."""
+
+    @property
+    def unit(self) -> str:
+        """Its unit."""
+
+    @property
+    def default(self) -> object:
+        """Its value when nothing is set."""
+
+    @property
+    def meaning(self) -> str:
+        """What it is, in a line."""
+
+    @property
+    def source(self) -> str:
+        """Where the default comes from."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """What there was to see of the robot at one moment, for pictures.
+
+    Attributes:
+        time: [s].
+        position: (x, y, z) [m], world frame, z up.
+        signals: further quantities by name, e.g. {"altitude [m]": 2.9}.
+
+    """
+
+    time: float
+    position: tuple[float, float, float]
+    signals: Mapping[str, float]
+
+
+class Verdict(NamedTuple):
+    """How a mission ended.
+
+    Attributes:
+        outcome: "inspected_all", "time_limit", "not_found" or "aborted"; the first two are successes.
+        reason: why, in words.
+
+    """
+
+    outcome: str
+    reason: str
+
+    @property
+    def success(self) -> bool:
+        """Whether the mission did what it was for."""
+        return self.outcome in ("inspected_all", "time_limit")
+
+
+class World(Protocol):
+    """Where a mission happens: a simulator, or a recording of one."""
+
+    @property
+    def now(self) -> float:
+        """The time [s]."""
+
+    @property
+    def managed(self) -> ManagedSystem:
+        """The components, to be switched and configured."""
+
+    def advance(self, until: float) -> list[Message]:
+        """Let time pass until something is published, a commanded change has ended, or the time is `until` [s]."""
+
+    def results(self) -> Mapping[str, float | None]:
+        """Return the mission's figures up to now by name, units in the names; None for what did not happen."""
+
+    def sample(self) -> Sample | None:
+        """Return what there is to see now, None where nothing can be seen."""
+
+    def disturbances(self) -> list[tuple[float, str]]:
+        """Return what truly happened, and when [s]."""
+
+    def scenery(self) -> Mapping[str, Any]:
+        """Return what a map of the place shows: arrays (n, 2) of x and y [m] by name."""
+
+    def close(self) -> None:
+        """Release what the world holds."""
+
+
+class WorldKind(Protocol):
+    """How a world is opened; what it needs is imported only then."""
+
+    def settings(self) -> tuple[Setting, ...]:
+        """Return what can be set."""
+
+    def open(self, values: Mapping[str, str], rng: Generator) -> World:
+        """Open a world with these settings; all its chance comes from the generator.
+
+        Raises:
+            MissionError: an unknown setting or a value that is not allowed.
+
+        """
+
+    def verdict(self, senses: Senses, results: Mapping[str, float | None], kb: KnowledgeBase) -> Verdict:
+        """Say how a mission here has ended, from what was sensed, its figures and what was done."""
+
+
+@dataclass(frozen=True)
+class Mission:
+    """One mission of the registry.
+
+    Attributes:
+        name: what it is called on the command line.
+        summary: what happens in it, in a line.
+        model: builds the knowledge about the robot.
+        tree: builds the task logic as a behaviour tree.
+        domain: PDDL file with the same task logic as actions.
+        problem: PDDL file with the goal.
+        actions: what is done for each PDDL action; the same behaviours that the tree is made of.
+        facts: what was sensed, as atoms of the PDDL problem, e.g. {"(lit room)": True}.
+        world: where it happens.
+        fixed: settings of the world that belong to this mission.
+
+    """
+
+    name: str
+    summary: str
+    model: Callable[[], Model]
+    tree: Callable[[KnowledgeBase, Senses], Behaviour]
+    domain: Path
+    problem: Path
+    actions: Mapping[str, Callable[[KnowledgeBase, Senses], Behaviour]]
+    facts: Callable[[Senses], Mapping[str, bool]]
+    world: WorldKind
+    fixed: Mapping[str, str] = field(default_factory=dict)

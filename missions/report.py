@@ -1,0 +1,96 @@
+"""What came of a run: as data that depends on nothing but mission, settings and seed, and as a table."""
+
+import json
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from rich.table import Table
+
+from missions.mission import Verdict
+from missions.runner import MissionRun
+
+__all__ = ["as_json", "summary", "summary_table", "timing"]
+
+MANAGER = "ours"
+
+
+def summary(run: MissionRun, verdict: Verdict, seed: int, changed: Mapping[str, str]) -> dict[str, Any]:
+    """Return a finished run as plain data; times in [s], units in the names.
+
+    Args:
+        run: the run, ended.
+        verdict: how it ended.
+        seed: of all its chance.
+        changed: the settings that were given.
+
+    """
+    results = run.world.results()
+    return {
+        "mission": run.mission.name,
+        "task": run.task,
+        "manager": MANAGER,
+        "seed": seed,
+        "settings": dict(sorted(changed.items())),
+        "outcome": verdict.outcome,
+        "outcome_reason": verdict.reason,
+        "duration_s": run.world.now,
+        **results,
+        "adaptations": [
+            {
+                "at_s": one.at_s,
+                "kind": one.kind,
+                "trigger": one.trigger,
+                "reason": one.reason,
+                "change": one.change,
+                "reaction_s": one.reaction_s,
+            }
+            for one in run.adaptations
+        ],
+        "actions": [
+            {"name": one.action, "start_s": one.start, "end_s": one.end, "result": one.result}
+            for one in run.kb.action_history
+        ],
+        "plans": run.plans,
+        "disturbances": [{"at_s": time, "what": text} for time, text in run.world.disturbances()],
+        "diagnostics_problems": [{"at_s": time, "problem": str(problem)} for time, problem in run.problems],
+    }
+
+
+def as_json(data: Mapping[str, Any]) -> str:
+    """Write data as JSON text; numbers to 6 decimals, so that no rounding of sums shows."""
+    return json.dumps(_rounded(data), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+
+
+def timing(run: MissionRun, wall_s: float) -> dict[str, Any]:
+    """Return how long a run took on this machine: whole, and the compute time of each part [s]."""
+    return {
+        "simulated_s": run.world.now,
+        "wall_s": wall_s,
+        "simulated_s_per_wall_s": run.world.now / wall_s,
+        "compute_s": dict(run.compute_s),
+    }
+
+
+def summary_table(data: Mapping[str, Any]) -> Table:
+    """Return a table of every adaptation: when, what, why, how fast."""
+    table = Table(title=None, expand=True, pad_edge=False)
+    table.add_column("at [s]", justify="right", no_wrap=True)
+    table.add_column("kind", no_wrap=True)
+    table.add_column("what was changed", ratio=4)
+    table.add_column("why", ratio=4)
+    table.add_column("reaction [s]", justify="right", no_wrap=True)
+    for one in data["adaptations"]:
+        reaction = "-" if one["reaction_s"] is None else f"{one['reaction_s']:.2f}"
+        table.add_row(f"{one['at_s']:.1f}", one["kind"], one["change"], one["reason"], reaction)
+    return table
+
+
+def _rounded(value: object) -> object:
+    if isinstance(value, float):
+        return round(value, 6) if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {key: _rounded(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_rounded(item) for item in value]
+    return value

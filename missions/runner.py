@@ -1,0 +1,187 @@
+"""One run of a mission: world, knowledge base, manager and task layer, in lock-step with the world's clock."""
+
+from collections import defaultdict
+from dataclasses import dataclass, field
+from time import perf_counter
+from typing import Any
+
+from py_trees.common import Status
+
+from kb import ConfigurationManager, DiagnosticProblem, Event, EventKind, KnowledgeBase
+from missions.adaptations import Adaptation, AdaptationLog
+from missions.mission import Message, Mission, Sample, Verdict, World
+from missions.senses import Senses
+from missions.settings import RunSettings
+from missions.task import build_task
+from rosa_bt import TreeRunner
+
+__all__ = ["Listener", "MissionRun", "Trace"]
+
+SAMPLE_PERIOD_S = 0.5
+
+
+class Listener:
+    """Hears of a run as it happens; a subclass overrides what it wants to hear."""
+
+    def message(self, message: Message) -> None:
+        """Hear what was published."""
+
+    def problem(self, problem: DiagnosticProblem, time_s: float) -> None:
+        """Hear of a part of a message that could not be used."""
+
+    def adaptation(self, adaptation: Adaptation) -> None:
+        """Hear of an adaptation that is in force, or has failed."""
+
+    def action(self, text: str, time_s: float) -> None:
+        """Hear of an action that was requested or has ended."""
+
+    def tick(self, run: "MissionRun") -> None:
+        """Hear that the task layer has been ticked."""
+
+
+@dataclass(slots=True)
+class Trace:
+    """What there was to see during a run, for pictures.
+
+    Attributes:
+        samples: what was seen, with the action and the configurations of that moment.
+
+    """
+
+    samples: list[tuple[Sample, str, str]] = field(default_factory=list)
+
+
+class MissionRun:
+    """Runs a mission to its end.
+
+    Args:
+        mission: what to run.
+        task: the kind of task layer, "bt" or "pddl".
+        world: where it happens.
+        settings: how it is run.
+        listeners: who hears of it.
+
+    Attributes:
+        kb: the knowledge base.
+        trace: what was seen.
+        compute_s: seconds of this machine's time by part, not part of any decision.
+        problems: parts of messages that could not be used, with their times [s].
+
+    Raises:
+        MissionError, rosa_pddl.RosaPddlError, kb.KnowledgeBaseError: the mission cannot be run.
+
+    """
+
+    def __init__(
+        self,
+        mission: Mission,
+        task: str,
+        world: World,
+        settings: RunSettings | None = None,
+        listeners: tuple[Listener, ...] = (),
+    ) -> None:
+        self.mission = mission
+        self.task = task
+        self.world = world
+        self.settings = settings or RunSettings()
+        self.trace = Trace()
+        self.compute_s: defaultdict[str, float] = defaultdict(float)
+        self.problems: list[tuple[float, DiagnosticProblem]] = []
+        self._listeners = listeners
+        self._sampled_at = -SAMPLE_PERIOD_S
+        self.kb = KnowledgeBase(mission.model(), clock=self._now)
+        self._senses = Senses()
+        self._manager = ConfigurationManager(self.kb, world.managed)
+        self._log = AdaptationLog(self.kb, self._tell_adaptation)
+        self.kb.subscribe(self._hear)
+        delay = self.settings.planning_delay_s
+        self._task = build_task(task, mission, self.kb, self._senses, self._now, delay)
+        self._runner = TreeRunner(self._task.root, clock=self._now, period=self.settings.tick_period_s)
+        self._runner.tree.setup()
+
+    @property
+    def adaptations(self) -> list[Adaptation]:
+        """Every adaptation so far, in the order in which they were decided."""
+        return self._log.adaptations
+
+    @property
+    def plans(self) -> list[dict[str, Any]]:
+        """The task plans so far, as data; none for a tree."""
+        return self._task.plans()
+
+    def run(self) -> Verdict:
+        """Run until the task is done or the time limit is reached; nothing is left running however this ends."""
+        try:
+            while self._runner.status is not Status.SUCCESS and self.world.now < self.settings.duration_s:
+                self._turn()
+        finally:
+            self._runner.shutdown()
+            self.world.close()
+        return self.mission.world.verdict(self._senses, self.world.results(), self.kb)
+
+    def _turn(self) -> None:
+        """Let the world go on to the next news or tick, and answer it."""
+        spent, started = self.compute_s, perf_counter()
+        messages = self.world.advance(min(self._runner.due, self.settings.duration_s))
+        advanced = perf_counter()
+        for message in messages:
+            self._take_in(message)
+        told = perf_counter()
+        self._manage()
+        managed = perf_counter()
+        self._task.catch_up()
+        caught_up = perf_counter()
+        ticked = self._runner.update()
+        decided = perf_counter()
+        spent["world"] += advanced - started
+        spent["knowledge base"] += told - advanced
+        spent["manager"] += managed - told
+        spent["waiting for plans"] += caught_up - managed
+        spent["task layer"] += decided - caught_up
+        if ticked:
+            self._manage()
+            spent["manager"] += perf_counter() - decided
+            self._sample()
+            for listener in self._listeners:
+                listener.tick(self)
+
+    def _take_in(self, message: Message) -> None:
+        stamp = float(message["time"])
+        self._log.news(stamp)
+        problems = self.kb.receive(message)
+        self._log.news(None)
+        self._senses.receive(message)
+        for listener in self._listeners:
+            listener.message(message)
+        for problem in problems:
+            self.problems.append((stamp, problem))
+            for listener in self._listeners:
+                listener.problem(problem, stamp)
+
+    def _manage(self) -> None:
+        self._manager.update()
+        self._log.settle()
+
+    def _now(self) -> float:
+        return self.world.now
+
+    def _sample(self) -> None:
+        if self.world.now < self._sampled_at + SAMPLE_PERIOD_S - 1e-9:
+            return
+        self._sampled_at = self.world.now
+        sample = self.world.sample()
+        if sample is None:
+            return
+        action = ", ".join(required.action for required in self.kb.required_actions)
+        components = (self.kb.components[name] for name in self.kb.components)
+        configured = (one.selected_configuration for one in components if one.is_active and one.configurations)
+        self.trace.samples.append((sample, action, ", ".join(name for name in configured if name)))
+
+    def _hear(self, event: Event) -> None:
+        if event.kind is EventKind.ACTION_UPDATE:
+            for listener in self._listeners:
+                listener.action(event.text, event.time)
+
+    def _tell_adaptation(self, adaptation: Adaptation) -> None:
+        for listener in self._listeners:
+            listener.adaptation(adaptation)

@@ -1,0 +1,101 @@
+"""The simulated sea as a world of missions; the simulator is imported when a mission is run in it, not before."""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from numpy.random import Generator
+
+from kb import KnowledgeBase, ManagedSystem
+from missions.mission import Message, MissionError, Sample, Setting, Verdict, World
+from missions.senses import Senses
+
+if TYPE_CHECKING:
+    from suave_env import SuaveEnv
+
+__all__ = ["SEA", "Sea"]
+
+
+class Sea:
+    """Adapter of the simulator to what a mission needs."""
+
+    def __init__(self, env: "SuaveEnv") -> None:
+        self._env = env
+
+    @property
+    def now(self) -> float:
+        """Time since the vehicle obeys [s]."""
+        return self._env.now
+
+    @property
+    def managed(self) -> ManagedSystem:
+        """The nodes of the vehicle."""
+        return self._env.managed
+
+    def advance(self, until: float) -> list[Message]:
+        """Simulate until something is published or switched, at most to the time `until` [s]."""
+        return list(self._env.advance(until, pause=True))
+
+    def results(self) -> Mapping[str, float | None]:
+        """Return search time and inspected distances."""
+        metrics = self._env.metrics
+        return {
+            "search_time_s": metrics.search_time_s,
+            "distance_inspected_m": metrics.distance_inspected_m,
+            "total_inspected_m": metrics.total_inspected_m,
+        }
+
+    def sample(self) -> Sample:
+        """Return position, visibility, battery and altitude."""
+        seen = self._env.observe()
+        signals = {
+            "water visibility [m]": seen.water_visibility,
+            "battery level [-]": seen.battery_level,
+            "altitude [m]": seen.altitude,
+            "search altitude [m]": seen.spiral_altitude if "spiral_search" in seen.active else float("nan"),
+        }
+        return Sample(seen.time, (seen.x, seen.y, seen.z), signals)
+
+    def disturbances(self) -> list[tuple[float, str]]:
+        """Return the thruster events, visibility thresholds crossed and battery thresholds crossed."""
+        return [(one.time, one.text) for one in self._env.disturbances]
+
+    def scenery(self) -> Mapping[str, Any]:
+        """Return the pipeline and the recharge station."""
+        return {"pipeline": self._env.pipeline.points[:, :2], "recharge station": [self._env.station[:2]]}
+
+    def close(self) -> None:
+        """End the simulation."""
+        self._env.close()
+
+
+class _SeaKind:
+    def settings(self) -> tuple[Setting, ...]:
+        """Return every constant of the sea, the vehicle and the monitors."""
+        from suave_env import Settings
+
+        return Settings.describe()
+
+    def open(self, values: Mapping[str, str], rng: Generator) -> World:
+        """Open a sea."""
+        from suave_env import Settings, SuaveEnv, SuaveEnvError
+
+        try:
+            return Sea(SuaveEnv(Settings().replace(**values), rng))
+        except SuaveEnvError as error:
+            raise MissionError(str(error)) from error
+
+    def verdict(self, senses: Senses, results: Mapping[str, float | None], kb: KnowledgeBase) -> Verdict:
+        """Judge by the goal: the pipeline found, more than 0 m of it inspected, a recharge done if one was needed."""
+        if senses.holds("pipeline_inspected"):
+            return Verdict("inspected_all", "the whole pipeline is inspected")
+        if not senses.holds("pipeline_found"):
+            return Verdict("not_found", "the pipeline was not found in time")
+        if not results["distance_inspected_m"]:
+            return Verdict("aborted", "time ran out before any of the pipeline was inspected")
+        needed = any(one.action == "recharge" for one in kb.action_history)
+        if needed and not senses.count("battery_recharged"):
+            return Verdict("aborted", "time ran out before a recharge that was needed had ended")
+        return Verdict("time_limit", "the pipeline was found and inspected up to the time limit")
+
+
+SEA = _SeaKind()

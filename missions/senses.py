@@ -1,0 +1,36 @@
+"""What the task layer has been told by the robot, beside what the knowledge base knows."""
+
+from collections import Counter
+from collections.abc import Mapping
+from typing import Any, Final
+
+__all__ = ["Senses"]
+
+MISSION_STATUS: Final = "mission status"
+
+
+class Senses:
+    """Takes in the same messages as the knowledge base and keeps those with the text "mission status".
+
+    The knowledge base passes these over; they say what a mission's conditions look at, e.g. that something is found.
+    """
+
+    def __init__(self) -> None:
+        self._said: dict[str, str] = {}
+        self._times: Counter[str] = Counter()
+
+    def receive(self, message: Mapping[str, Any]) -> None:
+        """Take in one message: `{"time": ..., "status": [{"message": ..., "values": {...}}, ...]}`."""
+        for status in message["status"]:
+            if str(status["message"]).casefold() == MISSION_STATUS:
+                for key, value in status["values"].items():
+                    self._said[key] = str(value)
+                    self._times[key] += 1
+
+    def holds(self, key: str) -> bool:
+        """Tell whether the last word about something was "true"; what was never spoken of does not hold."""
+        return self._said.get(key, "").casefold() == "true"
+
+    def count(self, key: str) -> int:
+        """How often something was spoken of."""
+        return self._times[key]

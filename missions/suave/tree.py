@@ -1,0 +1,40 @@
+"""The mission as a behaviour tree: find the pipeline, then inspect it.
+
+until inspected
+└── search and inspect
+├── find: pipeline found?, or else (search feasible? -> search pipeline)
+└── inspect feasible? -> inspect pipeline
+"""
+
+from py_trees.behaviour import Behaviour
+from py_trees.composites import Selector, Sequence
+from py_trees.decorators import FailureIsRunning
+
+from kb import KnowledgeBase
+from missions.senses import Senses
+from missions.suave.actions import InspectPipeline, PipelineFound, SearchPipeline
+from rosa_bt import IsActionFeasible
+
+__all__ = ["search_and_inspect", "suave_tree"]
+
+
+def suave_tree(kb: KnowledgeBase, senses: Senses) -> Behaviour:
+    """Build the tree; it runs until the whole pipeline is inspected."""
+    return FailureIsRunning("until inspected", search_and_inspect(kb, senses))
+
+
+def search_and_inspect(kb: KnowledgeBase, senses: Senses) -> Behaviour:
+    """Build the part that does the work; it fails as soon as what it is doing becomes unfeasible."""
+    search = Sequence(
+        "search if feasible",
+        memory=False,
+        children=[IsActionFeasible("search feasible?", kb, "search_pipeline"), SearchPipeline(kb, senses)],
+    )
+    # With memory, a search under way ends by itself, as a success, rather than being cut short by the condition.
+    find = Selector("find", memory=True, children=[PipelineFound("pipeline found?", senses), search])
+    inspect = Sequence(
+        "inspect if feasible",
+        memory=False,
+        children=[IsActionFeasible("inspect feasible?", kb, "inspect_pipeline"), InspectPipeline(kb, senses)],
+    )
+    return Sequence("search and inspect", memory=False, children=[find, inspect])

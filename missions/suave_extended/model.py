@@ -1,0 +1,19 @@
+"""The model of SUAVE, and what the battery adds to it: one attribute, one action, two constraints."""
+
+from kb import Model
+from missions.suave.model import suave_model
+
+__all__ = ["suave_extended_model"]
+
+
+def suave_extended_model() -> Model:
+    """Build the model; searching and inspecting need a quarter of the battery, recharging needs none."""
+    model = suave_model("suave_extended")
+    battery = model.quality_attribute("battery_level")
+    recharge = model.component("recharge", kind="lifecycle")
+    generate_recharge_path = model.function("generate_recharge_path")
+    generate_recharge_path.design("to_station", [recharge], priority=1)
+    model.action("recharge", requires=[generate_recharge_path, "maintain_motion"])
+    model.actions["search_pipeline"].constrain(battery >= 0.25)
+    model.actions["inspect_pipeline"].constrain(battery >= 0.25)
+    return model

@@ -1,0 +1,94 @@
+"""The task layer of a mission: a behaviour tree or a plan executor, either way one behaviour to be ticked."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final
+
+from py_trees.behaviour import Behaviour
+from py_trees.decorators import FailureIsRunning
+
+from kb import KnowledgeBase
+from missions.mission import Mission, MissionError
+from missions.senses import Senses
+
+__all__ = ["TASK_KINDS", "TaskLayer", "build_task"]
+
+TASK_KINDS: Final = ("bt", "pddl")
+
+
+@dataclass(frozen=True, slots=True)
+class TaskLayer:
+    """What decides about actions.
+
+    Attributes:
+        root: the behaviour to tick.
+        catch_up: to be called between ticks: waits for an answer that is due.
+        plans: the task plans made so far, as data.
+
+    """
+
+    root: Behaviour
+    catch_up: Callable[[], None] = lambda: None
+    plans: Callable[[], list[dict[str, Any]]] = list
+
+
+def build_task(
+    kind: str,
+    mission: Mission,
+    kb: KnowledgeBase,
+    senses: Senses,
+    clock: Callable[[], float],
+    planning_delay_s: float,
+) -> TaskLayer:
+    """Build the task layer of a mission.
+
+    Args:
+        kind: "bt" or "pddl".
+        mission: whose task logic.
+        kb: the knowledge base that the task layer asks and tells.
+        senses: what else it is told.
+        clock: gives the time [s].
+        planning_delay_s: simulated time in which a plan is found [s].
+
+    Raises:
+        MissionError: no such kind.
+
+    """
+    if kind == "bt":
+        return TaskLayer(mission.tree(kb, senses))
+    if kind == "pddl":
+        return _planning(mission, kb, senses, clock, planning_delay_s)
+    raise MissionError(f"unknown kind of task layer {kind!r}; there are {' and '.join(TASK_KINDS)}")
+
+
+def _planning(
+    mission: Mission, kb: KnowledgeBase, senses: Senses, clock: Callable[[], float], delay_s: float
+) -> TaskLayer:
+    from rosa_pddl import PlanExecutor, Step, load_domain
+
+    def factory(action: Callable[[KnowledgeBase, Senses], Behaviour]) -> Callable[[Step], Behaviour]:
+        return lambda step: action(kb, senses)
+
+    executor = PlanExecutor(
+        f"plan for {mission.name}",
+        kb=kb,
+        domain=load_domain(mission.domain, mission.problem),
+        behaviours={schema: factory(action) for schema, action in mission.actions.items()},
+        sense=lambda: mission.facts(senses),
+        clock=clock,
+        delay_s=delay_s,
+    )
+
+    def plans() -> list[dict[str, Any]]:
+        return [
+            {
+                "at_s": record.at_s,
+                "reason": record.reason,
+                "outcome": str(record.outcome),
+                "engine": record.engine,
+                "steps": [str(step) for step in record.steps],
+            }
+            for record in executor.plans
+        ]
+
+    return TaskLayer(FailureIsRunning("until the goal holds", executor), executor.catch_up, plans)
