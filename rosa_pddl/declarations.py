@@ -118,7 +118,7 @@ def _section(source: Source, node: Node) -> Iterator[Mention]:
 
 
 def _typed(source: Source, nodes: Iterable[Node], kind: Kind | None) -> Iterator[Mention]:
-    """A typed list such as `a b - t c`; `kind` is what it declares, None for variables."""
+    """Read a typed list such as `a b - t c`; `kind` is what it declares, None for variables."""
     expects_type = False
     for node in nodes:
         if node.is_list:
@@ -290,7 +290,7 @@ def _check(found: Iterable[Mention], declared: Declared) -> None:
             continue
         known = declared.get((kind, node.lower))
         if known is None:
-            names = [name for other, name in declared if other is kind]
+            names = [str(first.node) for (other, _), first in declared.items() if other is kind]
             hints = names + list(_WORDS) if kind is Kind.PREDICATE else names
             message = f"found the unknown {kind.value} {node.word!r}, expected a declared one; "
             raise source.error(node, message + nearest(node.lower, hints))

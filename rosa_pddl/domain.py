@@ -118,7 +118,7 @@ class Domain:
                 raise PddlError(f"the knowledge base does not know the action {action!r}; {hint}", file, line)
 
     def atom(self, text: str) -> str:
-        """The canonical text of an atom, e.g. `(lit room)` for `lit ROOM`.
+        """Return the canonical text of an atom, e.g. `(lit room)` for `lit ROOM`.
 
         Raises:
             UnknownNameError: no such predicate, object, or number of arguments.
@@ -129,7 +129,7 @@ class Domain:
         return self._atoms[text]
 
     def feasible_atom(self, action: str) -> str:
-        """The atom that says that a ROSA action is feasible."""
+        """Return the atom that says that a ROSA action is feasible."""
         return f"({self._spelling('predicate', FEASIBLE, FEASIBLE)} {action})"
 
     @property
@@ -142,11 +142,11 @@ class Domain:
         return atom[1:-1].lower().split()[0] == FEASIBLE
 
     def objects_of(self, type_name: str) -> tuple[str, ...]:
-        """The objects of a type or of its subtypes, in the order of the files."""
+        """Return the objects of a type or of its subtypes, in the order of the files."""
         return tuple(name for name, types in self.types.items() if type_name.lower() in types)
 
     def step(self, schema: str, arguments: Iterable[str]) -> Step:
-        """A step, with the ROSA action that it does."""
+        """Return a step, with the ROSA action that it does."""
         given = tuple(arguments)
         known = self.schema_of[schema]
         names = [name for name, _ in known.parameters]
@@ -154,7 +154,7 @@ class Domain:
         return Step(schema, given, action)
 
     def expression(self, atom: str) -> UpThing:
-        """An atom as unified-planning's expression."""
+        """Return an atom as unified-planning's expression."""
         name, *arguments = atom[1:-1].split()
         fluent = self.up_problem.fluent(self.inside["predicate", name.lower()])
         return fluent(*(self.up_problem.object(self.inside["object", word.lower()]) for word in arguments))

@@ -156,11 +156,11 @@ class PlanExecutor(Behaviour):
     # ---------------------------------------------------------------- hooks of py_trees
 
     def setup(self, **kwargs: object) -> None:
-        """Called once before the first tick; the arguments are handed on to the behaviour of each step."""
+        """Keep the arguments for the behaviour of each step; called once before the first tick."""
         self._setup_arguments = kwargs
 
     def initialise(self) -> None:
-        """Called on the first tick of a round: forgets the plan of the last one, keeps what is believed."""
+        """Forget the plan of the last round, keep what is believed; called on the first tick of a round."""
         self._drop_plan()
 
     def tick(self) -> Iterator[Behaviour]:
@@ -170,7 +170,7 @@ class PlanExecutor(Behaviour):
             yield node
 
     def update(self) -> Status:
-        """Called on each tick; never waits."""
+        """Take the next decision; called on each tick, never waits."""
         self._ticked = []
         try:
             return self._advance()
@@ -179,17 +179,17 @@ class PlanExecutor(Behaviour):
             raise
 
     def terminate(self, new_status: Status) -> None:
-        """Called when the round ends or is interrupted: stops the running step and forgets the planning."""
+        """Stop the running step and forget the planning; called when the round ends or is interrupted."""
         self._drop_plan()
 
     def shutdown(self) -> None:
-        """Called when the tree is shut down: as if interrupted."""
+        """Stop as if interrupted; called when the tree is shut down."""
         if self.status == Status.RUNNING:
             self.stop(Status.INVALID)
         self._drop_plan()
 
     def tip(self) -> Behaviour | None:
-        """The node that ran last: that of the step, if one runs."""
+        """Return the node that ran last: that of the step, if one runs."""
         return self.children[0].tip() if self.children else super().tip()
 
     # ---------------------------------------------------------------- one tick
@@ -208,7 +208,7 @@ class PlanExecutor(Behaviour):
         return self._plan_anew("the state changed" if self._hopeless else "start", state)
 
     def _observe(self) -> State:
-        """What is believed now, once what is sensed has been taken in, with the feasibility of the knowledge base."""
+        """Take in what is sensed; return what is believed then, with the feasibility of the knowledge base."""
         self._believed = without_feasibility(self._domain, sensed_into(self._domain, self._believed, self._sense()))
         return self._believed | feasible_atoms(self._domain, self._kb)
 
@@ -295,7 +295,7 @@ class PlanExecutor(Behaviour):
             self._ticked += list(child.tick())
             status, text = child.status, child.feedback_message
         except Exception as error:  # whatever a step's behaviour raises is that step's failure, not the tree's
-            child.stop(Status.INVALID)
+            _stop(child)
             status, text = Status.FAILURE, f"{type(error).__name__}: {error}"
         if status == Status.RUNNING:
             return status
@@ -329,7 +329,7 @@ class PlanExecutor(Behaviour):
         children, self.children, self._step = self.children, [], None
         for child in children:
             if child.status == Status.RUNNING:
-                child.stop(Status.INVALID)
+                _stop(child)
             for node in child.iterate():
                 node.shutdown()
             child.parent = None
@@ -353,6 +353,16 @@ def _check_behaviours(domain: Domain, behaviours: Mapping[str, Factory]) -> None
             given = ", ".join(sorted(behaviours)) or "none"
             message = f"no behaviour for the PDDL action {schema!r} of {domain.file}; given: {given}"
             raise MissingBehaviourError(f"{message} ({nearest(schema, behaviours)})")
+
+
+def _stop(child: Behaviour) -> None:
+    """Stop a behaviour for good: one that raises in its `terminate` must not keep the executor from going on."""
+    try:
+        child.stop(Status.INVALID)
+    except Exception as error:
+        child.logger.error(f"{type(error).__name__} in terminate: {error}")
+        for node in child.iterate():
+            node.status = Status.INVALID
 
 
 def _answer(future: "Future[PlanningResult]") -> PlanningResult:

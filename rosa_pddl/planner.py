@@ -15,6 +15,7 @@ from rosa_pddl.problem import Problem
 from rosa_pddl.validate import flaw
 
 _POLL_S = 0.02
+_CRITICAL_ERROR = 35
 
 
 class Outcome(Enum):
@@ -99,6 +100,9 @@ class Planner:
                 return self._solve(problem, watch)
         except UnsupportedPddlError as error:
             return self._result(Outcome.UNSUPPORTED, str(error))
+        except OSError as error:
+            message = f"{self.engine} cannot be started ({error}); try 'pip install --force-reinstall up-fast-downward'"
+            return self._result(Outcome.ENGINE_MISSING, message)
         except Exception as error:  # an engine may raise anything; its name and text are the outcome's message
             return self._result(Outcome.ENGINE_CRASHED, f"{self.engine} raised {type(error).__name__}: {error}")
 
@@ -206,6 +210,13 @@ def _in_own_folder(engine_class: UpThing) -> UpThing:
             at = command.index("--plan-file")
             return [*command[:at], "--sas-file", plan_filename + ".sas", *command[at:]]
 
+        def _result_status(
+            self, problem: UpThing, plan: UpThing, retval: int | None = None, log_messages: UpThing = None
+        ) -> UpThing:
+            # exit codes 0 to 3 promise a plan; without one they are those of an interpreter that failed
+            exit_code = _CRITICAL_ERROR if plan is None and retval in (0, 1, 2, 3) else retval
+            return super()._result_status(problem, plan, exit_code, log_messages)
+
     return InOwnFolder
 
 
@@ -219,12 +230,12 @@ class _Watch:
         self._done = threading.Event()
 
     def cancel(self) -> None:
-        """The answer is no longer wanted."""
+        """Stop the engine, as its answer is no longer wanted."""
         self._wake.set()
 
     @contextmanager
     def over(self, engine: UpThing) -> Iterator[None]:
-        """A context in which the engine is watched."""
+        """Watch the engine in a context."""
         thread = threading.Thread(target=self._watch, args=(engine,), name="planner watch", daemon=True)
         thread.start()
         try:

@@ -21,7 +21,7 @@ class Problem:
     state: State
 
     def build(self) -> UpThing:
-        """The same for unified-planning, with every action instantaneous.
+        """Make the same for unified-planning, with every action instantaneous.
 
         Raises:
             UnsupportedPddlError: the metric cannot be kept when steps run one after the other.
@@ -35,24 +35,24 @@ class Problem:
 
 
 def initial_state(domain: Domain) -> State:
-    """The facts that the problem file begins with, as it states feasibility itself."""
+    """Return the facts that the problem file begins with, as it states feasibility itself."""
     return frozenset(_initial_atoms(domain))
 
 
 def feasible_atoms(domain: Domain, kb: KnowledgeBase) -> State:
-    """The facts `(action_feasible ?a)` as the knowledge base has them now."""
+    """Return the facts `(action_feasible ?a)` as the knowledge base has them now."""
     if not domain.tracks_feasibility:
         return frozenset()
     return frozenset(domain.feasible_atom(action) for action in domain.rosa_actions if kb.is_feasible(action))
 
 
 def without_feasibility(domain: Domain, state: State) -> State:
-    """A state less its facts `(action_feasible ?a)`: those are the knowledge base's to say, never a plan's."""
+    """Return a state less its facts `(action_feasible ?a)`: those are the knowledge base's to say, never a plan's."""
     return frozenset(atom for atom in state if not domain.is_feasibility(atom))
 
 
 def sensed_into(domain: Domain, state: State, sensed: Mapping[str, bool]) -> State:
-    """A state in which what is sensed replaces what was believed.
+    """Return a state in which what is sensed replaces what was believed.
 
     Raises:
         UnknownNameError: a sensed atom is not one of the domain.
@@ -71,7 +71,7 @@ def _initial_atoms(domain: Domain) -> Iterator[str]:
 
 
 def _sequential(domain: Domain) -> UpThing:
-    """A unified-planning problem without initial facts, its actions made instantaneous."""
+    """Make the problem without initial facts, its actions instantaneous."""
     from unified_planning.model import Problem as UpProblem
 
     read = domain.up_problem
@@ -97,7 +97,7 @@ def _sequential(domain: Domain) -> UpThing:
 
 
 def _metric(domain: Domain) -> UpThing:
-    """The action costs to minimise; None for the number of steps, which is what a makespan comes to step by step."""
+    """Return the action costs to minimise; None for the number of steps, which stands in for a makespan too."""
     metrics = domain.up_problem.quality_metrics
     if not metrics or metrics[0].is_minimize_makespan() or metrics[0].is_minimize_sequential_plan_length():
         return None
@@ -133,13 +133,13 @@ def _instantaneous(action: UpThing, domain: Domain) -> UpThing:
 
 
 def _not_of_its_own_making(schema: Schema) -> tuple[UpThing, ...]:
-    """The later conditions that the action's own effects at start do not make true."""
+    """Return the later conditions that the action's own effects at start do not make true."""
     made = {(effect.fluent, effect.value.is_true()) for effect in schema.start_effects if _is_certain(effect)}
     return tuple(c for c in schema.over_all + schema.end if _literal(c) not in made)
 
 
 def _lasting(schema: Schema) -> Iterable[UpThing]:
-    """The effects at start that the effects at end leave as they are."""
+    """Return the effects at start that the effects at end leave as they are."""
     overwritten = {effect.fluent for effect in schema.end_effects if _is_certain(effect)}
     return (effect for effect in schema.start_effects if effect.fluent not in overwritten)
 

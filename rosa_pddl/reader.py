@@ -2,6 +2,7 @@
 
 import re
 import threading
+import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,7 +13,7 @@ from rosa_pddl.exceptions import PddlError, UnsupportedPddlError
 from rosa_pddl.syntax import Source, read_source
 
 _GLOBAL = threading.Lock()
-_LINE = re.compile(r"line:?\s*(\d+),?\s*\(?col(?:umn)?:?\s*(\d+)")
+_LINE = re.compile(r"line:?\s*(\d+)")
 
 Edit = tuple[int, int, str]
 
@@ -35,12 +36,12 @@ def load_domain(domain: str | Path, problem: str | Path) -> Domain:
     found = mentions(domain_source, problem_source)
     inside = _unique_names(found)
     texts = [_rewritten(source, found, inside) for source in (domain_source, problem_source)]
-    up_problem = _read(texts[0], texts[1], domain_source)
+    up_problem = _read(texts[0], texts[1], (domain_source, problem_source))
     return _domain(domain_source, problem_source, up_problem, found, inside)
 
 
 def _unique_names(found: Iterable[Mention]) -> dict[tuple[Kind, str], str]:
-    """A name for each kind and word such that no two are the same, as unified-planning wants it."""
+    """Return a name for each kind and word such that no two are the same, as unified-planning wants it."""
     inside: dict[tuple[Kind, str], str] = {}
     taken = {"object"}
     for kind in (Kind.TYPE, Kind.PREDICATE, Kind.OBJECT, Kind.SCHEMA):
@@ -58,7 +59,7 @@ def _declared_words(found: Iterable[Mention], kind: Kind) -> list[str]:
 
 
 def _rewritten(source: Source, found: Iterable[Mention], inside: Mapping[tuple[Kind, str], str]) -> str:
-    """The text that unified-planning reads: same lines, unique names, none of what its grammar stumbles over."""
+    """Return the text that unified-planning reads: same lines, unique names, none of what its grammar stumbles over."""
     edits: dict[int, Edit] = {}
     for mention in found:
         new = inside.get((mention.kind, mention.node.lower))
@@ -73,6 +74,7 @@ def _rewritten(source: Source, found: Iterable[Mention], inside: Mapping[tuple[K
 
 
 def _tolerated(source: Source) -> Iterator[Edit]:
+    """Yield what can be said otherwise so that the reader of unified-planning 1.3 understands it."""
     for node in source.root.children[2:]:
         # requirements promise what the sections then show; unified-planning refuses the ones it does not know
         if node.head == ":requirements" or (len(node.children) == 1 and node.head not in (":init", ":goal")):
@@ -86,17 +88,31 @@ def _tolerated(source: Source) -> Iterator[Edit]:
                     yield body.start, body.end, "(and)"
 
 
-def _read(domain: str, problem: str, source: Source) -> UpThing:
+def _read(domain: str, problem: str, sources: tuple[Source, Source]) -> UpThing:
+    try:
+        return _parsed(domain, problem)
+    except Exception as error:
+        raise _located(error, sources[1] if _is_readable(domain) else sources[0]) from error
+
+
+def _is_readable(domain: str) -> bool:
+    try:
+        _parsed(domain, None)
+    except Exception:
+        return False
+    return True
+
+
+def _parsed(domain: str, problem: str | None) -> UpThing:
     from unified_planning.environment import Environment
     from unified_planning.io import PDDLReader
 
     environment = Environment()
     environment.credits_stream = None
-    try:
-        with _as_global(environment):
-            return PDDLReader(environment).parse_problem_string(domain, problem)
-    except Exception as error:
-        raise _located(error, source) from error
+    with _as_global(environment), warnings.catch_warnings():
+        # unified-planning 1.3 calls its parser by names that were since deprecated
+        warnings.simplefilter("ignore", DeprecationWarning)
+        return PDDLReader(environment).parse_problem_string(domain, problem)
 
 
 @contextmanager
@@ -114,12 +130,11 @@ def _as_global(environment: UpThing) -> Iterator[None]:
 
 
 def _located(error: Exception, source: Source) -> PddlError:
+    """Turn what unified-planning says into an error with its line; columns may have moved by renaming."""
     text = " ".join(str(error).split()) or repr(error)
     place = _LINE.search(text)
-    message = f"unified-planning cannot read this domain with its problem: {text}"
-    if place is None:
-        return PddlError(message, source.file)
-    return PddlError(message, source.file, int(place.group(1)), int(place.group(2)))
+    message = f"unified-planning cannot read this file: {text}"
+    return PddlError(message, source.file, int(place.group(1)) if place else None)
 
 
 def _domain(domain: Source, problem: Source, up_problem: UpThing, found: Iterable[Mention], inside: UpThing) -> Domain:
@@ -194,7 +209,7 @@ def _conjuncts(formulas: Iterable[UpThing]) -> Iterator[UpThing]:
 
 
 def _rosa_action(conditions: tuple[UpThing, ...], parameters: UpThing, outside: Mapping[str, str]) -> str | None:
-    """The `?a` of a condition `(action_feasible ?a)`; without one, the only parameter of type action."""
+    """Return the `?a` of a condition `(action_feasible ?a)`; without one, the only parameter of type action."""
     for formula in conditions:
         if formula.is_fluent_exp() and outside[formula.fluent().name].lower() == FEASIBLE:
             argument = formula.arg(0)

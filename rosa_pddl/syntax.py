@@ -61,11 +61,11 @@ class Source:
     root: Node
 
     def error(self, node: Node, message: str) -> PddlError:
-        """An error that points at a node."""
+        """Make an error that points at a node."""
         return PddlError(message, self.file, node.line, node.column)
 
     def unsupported(self, node: Node, message: str) -> UnsupportedPddlError:
-        """An error about correct PDDL that cannot be handled."""
+        """Make an error about correct PDDL that cannot be handled."""
         return UnsupportedPddlError(message, self.file, node.line, node.column)
 
 

@@ -14,7 +14,7 @@ def goal_holds(domain: Domain, state: State) -> bool:
 
 
 def missing_at_start(domain: Domain, step: Step, state: State) -> str | None:
-    """The first condition that keeps a step from starting, as text; None if it can start.
+    """Return the first condition that keeps a step from starting, as text; None if it can start.
 
     As nothing else happens while a step runs, what must hold later must hold once its effects at start are so.
     """
@@ -26,7 +26,7 @@ def missing_at_start(domain: Domain, step: Step, state: State) -> str | None:
 
 
 def missing_meanwhile(domain: Domain, step: Step, state: State) -> str | None:
-    """The first `over all` condition that does not hold in the state of a running step, as text.
+    """Return the first `over all` condition that does not hold in the state of a running step, as text.
 
     That the ROSA action of the step is feasible is watched however the condition is timed: doing it takes time.
     """
@@ -36,17 +36,17 @@ def missing_meanwhile(domain: Domain, step: Step, state: State) -> str | None:
 
 
 def missing_at_end(domain: Domain, step: Step, state: State) -> str | None:
-    """The first condition that keeps a running step from ending well, as text."""
+    """Return the first condition that keeps a running step from ending well, as text."""
     return _missing(domain, domain.schema_of[step.schema].end, _binding(domain, step), state)
 
 
 def started(domain: Domain, step: Step, state: State) -> State:
-    """The state after the effects at the start of a step."""
+    """Return the state after the effects at the start of a step."""
     return _after(domain, domain.schema_of[step.schema].start_effects, _binding(domain, step), state)
 
 
 def ended(domain: Domain, step: Step, state: State) -> State:
-    """The state of a running step after the effects at its end."""
+    """Return the state of a running step after the effects at its end."""
     return _after(domain, domain.schema_of[step.schema].end_effects, _binding(domain, step), state)
 
 
@@ -61,7 +61,7 @@ def flaw(domain: Domain, steps: Iterable[Step], state: State) -> str | None:
 
 
 def because(domain: Domain, step: Step, missing: str, verb: str = "is") -> str:
-    """A missing condition as a reason to plan anew."""
+    """Turn a missing condition into a reason to plan anew."""
     if step.action is not None and missing == domain.feasible_atom(step.action):
         return f"{step.action} {verb} unfeasible"
     return f"{step} needs {missing}, which does not hold"
@@ -113,7 +113,7 @@ def _connective(formula: UpThing, parts: list[bool]) -> bool:
 
 
 def _bindings(domain: Domain, variables: Iterable[UpThing], binding: Binding) -> Iterator[Binding]:
-    """The binding with every choice of objects for the quantified variables."""
+    """Return the binding with every choice of objects for the quantified variables."""
     listed = list(variables)
     choices = [domain.objects_of(domain.outside[variable.type.name]) for variable in listed]
     for chosen in product(*choices):
@@ -133,7 +133,7 @@ def _after(domain: Domain, effects: Iterable[UpThing], binding: Binding, state: 
 
 
 def _text(domain: Domain, formula: UpThing, binding: Binding) -> str:
-    """A formula as PDDL text in the names of the files, its parameters replaced by what they are bound to."""
+    """Return a formula as PDDL text in the names of the files, its parameters replaced by what they are bound to."""
     if formula.is_parameter_exp():
         return binding[formula.parameter().name]
     if formula.is_variable_exp():

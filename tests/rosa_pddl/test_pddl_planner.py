@@ -1,0 +1,307 @@
+import os
+import subprocess
+import sys
+import threading
+from collections import deque
+from concurrent.futures import CancelledError
+from itertools import permutations, product
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pddl_world import ROOMS_DOMAIN, ROOMS_PROBLEM, FakeKb, load_mission, load_text
+
+from rosa_pddl import Outcome, Planner, Problem, Step, feasible_atoms, initial_state
+from rosa_pddl.reader import _as_global
+from rosa_pddl.validate import ended, flaw, goal_holds, missing_at_start, started
+
+
+def problem_of(domain, unfeasible=(), facts=()):
+    kb = FakeKb(domain.rosa_actions)
+    kb.unfeasible = set(unfeasible)
+    return Problem(domain, initial_state(domain) | feasible_atoms(domain, kb) | frozenset(facts))
+
+
+def names(result):
+    return [step.schema for step in result.steps]
+
+
+BOTH = ("search_pipeline", "inspect_pipeline")
+
+
+@pytest.mark.parametrize(
+    ("unfeasible", "facts", "expected"),
+    [
+        ((), (), ["search_pipeline", "inspect_pipeline"]),
+        ((), ("(pipeline_found pipeline)",), ["inspect_pipeline"]),
+        (BOTH, (), ["recharge", "search_pipeline", "inspect_pipeline"]),
+        (BOTH, ("(pipeline_found pipeline)",), ["recharge", "inspect_pipeline"]),
+        (("recharge",), (), ["search_pipeline", "inspect_pipeline"]),
+    ],
+)
+def test_the_plan_of_the_extended_mission_follows_feasibility_and_facts(extended, unfeasible, facts, expected):
+    result = Planner().plan(problem_of(extended, unfeasible, facts))
+    assert (result.outcome, names(result)) == (Outcome.SOLVED_OPTIMALLY, expected)
+    assert [step.action for step in result.steps] == expected
+    assert result.message == ""
+
+
+def test_nothing_feasible_is_proven_unsolvable(extended):
+    result = Planner().plan(problem_of(extended, (*BOTH, "recharge")))
+    assert (result.outcome, result.steps) == (Outcome.UNSOLVABLE_PROVEN, ())
+    assert not result.outcome.is_solved
+
+
+def test_the_base_mission_cannot_recharge():
+    domain = load_mission("suave")
+    assert names(Planner().plan(problem_of(domain))) == ["search_pipeline", "inspect_pipeline"]
+    assert Planner().plan(problem_of(domain, BOTH)).outcome is Outcome.UNSOLVABLE_PROVEN
+
+
+def test_the_satisficing_engine_says_solved_only(extended):
+    result = Planner("fast-downward").plan(problem_of(extended))
+    assert (result.outcome, names(result)) == (Outcome.SOLVED, ["search_pipeline", "inspect_pipeline"])
+
+
+def test_effects_at_start_and_quantified_conditional_effects_are_planned(rooms):
+    result = Planner().plan(problem_of(rooms))
+    assert result.outcome is Outcome.SOLVED_OPTIMALLY
+    assert names(result) == ["scan", "move", "clean", "scan"]
+
+
+COSTS = """(define (domain tour) (:requirements :action-costs)
+  (:predicates (half) (done)) (:functions (total-cost) - number)
+  (:action first :effect (and (half) (increase (total-cost) 1)))
+  (:action second :precondition (half) :effect (and (done) (increase (total-cost) 1)))
+  (:action short :effect (and (done) (increase (total-cost) 5))))"""
+COSTS_PROBLEM = "(define (problem p) (:domain tour) (:init (= (total-cost) 0)) (:goal (done)) %s)"
+
+
+@pytest.mark.parametrize(
+    ("metric", "expected"),
+    [("(:metric minimize (total-cost))", ["first", "second"]), ("", ["short"])],
+)
+def test_the_cheapest_plan_if_there_is_a_metric_the_shortest_if_not(metric, expected, tmp_path):
+    domain = load_text(tmp_path, COSTS, COSTS_PROBLEM % metric)
+    assert names(Planner().plan(Problem(domain, initial_state(domain)))) == expected
+
+
+def test_durations_as_metric_come_down_to_the_number_of_steps(tmp_path):
+    domain = load_text(tmp_path, ROOMS_DOMAIN, ROOMS_PROBLEM.rstrip()[:-1] + "(:metric minimize (total-time)))")
+    assert names(Planner().plan(problem_of(domain))) == ["scan", "move", "clean", "scan"]
+
+
+def test_a_metric_that_cannot_be_kept_is_unsupported(tmp_path):
+    domain = load_text(tmp_path, COSTS, COSTS_PROBLEM % "(:metric maximize (total-cost))")
+    result = Planner().plan(Problem(domain, initial_state(domain)))
+    assert result.outcome is Outcome.UNSUPPORTED
+    assert "problem.pddl" in result.message
+
+
+# ------------------------------------------------------------------ trouble
+
+
+def test_an_engine_that_is_not_installed_is_named_with_what_to_install(extended, monkeypatch):
+    factory = extended.up_problem.environment.factory
+    installed = {name: engine for name, engine in factory._engines.items() if not name.startswith("fast-downward")}
+    monkeypatch.setattr(factory, "_engines", installed)
+    result = Planner().plan(problem_of(extended))
+    assert result.outcome is Outcome.ENGINE_MISSING
+    assert "pip install up-fast-downward" in result.message
+    assert "installed planners: " in result.message
+
+
+def test_an_unknown_engine_gets_the_nearest_names(extended):
+    result = Planner("fast-downwards").plan(problem_of(extended))
+    assert result.outcome is Outcome.ENGINE_MISSING
+    assert "nearest: fast-downward" in result.message
+
+
+def test_an_engine_that_cannot_be_started_is_missing(extended, monkeypatch, tmp_path):
+    monkeypatch.setattr(sys, "executable", str(tmp_path / "no-python"))
+    result = Planner().plan(problem_of(extended))
+    assert result.outcome is Outcome.ENGINE_MISSING
+    assert "no-python" in result.message
+    assert "pip install" in result.message
+
+
+@pytest.mark.parametrize(
+    "script", ["echo oh dear >&2; exit 1", "echo oh dear >&2; exit 35", "echo oh dear; kill -9 $$"]
+)
+def test_an_engine_that_crashes_says_what_it_said(extended, monkeypatch, tmp_path, script):
+    broken = tmp_path / "python"
+    broken.write_text(f"#!/bin/sh\n{script}\n")
+    broken.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(broken))
+    result = Planner().plan(problem_of(extended))
+    assert result.outcome is Outcome.ENGINE_CRASHED
+    assert "oh dear" in result.message
+
+
+def test_a_plan_that_does_not_work_is_the_engines_fault(rooms, monkeypatch, tmp_path):
+    broken = tmp_path / "python"
+    broken.write_text('#!/bin/sh\nwhile [ "$1" != "--plan-file" ]; do shift; done\necho "(clean robby)" > "$2"\n')
+    broken.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(broken))
+    result = Planner().plan(problem_of(rooms))
+    assert result.outcome is Outcome.ENGINE_CRASHED
+    assert "does not work" in result.message
+
+
+def slow_interpreter(tmp_path):
+    """It starts a child that never ends, so that a kill has to reach the whole group."""
+    slow = tmp_path / "python"
+    slow.write_text(f"#!/bin/sh\nsleep 1000 &\necho $! > {tmp_path}/child\nwait\n")
+    slow.chmod(0o755)
+    return str(slow)
+
+
+def is_alive(pid):
+    try:
+        return "State:\tZ" not in Path(f"/proc/{pid}/status").read_text()
+    except FileNotFoundError:
+        return False
+
+
+def test_out_of_time_ends_every_process_of_the_engine(extended, monkeypatch, tmp_path):
+    monkeypatch.setattr(sys, "executable", slow_interpreter(tmp_path))
+    result = Planner(timeout_s=0.5).plan(problem_of(extended))
+    assert result.outcome is Outcome.OUT_OF_TIME
+    assert "0.5 s" in result.message
+    assert not is_alive(int((tmp_path / "child").read_text()))
+
+
+def test_cancelling_ends_every_process_of_the_engine(extended, monkeypatch, tmp_path):
+    monkeypatch.setattr(sys, "executable", slow_interpreter(tmp_path))
+    before = set(threading.enumerate())
+    future = Planner(timeout_s=1000.0).start(problem_of(extended))
+    worker = next(thread for thread in set(threading.enumerate()) - before if thread.name.startswith("planner fast"))
+    while not (tmp_path / "child").exists() or not (tmp_path / "child").read_text().strip():
+        worker.join(0.01)
+        assert worker.is_alive()
+    assert future.cancel()
+    worker.join(30.0)
+    assert not worker.is_alive()
+    assert not is_alive(int((tmp_path / "child").read_text()))
+    with pytest.raises(CancelledError):
+        future.result()
+
+
+def test_planning_leaves_no_file_and_no_process_behind(extended, monkeypatch, tmp_path):
+    home, temporary = tmp_path / "home", tmp_path / "tmp"
+    home.mkdir()
+    temporary.mkdir()
+    monkeypatch.chdir(home)
+    monkeypatch.setattr("tempfile.tempdir", str(temporary))
+    futures = [Planner().start(problem_of(extended, unfeasible)) for unfeasible in ((), BOTH)]
+    assert [names(future.result()) for future in futures] == [
+        ["search_pipeline", "inspect_pipeline"],
+        ["recharge", "search_pipeline", "inspect_pipeline"],
+    ]
+    assert list(home.iterdir()) == list(temporary.iterdir()) == []
+    children = Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children").read_text().split()
+    assert [pid for pid in children if "State:\tZ" in Path(f"/proc/{pid}/status").read_text()] == []
+
+
+def test_planning_prints_nothing(extended, capfd):
+    assert Planner().plan(problem_of(extended)).outcome.is_solved
+    assert capfd.readouterr() == ("", "")
+
+
+def test_the_plan_does_not_depend_on_the_hash_seed(tmp_path):
+    objects = " ".join(f"x{number}" for number in range(6))
+    domain = """(define (domain many) (:types thing) (:predicates (used ?x - thing) (done))
+      (:action use :parameters (?x - thing) :effect (and (used ?x) (done))))"""
+    problem = f"(define (problem p) (:domain many) (:objects {objects} - thing) (:init ) (:goal (done)))"
+    load_text(tmp_path, domain, problem)
+    code = (
+        "from rosa_pddl import *; d = load_domain('domain.pddl', 'problem.pddl');"
+        "print(*Planner().plan(Problem(d, initial_state(d))).steps)"
+    )
+    outputs = set()
+    for seed in ("1", "2", "3"):
+        environment = {**os.environ, "PYTHONHASHSEED": seed, "PYTHONPATH": str(Path(__file__).parents[2])}
+        run = subprocess.run(
+            [sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True
+        )
+        assert run.stdout.startswith("use(x"), run.stderr
+        outputs.add(run.stdout)
+    assert len(outputs) == 1
+
+
+# ------------------------------------------------------------------ laws
+
+
+def ground_steps(domain):
+    for schema in domain.schema_of.values():
+        choices = [domain.objects_of(type_name) for _, type_name in schema.parameters]
+        yield from (domain.step(schema.name, arguments) for arguments in product(*choices))
+
+
+def shortest(domain, state):
+    """The naive twin of the planner: breadth first over states. The number of steps, None if there is no plan."""
+    steps = list(ground_steps(domain))
+    assert steps
+    depth, todo = {state: 0}, deque([state])
+    while todo:
+        state = todo.popleft()
+        if goal_holds(domain, state):
+            return depth[state]
+        for step in steps:
+            if missing_at_start(domain, step, state) is None:
+                after = ended(domain, step, started(domain, step, state))
+                if after not in depth:
+                    depth[after] = depth[state] + 1
+                    todo.append(after)
+    return None
+
+
+@settings(max_examples=8, deadline=None)
+@given(data=st.data())
+@pytest.mark.parametrize("which", ["rooms", "extended"])
+def test_plans_are_as_short_as_those_of_the_naive_twin(request, which, data):
+    domain = request.getfixturevalue(which)
+    changeable = {"rooms": ["(lit hall)", "(broken hall)", "(scanned hall)"], "extended": ["(pipeline_found pipeline)"]}
+    facts = data.draw(st.sets(st.sampled_from(changeable[which])))
+    unfeasible = data.draw(st.sets(st.sampled_from(domain.rosa_actions)))
+    problem = problem_of(domain, unfeasible, facts)
+    result = Planner().plan(problem)
+    expected = shortest(domain, problem.state)
+    assert result.outcome is (Outcome.UNSOLVABLE_PROVEN if expected is None else Outcome.SOLVED_OPTIMALLY)
+    assert len(result.steps) == (expected or 0)
+    assert expected is None or flaw(domain, result.steps, problem.state) is None
+
+
+def is_valid_for_unified_planning(problem, steps):
+    from unified_planning.engines.plan_validator import SequentialPlanValidator
+    from unified_planning.plans import ActionInstance, SequentialPlan
+
+    up_problem = problem.build()
+    inner = {outer: inner for inner, outer in reversed(problem.domain.outside.items()) if inner.endswith("schema")}
+    instances = []
+    for step in steps:
+        action = up_problem.action(inner.get(step.schema, step.schema))
+        objects = [up_problem.object(problem.domain.inside["object", name]) for name in step.arguments]
+        instances.append(
+            ActionInstance(action, tuple(up_problem.environment.expression_manager.ObjectExp(o) for o in objects))
+        )
+    with _as_global(up_problem.environment):  # its grounder works in the global environment only
+        validator = SequentialPlanValidator()
+        validator.skip_checks = True
+        return bool(validator.validate(up_problem, SequentialPlan(instances, up_problem.environment)))
+
+
+@pytest.mark.parametrize("which", ["rooms", "extended"])
+def test_the_judge_agrees_with_the_validator_of_unified_planning(request, which):
+    domain = request.getfixturevalue(which)
+    problem = problem_of(domain)
+    good = Planner().plan(problem).steps
+    assert len(good) >= 2
+    candidates = {steps for length in range(len(good) + 1) for steps in permutations(good, length)}
+    extra = Step("clean", ("robby",)) if which == "rooms" else good[0]
+    candidates |= {(extra, *good), (*good, extra), (*good[:1], extra, *good[1:])}
+    verdicts = {steps: flaw(domain, steps, problem.state) is None for steps in candidates}
+    assert {True, False} <= set(verdicts.values())
+    for steps, verdict in verdicts.items():
+        assert verdict == is_valid_for_unified_planning(problem, steps), steps

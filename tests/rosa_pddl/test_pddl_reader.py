@@ -1,0 +1,219 @@
+import subprocess
+import sys
+
+import pytest
+from pddl_world import ROOMS_DOMAIN, ROOMS_PROBLEM, FakeKb, load_mission, load_text
+
+from rosa_pddl import PddlError, RosaPddlError, Step, UnknownNameError, UnsupportedPddlError, initial_state, load_domain
+from rosa_pddl.exceptions import nearest
+
+
+def test_the_extended_mission_shares_names_between_objects_actions_and_types(extended):
+    assert extended.rosa_actions == ("search_pipeline", "inspect_pipeline", "recharge")
+    assert extended.schemas == ("search_pipeline", "inspect_pipeline", "recharge")
+    assert extended.step("search_pipeline", ["search_pipeline", "pipeline", "bluerov"]) == Step(
+        "search_pipeline", ("search_pipeline", "pipeline", "bluerov"), "search_pipeline"
+    )
+    assert extended.atom("(pipeline_found pipeline)") in extended._atoms
+
+
+def test_the_base_mission_has_no_recharge():
+    domain = load_mission("suave")
+    assert domain.rosa_actions == domain.schemas == ("search_pipeline", "inspect_pipeline")
+
+
+def test_the_spelling_of_the_files_is_kept_although_pddl_ignores_case(tmp_path):
+    domain = ROOMS_DOMAIN.replace(":durative-action scan", ":durative-action Scan").replace(
+        "(lit ?x - room)", "(Lit ?x - ROOM)"
+    )
+    loaded = load_text(
+        tmp_path, domain, ROOMS_PROBLEM.replace("kitchen hall", "Kitchen hall").replace("look ", "Look ")
+    )
+    assert "Scan" in loaded.schemas
+    assert loaded.rosa_actions == ("go", "Look")
+    assert loaded.atom("lit KITCHEN") == "(Lit Kitchen)"
+    assert "(broken Kitchen)" in initial_state(loaded)
+
+
+def test_what_the_reader_of_unified_planning_stumbles_over_is_tolerated(tmp_path):
+    domain = """(define (domain odd) (:requirements :strips :derived-predicates) (:types ) (:constants )
+      (:predicates (done)) (:functions )
+      (:action instant :precondition () :effect (done))
+      (:durative-action lasting :parameters () :duration (= ?duration 1) :condition () :effect ()))"""
+    loaded = load_text(tmp_path, domain, "(define (problem p) (:domain odd) (:objects ) (:init ) (:goal (done)))")
+    assert loaded.schemas == ("instant", "lasting")
+    assert loaded.rosa_actions == ()
+
+
+def in_rooms(old, new):
+    assert old in ROOMS_DOMAIN + ROOMS_PROBLEM
+    return ROOMS_DOMAIN.replace(old, new, 1), ROOMS_PROBLEM.replace(old, new, 1)
+
+
+MALFORMED = {
+    "unclosed section": (
+        in_rooms("(broken ?x - room))", "(broken ?x - room)"),
+        "domain.pddl:3:3",
+        "':predicates'|before (:durative-action on line 6",
+    ),
+    "unclosed effect": (
+        in_rooms("(at end (free ?r))))", "(at end (free ?r)))"),
+        "domain.pddl:6:3",
+        "before (:durative-action on line 12",
+    ),
+    "unclosed to the end": (in_rooms("(scanned ?x))))", "(scanned ?x)"), "problem.pddl:4", "the end of the file"),
+    "one parenthesis too many": (
+        in_rooms("(not (lit ?x)))))", "(not (lit ?x))))))"),
+        "domain.pddl:18:3",
+        "after the end of (define",
+    ),
+    "unknown section": (
+        in_rooms(":durative-action move", ":durativ-action move"),
+        "domain.pddl:6:3",
+        "':durative-action'|nearest: :durative-action",
+    ),
+    "unknown keyword": (
+        in_rooms(":condition (and (over", ":conditions (and (over"),
+        "domain.pddl@:conditions",
+        ":conditions|nearest: :condition",
+    ),
+    "unknown type": (
+        in_rooms("?from ?to - room", "?from ?to - rom"),
+        "domain.pddl@rom)",
+        "unknown type 'rom'|nearest: room",
+    ),
+    "unknown predicate": (
+        in_rooms("(at start (lit ?x))", "(at start (lid ?x))"),
+        "domain.pddl@lid ",
+        "unknown predicate 'lid'|nearest: lit",
+    ),
+    "misspelt connective": (
+        in_rooms("(forall (?x - room) (when", "(forall (?x - room) (wen"),
+        "domain.pddl@wen",
+        "'wen'|when",
+    ),
+    "unknown variable": (in_rooms("(at end (scanned ?x))", "(at end (scanned ?y))"), "domain.pddl@?y", "'?y'"),
+    "wrong number of arguments": (
+        in_rooms("(over all (lit ?x))", "(over all (lit ?x ?r))"),
+        "domain.pddl@lit ?x ?r",
+        "2 arguments of 'lit', expected 1",
+    ),
+    "unknown object": (
+        in_rooms("(broken kitchen)", "(broken kitchn)"),
+        "problem.pddl@kitchn",
+        "'kitchn'|nearest: kitchen",
+    ),
+    "object of unknown type": (
+        in_rooms("robby - robot", "robby - robbot"),
+        "problem.pddl@robbot",
+        "unknown type 'robbot'|robot",
+    ),
+    "argument of the wrong type": (
+        in_rooms("(over all (lit ?x))", "(over all (lit ?r))"),
+        "domain.pddl:15:",
+        "unified-planning",
+    ),
+    "fact about the wrong type": (
+        in_rooms("(broken kitchen)", "(broken robby)"),
+        "problem.pddl:",
+        "unified-planning",
+    ),
+    "object declared twice": (
+        in_rooms("kitchen hall", "kitchen kitchen"),
+        "problem.pddl@kitchen - room",
+        "declared before, in line 2",
+    ),
+    "no goal": (in_rooms("(:goal (forall (?x - room) (scanned ?x)))", ""), "problem.pddl:1:1", ":goal"),
+    "no duration": (in_rooms(":duration (= ?duration 5)", ""), "domain.pddl:6:3", ":duration"),
+    "not PDDL": (("hello", ROOMS_PROBLEM), "domain.pddl:1:1", "(define"),
+    "empty": (("; nothing\n", ROOMS_PROBLEM), "domain.pddl", "empty"),
+    "files exchanged": ((ROOMS_PROBLEM, ROOMS_DOMAIN), "domain.pddl:1:9", "is this the domain file"),
+}
+
+
+def place_in(folder, place):
+    """`domain.pddl@word` as `domain.pddl:line:column` of the first such word."""
+    name, _, word = place.partition("@")
+    if not word:
+        return f"{folder}/{place}"
+    before = (folder / name).read_text().split(word)[0]
+    return f"{folder}/{name}:{before.count(chr(10)) + 1}:{len(before) - before.rfind(chr(10))}: "
+
+
+@pytest.mark.parametrize("case", MALFORMED)
+def test_malformed_pddl_is_refused_with_place_and_expectation(case, tmp_path):
+    (domain, problem), place, expected = MALFORMED[case]
+    with pytest.raises(PddlError) as caught:
+        load_text(tmp_path, domain, problem)
+    message = str(caught.value)
+    assert message.startswith(place_in(tmp_path, place)), message
+    for fragment in expected.split("|"):
+        assert fragment.strip("'") in message
+    assert not isinstance(caught.value, UnsupportedPddlError)
+
+
+UNSUPPORTED = {
+    "number": (
+        in_rooms("(over all (lit ?x))", "(over all (lit ?x)) (over all (> (level) 3))"),
+        "domain.pddl@(> (level)",
+        "costs only",
+    ),
+    "derived": (
+        in_rooms("(:durative-action move", "(:derived (lit ?x - room) (lit ?x)) (:durative-action move"),
+        "domain.pddl:6:3",
+        ":derived",
+    ),
+    "timed fact": (in_rooms("(free robby)", "(at 5 (free robby))"), "problem.pddl@(at 5", "become true at a time"),
+    "either": (in_rooms("?x - room)\n", "?x - (either room robot))\n"), "domain.pddl@(either", "either"),
+}
+
+
+@pytest.mark.parametrize("case", UNSUPPORTED)
+def test_pddl_that_cannot_be_handled_is_refused_at_load_with_its_place(case, tmp_path):
+    (domain, problem), place, expected = UNSUPPORTED[case]
+    with pytest.raises(UnsupportedPddlError, match=expected) as caught:
+        load_text(tmp_path, domain, problem)
+    assert str(caught.value).startswith(place_in(tmp_path, place)), caught.value
+
+
+@pytest.mark.parametrize("make", ["missing", "folder", "latin"])
+def test_an_unreadable_file_is_named_with_the_reason(make, tmp_path):
+    path = tmp_path / "domain.pddl"
+    if make == "folder":
+        path.mkdir()
+    elif make == "latin":
+        path.write_bytes("; \xe9".encode("latin-1"))
+    with pytest.raises(PddlError, match=r"domain\.pddl: cannot read this PDDL file: .+") as caught:
+        load_domain(path, path)
+    assert isinstance(caught.value, RosaPddlError)
+
+
+def test_a_rosa_action_that_the_kb_does_not_know_is_refused_with_place_and_nearest(extended):
+    with pytest.raises(PddlError, match=r"problem\.pddl:6: .*'recharge'.*nearest: recharge_battery"):
+        extended.check(FakeKb(["search_pipeline", "inspect_pipeline", "recharge_battery"]))
+    extended.check(FakeKb(extended.rosa_actions))
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("(pipelin_found pipeline)", "no predicate 'pipelin_found'.*nearest: pipeline_found"),
+        ("(pipeline_found pipline)", "no object 'pipline'.*nearest: pipeline"),
+        ("(pipeline_found)", "has 0 arguments, 'pipeline_found' takes 1"),
+        ("(pipeline_found bluerov)", "'bluerov'.*not of type 'pipeline'; of that type: pipeline"),
+        ("()", "is not an atom"),
+    ],
+)
+def test_an_unknown_atom_is_refused_with_the_nearest_names(extended, text, expected):
+    with pytest.raises(UnknownNameError, match=expected):
+        extended.atom(text)
+
+
+def test_a_name_near_to_nothing_gets_the_whole_list():
+    assert nearest("zzz", ["move", "scan"]) == "known: move, scan"
+    assert nearest("zzz", []) == "there are none"
+
+
+def test_importing_the_package_does_not_import_unified_planning():
+    code = "import sys, rosa_pddl; sys.exit(any(name.startswith(('unified', 'up_')) for name in sys.modules))"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
