@@ -1,0 +1,277 @@
+import math
+
+import pytest
+from suave_stand_ins import Pilot, values_of
+
+from suave_env import Settings
+from suave_env.agenda import Agenda
+from suave_env.components import FollowPipeline, Recharge, RecoverThrusters, SpiralSearch
+from suave_env.messages import Outbox
+from suave_env.thrusters import Thrusters
+
+PROMPT = Settings().replace(start_delay_s=0)
+CENTRE = (-17.0, 2.4)
+STRAIGHT = tuple((-15.5 - 0.5 * index, 0.0) for index in range(40))
+
+
+def spiral_of(pilot, **changes):
+    spiral = SpiralSearch(PROMPT.replace(**changes), pilot, CENTRE)
+    spiral.active = True
+    return spiral
+
+
+def follower_of(pilot, path=STRAIGHT, **changes):
+    outbox = Outbox()
+    follower = FollowPipeline(PROMPT.replace(**changes), pilot, outbox)
+    follower.take_path(path)
+    start(follower)
+    return follower, outbox
+
+
+def start(component, time=0.0):
+    component.active = True
+    component.activated(time)
+
+
+def stop(component, time=0.0):
+    component.active = False
+    component.deactivated(time)
+
+
+def test_spiral_begins_at_its_second_point_and_takes_one_step_per_tick():
+    pilot = Pilot(obedient=True)
+    spiral = spiral_of(pilot)
+    for time in range(5):
+        spiral.tick(time)
+    growth = 2 * 2.0 * math.tan(math.radians(30)) * 0.1 / (2 * math.pi)
+    expected = [
+        (CENTRE[0] + k * growth * math.cos(0.1 * k), CENTRE[1] + k * growth * math.sin(0.1 * k), -18.0)
+        for k in range(1, 6)
+    ]
+    assert [target for _, target in pilot.sent] == [pytest.approx(point) for point in expected]
+
+
+@pytest.mark.parametrize(("altitude", "growth"), [(1.0, 0.01838), (2.0, 0.03676), (3.0, 0.05513)])
+def test_spiral_widens_as_published(altitude, growth):
+    pilot = Pilot(obedient=True)
+    spiral = spiral_of(pilot, spiral_altitude_m=altitude)
+    for time in range(50):
+        spiral.tick(time)
+    _, (x, y, _) = pilot.sent[-1]
+    assert math.dist((x, y), CENTRE) == pytest.approx(50 * growth, rel=1e-3)
+
+
+def test_spiral_does_nothing_before_the_start_delay_or_while_inactive():
+    pilot = Pilot(obedient=True)
+    spiral = spiral_of(pilot, start_delay_s=5)
+    spiral.tick(4.9)
+    assert pilot.sent == []
+    spiral.tick(5.0)
+    assert len(pilot.sent) == 1
+    stop(spiral)
+    spiral.tick(6.0)
+    assert len(pilot.sent) == 1
+
+
+def test_a_change_of_altitude_skips_one_angle_without_widening():
+    pilot = Pilot(obedient=True)
+    spiral = spiral_of(pilot)
+    spiral.tick(0)
+    spiral.parameters["spiral_altitude"] = 1.0
+    spiral.tick(1)
+    _, (x, y, z) = pilot.sent[-1]
+    radius = math.dist((x, y), CENTRE)
+    assert radius == pytest.approx(0.03676 + 0.01838, rel=1e-3)
+    assert math.atan2(y - CENTRE[1], x - CENTRE[0]) == pytest.approx(0.3)
+    assert z == -19.0
+
+
+def test_a_stalled_search_is_sent_again_after_12_ticks_then_after_11():
+    pilot = Pilot(position=(0.0, 0.0, -18.0))
+    spiral = spiral_of(pilot)
+    for time in range(36):
+        spiral.tick(time)
+    assert [time for time, _ in pilot.sent] == [0, 12, 23, 34]
+    assert len({target for _, target in pilot.sent}) == 1
+
+
+def test_a_search_stalled_in_height_only_is_sent_lower_each_time():
+    pilot = Pilot()
+    spiral = spiral_of(pilot)
+    spiral.tick(0)
+    x, y, _ = pilot.sent[0][1]
+    pilot.position = (x, y, -17.0)
+    for time in range(1, 36):
+        spiral.tick(time)
+    assert [target[2] for _, target in pilot.sent] == [-18.0, -18.25, -18.5, -18.75]
+
+
+def test_a_stalled_search_sends_the_new_altitude_while_the_old_goal_stays():
+    pilot = Pilot()
+    spiral = spiral_of(pilot)
+    spiral.tick(0)
+    x, y, _ = pilot.sent[0][1]
+    pilot.position = (x, y, -17.2)
+    spiral.parameters["spiral_altitude"] = 3.0
+    for time in range(1, 13):
+        spiral.tick(time)
+    assert pilot.sent[-1] == (12, (x, y, -17.0 - 0.25))
+    pilot.position = (x, y, -17.7)  # near the old goal at -18, not near the new height of -17.25
+    spiral.tick(13)
+    assert len(pilot.sent) == 3
+    assert pilot.sent[-1][1][2] == -17.25
+
+
+def test_a_correction_outlives_the_steps_that_follow():
+    pilot = Pilot()
+    spiral = spiral_of(pilot)
+    spiral.tick(0)
+    x, y, _ = pilot.sent[0][1]
+    pilot.position = (x, y, -17.0)
+    for time in range(1, 13):
+        spiral.tick(time)
+    pilot.position = (x, y, -17.7)
+    spiral.tick(13)
+    assert pilot.sent[-1][1][2] == -18.25
+
+
+def test_spiral_goes_on_where_it_was_unless_told_to_begin_anew():
+    for restarts, expected in ((False, 4), (True, 1)):
+        pilot = Pilot(obedient=True)
+        spiral = spiral_of(pilot, spiral_restarts=restarts)
+        for time in range(3):
+            spiral.tick(time)
+        stop(spiral)
+        pilot.position = pilot.sent[-1][1] if not restarts else (-3.0, -2.0, -18.0)
+        start(spiral)
+        spiral.tick(10)
+        _, (x, y, _) = pilot.sent[-1]
+        centre = (-3.0, -2.0) if restarts else CENTRE
+        assert math.dist((x, y), centre) == pytest.approx(expected * 0.03676, rel=1e-3)
+
+
+def test_follower_takes_one_point_at_a_time_and_waits_for_it():
+    pilot = Pilot(position=(-12.0, 0.0, -18.75))
+    follower, _ = follower_of(pilot)
+    follower.tick(0)
+    follower.tick(2)
+    assert pilot.sent == [(0, (-15.5, 0.0, -18.75))]
+    pilot.position = (-15.2, 0.0, -18.75)
+    follower.tick(4)
+    assert [target[0] for _, target in pilot.sent] == [-15.5, -16.0]
+    assert follower.distance_m == 0
+
+
+def test_follower_takes_all_points_in_reach_in_one_tick():
+    pilot = Pilot(position=(0.0, 0.0, -18.0))
+    follower, _ = follower_of(pilot, tuple((0.13 * index, 0.0) for index in range(20)))
+    follower.tick(0)
+    assert len(pilot.sent) == 5
+    assert follower.distance_m == pytest.approx(0.13 * 3)
+
+
+def test_follower_sends_the_point_again_after_more_than_ten_waits():
+    pilot = Pilot(position=(0.0, 0.0, -18.0))
+    follower, _ = follower_of(pilot)
+    for time in range(13):
+        follower.tick(time)
+    assert [time for time, _ in pilot.sent] == [0, 10, 11, 12]
+
+
+def test_follower_ignores_height():
+    pilot = Pilot(position=(-15.5, 0.5, -10.0))
+    follower, _ = follower_of(pilot)
+    follower.tick(0)
+    assert len(pilot.sent) > 1
+
+
+@pytest.mark.parametrize(("loses", "next_point"), [(True, 11), (False, 10)])
+def test_follower_resumes_the_rest_of_the_path(loses, next_point):
+    pilot = Pilot(position=(-15.5, 0.0, -18.75))
+    follower, _ = follower_of(pilot, follow_loses_point=loses)
+    for time in range(9):
+        pilot.position = (-15.5 - 0.5 * time - 0.1, 0.0, -18.75)
+        follower.tick(time)
+    assert pilot.sent[-1][1][0] == STRAIGHT[10][0]
+    inspected = follower.distance_m
+    stop(follower)
+    follower.tick(9)
+    start(follower)
+    assert follower.distance_m == 0
+    assert follower.total_m == inspected > 0
+    pilot.position = (-3.0, -2.0, -18.75)
+    follower.tick(10)
+    assert pilot.sent[-1] == (10, (*STRAIGHT[next_point], -18.75))
+    pilot.position = (*STRAIGHT[next_point], -18.75)
+    follower.tick(12)
+    assert follower.total_m == pytest.approx(inspected + follower.distance_m)
+    assert follower.remaining == STRAIGHT[next_point + 3 :]
+
+
+def test_follower_publishes_the_distance_when_it_changes_and_the_end_once():
+    pilot = Pilot(obedient=True)
+    follower, outbox = follower_of(pilot, STRAIGHT[:4])
+    for time in (0, 2, 4):
+        follower.tick(time)
+    messages = outbox.fetch()
+    assert values_of(messages, "pipeline_inspected") == [(0, "true")]
+    assert values_of(messages, "distance_inspected") == [(0, "1.5")]
+    assert {status["message"] for message in messages for status in message["status"]} == {"mission status"}
+
+
+def test_follower_without_a_pipeline_does_nothing():
+    pilot, outbox = Pilot(), Outbox()
+    follower = FollowPipeline(PROMPT, pilot, outbox)
+    start(follower)
+    follower.tick(0)
+    assert pilot.sent == []
+    assert outbox.fetch() == []
+
+
+def recovery_of(**changes):
+    agenda, outbox, thrusters = Agenda(), Outbox(), Thrusters(PROMPT)
+    return RecoverThrusters(PROMPT.replace(**changes), thrusters, agenda, outbox), agenda, outbox, thrusters
+
+
+def let_happen(agenda):
+    while agenda.next_time < math.inf:
+        agenda.happen()
+
+
+def test_thrusters_recover_after_10_s_one_every_quarter_second():
+    recovery, agenda, outbox, thrusters = recovery_of()
+    thrusters.fail(1)
+    thrusters.fail(4)
+    start(recovery, 40.0)
+    while agenda.next_time < 50.5:
+        agenda.happen()
+    assert thrusters.failed == (4,)
+    let_happen(agenda)
+    assert thrusters.failed == ()
+    messages = outbox.fetch()
+    expected = [(50 + 0.25 * k, {f"c_thruster_{k + 1}": "RECOVERED"}) for k in range(6)]
+    assert [(message["time"], message["status"][0]["values"]) for message in messages] == expected
+    assert {message["status"][0]["message"] for message in messages} == {"Component status"}
+
+
+@pytest.mark.parametrize(("interruptible", "published"), [(False, 6), (True, 0)])
+def test_a_recovery_is_interrupted_only_if_the_settings_say_so(interruptible, published):
+    recovery, agenda, outbox, _ = recovery_of(recovery_interruptible=interruptible)
+    start(recovery)
+    stop(recovery, 5.0)
+    let_happen(agenda)
+    assert len(outbox.fetch()) == published
+
+
+def test_battery_is_recharged_only_at_the_station():
+    pilot, recharged = Pilot(position=(-3.0, -2.51, -18.75)), []
+    node = Recharge(PROMPT, pilot, recharged.append)
+    node.tick(0.0)
+    assert pilot.sent == []
+    start(node)
+    node.tick(5.0)
+    assert pilot.sent == [(5.0, (-3.0, -2.0, -18.75))]
+    assert recharged == []
+    pilot.position = (-2.51, -2.49, -15.0)
+    node.tick(10.0)
+    assert recharged == [10.0]

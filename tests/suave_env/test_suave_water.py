@@ -1,0 +1,147 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from suave_stand_ins import altitude_for
+
+from suave_env import Settings
+from suave_env.agenda import Agenda
+from suave_env.battery import Battery
+from suave_env.pipeline import Pipeline
+from suave_env.water import Water
+
+# From which integer second on which altitude [m] is expected: the published schedule for the period of 80 s
+SCHEDULE = {0: 3, 12: 2, 23: 1, 58: 2, 69: 3, 92: 2, 103: 1, 138: 2, 149: 3, 172: 2, 183: 1}
+
+
+def test_visibility_follows_the_published_schedule():
+    water = Water(Settings())
+    expected = [SCHEDULE[max(start for start in SCHEDULE if start <= second)] for second in range(218)]
+    assert [altitude_for(water.visibility(second)) for second in range(218)] == expected
+
+
+def test_visibility_is_least_at_half_the_period():
+    water = Water(Settings())
+    assert [water.visibility(time) for time in (40, 120, 200)] == pytest.approx([1.25] * 3)
+    assert water.visibility(0) == 3.75
+
+
+def test_visibility_crosses_the_thresholds_at_the_published_times():
+    water, times, time = Water(Settings()), [], 0.0
+    for _ in range(4):
+        time, falls = water.next_crossing(3.25, time)
+        times.append((round(time, 2), falls))
+    assert times == [(11.81, True), (68.19, False), (91.81, True), (148.19, False)]
+    assert water.next_crossing(2.25, 0.0) == (pytest.approx(22.56, abs=0.01), True)
+
+
+@given(st.floats(1.3, 3.7), st.floats(0, 400), st.floats(-100, 100), st.floats(20, 200))
+def test_a_crossing_is_where_the_visibility_passes_the_threshold_next(threshold, after, shift, period):
+    water = Water(Settings().replace(visibility_shift_s=shift, visibility_period_s=period))
+    time, falls = water.next_crossing(threshold, after)
+    assert after < time <= after + period * (1 + 1e-6)
+    assert water.visibility(time) == pytest.approx(threshold, abs=1e-6)
+    assert (water.visibility(time + 1e-3 * period) < threshold) == falls
+    between = np.linspace(after + 1e-4, time - 1e-4, 50) if time - after > 1e-3 else []
+    assert len({water.visibility(moment) < threshold for moment in between}) <= 1
+
+
+def test_constant_water_never_crosses():
+    water = Water(Settings().replace(visibility_min_m=2.5, visibility_max_m=2.5))
+    assert water.visibility(33.0) == 2.5
+    assert water.next_crossing(2.25, 0.0) is None
+    assert water.next_crossing(2.5, 0.0) is None
+
+
+def test_battery_is_just_below_a_quarter_after_150_steps():
+    battery = Battery(Settings())
+    levels = []
+    for _ in range(150):
+        levels.append(battery.level)
+        battery.drain(1.0)
+    assert min(levels) >= 0.25
+    assert battery.level == 0.24999999999999933
+    battery.recharge()
+    assert (battery.level, battery.recharges) == (1.0, 1)
+
+
+def test_battery_is_never_below_empty():
+    battery = Battery(Settings())
+    battery.drain(1000.0)
+    assert battery.level == 0.0
+
+
+def test_pipeline_has_the_published_points():
+    points = Pipeline(Settings()).points
+    assert points.shape == (100, 2)
+    published = {
+        0: (-15.5, 0),
+        39: (-35, 0),
+        40: (-35.1205, -0.05),
+        59: (-37.41, -1),
+        79: (-44.49, -8.07),
+        99: (-51.56, -15.14),
+    }
+    for index, point in published.items():
+        assert points[index] == pytest.approx(point), index
+    assert np.linalg.norm(np.diff(points, axis=0), axis=1).sum() == pytest.approx(42.113, abs=1e-3)
+    with pytest.raises(ValueError, match="read-only"):
+        points[0, 0] = 1.0
+
+
+@pytest.mark.parametrize(("altitude", "half_width"), [(1, 0.144), (2, 0.722), (3, 1.299)])
+def test_camera_sees_as_wide_as_published(altitude, half_width):
+    pipeline = Pipeline(Settings())
+    z = -20.0 + altitude
+    assert pipeline.first_visible(-20.0, half_width - 0.001, z, 3.75) is not None
+    assert pipeline.first_visible(-20.0, half_width + 0.001, z, 3.75) is None
+    assert pipeline.first_visible(-20.0, -half_width + 0.001, z, 3.75) is not None
+    assert pipeline.first_visible(-20.0, -half_width - 0.001, z, 3.75) is None
+
+
+def test_without_the_offset_the_camera_sees_as_wide_as_later_versions_say():
+    pipeline = Pipeline(Settings().replace(pipe_point_offset_m=0))
+    assert pipeline.first_visible(-20.0, 0.577, -19.0, 3.75) is not None
+    assert pipeline.first_visible(-20.0, 0.578, -19.0, 3.75) is None
+
+
+def test_camera_sees_nothing_farther_than_the_water_allows():
+    pipeline = Pipeline(Settings())
+    assert pipeline.first_visible(-20.0, 0.0, -17.0, 2.26) is not None
+    assert pipeline.first_visible(-20.0, 0.0, -17.0, 2.24) is None
+
+
+@given(st.floats(-55, -12), st.floats(-17, 3), st.floats(-19.2, -14), st.floats(0.1, 5))
+def test_the_point_seen_first_is_that_of_a_plain_reading_of_the_rule(x, y, z, visibility):
+    pipeline = Pipeline(Settings())
+    height = abs(z + 19.25)
+    half = height * math.tan(math.radians(30))
+    near = np.abs(pipeline.points - (x, y)).max(axis=1) <= half
+    expected = int(np.flatnonzero(near)[0]) if near.any() and height <= visibility else None
+    assert pipeline.first_visible(x, y, z, visibility) == expected
+
+
+def test_path_runs_to_the_far_end_and_back_over_everything():
+    pipeline = Pipeline(Settings())
+    path = pipeline.path_from(3)
+    order = [*range(3, 100), *range(99, -1, -1)]
+    np.testing.assert_array_equal(path, pipeline.points[order])
+
+
+def test_agenda_lets_things_happen_in_order_of_time_then_of_entry():
+    agenda, happened = Agenda(), []
+    for time, name in ((2.0, "b"), (1.0, "a"), (2.0, "c")):
+        agenda.at(time, lambda time, name=name: happened.append((time, name)))
+    while agenda.next_time < math.inf:
+        agenda.happen()
+    assert happened == [(1.0, "a"), (2.0, "b"), (2.0, "c")]
+
+
+def test_a_timer_does_not_drift():
+    agenda, ticks = Agenda(), []
+    agenda.every(0.1, 0.05, ticks.append)
+    for _ in range(1000):
+        agenda.happen()
+    assert ticks == [0.05 + count * 0.1 for count in range(1000)]
