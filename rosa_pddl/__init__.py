@@ -1,6 +1,6 @@
 """What to do next: a replanning executor of PDDL plans on unified-planning, itself a py_trees behaviour."""
 
-from rosa_pddl.domain import Domain, KnowledgeBase, Schema, State, Step
+from rosa_pddl.domain import Domain, Feasibility, Schema, State, Step
 from rosa_pddl.exceptions import (
     MissingBehaviourError,
     PddlError,
@@ -15,7 +15,7 @@ from rosa_pddl.reader import load_domain
 
 __all__ = [
     "Domain",
-    "KnowledgeBase",
+    "Feasibility",
     "MissingBehaviourError",
     "Outcome",
     "PddlError",

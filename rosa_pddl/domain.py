@@ -16,7 +16,7 @@ State = frozenset[str]
 """The true atoms, as text: `frozenset({"(lit room)", "(action_feasible scan)"})`."""
 
 
-class KnowledgeBase(Protocol):
+class Feasibility(Protocol):
     """What this package asks a knowledge base."""
 
     @property
@@ -104,7 +104,7 @@ class Domain:
     types: Mapping[str, tuple[str, ...]] = field(repr=False)
     _atoms: dict[str, str] = field(default_factory=dict, repr=False)
 
-    def check(self, kb: KnowledgeBase) -> None:
+    def check(self, kb: Feasibility) -> None:
         """Assure that the knowledge base knows every ROSA action of the files.
 
         Raises:

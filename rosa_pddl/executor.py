@@ -8,7 +8,7 @@ from typing import Protocol
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 
-from rosa_pddl.domain import Domain, KnowledgeBase, State, Step
+from rosa_pddl.domain import Domain, Feasibility, State, Step
 from rosa_pddl.exceptions import MissingBehaviourError, nearest
 from rosa_pddl.planner import Outcome, Planner, PlanningResult
 from rosa_pddl.problem import Problem, feasible_atoms, initial_state, sensed_into, without_feasibility
@@ -92,7 +92,7 @@ class PlanExecutor(Behaviour):
         self,
         name: str,
         *,
-        kb: KnowledgeBase,
+        kb: Feasibility,
         domain: Domain,
         behaviours: Mapping[str, Factory],
         sense: Callable[[], Mapping[str, bool]],

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
-from rosa_pddl.domain import Domain, KnowledgeBase, Schema, State, UpThing
+from rosa_pddl.domain import Domain, Feasibility, Schema, State, UpThing
 from rosa_pddl.exceptions import UnsupportedPddlError
 
 
@@ -39,7 +39,7 @@ def initial_state(domain: Domain) -> State:
     return frozenset(_initial_atoms(domain))
 
 
-def feasible_atoms(domain: Domain, kb: KnowledgeBase) -> State:
+def feasible_atoms(domain: Domain, kb: Feasibility) -> State:
     """Return the facts `(action_feasible ?a)` as the knowledge base has them now."""
     if not domain.tracks_feasibility:
         return frozenset()
