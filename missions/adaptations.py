@@ -30,6 +30,12 @@ class Adaptation:
     reaction_s: float | None = None
     news_s: float = field(default=0.0, repr=False)
 
+    @property
+    def why(self) -> str:
+        """The reason, and the news where the reason does not speak of it."""
+        subject = self.trigger.split(" ")[0]
+        return self.reason if subject in self.reason else f"{self.trigger}: {self.reason}"
+
 
 @dataclass(frozen=True, slots=True)
 class _News:

@@ -2,15 +2,18 @@
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
+from rich.box import SIMPLE_HEAD
+from rich.markup import escape
 from rich.table import Table
 
+from missions.adaptations import Adaptation
 from missions.mission import Verdict
 from missions.runner import MissionRun
 
-__all__ = ["as_json", "summary", "summary_table", "timing"]
+__all__ = ["as_json", "summary", "adaptation_table", "timing"]
 
 MANAGER = "ours"
 
@@ -72,17 +75,17 @@ def timing(run: MissionRun, wall_s: float) -> dict[str, Any]:
     }
 
 
-def summary_table(data: Mapping[str, Any]) -> Table:
-    """Return a table of every adaptation: when, what, why, how fast."""
-    table = Table(title=None, expand=True, pad_edge=False)
-    table.add_column("at [s]", justify="right", no_wrap=True)
+def adaptation_table(adaptations: Iterable[Adaptation]) -> Table:
+    """Return a table of adaptations: when, what, why, how fast."""
+    table = Table(expand=True, box=SIMPLE_HEAD, pad_edge=False)
+    table.add_column(escape("at [s]"), justify="right", no_wrap=True)
     table.add_column("kind", no_wrap=True)
     table.add_column("what was changed", ratio=4)
     table.add_column("why", ratio=4)
-    table.add_column("reaction [s]", justify="right", no_wrap=True)
-    for one in data["adaptations"]:
-        reaction = "-" if one["reaction_s"] is None else f"{one['reaction_s']:.2f}"
-        table.add_row(f"{one['at_s']:.1f}", one["kind"], one["change"], one["reason"], reaction)
+    table.add_column(escape("reaction [s]"), justify="right", no_wrap=True)
+    for one in adaptations:
+        reaction = "-" if one.reaction_s is None else f"{one.reaction_s:.2f}"
+        table.add_row(f"{one.at_s:.1f}", one.kind, escape(one.change), escape(one.why), reaction)
     return table
 
 

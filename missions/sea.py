@@ -90,7 +90,7 @@ class _SeaKind:
             return Verdict("inspected_all", "the whole pipeline is inspected")
         if not senses.holds("pipeline_found"):
             return Verdict("not_found", "the pipeline was not found in time")
-        if not results["distance_inspected_m"]:
+        if not results.get("distance_inspected_m"):
             return Verdict("aborted", "time ran out before any of the pipeline was inspected")
         needed = any(one.action == "recharge" for one in kb.action_history)
         if needed and not senses.count("battery_recharged"):

@@ -1,0 +1,183 @@
+"""The command line: `rosa`, the same as `python -m missions`."""
+
+import sys
+import time
+from collections.abc import Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from kb import KnowledgeBaseError
+from missions.live import Narrator, Pace, Recorder
+from missions.mission import Mission, MissionError, Verdict
+from missions.output import OutputFile
+from missions.registry import MISSIONS, find_mission
+from missions.report import adaptation_table, as_json, summary, timing
+from missions.runner import Listener, MissionRun
+from missions.settings import RunSettings, describe, split_settings
+from missions.task import TASK_KINDS
+from rosa_pddl import RosaPddlError
+
+__all__ = ["app", "main"]
+
+FAILED, WRONG_USE = 1, 2
+
+app = typer.Typer(
+    help="Run missions of robots that adapt what they do and how they are built.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+
+@app.command("list")
+def list_missions() -> None:
+    """List the missions."""
+    table = Table(box=None, pad_edge=False)
+    table.add_column("mission", no_wrap=True)
+    table.add_column("what happens in it")
+    for mission in MISSIONS.values():
+        table.add_row(mission.name, mission.summary)
+    _console().print(table)
+
+
+@app.command("settings")
+def list_settings(mission: str) -> None:
+    """List what `rosa run MISSION --set NAME=VALUE` takes, with unit, default and source."""
+    table = Table(box=None, pad_edge=False)
+    for column in ("name", "default", "unit"):
+        table.add_column(column, no_wrap=True, justify="right" if column == "default" else "left")
+    table.add_column("meaning", ratio=1)
+    table.add_column("source of the default", ratio=1)
+    found = find_mission(mission)
+    for setting in describe(found):
+        default = found.fixed.get(setting.name, setting.default)
+        shown = f"{default:g}" if isinstance(default, float) else str(default)
+        table.add_row(setting.name, shown, setting.unit, setting.meaning, setting.source)
+    _console().print(table)
+
+
+@app.command("run")
+def run_mission(
+    mission: str,
+    task: Annotated[str, typer.Option(help="Task layer: bt (behaviour tree) or pddl (planned).")] = "bt",
+    seed: Annotated[int, typer.Option(min=0, help="Seed of all chance in the run.")] = 0,
+    json: Annotated[Path | None, typer.Option(help="Write the result as JSON.")] = None,
+    plot: Annotated[Path | None, typer.Option(help="Draw the run as a PNG picture.")] = None,
+    timing_file: Annotated[Path | None, typer.Option("--timing", help="Write the compute times as JSON.")] = None,
+    record: Annotated[Path | None, typer.Option(help="Write the diagnostics, one message per line.")] = None,
+    settings: Annotated[list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Change a setting.")] = None,
+    realtime: Annotated[bool, typer.Option("--realtime", help="Run no faster than the wall clock.")] = False,
+    progress: Annotated[bool, typer.Option("--progress/--no-progress", help="Show what happens meanwhile.")] = True,
+) -> None:
+    """Run a mission, say what happened and why, and exit with 0 if it did what it was for."""
+    found = find_mission(mission)
+    if task not in TASK_KINDS:
+        raise MissionError(f"unknown task layer {task!r}; there are {' and '.join(TASK_KINDS)}")
+    changed = _assignments(settings or [])
+    run_settings, world_settings = split_settings(found, changed)
+    console = _console()
+    with ExitStack() as stack:
+        files = {
+            name: stack.enter_context(OutputFile(path))
+            for name, path in {"json": json, "plot": plot, "timing": timing_file, "record": record}.items()
+            if path is not None
+        }
+        listeners: list[Listener] = []
+        if "record" in files:
+            listeners.append(Recorder(files["record"]))
+        if progress:
+            console.print(f"[bold]{found.name}[/] (task layer: {task}, seed {seed})")
+            listeners.append(stack.enter_context(Narrator(console, run_settings.duration_s)))
+        if realtime:
+            listeners.append(Pace())
+        run = _opened(found, task, seed, run_settings, world_settings, tuple(listeners))
+        start = time.perf_counter()
+        verdict = _run(run)
+        wall_s = time.perf_counter() - start
+        data = summary(run, verdict, seed, changed)
+        if "json" in files:
+            files["json"].write(as_json(data))
+        if "timing" in files:
+            files["timing"].write(as_json(timing(run, wall_s)))
+        if "plot" in files:
+            from missions.plot import draw
+
+            draw(run, data, files["plot"].file)
+        for file in files.values():
+            file.keep()
+    _print_result(console, run, data, wall_s)
+    _print_verdict(console, verdict)
+    if not verdict.success:
+        raise typer.Exit(FAILED)
+
+
+def main() -> None:
+    """Run the command line; what goes wrong is one clear message, never a traceback."""
+    try:
+        app()
+    except (MissionError, KnowledgeBaseError, RosaPddlError) as error:
+        Console(stderr=True, soft_wrap=True).print(f"[bold red]rosa:[/] {escape(str(error))}", highlight=False)
+        sys.exit(WRONG_USE)
+
+
+def _opened(
+    mission: Mission,
+    task: str,
+    seed: int,
+    settings: RunSettings,
+    world_settings: Mapping[str, str],
+    listeners: tuple[Listener, ...],
+) -> MissionRun:
+    import numpy
+
+    world = mission.world.open(world_settings, numpy.random.default_rng(seed))
+    return MissionRun(mission, task, world, settings, listeners)
+
+
+def _run(run: MissionRun) -> Verdict:
+    try:
+        return run.run()
+    except KeyboardInterrupt:
+        return Verdict("aborted", f"stopped by hand after {run.world.now:.1f} s")
+
+
+def _assignments(texts: list[str]) -> dict[str, str]:
+    values = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not equals or not name:
+            raise MissionError(f"--set takes NAME=VALUE, not {text!r}")
+        values[name.strip()] = value.strip()
+    return values
+
+
+def _print_result(console: Console, run: MissionRun, data: Mapping[str, Any], wall_s: float) -> None:
+    console.print(adaptation_table(run.adaptations))
+    figures = {
+        "search time [s]": data["search_time_s"],
+        "distance inspected [m]": data["distance_inspected_m"],
+        "simulated [s]": run.world.now,
+        "computed in [s]": wall_s,
+        "times real time": run.world.now / wall_s,
+    }
+    for label, value in figures.items():
+        shown = "-" if value is None else f"{value:.2f}" if value < 10 else f"{value:.1f}"
+        console.print(f"{label:<24}{shown:>8}", highlight=False, markup=False)
+
+
+def _print_verdict(console: Console, verdict: Verdict) -> None:
+    colour = "green" if verdict.success else "red"
+    console.print(f"[bold {colour}]{verdict.outcome}[/]: {escape(verdict.reason)}", highlight=False)
+
+
+def _console() -> Console:
+    console = Console()
+    if not console.is_terminal:
+        console.width = 160  # a pipe or a file has no width of its own
+    return console
