@@ -1,6 +1,7 @@
 """What a person sees while a mission runs: what the robot does, and each adaptation with its reason as it happens."""
 
 import time
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.markup import escape
@@ -12,6 +13,9 @@ from missions.mission import Message
 from missions.output import OutputFile
 from missions.recording import line_of
 from missions.runner import Listener, MissionRun
+
+if TYPE_CHECKING:
+    from rosa_pddl import PlanRecord
 
 __all__ = ["Narrator", "Pace", "Recorder"]
 
@@ -55,6 +59,12 @@ class Narrator(Listener):
         soon = f"in force {reaction:.2f} s after the news" if reaction is not None else "not carried out"
         self._say(adaptation.at_s, f"[bold {colour}]{adaptation.kind} adaptation[/]: {escape(adaptation.change)}")
         self._console.print(f"{'':11}why: {escape(adaptation.why)}; {soon}", highlight=False)
+
+    def plan(self, plan: "PlanRecord", time_s: float) -> None:
+        """Say what is planned, and why it was planned anew."""
+        steps = ", then ".join(step.schema for step in plan.steps)
+        found = steps if plan.outcome.is_solved else f"none, {plan.outcome}: {plan.message}"
+        self._say(time_s, f"[bold green]plan[/] ({escape(plan.reason)}): {escape(found)}")
 
     def problem(self, problem: DiagnosticProblem, time_s: float) -> None:
         """Say what could not be used."""

@@ -14,7 +14,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from kb import ReconfigurationPlan
 from missions.adaptations import Adaptation
@@ -23,6 +23,9 @@ from missions.recording import read_recording
 from missions.registry import find_mission
 from missions.runner import MissionRun
 from missions.settings import RunSettings
+
+if TYPE_CHECKING:
+    from rosa_pddl import PlanRecord
 
 __all__ = ["Decisions", "Recording", "replay"]
 
@@ -38,14 +41,14 @@ class Decisions:
         actions: (name, start, end, result) of every action; end and result None where the recording ends first.
         plans: every reconfiguration plan.
         adaptations: every adaptation with its reason.
-        task_plans: every task plan, as data; none for a tree.
+        task_plans: every task plan; none for a tree.
 
     """
 
     actions: tuple[tuple[str, float, float | None, str | None], ...]
     plans: tuple[ReconfigurationPlan, ...]
     adaptations: tuple[Adaptation, ...]
-    task_plans: tuple[dict[str, Any], ...]
+    task_plans: tuple["PlanRecord", ...]
 
     @property
     def requested(self) -> tuple[tuple[float, str], ...]:
@@ -85,7 +88,7 @@ def replay(
         actions=tuple((one.action, one.start, one.end, one.result) for one in run.kb.action_history),
         plans=run.kb.plans,
         adaptations=tuple(run.adaptations),
-        task_plans=tuple(run.plans),
+        task_plans=run.plans,
     )
 
 

@@ -54,7 +54,16 @@ def summary(run: MissionRun, verdict: Verdict, seed: int, changed: Mapping[str, 
             {"name": one.action, "start_s": one.start, "end_s": one.end, "result": one.result}
             for one in run.kb.action_history
         ],
-        "plans": run.plans,
+        "plans": [
+            {
+                "at_s": plan.at_s,
+                "reason": plan.reason,
+                "outcome": str(plan.outcome),
+                "engine": plan.engine,
+                "steps": [str(step) for step in plan.steps],
+            }
+            for plan in run.plans
+        ],
         "disturbances": [{"at_s": time, "what": text} for time, text in run.world.disturbances()],
         "diagnostics_problems": [{"at_s": time, "problem": str(problem)} for time, problem in run.problems],
     }

@@ -3,7 +3,7 @@
 from collections import defaultdict
 from dataclasses import dataclass, field
 from time import perf_counter
-from typing import Any
+from typing import TYPE_CHECKING
 
 from py_trees.common import Status
 
@@ -14,6 +14,9 @@ from missions.senses import Senses
 from missions.settings import RunSettings
 from missions.task import build_task
 from rosa_bt import TreeRunner
+
+if TYPE_CHECKING:
+    from rosa_pddl import PlanRecord
 
 __all__ = ["Listener", "MissionRun", "Trace"]
 
@@ -34,6 +37,9 @@ class Listener:
 
     def action(self, text: str, time_s: float) -> None:
         """Hear of an action that was requested or has ended."""
+
+    def plan(self, plan: "PlanRecord", time_s: float) -> None:
+        """Hear of a task plan, or that there is none."""
 
     def tick(self, run: "MissionRun") -> None:
         """Hear that the task layer has been ticked."""
@@ -89,6 +95,7 @@ class MissionRun:
         self.problems: list[tuple[float, DiagnosticProblem]] = []
         self._listeners = listeners
         self._sampled_at = -SAMPLE_PERIOD_S
+        self._plans_heard = 0
         self.kb = KnowledgeBase(mission.model(), clock=self._now)
         self._senses = Senses()
         self._manager = ConfigurationManager(self.kb, world.managed)
@@ -105,18 +112,26 @@ class MissionRun:
         return self._log.adaptations
 
     @property
-    def plans(self) -> list[dict[str, Any]]:
-        """The task plans so far, as data; none for a tree."""
+    def plans(self) -> tuple["PlanRecord", ...]:
+        """The task plans so far; none for a tree."""
         return self._task.plans()
 
     def run(self) -> Verdict:
         """Run until the task is done or the time limit is reached; nothing is left running however this ends."""
+        trouble = None
         try:
-            while self._runner.status is not Status.SUCCESS and self.world.now < self.settings.duration_s:
+            while (
+                trouble is None
+                and self._runner.status is not Status.SUCCESS
+                and self.world.now < self.settings.duration_s
+            ):
                 self._turn()
+                trouble = self._hear_plans()
         finally:
             self._runner.shutdown()
             self.world.close()
+        if trouble is not None:
+            return Verdict("aborted", trouble)
         return self.mission.world.verdict(self._senses, self.world.results(), self.kb)
 
     def _turn(self) -> None:
@@ -144,6 +159,17 @@ class MissionRun:
             self._sample()
             for listener in self._listeners:
                 listener.tick(self)
+
+    def _hear_plans(self) -> str | None:
+        """Pass on the task plans that are new; return what is wrong if the planner itself could not do its work."""
+        plans = self.plans
+        heard, self._plans_heard = self._plans_heard, len(plans)
+        for plan in plans[heard:]:
+            for listener in self._listeners:
+                listener.plan(plan, self.world.now)
+            if plan.outcome.is_trouble:
+                return f"no plan, {plan.outcome}: {plan.message}"
+        return None
 
     def _take_in(self, message: Message) -> None:
         stamp = float(message["time"])

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import TYPE_CHECKING, Final
 
 from py_trees.behaviour import Behaviour
 from py_trees.decorators import FailureIsRunning
@@ -10,6 +10,9 @@ from py_trees.decorators import FailureIsRunning
 from kb import KnowledgeBase
 from missions.mission import Mission, MissionError
 from missions.senses import Senses
+
+if TYPE_CHECKING:
+    from rosa_pddl import PlanRecord
 
 __all__ = ["TASK_KINDS", "TaskLayer", "build_task"]
 
@@ -23,13 +26,13 @@ class TaskLayer:
     Attributes:
         root: the behaviour to tick.
         catch_up: to be called between ticks: waits for an answer that is due.
-        plans: the task plans made so far, as data.
+        plans: the task plans made so far.
 
     """
 
     root: Behaviour
     catch_up: Callable[[], None] = lambda: None
-    plans: Callable[[], list[dict[str, Any]]] = list
+    plans: Callable[[], tuple["PlanRecord", ...]] = tuple
 
 
 def build_task(
@@ -79,16 +82,4 @@ def _planning(
         delay_s=delay_s,
     )
 
-    def plans() -> list[dict[str, Any]]:
-        return [
-            {
-                "at_s": record.at_s,
-                "reason": record.reason,
-                "outcome": str(record.outcome),
-                "engine": record.engine,
-                "steps": [str(step) for step in record.steps],
-            }
-            for record in executor.plans
-        ]
-
-    return TaskLayer(FailureIsRunning("until the goal holds", executor), executor.catch_up, plans)
+    return TaskLayer(FailureIsRunning("until the goal holds", executor), executor.catch_up, lambda: executor.plans)

@@ -43,6 +43,7 @@ class PlanRecord:
         outcome: how it ended.
         steps: the plan; empty unless solved.
         engine: the engine that was asked.
+        message: what was tried and what to do about it; empty when solved.
 
     """
 
@@ -51,6 +52,7 @@ class PlanRecord:
     outcome: Outcome
     steps: tuple[Step, ...]
     engine: str
+    message: str = ""
 
 
 @dataclass(frozen=True)
@@ -233,7 +235,8 @@ class PlanExecutor(Behaviour):
             return Status.RUNNING
         result = _answer(request.future)
         self._request = None
-        self._records.append(PlanRecord(request.at_s, request.reason, result.outcome, result.steps, result.engine))
+        outcome, steps = result.outcome, result.steps
+        self._records.append(PlanRecord(request.at_s, request.reason, outcome, steps, result.engine, result.message))
         if result.outcome.is_solved:
             self._rest = result.steps
             return self._start_next(state)

@@ -36,6 +36,12 @@ class Outcome(Enum):
         """Whether there is a plan."""
         return self in (Outcome.SOLVED, Outcome.SOLVED_OPTIMALLY)
 
+    @property
+    def is_trouble(self) -> bool:
+        """Whether the engine, not the problem, is why there is no plan."""
+        unsolvable = (Outcome.UNSOLVABLE_PROVEN, Outcome.UNSOLVABLE_AS_FAR_AS_KNOWN)
+        return not self.is_solved and self not in unsolvable
+
     def __str__(self) -> str:
         return self.value
 
