@@ -204,6 +204,7 @@ def test_follower_resumes_the_rest_of_the_path(loses, next_point):
     assert pilot.sent[-1] == (10, (*STRAIGHT[next_point], -18.75))
     pilot.position = (*STRAIGHT[next_point], -18.75)
     follower.tick(12)
+    assert follower.distance_m == pytest.approx(0.5)  # the way back to the first point does not count
     assert follower.total_m == pytest.approx(inspected + follower.distance_m)
     assert follower.remaining == STRAIGHT[next_point + 3 :]
 

@@ -144,6 +144,43 @@ def test_a_deactivated_search_comes_to_rest():
     assert math.dist((rest.x, rest.y, rest.z), (after.x, after.y, after.z)) < 0.1
 
 
+def test_a_vehicle_on_its_way_stops_when_the_last_component_that_moves_it_is_deactivated():
+    env = make_env(4, **QUIET)
+    env.managed.activate("recharge")
+    env.managed.activate("recover_thrusters")
+    env.advance(15.0)
+    on_the_way = env.observe()
+    assert on_the_way.speed > 0.5
+    env.managed.deactivate("recharge")
+    env.advance(40.0)
+    after = env.observe()
+    assert after.active == ("recover_thrusters",)
+    assert after.speed < 0.02
+    assert math.dist((on_the_way.x, on_the_way.y), (after.x, after.y)) < 3
+
+
+@pytest.mark.parametrize(
+    ("component", "period"), [("_spiral", 1.0), ("_follower", 2.0), ("_recharge", 5.0), ("_visibility", 1.0)]
+)
+def test_the_phases_of_the_timers_differ_from_run_to_run(component, period):
+    phases = set()
+    for seed in range(6):
+        env = make_env(seed, **QUIET, start_delay_s=0, start_x_m=-3.0, start_y_m=-2.0)
+        if component == "_visibility":
+            phases.add(values_of(env.advance(5.0), "water_visibility")[0][0])
+            continue
+        name = {"_spiral": "spiral_search", "_follower": "follow_pipeline", "_recharge": "recharge"}[component]
+        sent = []
+        env._autopilot.go_to = lambda target, time, sent=sent: sent.append(time)
+        env._follower.take_path(((20.0, 0.0),))
+        env.managed.activate(name)
+        env.advance(6.0)
+        phases.add(sent[0])
+    assert len(phases) == 6
+    assert max(phases) - min(phases) > 0.2 * period
+    assert max(phases) < period + 0.1
+
+
 def test_the_search_takes_about_a_step_per_second_at_1_m():
     env = make_env(5, **QUIET, spiral_altitude_m=1.0, start_y_m=40.0)
     env.managed.activate("spiral_search")

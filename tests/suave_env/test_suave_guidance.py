@@ -65,6 +65,18 @@ def test_a_new_setpoint_does_not_jerk_the_wanted_velocity():
     assert guidance.force(list(position), list(velocity), 3.0, 0.025) == pytest.approx((0, 0, 0), abs=1e-9)
 
 
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_lasting_error_is_worked_against_ever_harder_up_to_a_limit(axis):
+    settings = Settings().replace(integral_gain=5, integral_limit_n=20)
+    guidance = Guidance(settings, (0.0, 0.0, -18.0))
+    position = [0.0, 0.0, -18.0]
+    position[axis] -= 0.1
+    forces = [guidance.force(position, [0.0, 0.0, 0.0], 1.0, 0.5)[axis] for _ in range(200)]
+    wanted = 0.1 * (settings.height_gain if axis == 2 else settings.position_gain)
+    assert forces[1] - forces[0] == pytest.approx(5 * wanted * 0.5)
+    assert forces[-1] - forces[0] == pytest.approx(20 - 5 * wanted * 0.5)
+
+
 def test_climbing_and_diving_have_limits_of_their_own():
     settings = Settings().replace(climb_limit_m_s=0.5, descent_limit_m_s=0.2, jerk_limit_m_s3=10, integral_gain=0)
     speeds = []

@@ -38,6 +38,17 @@ def test_two_changes_of_one_component_are_carried_out_in_the_order_asked_for(env
     assert not env.managed.is_active("recharge")
 
 
+def test_a_quick_change_does_not_overtake_a_slow_one(env):
+    env.managed.activate("recharge")
+    env.advance(1.0)
+    slow, quick = env.managed.deactivate("recharge"), env.managed.activate("recharge")
+    env.advance(1.11)
+    assert (slow.done(), quick.done()) == (True, False)
+    env.advance(1.16)
+    assert quick.done()
+    assert env.managed.is_active("recharge")
+
+
 def test_activating_what_is_active_takes_its_time_and_changes_nothing(env):
     env.managed.activate("recover_thrusters")
     env.advance(1.0)
