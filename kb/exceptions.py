@@ -38,7 +38,7 @@ class UnknownName(KnowledgeBaseError, KeyError):
 
     def __init__(self, kind: str, name: object, known: Iterable[str]) -> None:
         names = list(known)
-        near = get_close_matches(str(name), names, n=3, cutoff=0.5)
+        near = get_close_matches(str(name), names, n=3)
         if near:
             hint = f"did you mean {' or '.join(repr(match) for match in near)}?"
         elif names:

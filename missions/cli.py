@@ -5,7 +5,7 @@ import time
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 from rich.console import Console
@@ -111,7 +111,7 @@ def run_mission(
             draw(run, data, files["plot"].file)
         for file in files.values():
             file.keep()
-    _print_result(console, run, data, wall_s)
+    _print_result(console, run, wall_s)
     _print_verdict(console, verdict)
     if not verdict.success:
         raise typer.Exit(FAILED)
@@ -119,6 +119,7 @@ def run_mission(
 
 def main() -> None:
     """Run the command line; what goes wrong is one clear message, never a traceback."""
+    sys.path.append(str(Path.cwd()))  # where a mission of one's own is, given as module:NAME
     try:
         app()
     except (MissionError, KnowledgeBaseError, RosaPddlError) as error:
@@ -157,11 +158,9 @@ def _assignments(texts: list[str]) -> dict[str, str]:
     return values
 
 
-def _print_result(console: Console, run: MissionRun, data: Mapping[str, Any], wall_s: float) -> None:
+def _print_result(console: Console, run: MissionRun, wall_s: float) -> None:
     console.print(adaptation_table(run.adaptations))
-    figures = {
-        "search time [s]": data["search_time_s"],
-        "distance inspected [m]": data["distance_inspected_m"],
+    figures = {_with_unit(name): value for name, value in run.world.results().items()} | {
         "simulated [s]": run.world.now,
         "computed in [s]": wall_s,
         "times real time": run.world.now / wall_s,
@@ -169,6 +168,12 @@ def _print_result(console: Console, run: MissionRun, data: Mapping[str, Any], wa
     for label, value in figures.items():
         shown = "-" if value is None else f"{value:.2f}" if value < 10 else f"{value:.1f}"
         console.print(f"{label:<24}{shown:>8}", highlight=False, markup=False)
+
+
+def _with_unit(name: str) -> str:
+    """Return "search time [s]" for "search_time_s"."""
+    words, _, unit = name.rpartition("_")
+    return f"{words.replace('_', ' ')} [{unit}]"
 
 
 def _print_verdict(console: Console, verdict: Verdict) -> None:

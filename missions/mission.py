@@ -1,5 +1,6 @@
 """What a mission is: its knowledge, its task logic twice, its world, and when it has succeeded."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -79,42 +80,47 @@ class Verdict(NamedTuple):
         return self.outcome in ("inspected_all", "time_limit")
 
 
-class World(Protocol):
-    """Where a mission happens: a simulator, or a recording of one."""
+class World(ABC):
+    """Where a mission happens: a simulator, a robot or a recording. The first three are needed, the rest is for reports."""
 
     @property
+    @abstractmethod
     def now(self) -> float:
         """The time [s]."""
 
     @property
+    @abstractmethod
     def managed(self) -> ManagedSystem:
         """The components, to be switched and configured."""
 
+    @abstractmethod
     def advance(self, until: float) -> list[Message]:
         """Let time pass until something is published, a commanded change has ended, or the time is `until` [s]."""
 
     def results(self) -> Mapping[str, float | None]:
         """Return the mission's figures up to now by name, units in the names; None for what did not happen."""
+        return {}
 
     def sample(self) -> Sample | None:
         """Return what there is to see now, None where nothing can be seen."""
+        return None
 
     def disturbances(self) -> list[tuple[float, str]]:
         """Return what truly happened, and when [s]."""
+        return []
 
     def scenery(self) -> Mapping[str, Any]:
         """Return what a map of the place shows: arrays (n, 2) of x and y [m] by name."""
+        return {}
 
-    def close(self) -> None:
+    def close(self) -> None:  # noqa: B027  # a world that holds nothing has nothing to release
         """Release what the world holds."""
 
 
-class WorldKind(Protocol):
+class WorldKind(ABC):
     """How a world is opened; what it needs is imported only then."""
 
-    def settings(self) -> tuple[Setting, ...]:
-        """Return what can be set."""
-
+    @abstractmethod
     def open(self, values: Mapping[str, str], rng: Generator) -> World:
         """Open a world with these settings; all its chance comes from the generator.
 
@@ -123,8 +129,13 @@ class WorldKind(Protocol):
 
         """
 
+    @abstractmethod
     def verdict(self, senses: Senses, results: Mapping[str, float | None], kb: KnowledgeBase) -> Verdict:
         """Say how a mission here has ended, from what was sensed, its figures and what was done."""
+
+    def settings(self) -> tuple[Setting, ...]:
+        """Return what can be set."""
+        return ()
 
 
 @dataclass(frozen=True)
@@ -136,11 +147,11 @@ class Mission:
         summary: what happens in it, in a line.
         model: builds the knowledge about the robot.
         tree: builds the task logic as a behaviour tree.
-        domain: PDDL file with the same task logic as actions.
+        world: where it happens.
+        domain: PDDL file with the same task logic as actions; None if the mission has a tree only.
         problem: PDDL file with the goal.
         actions: what is done for each PDDL action; the same behaviours that the tree is made of.
         facts: what was sensed, as atoms of the PDDL problem, e.g. {"(lit room)": True}.
-        world: where it happens.
         fixed: settings of the world that belong to this mission.
 
     """
@@ -149,9 +160,9 @@ class Mission:
     summary: str
     model: Callable[[], Model]
     tree: Callable[[KnowledgeBase, Senses], Behaviour]
-    domain: Path
-    problem: Path
-    actions: Mapping[str, Callable[[KnowledgeBase, Senses], Behaviour]]
-    facts: Callable[[Senses], Mapping[str, bool]]
     world: WorldKind
+    domain: Path | None = None
+    problem: Path | None = None
+    actions: Mapping[str, Callable[[KnowledgeBase, Senses], Behaviour]] = field(default_factory=dict)
+    facts: Callable[[Senses], Mapping[str, bool]] = lambda senses: {}
     fixed: Mapping[str, str] = field(default_factory=dict)

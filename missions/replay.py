@@ -11,14 +11,14 @@ measured anew. What they command takes as long as it did, and has no effect on t
 """
 
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
-from kb import ReconfigurationPlan
+from kb import DiagnosticProblem, ManagedSystem, ReconfigurationPlan
 from missions.adaptations import Adaptation
-from missions.mission import Message, Mission, Sample
+from missions.mission import Message, Mission, World
 from missions.recording import read_recording
 from missions.registry import find_mission
 from missions.runner import MissionRun
@@ -42,6 +42,7 @@ class Decisions:
         plans: every reconfiguration plan.
         adaptations: every adaptation with its reason.
         task_plans: every task plan; none for a tree.
+        problems: (time, what) of every part of a message that could not be used.
 
     """
 
@@ -49,6 +50,7 @@ class Decisions:
     plans: tuple[ReconfigurationPlan, ...]
     adaptations: tuple[Adaptation, ...]
     task_plans: tuple["PlanRecord", ...]
+    problems: tuple[tuple[float, DiagnosticProblem], ...]
 
     @property
     def requested(self) -> tuple[tuple[float, str], ...]:
@@ -89,6 +91,7 @@ def replay(
         plans=run.kb.plans,
         adaptations=tuple(run.adaptations),
         task_plans=run.plans,
+        problems=tuple(run.problems),
     )
 
 
@@ -133,7 +136,7 @@ class _Commanded:
         return _Command(self._busy_until[component], self._clock)
 
 
-class Recording:
+class Recording(World):
     """A world in which what was recorded happens, and nothing else.
 
     Args:
@@ -145,37 +148,23 @@ class Recording:
     def __init__(self, messages: Iterable[Message], switching_s: float) -> None:
         self._messages = deque(messages)
         self._now = 0.0
-        self.managed = _Commanded(lambda: self._now, switching_s)
+        self._managed = _Commanded(lambda: self._now, switching_s)
 
     @property
     def now(self) -> float:
         """The time of the recording [s]."""
         return self._now
 
+    @property
+    def managed(self) -> ManagedSystem:
+        """What takes the commands."""
+        return self._managed
+
     def advance(self, until: float) -> list[Message]:
         """Go on to the next message or end of a command, at most to the time `until` [s]."""
         following = self._messages[0]["time"] if self._messages else float("inf")
-        self._now = max(self._now, min(until, following, self.managed.next_end()))
+        self._now = max(self._now, min(until, following, self._managed.next_end()))
         heard = []
         while self._messages and self._messages[0]["time"] <= self._now:
             heard.append(self._messages.popleft())
         return heard
-
-    def results(self) -> Mapping[str, float | None]:
-        """Return no figures: nothing is measured anew."""
-        return {}
-
-    def sample(self) -> Sample | None:
-        """Return None: there is nothing to see."""
-        return None
-
-    def disturbances(self) -> list[tuple[float, str]]:
-        """Return none: only what was heard of them is known."""
-        return []
-
-    def scenery(self) -> Mapping[str, Any]:
-        """Return no map."""
-        return {}
-
-    def close(self) -> None:
-        """Do nothing: nothing is held."""

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 from numpy.random import Generator
 
 from kb import KnowledgeBase, ManagedSystem
-from missions.mission import Message, MissionError, Sample, Setting, Verdict, World
+from missions.mission import Message, MissionError, Sample, Setting, Verdict, World, WorldKind
 from missions.senses import Senses
 
 if TYPE_CHECKING:
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 __all__ = ["SEA", "Sea"]
 
 
-class Sea:
+class Sea(World):
     """Adapter of the simulator to what a mission needs."""
 
     def __init__(self, env: "SuaveEnv") -> None:
@@ -68,7 +68,7 @@ class Sea:
         self._env.close()
 
 
-class _SeaKind:
+class _SeaKind(WorldKind):
     def settings(self) -> tuple[Setting, ...]:
         """Return every constant of the sea, the vehicle and the monitors."""
         from suave_env import Settings
@@ -90,7 +90,7 @@ class _SeaKind:
             return Verdict("inspected_all", "the whole pipeline is inspected")
         if not senses.holds("pipeline_found"):
             return Verdict("not_found", "the pipeline was not found in time")
-        if not results.get("distance_inspected_m"):
+        if not results.get("total_inspected_m"):
             return Verdict("aborted", "time ran out before any of the pipeline was inspected")
         needed = any(one.action == "recharge" for one in kb.action_history)
         if needed and not senses.count("battery_recharged"):

@@ -54,7 +54,7 @@ def split_settings(mission: Mission, values: Mapping[str, str]) -> tuple[RunSett
     known = own | {setting.name for setting in describe(mission)}
     for name in values:
         if name not in known:
-            near = get_close_matches(name, sorted(known), n=3, cutoff=0.5)
+            near = get_close_matches(name, sorted(known), n=3)
             hint = f"did you mean {' or '.join(near)}?" if near else f"`rosa settings {mission.name}` lists them"
             raise MissionError(f"unknown setting {name!r} of mission {mission.name}; {hint}")
     run = RunSettings(**{name: _positive(name, value) for name, value in values.items() if name in own})

@@ -69,6 +69,9 @@ def _planning(
 ) -> TaskLayer:
     from rosa_pddl import PlanExecutor, Step, load_domain
 
+    if mission.domain is None or mission.problem is None:
+        raise MissionError(f"mission {mission.name} has no PDDL domain and problem; run it with --task bt")
+
     def factory(action: Callable[[KnowledgeBase, Senses], Behaviour]) -> Callable[[Step], Behaviour]:
         return lambda step: action(kb, senses)
 

@@ -8,19 +8,19 @@ until inspected
 
 from py_trees.behaviour import Behaviour
 from py_trees.composites import Selector, Sequence
-from py_trees.decorators import FailureIsRunning
 
 from kb import KnowledgeBase
 from missions.senses import Senses
 from missions.suave.actions import InspectPipeline, PipelineFound, SearchPipeline
 from rosa_bt import IsActionFeasible
+from rosa_bt.decorators import UntilSuccess
 
 __all__ = ["search_and_inspect", "suave_tree"]
 
 
 def suave_tree(kb: KnowledgeBase, senses: Senses) -> Behaviour:
     """Build the tree; it runs until the whole pipeline is inspected."""
-    return FailureIsRunning("until inspected", search_and_inspect(kb, senses))
+    return UntilSuccess("until inspected", search_and_inspect(kb, senses))
 
 
 def search_and_inspect(kb: KnowledgeBase, senses: Senses) -> Behaviour:

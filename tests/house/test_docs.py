@@ -1,0 +1,100 @@
+"""What is written is run: README, documents and examples, in a folder of their own."""
+
+import contextlib
+import io
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from itertools import zip_longest
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+
+
+def blocks(path):
+    """Return (language, text) of every fenced block."""
+    return BLOCK.findall(path.read_text())
+
+
+def run_python(path):
+    """Run the Python blocks of a document one after the other; a text block after one is what that one prints."""
+    namespace = {"__name__": "document"}
+    found = blocks(path)
+    for (language, text), following in zip_longest(found, found[1:], fillvalue=("", "")):
+        if language != "python":
+            continue
+        printed = io.StringIO()
+        with contextlib.redirect_stdout(printed):
+            exec(compile(text, str(path), "exec"), namespace)
+        if following[0] == "text":
+            assert printed.getvalue() == following[1]
+
+
+def shell_lines(path):
+    """Return the commands of a document as this interpreter's programs."""
+    lines = [line for language, text in blocks(path) if language == "sh" for line in text.splitlines()]
+    return [line.removeprefix("python3 launch.py ") for line in lines if "pytest" not in line]
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.name)
+def test_document_does_what_it_says(path, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(ROOT / "tests" / "missions" / "battery_drop.jsonl", tmp_path)
+    pieces = [text for language, text in blocks(path) if language == "python"]
+    if path.name == "own_robot.md":
+        (tmp_path / "rover.py").write_text("\n".join(pieces))
+    elif path.name == "replay_tests.md":
+        (tmp_path / "test_replay.py").write_text("\n".join(pieces))
+        pytest_again = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "test_replay.py"]
+        done = subprocess.run(pytest_again, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stdout
+        assert "1 passed" in done.stdout
+    else:
+        run_python(path)
+    for line in shell_lines(path):
+        program, *arguments = line.split()
+        assert program == "rosa", line
+        command = [sys.executable, "-m", "missions", *arguments]
+        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+        done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+        assert done.returncode == 0, done.stdout + done.stderr
+    for language, text in blocks(path):
+        if language == "json":
+            json.loads(text)
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.name)
+def test_links_between_documents_lead_somewhere(path):
+    for target in re.findall(r"\]\(([^)#:]+)\)", path.read_text()):
+        assert (path.parent / target).exists(), target
+
+
+def test_readme_shows_what_the_mission_prints():
+    shown = next(text for language, text in blocks(ROOT / "README.md") if language == "text")
+    command = [sys.executable, "-m", "missions", "run", "suave_extended"]
+    printed = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
+    assert shown.splitlines()
+    for line in shown.splitlines():
+        assert line in printed
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.name)
+def test_example_prints_what_stands_beside_it(path):
+    done = subprocess.run([sys.executable, str(path)], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == path.with_suffix(".txt").read_text()
+
+
+def test_ci_runs_exactly_the_test_command_of_the_readme():
+    lines = [line for language, text in blocks(ROOT / "README.md") if language == "sh" for line in text.splitlines()]
+    (command,) = (line for line in lines if "pytest" in line)
+    assert command == "python3 launch.py pytest"
+    assert command in (ROOT / ".ci" / "run").read_text().splitlines()

@@ -1,0 +1,34 @@
+"""Runs missions as the command line does, for the tests."""
+
+from functools import cache
+
+import numpy
+
+from missions.mission import Verdict
+from missions.registry import find_mission
+from missions.report import as_json, summary
+from missions.runner import MissionRun
+from missions.settings import split_settings
+
+
+def run_mission(name, task="bt", seed=0, listeners=(), **changed) -> tuple[MissionRun, Verdict, dict]:
+    """Run a mission; returns the run, the verdict and the result as data."""
+    mission = find_mission(name)
+    values = {key: str(value) for key, value in changed.items()}
+    settings, world_settings = split_settings(mission, values)
+    world = mission.world.open(world_settings, numpy.random.default_rng(seed))
+    run = MissionRun(mission, task, world, settings, tuple(listeners))
+    verdict = run.run()
+    return run, verdict, summary(run, verdict, seed, values)
+
+
+@cache
+def result(name, task="bt", seed=0) -> dict:
+    """Return the result of a mission with its default settings, run once for all tests."""
+    return run_mission(name, task, seed)[2]
+
+
+@cache
+def text(name, task="bt", seed=0) -> str:
+    """Return that result as the JSON that the command line writes."""
+    return as_json(result(name, task, seed))

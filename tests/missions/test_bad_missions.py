@@ -1,0 +1,130 @@
+"""What an author gets wrong in a mission is said in one message that names it, what exists and what to do."""
+
+import dataclasses
+
+import numpy
+import pytest
+from py_trees.behaviours import Running
+from running import run_mission
+
+from missions import cli, registry, runner, task
+from missions.registry import MISSIONS
+from rosa_bt import IsActionFeasible
+from rosa_pddl import Planner
+
+
+@pytest.fixture
+def altered(monkeypatch):
+    """Put a mission into the registry that differs from the extended one; returns how to run it by command line."""
+
+    def alter(**changes):
+        mission = dataclasses.replace(MISSIONS["suave_extended"], name="altered", **changes)
+        monkeypatch.setattr(registry, "MISSIONS", {"altered": mission})
+
+    return alter
+
+
+def run_altered(monkeypatch, capsys, *options):
+    monkeypatch.setattr("sys.argv", ["rosa", "run", "altered", "--no-progress", *options])
+    with pytest.raises(SystemExit) as end:
+        cli.main()
+    captured = capsys.readouterr()
+    assert "Traceback" not in captured.out + captured.err
+    return end.value.code, " ".join(captured.out.split()), " ".join(captured.err.split())
+
+
+def test_action_in_the_tree_that_the_model_does_not_know_names_the_nearest(altered, monkeypatch, capsys):
+    altered(tree=lambda kb, senses: IsActionFeasible("search?", kb, "serch_pipeline"))
+    code, _, err = run_altered(monkeypatch, capsys)
+    assert code == 2
+    assert "unknown action 'serch_pipeline'; did you mean 'search_pipeline'" in err
+
+
+def test_action_in_the_domain_that_the_model_does_not_know_names_the_nearest(altered, monkeypatch, capsys, tmp_path):
+    mission = MISSIONS["suave_extended"]
+    problem = tmp_path / "problem.pddl"
+    problem.write_text(
+        mission.problem.read_text()
+        .replace("search_pipeline inspect", "serch_pipeline inspect")
+        .replace("action search_pipeline)", "action serch_pipeline)")
+    )
+    altered(problem=problem)
+    code, _, err = run_altered(monkeypatch, capsys, "--task", "pddl")
+    assert code == 2
+    assert "serch_pipeline" in err
+    assert "search_pipeline" in err
+    assert "problem.pddl:" in err
+
+
+@pytest.mark.parametrize(
+    ("broken", "message"),
+    [
+        (lambda text: text.rstrip()[:-1], "domain.pddl:"),
+        (lambda text: text.replace("(pipeline_found ?p - pipeline)", ""), "pipeline_found"),
+        (lambda text: text.replace(":types", ":tipes"), ":tipes"),
+    ],
+)
+def test_malformed_domain_names_file_and_what_was_expected(altered, monkeypatch, capsys, tmp_path, broken, message):
+    domain = tmp_path / "domain.pddl"
+    domain.write_text(broken(MISSIONS["suave_extended"].domain.read_text()))
+    altered(domain=domain)
+    code, _, err = run_altered(monkeypatch, capsys, "--task", "pddl")
+    assert code == 2
+    assert f"{domain}:" in err
+    assert message in err
+
+
+def test_missing_domain_file_is_named(altered, monkeypatch, capsys, tmp_path):
+    altered(domain=tmp_path / "nowhere.pddl")
+    code, _, err = run_altered(monkeypatch, capsys, "--task", "pddl")
+    assert code == 2
+    assert "nowhere.pddl" in err
+
+
+def test_missing_planner_ends_the_mission_and_says_what_to_install(monkeypatch, capsys, altered):
+    altered()
+    executor = task._planning
+
+    def with_other_engine(*arguments):
+        layer = executor(*arguments)
+        layer.root.decorated._planner = Planner(engine="fast-forward")
+        return layer
+
+    monkeypatch.setattr(task, "_planning", with_other_engine)
+    code, out, _ = run_altered(monkeypatch, capsys, "--task", "pddl")
+    assert code == 1
+    assert "aborted" in out
+    assert "engine missing" in out
+    assert "fast-forward" in out
+
+
+def test_unknown_names_and_nan_in_diagnostics_are_reported_and_the_mission_goes_on(monkeypatch):
+    original = runner.MissionRun._turn
+
+    def disturbed(self):
+        if not self.problems:
+            bad = {"battery_level": "nan", "batterie": "0.1", "water_visibility": "clear"}
+            self._take_in({"time": self.world.now, "status": [{"message": "QA status", "values": bad}]})
+        original(self)
+
+    monkeypatch.setattr(runner.MissionRun, "_turn", disturbed)
+    _, verdict, data = run_mission("suave_extended", duration_s=130)
+    assert verdict.success
+    assert [one["problem"].split(":")[0] for one in data["diagnostics_problems"]] == [
+        "battery_level='nan'",
+        "batterie='0.1'",
+        "water_visibility='clear'",
+    ]
+
+
+def test_exception_in_a_plain_behaviour_leaves_nothing_open(altered):
+    class Rash(Running):
+        def update(self):
+            raise RuntimeError("boom")
+
+    mission = dataclasses.replace(MISSIONS["suave_extended"], tree=lambda kb, senses: Rash("rash"))
+    world = mission.world.open({}, numpy.random.default_rng(0))
+    run = runner.MissionRun(mission, "bt", world)
+    with pytest.raises(RuntimeError, match="boom"):
+        run.run()
+    assert run.kb.required_actions == ()

@@ -1,0 +1,152 @@
+"""The command line as a person uses it: what it prints, what it writes, and one clear message for each mistake."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+from typer.testing import CliRunner
+
+from missions import cli
+from missions.registry import MISSIONS
+
+
+def rosa(*arguments, environment=None):
+    """Run the command line in a process of its own."""
+    command = [sys.executable, "-m", "missions", *map(str, arguments)]
+    settings = {**os.environ, **(environment or {})}
+    return subprocess.run(command, capture_output=True, text=True, env=settings, check=False)
+
+
+@pytest.fixture
+def quick(capsys):
+    """Run the command line in this process; returns exit status, output and errors."""
+
+    def run(*arguments):
+        sys.argv = ["rosa", *map(str, arguments)]
+        try:
+            cli.main()
+            code = 0
+        except SystemExit as end:
+            code = end.code or 0
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return run
+
+
+def test_missions_are_listed_with_what_happens_in_them(quick):
+    code, out, _ = quick("list")
+    assert code == 0
+    assert len(MISSIONS) >= 2
+    for mission in MISSIONS.values():
+        assert mission.name in out
+        assert mission.summary in out
+
+
+def test_settings_are_listed_with_unit_default_and_source(quick):
+    code, out, _ = quick("settings", "suave_extended")
+    assert code == 0
+    row = next(line for line in out.splitlines() if line.startswith("discharge_time_s"))
+    assert "200" in row
+    assert " s " in row
+    assert "ROSA paper" in row
+    assert all(name in out for name in ("duration_s", "tick_period_s", "planning_delay_s", "activation_s"))
+
+
+def test_run_tells_each_adaptation_with_its_reason_and_ends_with_a_table(quick):
+    code, out, err = quick("run", "suave_extended", "--set", "duration_s=190")
+    assert code == 0, err
+    for words in (
+        "structural adaptation: start recover_thrusters",
+        "all_thrusters is unfeasible because component c_thruster_1 has failed",
+        "task adaptation: inspect_pipeline -> recharge; stop follow_pipeline; start recharge",
+        "battery_level 0.249999999999999 violates >= 0.25",
+        "search time [s]",
+        "distance inspected [m]",
+        "times real time",
+        "time_limit",
+    ):
+        assert words in " ".join(out.split()), words
+
+
+def test_run_without_progress_prints_the_result_only(quick):
+    code, out, _ = quick("run", "suave", "--no-progress", "--set", "duration_s=150")
+    assert code == 0
+    assert "adaptation:" not in out
+    assert "time_limit" in out
+
+
+def test_run_writes_all_files_that_are_asked_for(quick, tmp_path):
+    files = {name: tmp_path / f"out.{name}" for name in ("json", "plot", "timing", "record")}
+    options = [part for name, path in files.items() for part in (f"--{name}", path)]
+    code, _, err = quick("run", "suave_extended", "--task", "pddl", "--set", "duration_s=130", *options)
+    assert code == 0, err
+    data = json.loads(files["json"].read_text())
+    assert data["settings"] == {"duration_s": "130"}
+    assert data["task"] == "pddl"
+    assert files["plot"].read_bytes().startswith(b"\x89PNG")
+    timing = json.loads(files["timing"].read_text())
+    assert timing["simulated_s"] == 130
+    assert sum(timing["compute_s"].values()) <= timing["wall_s"]
+    assert len(files["record"].read_text().splitlines()) > 200
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["out.json", "out.plot", "out.record", "out.timing"]
+
+
+def test_json_is_the_same_to_the_byte_under_another_hash_seed(tmp_path):
+    texts = []
+    for hash_seed in ("0", "1234"):
+        path = tmp_path / f"{hash_seed}.json"
+        done = rosa(
+            "run", "suave_extended", "--task", "pddl", "--json", path, environment={"PYTHONHASHSEED": hash_seed}
+        )
+        assert done.returncode == 0, done.stderr
+        texts.append(path.read_bytes())
+    assert texts[0] == texts[1]
+
+
+def test_mission_that_fails_its_goal_exits_with_1(quick):
+    code, out, _ = quick("run", "suave", "--set", "duration_s=20", "--no-progress")
+    assert code == 1
+    assert "not_found" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["run", "suave_extendet"], "unknown mission 'suave_extendet'; there are suave, suave_extended"),
+        (["settings", "suaf"], "unknown mission 'suaf'"),
+        (["run", "suave", "--task", "bd"], "unknown task layer 'bd'; there are bt and pddl"),
+        (["run", "suave", "--set", "duratoin_s=3"], "unknown setting 'duratoin_s' of mission suave; did you mean"),
+        (["run", "suave", "--set", "duration_s=-3"], "duration_s is '-3'; allowed is a number of seconds above 0"),
+        (["run", "suave", "--set", "duration_s=nan"], "duration_s is 'nan'"),
+        (["run", "suave", "--set", "duration_s"], "--set takes NAME=VALUE, not 'duration_s'"),
+        (["run", "suave", "--set", "mass_kg=heavy"], "mass_kg"),
+        (["run", "suave", "--json", "no/such/folder/x.json"], "cannot write no/such/folder/x.json"),
+        (["run", "suave", "--plot", "/"], "cannot write /: it is a directory"),
+        (["run", "suave", "--seed", "-1"], "--seed"),
+        (["run", "suave", "--fast"], "--fast"),
+        (["fly"], "fly"),
+    ],
+)
+def test_wrong_use_is_one_clear_message_and_exits_with_2(quick, arguments, message):
+    code, out, err = quick(*arguments)
+    assert code == 2
+    assert message in " ".join(err.split())
+    assert "Traceback" not in out + err
+    assert "adaptation" not in out  # found out before the mission runs
+
+
+def test_no_file_is_left_behind_when_the_mission_cannot_run(quick, tmp_path):
+    code, _, _ = quick("run", "suave", "--json", tmp_path / "x.json", "--set", "mass_kg=-1")
+    assert code == 2
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_help_names_every_option():
+    shown = CliRunner().invoke(cli.app, ["run", "--help"], env={"COLUMNS": "120", "NO_COLOR": "1"}).output
+    for option in (
+        *("--task", "--seed", "--json", "--plot", "--timing", "--record", "--set", "--realtime", "--no-progress"),
+    ):
+        assert option in shown

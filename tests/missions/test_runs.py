@@ -1,0 +1,138 @@
+"""The missions as a stranger runs them: every seed finds, adapts, recharges, carries on."""
+
+import json
+
+import pytest
+from running import result, run_mission, text
+
+from kb import Status
+from missions.registry import MISSIONS
+from missions.task import TASK_KINDS
+
+SEEDS = range(10)
+
+
+@pytest.mark.parametrize("task", TASK_KINDS)
+@pytest.mark.parametrize("seed", SEEDS)
+def test_extended_mission_finds_recharges_resumes_and_answers_every_disturbance(task, seed):
+    data = result("suave_extended", task, seed)
+    assert data["outcome"] == "time_limit"
+    assert 0 < data["search_time_s"] < 300
+    assert data["distance_inspected_m"] > 0
+    # it inspected before the drop too, and did not begin again
+    assert data["total_inspected_m"] > data["distance_inspected_m"]
+    names = [one["name"] for one in data["actions"]]
+    assert names == ["search_pipeline", "inspect_pipeline", "recharge", "inspect_pipeline"]
+    assert [one["result"] for one in data["actions"]] == ["completed", "abandoned", "completed", "abandoned"]
+    triggers = {one["kind"]: [] for one in data["adaptations"]}
+    for one in data["adaptations"]:
+        triggers[one["kind"]].append(one["trigger"])
+    assert any("water_visibility" in trigger for trigger in triggers["parameter"])
+    assert triggers["structural"][0] == "c_thruster_1 has failed"
+    assert [trigger.split(" ")[0] for trigger in triggers["task"]] == ["battery_level", "battery_level"]
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_tree_and_plans_of_the_extended_mission_begin_the_same_actions(seed):
+    tree, planned = (result("suave_extended", task, seed) for task in TASK_KINDS)
+    assert [one["name"] for one in tree["actions"]] == [one["name"] for one in planned["actions"]]
+    assert tree["plans"] == []
+    assert [[step.split("(")[0] for step in plan["steps"]] for plan in planned["plans"]] == [
+        ["search_pipeline", "inspect_pipeline"],
+        ["recharge", "inspect_pipeline"],
+    ]
+
+
+@pytest.mark.parametrize("task", TASK_KINDS)
+def test_base_mission_knows_no_battery_and_never_recharges(task):
+    data = result("suave", task)
+    assert data["outcome"] == "time_limit"
+    assert [one["name"] for one in data["actions"]] == ["search_pipeline", "inspect_pipeline"]
+    assert {one["kind"] for one in data["adaptations"]} == {"parameter", "structural"}
+    assert data["diagnostics_problems"] == []
+
+
+def test_every_adaptation_says_when_what_why_and_how_fast():
+    adaptations = result("suave_extended")["adaptations"]
+    assert len(adaptations) >= 6
+    for one in adaptations:
+        assert set(one) == {"at_s", "kind", "trigger", "reason", "change", "reaction_s"}
+        assert all(one[key] for key in ("trigger", "reason", "change"))
+        assert 0 < one["reaction_s"] < 1
+    drop = next(one for one in adaptations if one["kind"] == "task")
+    assert drop["change"] == "inspect_pipeline -> recharge; stop follow_pipeline; start recharge"
+    assert drop["reason"].startswith("inspect_pipeline is unfeasible because battery_level 0.24")
+
+
+def test_reactions_follow_the_disturbances_that_truly_happened():
+    data = result("suave_extended")
+    failure = next(one["at_s"] for one in data["disturbances"] if one["what"] == "thruster 1 failed")
+    answer = next(one["at_s"] for one in data["adaptations"] if one["kind"] == "structural")
+    assert failure <= answer <= failure + 1.1  # the monitor looks once a second
+    drop = next(one["at_s"] for one in data["disturbances"] if "battery" in one["what"])
+    answer = next(one["at_s"] for one in data["adaptations"] if one["kind"] == "task")
+    assert drop <= answer <= drop + 0.2
+
+
+@pytest.mark.parametrize("task", TASK_KINDS)
+def test_same_seed_gives_the_same_bytes_and_another_does_not(task):
+    again = run_mission("suave_extended", task, 0)[2]
+    from missions.report import as_json
+
+    assert as_json(again) == text("suave_extended", task, 0)
+    assert text("suave_extended", task, 1) != text("suave_extended", task, 0)
+
+
+def test_result_is_plain_json_without_what_depends_on_the_machine():
+    data = json.loads(text("suave_extended", "pddl"))
+    for key in (
+        *("mission", "task", "manager", "seed", "outcome", "search_time_s", "distance_inspected_m", "duration_s"),
+        *("adaptations", "actions", "plans"),
+    ):
+        assert key in data
+    assert "wall" not in text("suave_extended", "pddl")
+
+
+@pytest.mark.parametrize("name", MISSIONS)
+@pytest.mark.parametrize("task", TASK_KINDS)
+def test_contract_of_every_mission(name, task):
+    """Whatever mission is in the registry: it ends, leaves nothing open, and its model knows what it speaks of."""
+    run, verdict, data = run_mission(name, task, seed=4, duration_s=40)
+    assert run.kb.required_actions == ()
+    assert all(one.result is not None for one in run.kb.action_history)
+    assert len(run.kb.action_history) > 0
+    assert verdict.outcome in ("inspected_all", "time_limit", "not_found", "aborted")
+    assert data["duration_s"] == 40
+    assert set(MISSIONS[name].actions) <= set(run.kb.actions)
+    assert all(view.status is not Status.FAILURE for view in run.kb.actions.values())
+    assert [sample.time for sample, _, _ in run.trace.samples] == sorted({s.time for s, _, _ in run.trace.samples})
+
+
+def test_mission_that_does_not_find_the_pipeline_is_no_success():
+    _, verdict, data = run_mission("suave_extended", duration_s=30)
+    assert verdict.outcome == "not_found"
+    assert not verdict.success
+    assert data["search_time_s"] is None
+
+
+def test_mission_that_ends_before_a_needed_recharge_is_no_success():
+    _, verdict, _ = run_mission("suave_extended", duration_s=155)
+    assert verdict.outcome == "aborted"
+    assert "recharge" in verdict.reason
+
+
+def test_battery_that_lasts_needs_no_recharge():
+    _, verdict, data = run_mission("suave_extended", discharge_time_s=1000)
+    assert verdict.outcome == "time_limit"
+    assert [one["name"] for one in data["actions"]] == ["search_pipeline", "inspect_pipeline"]
+
+
+def test_battery_that_drops_while_searching_resumes_the_search():
+    _, _, data = run_mission("suave_extended", discharge_time_s=100, duration_s=150)
+    names = [one["name"] for one in data["actions"]]
+    assert names[:3] == ["search_pipeline", "recharge", "search_pipeline"]
+    resumed = [one for one in data["adaptations"] if one["kind"] == "task"]
+    assert [one["change"].split(";")[0] for one in resumed[:2]] == [
+        "search_pipeline -> recharge",
+        "recharge -> search_pipeline",
+    ]
