@@ -1,0 +1,212 @@
+"""The slow twin of the knowledge base: it keeps base facts only and recomputes everything whenever it is asked.
+
+Transcribed from the written semantics, not from the implementation; it is the oracle of the quick one.
+"""
+
+import copy
+from typing import NamedTuple
+
+COMPARE = {
+    ">=": lambda measured, bound: measured >= bound,
+    ">": lambda measured, bound: measured > bound,
+    "<=": lambda measured, bound: measured <= bound,
+    "<": lambda measured, bound: measured < bound,
+}
+
+
+class NaivePlan(NamedTuple):
+    activate: frozenset
+    deactivate: frozenset
+    parameters: frozenset
+
+
+class Naive:
+    def __init__(self, model):
+        self.model = model
+        self.value = {}
+        self.failed = set()
+        self.active = set()
+        self.designs = set()  # names of the selected ones
+        self.configurations = set()
+        self.open_actions = set()
+        self.asserted = {}  # status by (kind, name); constraints by ("constraint", position in model.constraints)
+        self.asserted_required = set()  # (kind, name)
+
+    # structure
+
+    def own_constraints(self, element):
+        return [
+            number for number, one in enumerate(self.model.constraints) if any(it is element for it in one.constrained)
+        ]
+
+    def designs_of(self, function):
+        return [one for one in self.model.designs.values() if one.function == function]
+
+    def configurations_of(self, component):
+        return [one for one in self.model.configurations.values() if one.component == component]
+
+    # required
+
+    def action_required(self, name):
+        return name in self.open_actions or ("action", name) in self.asserted_required
+
+    def function_required(self, name):
+        by_action = any(name in one.functions and self.action_required(one.name) for one in self.model.actions.values())
+        return by_action or ("function", name) in self.asserted_required
+
+    def component_required(self, name):
+        by_design = any(name in self.model.designs[chosen].components for chosen in self.designs)
+        return by_design or ("component", name) in self.asserted_required
+
+    def required(self, kind, name):
+        return {
+            "action": self.action_required,
+            "function": self.function_required,
+            "component": self.component_required,
+        }[kind](name)
+
+    # statuses
+
+    def status(self, kind, name):
+        if (kind, name) in self.asserted:
+            return self.asserted[kind, name]
+        return getattr(self, f"{kind}_status")(name)
+
+    def violated(self, element):
+        return any(self.status("constraint", number) == "violated" for number in self.own_constraints(element))
+
+    def constraint_status(self, number):
+        constraint = self.model.constraints[number]
+        if constraint.attribute not in self.value:
+            return "not evaluated"
+        holds = COMPARE[constraint.operator](self.value[constraint.attribute], constraint.value)
+        return "satisfied" if holds else "violated"
+
+    def configuration_status(self, name):
+        return "unfeasible" if self.violated(self.model.configurations[name]) else "feasible"
+
+    def component_status(self, name):
+        options = [one.name for one in self.configurations_of(name)]
+        unfeasible = [one for one in options if self.status("configuration", one) == "unfeasible"]
+        required = self.component_required(name)
+        if name in self.failed:
+            return "failure"
+        if (options and unfeasible == options) or self.violated(self.model.components[name]):
+            return "unfeasible"
+        if required and any(one in self.configurations for one in unfeasible):
+            return "configuration error"
+        if required and name not in self.active:
+            return "unsolved"
+        if required and options and not any(one in self.configurations for one in options):
+            return "unsolved"
+        return "solved" if required else "feasible"
+
+    def design_status(self, name):
+        design = self.model.designs[name]
+        parts = [self.status("component", one) for one in design.components]
+        if self.violated(design) or "failure" in parts or "unfeasible" in parts:
+            return "unfeasible"
+        if name in self.designs and "configuration error" in parts:
+            return "implicit configuration error"
+        if name in self.designs and any(one != "solved" for one in parts):
+            return "unsolved"
+        return "solved" if name in self.designs else "feasible"
+
+    def function_status(self, name):
+        options = {one.name: self.status("design", one.name) for one in self.designs_of(name)}
+        selected = [options[one] for one in options if one in self.designs]
+        if not options or all(one == "unfeasible" for one in options.values()):
+            return "unfeasible"
+        if not self.function_required(name):
+            return "feasible"
+        if "unfeasible" in selected:
+            return "configuration error"
+        if "implicit configuration error" in selected:
+            return "implicit configuration error"
+        return "solved" if "solved" in selected else "unsolved"
+
+    def action_status(self, name):
+        action = self.model.actions[name]
+        needs = [self.status("function", one) for one in action.functions]
+        if self.violated(action) or "unfeasible" in needs:
+            return "unfeasible"
+        if not self.action_required(name):
+            return "feasible"
+        if "configuration error" in needs or "implicit configuration error" in needs:
+            return "implicit configuration error"
+        return "unsolved" if any(one != "solved" for one in needs) else "solved"
+
+    # questions
+
+    def _is_adaptable(self, kind, element):
+        status = self.status(kind, element.name)
+        return status in ("unsolved", "configuration error") or (element.always_improve and status == "solved")
+
+    def adaptable_functions(self):
+        return {one.name for one in self.model.functions.values() if self._is_adaptable("function", one)}
+
+    def adaptable_components(self, designs=()):
+        supposed = copy.copy(self)
+        supposed.designs, supposed.configurations = set(self.designs), set(self.configurations)
+        supposed.mark({self.model.designs[name].function: name for name in designs}, {})
+        return {one.name for one in self.model.components.values() if supposed._is_adaptable("component", one)}
+
+    def selectable_actions(self):
+        return {name for name in self.model.actions if self.status("action", name) != "unfeasible"}
+
+    def selectable_designs(self, function):
+        return {one.name for one in self.designs_of(function) if self.status("design", one.name) != "unfeasible"}
+
+    def selectable_configurations(self, component):
+        options = self.configurations_of(component)
+        return {one.name for one in options if self.status("configuration", one.name) != "unfeasible"}
+
+    def usable_by(self, component):
+        """Functions that could use a component: those with a design that contains it."""
+        return {one.function for one in self.model.designs.values() if component in one.components}
+
+    def obsolete_components(self):
+        return {one for one in self.active if not any(map(self.function_required, self.usable_by(one)))}
+
+    def obsolete_designs(self):
+        return {one for one in self.designs if not self.function_required(self.model.designs[one].function)}
+
+    def obsolete_configurations(self):
+        component = {one: self.model.configurations[one].component for one in self.configurations}
+        return {
+            one for one in self.configurations if not any(map(self.function_required, self.usable_by(component[one])))
+        }
+
+    # selecting
+
+    def mark(self, designs, configurations):
+        """Select what is chosen, unselect its rivals and what is obsolete; return the designs replaced by rivals."""
+        replaced = set()
+        for function, chosen in designs.items():
+            replaced |= {one.name for one in self.designs_of(function) if one.name in self.designs} - {chosen}
+            self.designs.add(chosen)
+        self.designs -= replaced
+        for component, chosen in configurations.items():
+            self.configurations -= {one.name for one in self.configurations_of(component)}
+            self.configurations.add(chosen)
+        obsolete = self.obsolete_designs(), self.obsolete_configurations()
+        self.designs -= obsolete[0]
+        self.configurations -= obsolete[1]
+        return replaced
+
+    def needed_components(self):
+        """Components of all selected designs of required functions."""
+        designs = [self.model.designs[name] for name in self.designs]
+        return {part for one in designs if self.function_required(one.function) for part in one.components}
+
+    def select(self, designs, configurations):
+        before = set(self.configurations)
+        replaced = self.mark(designs, configurations)
+        needed = self.needed_components()
+        dropped = {part for name in replaced for part in self.model.designs[name].components}
+        plan = NaivePlan(
+            frozenset(needed - self.active),
+            frozenset(((dropped & self.active) - needed) | self.obsolete_components()),
+            frozenset(self.configurations - before),
+        )
+        return plan if any(plan) else None
