@@ -1,0 +1,63 @@
+"""What each package may import: what is not on its list is denied. Directions between packages are import-linter's."""
+
+import ast
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+ALLOWED = {
+    "kb": {"kb"},
+    "rosa_bt": {"rosa_bt", "kb", "py_trees"},
+    "rosa_pddl": {"rosa_pddl", "kb", "py_trees", "unified_planning"},
+    "suave_env": {"suave_env", "mujoco", "numpy"},
+    "missions": {
+        "missions",
+        "kb",
+        "rosa_bt",
+        "rosa_pddl",
+        "suave_env",
+        "py_trees",
+        "numpy",
+        "matplotlib",
+        "rich",
+        "typer",
+    },
+}
+LATE = {"unified_planning", "suave_env", "matplotlib"}
+"""Slow to import: only inside functions, or in the one module that is itself imported late."""
+LATE_MODULES = {"missions/plot.py"}
+
+
+def imports(path):
+    """Yield (top-level package, whether the import happens when the module is imported)."""
+    tree = ast.parse(path.read_text())
+    at_import = {id(node) for node in tree.body}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: write imports in full"
+            names = [node.module]
+        else:
+            continue
+        for name in names:
+            yield name.split(".")[0], id(node) in at_import
+
+
+@pytest.mark.parametrize("package", ALLOWED)
+def test_package_imports_only_what_is_allowed(package):
+    files = sorted((ROOT / package).rglob("*.py"))
+    assert files
+    for path in files:
+        for name, _ in imports(path):
+            assert name in ALLOWED[package] or name in sys.stdlib_module_names, f"{path} imports {name}"
+
+
+@pytest.mark.parametrize("package", ALLOWED)
+def test_what_is_slow_to_import_is_imported_late(package):
+    for path in sorted((ROOT / package).rglob("*.py")):
+        where = str(path.relative_to(ROOT))
+        slow = {name for name, at_import in imports(path) if at_import} & LATE - {package}
+        assert not slow or where in LATE_MODULES, f"{where} imports {slow} when it is imported"
