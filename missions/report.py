@@ -13,7 +13,7 @@ from missions.adaptations import Adaptation
 from missions.mission import Verdict
 from missions.runner import MissionRun
 
-__all__ = ["as_json", "summary", "adaptation_table", "timing"]
+__all__ = ["adaptation_table", "as_json", "summary", "timing"]
 
 MANAGER = "ours"
 

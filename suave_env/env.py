@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -129,7 +130,7 @@ class SuaveEnv:
 
     def _enter_disturbances(self) -> None:
         for event in parse_thruster_events(self._settings.thruster_events):
-            self._agenda.at(event.time, lambda time, event=event: self._thruster_event(event, time))  # type: ignore[misc]
+            self._agenda.at(event.time, partial(self._thruster_event, event))
         for threshold in THRESHOLDS_M:
             self._await_crossing(threshold, 0.0)
 

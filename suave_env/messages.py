@@ -2,7 +2,15 @@
 
 from typing import TypedDict
 
-__all__ = ["COMPONENT_STATUS", "EA_MEASUREMENT", "MISSION_STATUS", "QA_STATUS", "Message", "Outbox", "Status"]
+__all__ = [
+    "COMPONENT_STATUS",
+    "EA_MEASUREMENT",
+    "MISSION_STATUS",
+    "Message",
+    "Outbox",
+    "QA_STATUS",
+    "Status",
+]
 
 EA_MEASUREMENT = "EA measurement"
 """Text of a measurement of the environment; kas-lab/suave v1.3.0."""

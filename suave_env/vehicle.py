@@ -49,12 +49,12 @@ class Vehicle:
     @property
     def pose(self) -> list[float]:
         """Position [m], world frame ENU, z up, and quaternion (w, x, y, z) of the body x forward, y left; (7,)."""
-        return self._qpos.tolist()  # type: ignore[no-any-return]
+        return self._qpos.tolist()  # type: ignore[no-any-return]  # MuJoCo ships no types
 
     @property
     def motion(self) -> list[float]:
         """Velocity [m/s], world frame ENU, z up, and angular velocity [rad/s], body frame; (6,)."""
-        return self._qvel.tolist()  # type: ignore[no-any-return]
+        return self._qvel.tolist()  # type: ignore[no-any-return]  # MuJoCo ships no types
 
     @property
     def position(self) -> tuple[float, float, float]:
