@@ -3,7 +3,7 @@
 import sys
 import time
 from collections.abc import Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext
 from pathlib import Path
 from typing import Annotated
 
@@ -91,28 +91,29 @@ def run_mission(
         listeners: list[Listener] = []
         if "record" in files:
             listeners.append(Recorder(files["record"]))
-        if progress:
-            console.print(f"[bold]{found.name}[/] (task layer: {task}, seed {seed})")
-            listeners.append(stack.enter_context(Narrator(console, run_settings.duration_s)))
         if realtime:
             listeners.append(Pace())
+        narrator = Narrator(console, run_settings.duration_s)
+        if progress:
+            listeners.append(narrator)
         run = _opened(found, task, seed, run_settings, world_settings, tuple(listeners))
-        start = time.perf_counter()
-        verdict = _run(run)
-        wall_s = time.perf_counter() - start
+        with narrator if progress else nullcontext():
+            console.print(f"[bold]{found.name}[/] (task layer: {task}, seed {seed})")
+            start = time.perf_counter()
+            verdict = _run(run)
+            wall_s = time.perf_counter() - start
+        _print_result(console, run, wall_s)
+        _print_verdict(console, verdict)
         data = summary(run, verdict, seed, changed)
-        if "json" in files:
-            files["json"].write(as_json(data))
-        if "timing" in files:
-            files["timing"].write(as_json(timing(run, wall_s)))
-        if "plot" in files:
+        texts = {"json": as_json(data), "timing": as_json(timing(run, wall_s)), "record": ""}
+        for name in texts.keys() & files.keys():
+            files[name].write(texts[name])
+            files[name].keep()
+        if "plot" in files:  # last, because it takes longest
             from missions.plot import draw
 
             draw(run, data, files["plot"].file)
-        for file in files.values():
-            file.keep()
-    _print_result(console, run, wall_s)
-    _print_verdict(console, verdict)
+            files["plot"].keep()
     if not verdict.success:
         raise typer.Exit(FAILED)
 
