@@ -1,6 +1,7 @@
 """The adaptation loop against managed systems that obey at once, slowly, wrongly or never."""
 
 import math
+from concurrent.futures import Future
 
 import pytest
 from hypothesis import HealthCheck, Phase, given, settings
@@ -580,3 +581,78 @@ def test_an_obedient_system_ends_as_the_knowledge_base_says_it_is(model, data, l
         )
     for name in managed.started_with:
         assert model.components[name].kind != "plain"
+
+
+class Returning:
+    """A managed system whose every command returns what it was given."""
+
+    def __init__(self, operation):
+        self.operation = operation
+
+    def activate(self, component):
+        return self.operation()
+
+    deactivate = activate
+
+    def set_parameters(self, component, parameters):
+        return self.operation()
+
+
+def future(outcome):
+    made = Future()
+    if outcome == "cancelled":
+        made.cancel()
+    elif outcome is None:
+        made.set_result("anything")
+    else:
+        made.set_exception(outcome)
+    return made
+
+
+class Breaking:
+    """An operation that cannot even be asked."""
+
+    def __init__(self, asked):
+        self.asked = asked
+
+    def done(self):
+        if self.asked == "done":
+            raise Broken("lost")
+        return True
+
+    def exception(self):
+        raise Broken("lost")
+
+
+def test_futures_are_operations():
+    kb, clock = base(rover())
+    manager = ConfigurationManager(kb, Returning(lambda: future(None)))
+    kb.request_action("explore")
+    come_to_rest(manager, kb, clock)
+    assert kb.actions["explore"].status is Status.SOLVED
+
+
+@pytest.mark.parametrize(
+    "operation",
+    [
+        lambda: future(Broken("no")),
+        pytest.param(
+            lambda: future("cancelled"),
+            marks=pytest.mark.xfail(strict=True, reason="a cancelled Future raises out of update"),
+        ),
+        pytest.param(
+            lambda: Breaking("done"),
+            marks=pytest.mark.xfail(strict=True, reason="an operation that raises when asked raises out of update"),
+        ),
+        pytest.param(
+            lambda: Breaking("exception"),
+            marks=pytest.mark.xfail(strict=True, reason="an operation that raises when asked raises out of update"),
+        ),
+    ],
+)
+def test_update_never_raises_whatever_an_operation_does(operation):
+    kb, clock = base(rover())
+    manager = ConfigurationManager(kb, Returning(operation))
+    kb.request_action("explore")
+    come_to_rest(manager, kb, clock)
+    assert kb.actions["explore"].status is Status.UNFEASIBLE
