@@ -1,0 +1,131 @@
+"""The picture of a run: that it is there, is always the same, and shows what happened."""
+
+from dataclasses import replace
+from functools import cache
+from io import BytesIO
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+from running import run_mission
+
+from missions.plot import draw, picture
+from missions.runner import Trace
+
+
+@cache
+def short_run(name="suave_extended", task="bt"):
+    run, _, data = run_mission(name, task, seed=0, duration_s=40)
+    return run, data
+
+
+def drawn(run, data):
+    out = BytesIO()
+    draw(run, data, out)
+    return out.getvalue()
+
+
+def words(axes):
+    return [text.get_text() for text in axes.texts]
+
+
+def axes_beside(figure, word):
+    return next(axes for axes in figure.axes if word in words(axes))
+
+
+def panel(figure, name):
+    return next(axes for axes in figure.axes if axes.get_ylabel().split("\n")[:-1] == name.split())
+
+
+@pytest.mark.parametrize(("name", "task"), [("suave", "bt"), ("suave_extended", "pddl")])
+def test_png_has_its_size_is_not_blank_and_is_the_same_twice(name, task):
+    run, data = short_run(name, task)
+    png = drawn(run, data)
+    pixels = imread(BytesIO(png))
+    assert pixels.shape[:2] == (1200, 1600)
+    assert np.ptp(pixels) == 1
+    assert drawn(run, data) == png
+
+
+def test_map_list_and_time_axis_carry_the_number_of_every_adaptation():
+    run, data = short_run()
+    kinds = [one["kind"] for one in data["adaptations"]]
+    assert {"parameter", "structural"} <= set(kinds)
+    figure = picture(run, data)
+    numbers = {str(number) for number in range(1, len(kinds) + 1)}
+    carriers = [axes for axes in figure.axes if numbers <= set(words(axes))]
+    assert len(carriers) == 3
+    assert axes_beside(figure, "start") in carriers
+    assert axes_beside(figure, "adaptations") in carriers
+
+
+@pytest.mark.parametrize("signal", ["water visibility", "battery level"])
+def test_thresholds_are_those_of_the_model(signal):
+    run, data = short_run()
+    limits = [one for one in run.kb.model.constraints if one.attribute == signal.replace(" ", "_")]
+    assert limits
+    axes = panel(picture(run, data), signal)
+    lines = [float(path.vertices[0, 1]) for group in axes.collections for path in group.get_paths()]
+    assert {one.value for one in limits} <= set(lines)
+    beside = "\n".join(words(axes))
+    assert all(f"≥ {one.value:g}  {each.name}" in beside for one in limits for each in one.constrained)
+
+
+def test_a_signal_shares_the_panel_of_the_signal_that_ends_its_name():
+    run, data = short_run()
+    legend = panel(picture(run, data), "altitude").get_legend()
+    assert [text.get_text() for text in legend.get_texts()] == ["altitude", "search altitude"]
+
+
+def test_a_disturbance_is_marked_on_its_signal_or_told_in_words():
+    run, data = short_run()
+    figure = picture(run, data)
+    told = words(axes_beside(figure, "disturbances"))
+    seen = [one for one in data["disturbances"] if one["what"].startswith("water visibility")]
+    others = [one["what"] for one in data["disturbances"] if one not in seen]
+    assert seen
+    assert others
+    assert told == ["disturbances", *others]
+    marked = [line.get_xdata() for line in panel(figure, "water visibility").lines if line.get_marker() == "D"]
+    assert sorted(float(np.ravel(x)[0]) for x in marked) == [one["at_s"] for one in seen]
+
+
+def test_the_map_has_the_same_scale_both_ways():
+    run, data = short_run()
+    axes = axes_beside(picture(run, data), "start")
+    assert axes.get_aspect() == 1
+    width, height = np.ptp(axes.get_xlim()), np.ptp(axes.get_ylim())
+    assert width / height == pytest.approx(axes.bbox.width / axes.bbox.height)
+
+
+@pytest.mark.parametrize("samples", [0, 1, 2])
+def test_hardly_any_samples_are_drawn_all_the_same(samples):
+    run, _, data = run_mission("suave_extended", duration_s=20)
+    run.trace = Trace(run.trace.samples[:samples])
+    assert drawn(run, data)
+
+
+def test_a_run_in_which_nothing_happened_says_so():
+    run, data = short_run()
+    calm = {**data, "adaptations": [], "disturbances": []}
+    assert any("no adaptation" in words(axes) for axes in picture(run, calm).axes)
+
+
+def test_signals_that_are_missing_and_names_that_look_like_formulas_do_no_harm():
+    run, _, data = run_mission("suave_extended", duration_s=20)
+    kept = [
+        (replace(sample, signals={"battery level [-]": float("nan"), "odd $x [m]": sample.time}), "$a, b", "c$")
+        for sample, _, _ in run.trace.samples
+    ]
+    run.trace = Trace(kept)
+    figure = picture(run, data)
+    assert panel(figure, "odd $x")
+    assert not [axes for axes in figure.axes if axes.get_ylabel().startswith("battery")]
+    assert drawn(run, data)
+
+
+def test_a_great_many_adaptations_are_cut_off_in_the_list_with_a_word():
+    run, data = short_run()
+    many = [one for one in data["adaptations"] for _ in range(12)]
+    figure = picture(run, {**data, "adaptations": many})
+    assert any(word.startswith("… and") for axes in figure.axes for word in words(axes))
