@@ -22,7 +22,7 @@ MARK = VENV / "set-up-for"
 
 
 def set_up() -> None:
-    """Make the virtual environment and install this project in it; a failure leaves no mark, so the next call retries."""
+    """Make the virtual environment and install this project in it; without the mark the next call does it anew."""
     inputs = b"".join((ROOT / name).read_bytes() for name in ("pyproject.toml", "constraints.txt", "launch.py"))
     wanted = hashlib.sha256(inputs + sys.version.encode()).hexdigest()
     if MARK.is_file() and MARK.read_text() == wanted:
@@ -36,17 +36,17 @@ def set_up() -> None:
         venv.create(VENV, clear=VENV.exists(), with_pip=True)
         pip = [python, "-m", "pip"]
     else:
-        sys.exit("launch.py: this Python has neither pip nor ensurepip; install pip (Debian: apt-get install python3-pip)")
+        sys.exit("launch.py: this Python has no pip; install it (Debian: apt-get install python3-pip)")
     constraints = str(ROOT / "constraints.txt")
     install = [*pip, "install", "--quiet", "--disable-pip-version-check", "-c", constraints, "-e", f"{ROOT}[dev]"]
     if subprocess.run(install, env={**os.environ, "PIP_CONSTRAINT": constraints}, stdout=sys.stderr).returncode:
-        sys.exit("launch.py: pip could not install the project (its message stands above); mend that and run this again")
+        sys.exit("launch.py: pip could not install the project; mend what it says above and run this again")
     MARK.write_text(wanted)
 
 
 def main() -> None:
     """Set up, then become the command that was asked for."""
-    if sys.version_info < (3, 11):
+    if sys.version_info < (3, 11):  # noqa: UP036  # the one file that an older Python may meet
         sys.exit(f"launch.py: Python 3.11 or newer is needed, this is {sys.version.split()[0]}")
     if len(sys.argv) < 2 or sys.argv[1] in ("-h", "--help"):
         sys.exit(__doc__)

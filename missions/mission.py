@@ -81,7 +81,7 @@ class Verdict(NamedTuple):
 
 
 class World(ABC):
-    """Where a mission happens: a simulator, a robot or a recording. The first three are needed, the rest is for reports."""
+    """Where a mission happens: a simulator, a robot or a recording; the first three are needed, the rest reports."""
 
     @property
     @abstractmethod
