@@ -1,6 +1,5 @@
 """A finished run as one picture: where the robot went, what it measured, and how it adapted."""
 
-import re
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -132,8 +131,7 @@ def _bare(signal: str) -> str:
 
 
 def _brief(text: str, most: int = 18) -> str:
-    short = re.sub(r"\d+\.\d{4,}", lambda number: f"{float(number[0]):.3g}", text)
-    short = short.replace(" = ", "\u00a0=\u00a0").replace("->", "→").replace(">=", "≥").replace("<=", "≤")
+    short = text.replace(" = ", "\u00a0=\u00a0").replace("->", "→").replace(">=", "≥").replace("<=", "≤")
     return short if len(short) <= most else f"{short[: most - 1]}…"
 
 
