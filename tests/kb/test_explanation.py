@@ -305,3 +305,19 @@ def test_a_cause_is_a_part_whose_status_is_as_stated(story):
 
     for kind, name in twins.elements():
         check(twins.kb.explain(twins.view(kind, name)))
+
+
+@pytest.mark.xfail(strict=True, reason="every path to a fact is told in full, so a shared fault fills pages")
+def test_a_reason_stays_short_enough_to_read_when_many_things_share_a_fault():
+    model = Model("shared")
+    model.component("driver")
+    for number in range(10):
+        function = model.function(f"function {number}")
+        for one in range(10):
+            function.design(f"design {number}.{one}", ["driver"])
+    model.action("all", requires=list(model.functions))
+    kb = KnowledgeBase(model)
+    kb.component_failed("driver")
+    reason = kb.request_action("all").reason
+    assert "driver has failed" in reason
+    assert len(reason) < 1500
