@@ -690,3 +690,12 @@ def test_facts_told_from_several_threads_are_all_there():
         kb.measure(f"load {number}", 0.0)
         assert kb.actions[f"action {number}"].status is Status.FEASIBLE
     assert kb.actions["all"].status is Status.FEASIBLE
+
+
+def test_telling_again_that_a_component_is_active_changes_nothing(kb, told):
+    kb.component_active("camera", True)
+    count, revision = len(told), kb.revision
+    kb.component_active("camera", True)
+    assert (len(told), kb.revision) == (count, revision)
+    kb.component_active("camera", False)
+    assert len(told) == count + 1

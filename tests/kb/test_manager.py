@@ -656,3 +656,42 @@ def test_update_never_raises_whatever_an_operation_does(operation):
     kb.request_action("explore")
     come_to_rest(manager, kb, clock)
     assert kb.actions["explore"].status is Status.UNFEASIBLE
+
+
+def test_a_component_that_is_configured_and_given_up_in_one_plan_is_not_started_again():
+    kb, clock, managed, manager = start(rover(stops_to_configure=True))
+    kb.request_action("explore")
+    turn(manager, clock, 2)
+    managed.log.clear()
+    plan = kb.select({"see": "by lidar"}, {"camera": "night"})
+    assert (set(plan.deactivate), plan.parameters) == ({"camera", "lamp"}, ("night",))
+    turn(manager, clock, 3)
+    assert plan.result == "completed"
+    assert managed.running == {"lidar"}
+    assert "activate camera" not in managed.log
+
+
+class Counting(PriorityPlanner):
+    def __init__(self):
+        self.asked = 0
+
+    def plan(self, kb):
+        self.asked += 1
+        return super().plan(kb)
+
+
+def test_the_planner_is_not_asked_while_nothing_that_matters_to_it_has_changed():
+    planner = Counting()
+    kb, clock, _, manager = start(planner=planner)
+    kb.measure("light", 0.9)
+    kb.request_action("explore")
+    come_to_rest(manager, kb, clock)
+    asked = planner.asked
+    for value in (0.8, 0.7, 0.7):
+        kb.measure("light", value)
+        kb.component_active("camera", True)
+        turn(manager, clock, 2)
+    assert planner.asked == asked
+    kb.measure("light", 0.1)
+    turn(manager, clock)
+    assert planner.asked > asked
