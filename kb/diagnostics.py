@@ -6,6 +6,7 @@ mappings with `key` and `value`. A message of a ROS 2 Python node, its JSON, and
 """
 
 import math
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Final, NamedTuple
 
@@ -13,6 +14,8 @@ __all__ = ["ComponentReport", "DiagnosticProblem", "Measurement", "read_diagnost
 
 MEASUREMENTS: Final = frozenset({"qa status", "qa measurement", "ea status", "ea measurement", "attribute measurement"})
 COMPONENT_REPORTS: Final = frozenset({"component status", "component"})
+NUMBER: Final = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
+NOT_FINITE: Final = frozenset({"nan", "inf", "infinity"})
 RECOVERED: Final = frozenset({"recovered", "ok"})
 FAILED: Final = frozenset({"false", "failure", "error"})
 
@@ -22,6 +25,7 @@ class Measurement(NamedTuple):
 
     attribute: str
     value: float
+    written: str
 
 
 class ComponentReport(NamedTuple):
@@ -29,6 +33,7 @@ class ComponentReport(NamedTuple):
 
     component: str
     failed: bool
+    written: str
 
 
 class DiagnosticProblem(NamedTuple):
@@ -52,19 +57,19 @@ def read_diagnostics(array: object) -> Iterator[Measurement | ComponentReport | 
 
 
 def _measurement(key: str, value: str) -> Measurement | DiagnosticProblem:
-    try:
-        number = float(value)
-    except ValueError:
+    # float() reads more than numbers: underscores, and digits of every script
+    if value.strip().lower().lstrip("+-") not in NOT_FINITE and not NUMBER.fullmatch(value.strip()):
         return DiagnosticProblem(key, value, "a measurement is a number")
+    number = float(value)
     if not math.isfinite(number):
         return DiagnosticProblem(key, value, "a measurement is a finite number")
-    return Measurement(key, number)
+    return Measurement(key, number, value)
 
 
 def _component_report(key: str, value: str) -> ComponentReport | DiagnosticProblem:
     word = value.strip().casefold()
     if word in RECOVERED or word in FAILED:
-        return ComponentReport(key, word in FAILED)
+        return ComponentReport(key, word in FAILED, value)
     return DiagnosticProblem(
         key, value, f"a component status is one of {', '.join(sorted(RECOVERED))} or {', '.join(sorted(FAILED))}"
     )

@@ -7,6 +7,7 @@ from enum import StrEnum
 from typing import TYPE_CHECKING
 
 from kb.exceptions import InvalidValue, ModelError
+from kb.status import OPERATORS
 
 if TYPE_CHECKING:
     from kb.model import Model
@@ -29,6 +30,7 @@ __all__ = [
     "FunctionDesign",
     "Parameter",
     "Parameters",
+    "exact",
     "finite_number",
 ]
 
@@ -70,6 +72,12 @@ class Expression:
     attribute: str
     operator: str
     value: float
+    model: "Model | None" = field(default=None, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        if self.operator not in OPERATORS:
+            raise ModelError(f"{self.operator!r} is no comparison; there are {', '.join(OPERATORS)}")
+        finite_number(self.value)
 
     def __bool__(self) -> bool:
         raise ModelError(
@@ -78,7 +86,7 @@ class Expression:
         )
 
     def __str__(self) -> str:
-        return f"{self.attribute} {self.operator} {self.value:g}"
+        return f"{self.attribute} {self.operator} {exact(self.value)}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +99,7 @@ class Constraint:
     constrained: tuple["Constrainable", ...]
 
     def __str__(self) -> str:
-        return f"{self.attribute} {self.operator} {self.value:g}"
+        return f"{self.attribute} {self.operator} {exact(self.value)}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,9 +123,8 @@ class Element:
 @dataclass(frozen=True, slots=True)
 class _Constrainable(Element):
     def constrain(self, *expressions: Expression) -> None:
-        """Add one constraint per expression to this element."""
-        for expression in expressions:
-            self.model.constrain([self], expression)  # type: ignore[list-item]  # a subclass is one of the four
+        """Add one constraint per expression to this element, or none if one of them is refused."""
+        self.model.constrain_all(self, expressions)  # type: ignore[arg-type]  # a subclass is one of the four
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +136,6 @@ class _Estimable(_Constrainable):
             attribute: the affected attribute, or its name.
             value: how much, in the attribute's unit.
             kind: "positive" adds, "negative" takes away, "absolute" sets.
-
         """
         self.model.add_estimation(self, attribute, value, kind)  # type: ignore[arg-type]  # a subclass is one of three
 
@@ -141,16 +147,16 @@ class Attribute(Element):
     kind: AttributeKind = AttributeKind.QUALITY
 
     def __ge__(self, value: float) -> Expression:
-        return Expression(self.name, ">=", finite_number(value))
+        return Expression(self.name, ">=", finite_number(value), self.model)
 
     def __gt__(self, value: float) -> Expression:
-        return Expression(self.name, ">", finite_number(value))
+        return Expression(self.name, ">", finite_number(value), self.model)
 
     def __le__(self, value: float) -> Expression:
-        return Expression(self.name, "<=", finite_number(value))
+        return Expression(self.name, "<=", finite_number(value), self.model)
 
     def __lt__(self, value: float) -> Expression:
-        return Expression(self.name, "<", finite_number(value))
+        return Expression(self.name, "<", finite_number(value), self.model)
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,7 +178,6 @@ class Component(_Estimable):
         stops_to_configure: new parameters are given while it is stopped, not while it runs.
         package: where its program is found, for a process or lifecycle component.
         executable: the program's name there.
-
     """
 
     kind: ComponentKind = ComponentKind.PLAIN
@@ -235,7 +240,16 @@ def finite_number(value: object) -> float:
     """Return the value as a float; text, booleans, NaN and infinities are refused."""
     if isinstance(value, bool | str) or not hasattr(value, "__float__"):
         raise InvalidValue(f"a number is needed, not {value!r}")
-    number = float(value)
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
     if not math.isfinite(number):
-        raise InvalidValue(f"a finite number is needed, not {value!r}")
+        raise InvalidValue(f"a finite number is needed, not {value!r:.60}")
     return number
+
+
+def exact(value: float) -> str:
+    """Write a number with as few digits as say exactly which it is."""
+    short = f"{value:g}"
+    return short if float(short) == value else repr(value)

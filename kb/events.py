@@ -36,7 +36,6 @@ class Event(NamedTuple):
         text: what, in words, e.g. "light is 0.3" or "gripper has failed".
         changes: the statuses that changed because of it.
         plan: the plan, for a reconfiguration plan.
-
     """
 
     kind: EventKind

@@ -33,7 +33,6 @@ class UnknownName(KnowledgeBaseError, KeyError):
         kind: what was looked for, e.g. "action".
         name: what was given.
         known: the names that exist; the message lists the nearest ones first.
-
     """
 
     def __init__(self, kind: str, name: object, known: Iterable[str]) -> None:

@@ -2,9 +2,10 @@
 
 import logging
 from collections.abc import Callable, Iterator
+from concurrent.futures import CancelledError
 from dataclasses import dataclass, field
 
-from kb.elements import ComponentKind, Parameters
+from kb.elements import ComponentKind
 from kb.knowledge_base import KnowledgeBase
 from kb.managed import ManagedSystem, Operation
 from kb.reconfiguration import ReconfigurationPlan
@@ -22,6 +23,7 @@ class _Step:
     component: str
     command: Callable[[], Operation | None]
     report: Callable[[], None]
+    give_up: Callable[[], None] = lambda: None
     attempts: int = 0
     operation: Operation | None = field(default=None)
 
@@ -31,12 +33,12 @@ class StagedExecutor:
 
     The commands of a stage are given together, and the next stage begins when all have ended, so a component gets its
     parameters before it starts. A command that fails is given again; when it fails for good, its component is
-    reported failed, so that the next best design is chosen, and the plan has failed.
+    reported failed, so that the next best design is chosen, and the plan ends as failed after the other components
+    got what was meant for them.
 
     Args:
         managed: what is commanded; plain components are never commanded, only booked.
         attempts: how often a command is given before it counts as failed.
-
     """
 
     def __init__(self, managed: ManagedSystem, *, attempts: int = 3) -> None:
@@ -45,7 +47,7 @@ class StagedExecutor:
         self._plan: ReconfigurationPlan | None = None
         self._stages: Iterator[list[_Step]] = iter(())
         self._stage: list[_Step] = []
-        self._failed: list[str] = []
+        self._failed: set[str] = set()
 
     def execute(self, kb: KnowledgeBase) -> None:
         """Do what can be done of the pending plan without waiting."""
@@ -53,17 +55,16 @@ class StagedExecutor:
             self._plan = kb.pending_plan
             if self._plan is None:
                 return
-            self._stages, self._stage, self._failed = _stages(kb, self._managed, self._plan), [], []
+            self._stages, self._stage, self._failed = _stages(kb, self._managed, self._plan), [], set()
         while True:
             self._stage = [step for step in self._stage if not self._progress(kb, step)]
             if self._stage:
                 return
-            ended = self._failed or self._plan.end is not None
-            following = None if ended else next(self._stages, None)
+            following = None if self._plan.end is not None else next(self._stages, None)
             if following is None:
                 break
-            self._stage = following
-            for step in following:
+            self._stage = [step for step in following if step.component not in self._failed]
+            for step in self._stage:
                 self._command(step)
         kb.finish_plan(self._plan, "failed" if self._failed else "completed")
         self._plan = None
@@ -78,19 +79,31 @@ class StagedExecutor:
     def _progress(self, kb: KnowledgeBase, step: _Step) -> bool:
         """Tell whether a step has ended, one way or the other; one that failed is commanded once more at most."""
         if step.operation is not None:
-            if not step.operation.done():
+            error = _error_of(step.operation)
+            if error is _UNDER_WAY:
                 return False
-            error = step.operation.exception()
             if error is not None and step.attempts < self._attempts:
                 self._command(step)
                 return False
             if error is not None:
                 _log.warning("%s failed %d times: %s", step.text, step.attempts, error)
-                self._failed.append(step.text)
+                self._failed.add(step.component)
+                step.give_up()
                 kb.component_failed(step.component)
                 return True
         step.report()
         return True
+
+
+_UNDER_WAY = Exception("under way")
+
+
+def _error_of(operation: Operation) -> BaseException | None:
+    """Return what an operation ended with; asking itself may raise, e.g. of a future that was cancelled."""
+    try:
+        return operation.exception() if operation.done() else _UNDER_WAY
+    except (Exception, CancelledError) as error:
+        return error
 
 
 class _Refused:
@@ -118,7 +131,7 @@ def _stages(kb: KnowledgeBase, managed: ManagedSystem, plan: ReconfigurationPlan
     for name in dict.fromkeys([*running, *started]):
         chosen = kb.components[name].selected_configuration
         if chosen is not None:
-            steps.append(_configure(kb, managed, name, kb.configurations[chosen].parameters))
+            steps.append(_configure(kb, managed, name, chosen))
     yield steps
     yield [_switch(kb, managed, name, active=True) for name in started]
 
@@ -133,8 +146,14 @@ def _switch(kb: KnowledgeBase, managed: ManagedSystem, name: str, *, active: boo
     return _Step(f"{verb} {name}", name, command, lambda: kb.component_active(name, active))
 
 
-def _configure(kb: KnowledgeBase, managed: ManagedSystem, name: str, parameters: Parameters) -> _Step:
+def _configure(kb: KnowledgeBase, managed: ManagedSystem, name: str, chosen: str) -> _Step:
+    parameters = kb.configurations[chosen].parameters
+
+    def give_up() -> None:
+        """Unselect what is not in force, so that it is chosen again when the component has recovered."""
+        kb.assert_selected(kb.configurations[chosen], False)
+
     def command() -> Operation | None:
         return managed.set_parameters(name, parameters)
 
-    return _Step(f"configure {name}", name, command, lambda: kb.component_configured(name, parameters))
+    return _Step(f"configure {name}", name, command, lambda: kb.component_configured(name, parameters), give_up)

@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from kb.elements import Constraint
+from kb.elements import Constraint, exact
 from kb.inference import Node, State
 from kb.status import OPERATORS, Status
 
@@ -21,7 +21,6 @@ class Explanation:
         fact: the fact at the end of a chain, in words; empty where there are causes.
         causes: what the status follows from, each explained in turn.
         every: the status follows from the causes together rather than from each by itself.
-
     """
 
     kind: str
@@ -48,6 +47,13 @@ class Explanation:
 
 
 _IN = (Status.FAILURE, Status.CONFIGURATION_ERROR, Status.IMPLICIT_CONFIGURATION_ERROR)
+_FEASIBLE = {
+    "action": "none of its constraints is violated and none of its functions is unfeasible",
+    "function": "it has a design that is not unfeasible",
+    "function design": "none of its constraints is violated and none of its components has failed or is unfeasible",
+    "component": "it has not failed, and no constraint rules it out",
+    "configuration": "none of its constraints is violated",
+}
 _ERRORS = (Status.CONFIGURATION_ERROR, Status.IMPLICIT_CONFIGURATION_ERROR)
 
 
@@ -58,7 +64,6 @@ def explain(state: State, node: Node, now: float) -> Explanation:
         state: the facts and statuses.
         node: the element.
         now: the present time [s], for the age of measurements.
-
     """
     status = state.status[node.index]
 
@@ -81,12 +86,13 @@ def explain(state: State, node: Node, now: float) -> Explanation:
         return because()
     if status is Status.UNFEASIBLE:
         if violated:
-            return because([*violated, *(parts_in(Status.UNFEASIBLE) if node.kind == "action" else [])])
+            alone = node.kind in ("action", "function design")  # a part by itself makes these unfeasible too
+            return because([*violated, *(parts_in(Status.UNFEASIBLE, Status.FAILURE) if alone else [])])
         if node.kind == "function" and not parts:
             return because(fact="it has no design")
         return because(parts_in(Status.UNFEASIBLE, Status.FAILURE), every=node.kind in ("function", "component"))
     if status is Status.FEASIBLE:
-        return because(fact="nothing that it needs is violated, failed or unfeasible")
+        return because(fact=_FEASIBLE[node.kind])
     if status is Status.CONFIGURATION_ERROR:
         return because([part for part in selected if state.status[part.index] is Status.UNFEASIBLE])
     if status is Status.IMPLICIT_CONFIGURATION_ERROR:
@@ -133,7 +139,7 @@ def _needed_by(state: State, node: Node) -> str:
 
 def _comparison(state: State, constraint: Constraint, attribute: Node, now: float) -> str:
     value, time = state.value[attribute.index], state.time[attribute.index]
-    bound = f"{constraint.operator} {constraint.value:g}"
+    bound = f"{constraint.operator} {exact(constraint.value)}"
     if value is None:
         return f"{constraint.attribute} is not measured (wanted {bound})"
     holds = OPERATORS[constraint.operator](value, constraint.value)

@@ -49,7 +49,6 @@ class Node:
         parts: what its status is inferred from, one level or more below: a component's configurations, a design's
             components, a function's designs, an action's functions, a constraint's attribute.
         wholes: what is inferred from its status.
-
     """
 
     __slots__ = ("constraints", "element", "index", "kind", "level", "parts", "wholes")
@@ -159,7 +158,6 @@ class State:
         required: inferred: an open required action, a function of one, a component of a selected design.
         status: inferred, exactly one for each element.
         watched: the nodes that a planner may have to look at: adaptable, active or selected once.
-
     """
 
     def __init__(self, network: Network) -> None:
@@ -222,7 +220,6 @@ def settle(state: State, touched: Iterable[Node]) -> list[Change]:
 
     Returns:
         The statuses that changed, in the order in which they were inferred.
-
     """
     agenda: list[dict[Node, None]] = [{} for _ in LEVELS]
     for node in touched:

@@ -3,14 +3,14 @@
 import logging
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 from kb.diagnostics import DiagnosticProblem, Measurement, read_diagnostics
 from kb.elements import Constraint, Element, Parameters, finite_number
 from kb.events import Event, EventKind, StatusChange
 from kb.exceptions import InvalidValue, KnowledgeBaseError
 from kb.explanation import explain, shortest, why_selected
-from kb.inference import Network, Node, State, settle
+from kb.inference import Change, Network, Node, State, settle
 from kb.model import Model
 from kb.questions import Questions
 from kb.reconfiguration import ReconfigurationPlan, reselect
@@ -31,7 +31,6 @@ class KnowledgeBase(Questions):
         clock: gives the time [s]; times of facts, requests and plans are its.
 
     Facts may be told from any thread; each call holds the base until what follows from it is inferred.
-
     """
 
     def __init__(self, model: Model, *, clock: Callable[[], float] = time.time) -> None:
@@ -54,7 +53,6 @@ class KnowledgeBase(Questions):
         Raises:
             UnknownName: no such attribute.
             InvalidValue: not a finite number; the facts are as they were.
-
         """
         node = self.attributes.node(attribute)
         number = value if type(value) is float and math.isfinite(value) else _measured(attribute, value)
@@ -94,7 +92,6 @@ class KnowledgeBase(Questions):
         Returns:
             What could not be used, and why; all the rest has been taken in. These are logged and counted in
             `rejected` too.
-
         """
         problems = []
         for reading in read_diagnostics(diagnostics):
@@ -107,7 +104,7 @@ class KnowledgeBase(Questions):
                 else:
                     self._report(reading.component, reading.failed)
             except KnowledgeBaseError as error:
-                problems.append(DiagnosticProblem(reading[0], str(reading[1]), str(error)))
+                problems.append(DiagnosticProblem(reading[0], reading.written, str(error)))
         for problem in problems:
             _log.warning("diagnostics: %s", problem)
         with self._lock:
@@ -151,7 +148,6 @@ class KnowledgeBase(Questions):
         Args:
             action: its name.
             preference: name of the attribute to favour when a configuration is chosen for it.
-
         """
         node = self.actions.node(action)
         if preference is not None:
@@ -174,7 +170,6 @@ class KnowledgeBase(Questions):
         Args:
             action: its name.
             result: "completed", "failed" or "abandoned".
-
         """
         node = self.actions.node(action)
         check_result(result)
@@ -212,7 +207,6 @@ class KnowledgeBase(Questions):
 
         Returns:
             The plan that leads there from the present state; None if there is nothing to do.
-
         """
         with self._lock:
             chosen = [_owned(self.designs.node(name), self.functions.node(of)) for of, name in (designs or {}).items()]
@@ -223,13 +217,13 @@ class KnowledgeBase(Questions):
             now = self._clock()
             reason = why_selected(self._state, [*chosen, *given], now)
             selection = reselect(self._state, chosen, given)
-            if not any(selection):
+            if not selection:
                 return None
-            self._revision += 1
-            plan = ReconfigurationPlan(selection, reason, now)
+            activate, deactivate, parameters, changes = selection
+            plan = ReconfigurationPlan(activate, deactivate, parameters, reason, now)
             self._plans.append(plan)
             self._open_plans.append(plan)
-            self._publish(Event(EventKind.RECONFIGURATION_PLAN, now, "", str(plan), (), plan))
+            self._publish(Event(EventKind.RECONFIGURATION_PLAN, now, "", str(plan), _status_changes(changes), plan))
             return plan
 
     @property
@@ -258,7 +252,6 @@ class KnowledgeBase(Questions):
 
         Returns:
             Whether it was open.
-
         """
         check_result(result)
         with self._lock:
@@ -269,7 +262,8 @@ class KnowledgeBase(Questions):
             now = self._clock()
             plan._finish(result, now)
             self._open_plans.remove(plan)
-            self._revision += 1
+            if result != "failed":  # to make the same plan again at once would be of no use
+                self._revision += 1
             if result == "completed":
                 for other in self._open_plans:
                     other._finish("abandoned", now)
@@ -285,7 +279,7 @@ class KnowledgeBase(Questions):
 
     @property
     def revision(self) -> int:
-        """Grows whenever something changed that can matter to a planner or an executor."""
+        """Grows whenever a fact changed that can matter to a planner: a measurement only if a status changed by it."""
         return self._revision
 
     def subscribe(self, callback: Callable[[Event], None]) -> Callable[[], None]:
@@ -301,8 +295,11 @@ class KnowledgeBase(Questions):
     def _report(self, component: str, failed: bool) -> None:
         node = self.components.node(component)
         with self._lock:
-            if not failed and self._state.asserted[node.index] is Status.FAILURE:
+            retracts = not failed and self._state.asserted[node.index] is Status.FAILURE
+            if retracts:
                 self._state.asserted[node.index] = None
+            elif self._state.failed[node.index] == failed:
+                return
             self._state.failed[node.index] = failed
             words = "has failed" if failed else "is recovered"
             self._told(EventKind.MONITORING_DATA, self._clock(), node, lambda: f"{component} {words}")
@@ -320,12 +317,15 @@ class KnowledgeBase(Questions):
         if changes or not plain:
             self._revision += 1
         if self._subscribers:
-            changed = tuple(StatusChange(one.kind, one.name, old, new) for one, old, new in changes)
-            self._publish(Event(kind, now, node.name, text(), changed))
+            self._publish(Event(kind, now, node.name, text(), _status_changes(changes)))
 
     def _publish(self, event: Event) -> None:
         for subscriber in tuple(self._subscribers):
             subscriber(event)
+
+
+def _status_changes(changes: Iterable[Change]) -> tuple[StatusChange, ...]:
+    return tuple(StatusChange(node.kind, node.name, old, new) for node, old, new in changes)
 
 
 def _reading(attribute: Node, value: float) -> str:

@@ -54,7 +54,6 @@ class ManagedObjects:
 
     Args:
         objects: the objects by component name.
-
     """
 
     def __init__(self, objects: Mapping[str, ManagedObject]) -> None:

@@ -66,7 +66,6 @@ class ConfigurationManager:
         planner: decides what to select; by priority when none is given.
         executor: carries out plans; in three stages on `managed` when none is given.
         monitors: asked first at each turn.
-
     """
 
     def __init__(
@@ -88,11 +87,11 @@ class ConfigurationManager:
         """Take one turn of the loop, without waiting.
 
         A new plan is made only when something changed since the last one, and not before that one has ended: a plan
-        leads from the state the components are in, which is known for sure only then.
+        leads from the state the components are in, which is known for sure only then. One that fails is made again
+        when there is news.
 
         Returns:
             The plan that was made in this turn, if any.
-
         """
         kb = self._kb
         for monitor in self._monitors:

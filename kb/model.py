@@ -14,10 +14,12 @@ A name is unique within its kind, not across kinds. Elements refer to one anothe
 """
 
 from collections.abc import Iterable, Mapping
-from enum import StrEnum
 from types import MappingProxyType
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
+from kb.declarations import choice, expressions, flag, identifier, listed, reference, text
+from kb.declarations import parameters as checked_parameters
+from kb.declarations import priority as checked_priority
 from kb.elements import (
     Action,
     Attribute,
@@ -34,21 +36,16 @@ from kb.elements import (
     Expression,
     Function,
     FunctionDesign,
-    Parameter,
     Parameters,
     finite_number,
 )
-from kb.exceptions import DuplicateName, ModelError, UnknownName
+from kb.exceptions import DuplicateName, ModelError
 
 __all__ = ["Model"]
 
 
-class _Named(Protocol):
-    @property
-    def name(self) -> str: ...
-
-
-NamedT = TypeVar("NamedT", bound=_Named)
+NamedT = TypeVar("NamedT", bound=Element)
+ConstrainedT = TypeVar("ConstrainedT", bound=Constrainable)
 
 
 class Model:
@@ -58,11 +55,10 @@ class Model:
         name: what the model is called in messages and files.
 
     Each mapping below is by name, in order of declaration, and read-only.
-
     """
 
     def __init__(self, name: str) -> None:
-        self.name = _identifier("model", name)
+        self.name = identifier("model", name)
         self._attributes: dict[str, Attribute] = {}
         self._components: dict[str, Component] = {}
         self._configurations: dict[str, Configuration] = {}
@@ -108,19 +104,28 @@ class Model:
         constraints: Iterable[Expression] = (),
     ) -> Component:
         """Declare a part of the robot; a part that the manager shall switch is a "process" or a "lifecycle" one."""
-        choice = _choice("component kind", ComponentKind, kind)
-        component = Component(name, self, choice, always_improve, stops_to_configure, package, executable)
+        component = Component(
+            name,
+            self,
+            choice("component kind", ComponentKind, kind),
+            flag(f"always_improve of {name!r}", always_improve),
+            flag(f"stops_to_configure of {name!r}", stops_to_configure),
+            text(f"the package of {name!r}", package),
+            text(f"the executable of {name!r}", executable),
+        )
         return self._added("component", self._components, component, constraints)
 
     def function(self, name: str, *, always_improve: bool = False) -> Function:
         """Declare something the robot can do as a means; `always_improve` chooses again even while it is solved."""
-        return _add("function", self._functions, Function(name, self, always_improve))
+        improve = flag(f"always_improve of {name!r}", always_improve)
+        return _add("function", self._functions, Function(name, self, improve))
 
     def action(
         self, name: str, *, requires: Iterable[Function | str] = (), constraints: Iterable[Expression] = ()
     ) -> Action:
         """Declare something a mission does, and the functions (or their names) that it requires."""
-        functions = tuple(_reference("function", self._functions, function, self) for function in requires)
+        wanted = listed("the functions of an action", requires)
+        functions = tuple(reference("function", self._functions, function, self) for function in wanted)
         return self._added("action", self._actions, Action(name, self, functions), constraints)
 
     def add_design(
@@ -132,9 +137,10 @@ class Model:
         constraints: Iterable[Expression] = (),
     ) -> FunctionDesign:
         """Declare a function design; see `Function.design`."""
-        of = _reference("function", self._functions, function, self)
-        parts = tuple(_reference("component", self._components, component, self) for component in components)
-        design = FunctionDesign(name, self, of, parts, _priority(name, priority))
+        of = reference("function", self._functions, function, self)
+        wanted = listed("the components of a design", components)
+        parts = dict.fromkeys(reference("component", self._components, component, self) for component in wanted)
+        design = FunctionDesign(name, self, of, tuple(parts), checked_priority(name, priority))
         return self._added("function design", self._designs, design, constraints)
 
     def add_configuration(
@@ -146,100 +152,62 @@ class Model:
         constraints: Iterable[Expression] = (),
     ) -> Configuration:
         """Declare a component configuration; see `Component.configuration`."""
-        of = _reference("component", self._components, component, self)
-        values = MappingProxyType({str(key): _parameter(name, key, value) for key, value in parameters.items()})
-        configuration = Configuration(name, self, of, values, _priority(name, priority))
+        of = reference("component", self._components, component, self)
+        values = checked_parameters(name, parameters)
+        configuration = Configuration(name, self, of, values, checked_priority(name, priority))
         return self._added("configuration", self._configurations, configuration, constraints)
 
     def constrain(self, elements: Iterable[Constrainable], expression: Expression) -> Constraint:
         """Add one constraint that all of the elements share."""
-        if not isinstance(expression, Expression):
-            raise ModelError(f"a constraint is a comparison such as `light >= 0.5`, not {expression!r}")
-        _reference("attribute", self._attributes, expression.attribute, self)
-        targets = tuple(elements)
+        (checked,) = expressions(self, self._attributes, [expression])
+        targets = listed("constrained elements", elements)
+        if not targets:
+            raise ModelError(f"{checked} constrains nothing; name at least one element")
         for element in targets:
-            if element.model is not self:
-                raise ModelError(f"{element.name!r} belongs to model {element.model.name!r}, not to {self.name!r}")
-        constraint = Constraint(expression.attribute, expression.operator, expression.value, targets)
+            self._owned("constrained", element, (Action, FunctionDesign, Component, Configuration))
+        constraint = Constraint(checked.attribute, checked.operator, checked.value, targets)
         self._constraints.append(constraint)
         return constraint
+
+    def constrain_all(self, element: Constrainable, constraints: Iterable[Expression]) -> None:
+        """Add each constraint to an element, or none if one of them is refused."""
+        self._owned("constrained", element, (Action, FunctionDesign, Component, Configuration))
+        for expression in expressions(self, self._attributes, constraints):
+            self._constraints.append(
+                Constraint(expression.attribute, expression.operator, expression.value, (element,))
+            )
 
     def add_estimation(
         self, causer: Estimable, attribute: Attribute | str, value: float, kind: EstimationKind | str = "positive"
     ) -> Estimation:
         """State what choosing the causer does to an attribute; see `Component.estimate`."""
-        affected = _reference("attribute", self._attributes, attribute, self)
-        choice = _choice("estimation kind", EstimationKind, kind)
-        estimation = Estimation(affected, finite_number(value), choice, causer)
+        self._owned("the causer of an estimation", causer, (FunctionDesign, Component, Configuration))
+        affected = reference("attribute", self._attributes, attribute, self)
+        sense = choice("estimation kind", EstimationKind, kind)
+        estimation = Estimation(affected, finite_number(value), sense, causer)
         self._estimations.append(estimation)
         return estimation
 
     def _added(
-        self,
-        kind: str,
-        table: dict[str, "AddedT"],
-        element: "AddedT",
-        expressions: Iterable[Expression],
-    ) -> "AddedT":
-        wanted = tuple(expressions)
-        for expression in wanted:
-            if not isinstance(expression, Expression):
-                raise ModelError(f"a constraint is a comparison such as `light >= 0.5`, not {expression!r}")
-            _reference("attribute", self._attributes, expression.attribute, self)
+        self, kind: str, table: dict[str, ConstrainedT], element: ConstrainedT, constraints: Iterable[Expression]
+    ) -> ConstrainedT:
+        """Add an element with its constraints, or nothing if one of them is refused."""
+        wanted = expressions(self, self._attributes, constraints)
         _add(kind, table, element)
-        for expression in wanted:
-            self.constrain([element], expression)
+        self.constrain_all(element, wanted)
         return element
 
-
-AddedT = TypeVar("AddedT", Action, FunctionDesign, Component, Configuration)
-ChoiceT = TypeVar("ChoiceT", bound=StrEnum)
-
-
-def _identifier(kind: str, name: object) -> str:
-    if not isinstance(name, str) or not name.strip():
-        raise ModelError(f"the name of a {kind} is a non-empty text, not {name!r}")
-    return name
+    def _owned(self, what: str, element: object, kinds: tuple[type[Element], ...]) -> None:
+        if not isinstance(element, kinds):
+            names = ", ".join(kind.__name__ for kind in kinds)
+            raise ModelError(f"{what} can be one of {names}; not {element!r}")
+        if element.model is not self:
+            raise ModelError(f"{element.name!r} belongs to model {element.model.name!r}, not to {self.name!r}")
 
 
 def _add(kind: str, table: dict[str, NamedT], element: NamedT) -> NamedT:
-    name = _identifier(kind, element.name)
+    name = identifier(kind, element.name)
     if name in table:
         raise DuplicateName(f"there is a {kind} {name!r} already; names are unique within a kind")
     table[name] = element
     return element
-
-
-def _reference(kind: str, table: Mapping[str, Element], given: object, model: Model) -> str:
-    if isinstance(given, Element) and given.model is not model:
-        raise ModelError(f"{kind} {given.name!r} belongs to model {given.model.name!r}, not to {model.name!r}")
-    name = given.name if isinstance(given, Element) else given
-    if not isinstance(name, str) or name not in table:
-        raise UnknownName(kind, name, table)
-    return name
-
-
-def _priority(name: str, priority: object) -> int | None:
-    if priority is None or (isinstance(priority, int) and not isinstance(priority, bool)):
-        return priority
-    raise ModelError(f"the priority of {name!r} is a whole number or None, not {priority!r}")
-
-
-def _choice(what: str, options: type[ChoiceT], given: str) -> ChoiceT:
-    try:
-        return options(given)
-    except ValueError:
-        raise UnknownName(what, given, [str(option) for option in options]) from None
-
-
-def _parameter(configuration: str, key: object, value: object) -> Parameter:
-    if isinstance(value, bool | int | float | str):
-        return value
-    if isinstance(value, list | tuple) and len({type(item) for item in value}) <= 1:
-        items = [item for item in value if isinstance(item, bool | int | float | str)]
-        if len(items) == len(value):
-            return items  # type: ignore[return-value]  # one type throughout: checked on the line above
-    raise ModelError(
-        f"parameter {key!r} of configuration {configuration!r} is {value!r}; "
-        "allowed are a boolean, a number, a text, or a list of one of these"
-    )

@@ -37,7 +37,6 @@ class Questions:
 
     Attributes:
         actions, functions, components, designs, configurations, attributes: views by name.
-
     """
 
     def __init__(self, network: Network, state: State, clock: Callable[[], float]) -> None:
@@ -87,7 +86,6 @@ class Questions:
         Args:
             designs: names of designs just chosen; the answer is what it will be once they are selected and
                 what is obsolete is not.
-
         """
         with self._lock:
             chosen = [self.designs.node(name) for name in designs]
@@ -106,7 +104,6 @@ class Questions:
         Args:
             element: a view, an element of the model, or a name; a name that several kinds share means the action
                 before the function, component, design and configuration.
-
         """
         with self._lock:
             return explain(self._state, self._node(element), self._clock())

@@ -1,9 +1,10 @@
 """Reconfiguration plans: from what is selected now to what shall be, and what has to be switched on the way."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import NamedTuple
 
-from kb.inference import Node, State, settle
+from kb.inference import Change, Node, State, settle
 
 __all__ = ["Obsolete", "ReconfigurationPlan", "Selection", "obsolete", "reselect"]
 
@@ -25,10 +26,15 @@ class Selection(NamedTuple):
     activate: tuple[str, ...]
     deactivate: tuple[str, ...]
     parameters: tuple[str, ...]
+    changes: tuple[Change, ...]
+
+    def __bool__(self) -> bool:
+        return bool(self.activate or self.deactivate or self.parameters)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
 class ReconfigurationPlan:
-    """What to switch, and what became of it.
+    """What to switch, and what became of it; only the knowledge base that made it can end it.
 
     Attributes:
         activate: names of components to activate.
@@ -38,27 +44,15 @@ class ReconfigurationPlan:
         start: when it was made [s].
         end: when it ended [s], None while it is open.
         result: "completed", "failed" or "abandoned", None while it is open.
-
     """
 
-    __slots__ = ("_end", "_result", "activate", "deactivate", "parameters", "reason", "start")
-
-    def __init__(self, selection: Selection, reason: str, start: float) -> None:
-        self.activate, self.deactivate, self.parameters = selection
-        self.reason = reason
-        self.start = start
-        self._end: float | None = None
-        self._result: str | None = None
-
-    @property
-    def end(self) -> float | None:
-        """When it ended [s], None while it is open."""
-        return self._end
-
-    @property
-    def result(self) -> str | None:
-        """How it ended, None while it is open."""
-        return self._result
+    activate: tuple[str, ...]
+    deactivate: tuple[str, ...]
+    parameters: tuple[str, ...]
+    reason: str
+    start: float
+    end: float | None = None
+    result: str | None = None
 
     def __str__(self) -> str:
         steps = (("deactivate", self.deactivate), ("activate", self.activate), ("configure", self.parameters))
@@ -68,7 +62,8 @@ class ReconfigurationPlan:
         return f"<ReconfigurationPlan {self} ({self.result or 'open'})>"
 
     def _finish(self, result: str, end: float) -> None:
-        self._end, self._result = end, result
+        object.__setattr__(self, "end", end)
+        object.__setattr__(self, "result", result)
 
 
 def obsolete(state: State) -> Obsolete:
@@ -82,16 +77,14 @@ def reselect(state: State, designs: Iterable[Node], configurations: Iterable[Nod
 
     Returns:
         What leads the managed system there from its present state.
-
     """
     replaced, changed = _choose(state, designs)
     _, newly_configured = _choose(state, configurations)
-    settle(state, changed)
-    settle(state, newly_configured)
+    changes = settle(state, [*changed, *newly_configured])
     _, idle_designs, idle_configurations = _obsolete_nodes(state)
     for node in (*idle_designs, *idle_configurations):
         state.selected[node.index] = False
-    settle(state, (*idle_designs, *idle_configurations))
+    changes += settle(state, (*idle_designs, *idle_configurations))
     needed = dict.fromkeys(
         component
         for design in state.watch()
@@ -104,6 +97,7 @@ def reselect(state: State, designs: Iterable[Node], configurations: Iterable[Nod
         activate=_names(node for node in needed if not state.active[node.index]),
         deactivate=_names(node for node in dict.fromkeys([*given_up, *idle]) if state.active[node.index]),
         parameters=_names(node for node in newly_configured if state.selected[node.index]),
+        changes=tuple(changes),
     )
 
 
@@ -122,8 +116,10 @@ def _choose(state: State, chosen: Iterable[Node]) -> tuple[list[Node], list[Node
     return replaced, changed
 
 
-def _obsolete_nodes(state: State) -> tuple[Sequence[Node], Sequence[Node], Sequence[Node]]:
-    components, designs, configurations = [], [], []
+def _obsolete_nodes(state: State) -> tuple[list[Node], list[Node], list[Node]]:
+    components: list[Node] = []
+    designs: list[Node] = []
+    configurations: list[Node] = []
     for node in state.watch():
         if node.kind == "component" and state.active[node.index] and not _could_serve(state, node):
             components.append(node)

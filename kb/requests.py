@@ -15,7 +15,6 @@ class Reply(NamedTuple):
     Attributes:
         accepted: whether the action is required now.
         reason: why it was refused; what was accepted otherwise.
-
     """
 
     accepted: bool
@@ -32,7 +31,6 @@ class RequiredAction:
         action: its name.
         preference: name of the attribute preferred when a configuration is chosen for it, or None.
         start: when it was requested [s].
-
     """
 
     __slots__ = ("_end", "_result", "action", "preference", "start")

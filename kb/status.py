@@ -71,7 +71,6 @@ def component_status(
         configurations: status of each of its configurations, and whether that one is selected.
         required: a selected function design contains it, or it is asserted required.
         active: it is running.
-
     """
     choices = tuple(configurations)
     if failed:

@@ -19,7 +19,6 @@ class Adaptation:
         reason: why that called for a change.
         change: what was changed.
         reaction_s: from the news to the change being in force [s]; None if it never was.
-
     """
 
     at_s: float
@@ -56,7 +55,6 @@ class AdaptationLog:
 
     Attributes:
         adaptations: all so far, in the order in which they were decided.
-
     """
 
     def __init__(self, kb: KnowledgeBase, tell: Callable[[Adaptation], None] = lambda adaptation: None) -> None:

@@ -28,7 +28,6 @@ class Narrator(Listener):
     Args:
         console: where to print.
         duration_s: length of the bar [s].
-
     """
 
     def __init__(self, console: Console, duration_s: float) -> None:

@@ -54,7 +54,6 @@ class Sample:
         time: [s].
         position: (x, y, z) [m], world frame, z up.
         signals: further quantities by name, e.g. {"altitude [m]": 2.9}.
-
     """
 
     time: float
@@ -68,7 +67,6 @@ class Verdict(NamedTuple):
     Attributes:
         outcome: "inspected_all", "time_limit", "not_found" or "aborted"; the first two are successes.
         reason: why, in words.
-
     """
 
     outcome: str
@@ -126,7 +124,6 @@ class WorldKind(ABC):
 
         Raises:
             MissionError: an unknown setting or a value that is not allowed.
-
         """
 
     @abstractmethod
@@ -153,7 +150,6 @@ class Mission:
         actions: what is done for each PDDL action; the same behaviours that the tree is made of.
         facts: what was sensed, as atoms of the PDDL problem, e.g. {"(lit room)": True}.
         fixed: settings of the world that belong to this mission.
-
     """
 
     name: str

@@ -19,7 +19,6 @@ class OutputFile:
 
     Raises:
         MissionError: it cannot be written there, found out at once.
-
     """
 
     def __init__(self, path: Path) -> None:

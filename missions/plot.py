@@ -80,7 +80,6 @@ def draw(run: MissionRun, data: Mapping[str, Any], out: BinaryIO) -> None:
         run: the run, ended.
         data: what `report.summary` returned for it.
         out: a file that is open for writing bytes.
-
     """
     picture(run, data).savefig(out, format="png", dpi=DPI, metadata={"Software": None})
 

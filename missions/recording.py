@@ -19,7 +19,6 @@ def read_recording(path: str | Path) -> Iterator[Message]:
 
     Raises:
         MissionError: the file cannot be read, or a line is no message; names the line and what was expected.
-
     """
     try:
         lines = Path(path).read_text(encoding="utf-8").splitlines()

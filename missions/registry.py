@@ -19,7 +19,6 @@ def find_mission(name: str) -> Mission:
 
     Raises:
         MissionError: no such mission; the message lists those there are.
-
     """
     if name in MISSIONS:
         return MISSIONS[name]

@@ -43,7 +43,6 @@ class Decisions:
         adaptations: every adaptation with its reason.
         task_plans: every task plan; none for a tree.
         problems: (time, what) of every part of a message that could not be used.
-
     """
 
     actions: tuple[tuple[str, float, float | None, str | None], ...]
@@ -77,7 +76,6 @@ def replay(
 
     Raises:
         MissionError: the recording cannot be read, or there is no such mission or task layer.
-
     """
     wanted = find_mission(mission) if isinstance(mission, str) else mission
     messages = list(read_recording(path))
@@ -142,7 +140,6 @@ class Recording(World):
     Args:
         messages: in order of time.
         switching_s: how long a command to a component takes [s].
-
     """
 
     def __init__(self, messages: Iterable[Message], switching_s: float) -> None:

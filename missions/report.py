@@ -26,7 +26,6 @@ def summary(run: MissionRun, verdict: Verdict, seed: int, changed: Mapping[str, 
         verdict: how it ended.
         seed: of all its chance.
         changed: the settings that were given.
-
     """
     results = run.world.results()
     return {

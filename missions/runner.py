@@ -51,7 +51,6 @@ class Trace:
 
     Attributes:
         samples: what was seen, with the action and the configurations of that moment.
-
     """
 
     samples: list[tuple[Sample, str, str]] = field(default_factory=list)
@@ -75,7 +74,6 @@ class MissionRun:
 
     Raises:
         MissionError, rosa_pddl.RosaPddlError, kb.KnowledgeBaseError: the mission cannot be run.
-
     """
 
     def __init__(

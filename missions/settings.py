@@ -48,7 +48,6 @@ def split_settings(mission: Mission, values: Mapping[str, str]) -> tuple[RunSett
 
     Raises:
         MissionError: an unknown name or a value that is not allowed.
-
     """
     own = {one.name for one in fields(RunSettings)}
     known = own | {setting.name for setting in describe(mission)}

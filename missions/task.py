@@ -27,7 +27,6 @@ class TaskLayer:
         root: the behaviour to tick.
         catch_up: to be called between ticks: waits for an answer that is due.
         plans: the task plans made so far.
-
     """
 
     root: Behaviour
@@ -55,7 +54,6 @@ def build_task(
 
     Raises:
         MissionError: no such kind.
-
     """
     if kind == "bt":
         return TaskLayer(mission.tree(kb, senses))

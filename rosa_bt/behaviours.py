@@ -53,7 +53,6 @@ class IsActionFeasible(_ActionBehaviour):
 
     Raises:
         kb.UnknownName: no such action; the message lists the nearest ones.
-
     """
 
     INPUT_PORTS: dict[str, PortInformation] = {  # noqa: RUF012  # py_trees declares it so
@@ -88,7 +87,6 @@ class RosaAction(_ActionBehaviour):
 
     Raises:
         kb.UnknownName: no such action; the message lists the nearest ones.
-
     """
 
     INPUT_PORTS: dict[str, PortInformation] = {  # noqa: RUF012  # py_trees declares it so

@@ -20,7 +20,6 @@ class TreeRunner:
     Attributes:
         tree: the py_trees tree, for visitors and handlers.
         due: when the next tick is due [s].
-
     """
 
     def __init__(self, root: Behaviour, *, clock: Callable[[], float], period: float = 0.1) -> None:
@@ -56,7 +55,6 @@ class TreeRunner:
 
         Raises:
             Exception: what a behaviour raised, after every running behaviour was stopped, so that nothing stays open.
-
         """
         try:
             self.tree.tick()

@@ -28,7 +28,6 @@ class Mention:
         source: the file it stands in.
         declares: whether this place declares it.
         arity: number of arguments, for predicates and functions.
-
     """
 
     kind: Kind
@@ -67,7 +66,6 @@ def mentions(domain: Source, problem: Source) -> tuple[Mention, ...]:
     Raises:
         PddlError: something is misspelt, undeclared or misplaced.
         UnsupportedPddlError: a construct that cannot be planned or executed here.
-
     """
     _check_frame(domain, "domain", _DOMAIN_SECTIONS)
     _check_frame(problem, "problem", _PROBLEM_SECTIONS)

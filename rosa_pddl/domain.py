@@ -40,7 +40,6 @@ class Schema:
         start_effects: what becomes so when it starts, as unified-planning effects.
         end_effects: what becomes so when it ends.
         action: the parameter (`?a` without the mark) or constant that is the ROSA action; None if there is none.
-
     """
 
     name: str
@@ -61,7 +60,6 @@ class Step:
         schema: name of the PDDL action.
         arguments: names of the objects, in the order of the parameters.
         action: name of the ROSA action that is done, None if the step needs none.
-
     """
 
     schema: str
@@ -88,7 +86,6 @@ class Domain:
         inside: the reverse, by kind (predicate, object, action) and lower-case name.
         places: file and line where each object is declared.
         types: for each object its type and the ancestors of that, in lower case.
-
     """
 
     name: str
@@ -109,7 +106,6 @@ class Domain:
 
         Raises:
             PddlError: it does not know one; the message points at the object and names the nearest actions.
-
         """
         for action in self.rosa_actions:
             if action not in kb.actions:
@@ -122,7 +118,6 @@ class Domain:
 
         Raises:
             UnknownNameError: no such predicate, object, or number of arguments.
-
         """
         if text not in self._atoms:
             self._atoms[text] = self._canonical(text)

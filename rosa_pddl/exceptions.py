@@ -17,7 +17,6 @@ class PddlError(RosaPddlError):
         file: the file that the message is about.
         line: counted from 1; None when unknown.
         column: counted from 1; None when unknown.
-
     """
 
     def __init__(self, message: str, file: str | Path, line: int | None = None, column: int | None = None) -> None:

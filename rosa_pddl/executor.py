@@ -44,7 +44,6 @@ class PlanRecord:
         steps: the plan; empty unless solved.
         engine: the engine that was asked.
         message: what was tried and what to do about it; empty when solved.
-
     """
 
     at_s: float
@@ -87,7 +86,6 @@ class PlanExecutor(Behaviour):
         planner: plans beside the ticks; by default Fast Downward.
         delay_s: the answer of the planner is taken this long after the request, whatever it took, so that a simulation
             is the same each time [s]; None to take it as soon as it is there.
-
     """
 
     def __init__(

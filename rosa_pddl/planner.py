@@ -55,7 +55,6 @@ class PlanningResult:
         steps: the plan; empty unless solved.
         engine: the engine that was asked.
         message: what was tried and what to do about it; empty when solved.
-
     """
 
     outcome: Outcome
@@ -73,7 +72,6 @@ class Planner:
     Args:
         engine: a name of unified-planning's factory, such as `fast-downward-opt` or `fast-downward`.
         timeout_s: after this long the engine's processes are killed [s].
-
     """
 
     def __init__(self, engine: str = "fast-downward-opt", timeout_s: float = 10.0) -> None:

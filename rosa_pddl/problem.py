@@ -14,7 +14,6 @@ class Problem:
     Args:
         domain: what `load_domain` returned.
         state: the atoms that are true now, feasibility included.
-
     """
 
     domain: Domain
@@ -25,7 +24,6 @@ class Problem:
 
         Raises:
             UnsupportedPddlError: the metric cannot be kept when steps run one after the other.
-
         """
         problem = _sequential(self.domain)
         true = problem.environment.expression_manager.TRUE()
@@ -56,7 +54,6 @@ def sensed_into(domain: Domain, state: State, sensed: Mapping[str, bool]) -> Sta
 
     Raises:
         UnknownNameError: a sensed atom is not one of the domain.
-
     """
     facts = {domain.atom(text): value for text, value in sensed.items()}
     true = {atom for atom, value in facts.items() if value}

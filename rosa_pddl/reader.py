@@ -30,7 +30,6 @@ def load_domain(domain: str | Path, problem: str | Path) -> Domain:
     Raises:
         PddlError: a file cannot be read or is not correct PDDL; says the place.
         UnsupportedPddlError: correct PDDL that cannot be planned or executed here.
-
     """
     domain_source, problem_source = read_source(domain), read_source(problem)
     found = mentions(domain_source, problem_source)

@@ -21,7 +21,6 @@ class Node:
         end: offset after the last character.
         line: counted from 1.
         column: counted from 1.
-
     """
 
     word: str | None
@@ -85,7 +84,6 @@ def read_source(path: str | Path) -> Source:
 
     Raises:
         PddlError: the file cannot be read, or its parentheses do not balance.
-
     """
     try:
         text = Path(path).read_text(encoding="utf-8-sig")

@@ -24,7 +24,6 @@ class Agenda:
         Args:
             time: When it is to happen [s].
             event: Called with that time.
-
         """
         heapq.heappush(self._events, (time, self._entered, event))
         self._entered += 1
@@ -36,7 +35,6 @@ class Agenda:
             period: Time between two ticks [s].
             phase: Time of the first tick [s].
             event: Called with the time of each tick, which is `phase + k * period` without accumulating error.
-
         """
         count = 0
 

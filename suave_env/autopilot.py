@@ -18,7 +18,6 @@ class Autopilot:
         vehicle: What is flown.
         thrusters: What it is flown with.
         bias: True minus commanded height [m].
-
     """
 
     def __init__(self, settings: Settings, vehicle: Vehicle, thrusters: Thrusters, bias: float) -> None:

@@ -14,7 +14,6 @@ class Battery:
     Attributes:
         level: Charge, 1.0 full to 0.0 empty.
         recharges: How often it was recharged.
-
     """
 
     def __init__(self, settings: Settings) -> None:

@@ -27,7 +27,6 @@ class Component:
         moves: Whether it sends setpoints.
         active: Whether it acts.
         parameters: Numbers by name.
-
     """
 
     name: ClassVar[str]
@@ -56,7 +55,6 @@ class SpiralSearch(Component):
         settings: Constants.
         autopilot: Where setpoints go.
         centre: Centre (x, y) of the spiral [m], world frame ENU.
-
     """
 
     name = "spiral_search"
@@ -141,7 +139,6 @@ class FollowPipeline(Component):
     Attributes:
         distance_m: Distance inspected since the last activation [m].
         total_m: Distance inspected since GUIDED [m].
-
     """
 
     name = "follow_pipeline"
@@ -242,7 +239,6 @@ class RecoverThrusters(Component):
         thrusters: What is restored.
         agenda: Where the steps are entered.
         outbox: Where each recovery is published.
-
     """
 
     name = "recover_thrusters"
@@ -282,7 +278,6 @@ class Recharge(Component):
         settings: Constants.
         autopilot: Where setpoints go.
         recharge: Called with the time [s] to recharge.
-
     """
 
     name = "recharge"

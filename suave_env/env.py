@@ -45,7 +45,6 @@ class Observation:
         pipeline_found: Whether the pipeline was found.
         recharged: How often the battery was recharged.
         distance_inspected_m: As in `Metrics` [m].
-
     """
 
     time: float
@@ -78,7 +77,6 @@ class SuaveEnv:
         managed: The components, to be activated, deactivated and given parameters.
         pipeline: The pipeline; its `points` are for plots.
         station: Position of the recharge station [m], world frame ENU, z up.
-
     """
 
     def __init__(self, settings: Settings, rng: np.random.Generator) -> None:
@@ -161,7 +159,6 @@ class SuaveEnv:
 
         Raises:
             SuaveEnvError: If the time is not a number from now on, or the environment is closed.
-
         """
         if self._closed:
             raise SuaveEnvError("the environment is closed and cannot advance")

@@ -20,7 +20,6 @@ def unknown_name(kind: str, name: object, known: Iterable[str]) -> SuaveEnvError
 
     Returns:
         An error whose message lists the nearest known names, or all of them if none is near.
-
     """
     names = list(known)
     near = difflib.get_close_matches(str(name), names, n=3)

@@ -24,7 +24,6 @@ class Guidance:
     Args:
         settings: Limits, gains and the vehicle's mass.
         position: Where the vehicle is and stays until the first setpoint [m], world frame ENU, z up.
-
     """
 
     def __init__(self, settings: Settings, position: Vector) -> None:
@@ -42,7 +41,6 @@ class Guidance:
             position: Where the vehicle is [m].
             velocity: How fast it moves [m/s].
             time: Now [s].
-
         """
         origin = self.stopping_point(position, velocity)
         dx, dy, dz = (end - start for end, start in zip(target, origin, strict=True))
@@ -65,7 +63,6 @@ class Guidance:
             velocity: How fast it moves [m/s]; the first three numbers are read.
             time: Now [s].
             duration: For how long the force will be held [s].
-
         """
         along, speed = self._move.at(time - self._start)
         ox, oy, oz = self._origin

@@ -43,7 +43,6 @@ class ManagedSystem:
         agenda: Where the end of each change is entered.
         clock: Returns the time [s].
         hold: Called with the time [s] when the last component that moves the vehicle was deactivated.
-
     """
 
     def __init__(
@@ -92,7 +91,6 @@ class ManagedSystem:
 
         Raises:
             SuaveEnvError: If there is no such component or the environment is closed.
-
         """
         component = self._component(name)
         return self._carry_out(name, self._settings.activation_s, lambda time: _activate(component, time))
@@ -102,7 +100,6 @@ class ManagedSystem:
 
         Raises:
             SuaveEnvError: If there is no such component or the environment is closed.
-
         """
         component = self._component(name)
         return self._carry_out(name, self._settings.deactivation_s, lambda time: self._deactivate(component, time))
@@ -117,7 +114,6 @@ class ManagedSystem:
         Raises:
             SuaveEnvError: If there is no such component or parameter, a value is not allowed, or the environment is
                 closed.
-
         """
         component = self._component(name)
         checked = {key: _checked(component, key, value) for key, value in values.items()}

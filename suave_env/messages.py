@@ -57,7 +57,6 @@ class Outbox:
             text: What kind of statement it is, such as `EA_MEASUREMENT`.
             key: What the value is of.
             value: A number, of which `repr` is published so that nothing is lost, or a string.
-
         """
         written = value if isinstance(value, str) else repr(value)
         self._messages.append({"time": time, "status": [{"name": name, "message": text, "values": {key: written}}]})

@@ -15,7 +15,6 @@ class Metrics:
         distance_inspected_m: As kas-lab/suave v1.3.0 defines it [m]: the xy distance between consecutive points of the
             path that were reached, back to 0 whenever the follower is activated.
         total_inspected_m: The same, never reset [m]. Each stretch of the path counts once; ways to and from it never.
-
     """
 
     search_time_s: float | None
@@ -31,7 +30,6 @@ class Disturbance:
         time: Time since GUIDED [s].
         kind: "thruster", "visibility" or "battery".
         text: One line.
-
     """
 
     time: float

@@ -18,7 +18,6 @@ class VisibilityMonitor:
 
     Attributes:
         visibility: Last published visibility [m], None before the first.
-
     """
 
     name = "water_visibility_monitor"
@@ -43,7 +42,6 @@ class BatteryMonitor:
     Args:
         battery: What is measured.
         outbox: Where the level is published.
-
     """
 
     name = "battery_monitor"
@@ -64,7 +62,6 @@ class ThrusterMonitor:
 
     Args:
         outbox: Where failures are published.
-
     """
 
     name = "thruster_monitor"

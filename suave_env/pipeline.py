@@ -27,7 +27,6 @@ class Pipeline:
     Attributes:
         points: The points [m], (100, 2), world frame ENU; read only.
         z: Height of the points for the detection [m], world frame z up.
-
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -51,7 +50,6 @@ class Pipeline:
 
         Returns:
             An index into `points`, or None if no point is seen.
-
         """
         height = abs(z - self.z)
         half = height * self._tangent
@@ -71,7 +69,6 @@ class Pipeline:
         Returns:
             Points (x, y) [m], world frame ENU: from that point to the far end, then all of them back to the near end,
             the far end twice (kas-lab/suave v1.3.0).
-
         """
         return self._xy[index:] + self._xy[::-1]
 

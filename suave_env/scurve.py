@@ -20,7 +20,6 @@ class SCurve:
 
     Attributes:
         duration: Time of the whole move [s].
-
     """
 
     __slots__ = ("_jerk", "_length", "_peak", "_plateau", "_ramp", "_rise", "duration")

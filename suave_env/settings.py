@@ -36,7 +36,6 @@ class SettingInfo:
         default: The default value.
         meaning: One line.
         source: One line: where the figure comes from.
-
     """
 
     name: str
@@ -54,7 +53,6 @@ class ThrusterEvent:
         thruster: Number, 1 to 6.
         fails: True for a failure, False for a recovery.
         time: Time since GUIDED [s].
-
     """
 
     thruster: int
@@ -184,7 +182,6 @@ class Settings:
 
         Raises:
             SuaveEnvError: If one is of the wrong type, not finite, out of range or at odds with another.
-
         """
         for info in fields(self):
             object.__setattr__(self, info.name, _checked(info, getattr(self, info.name)))
@@ -208,7 +205,6 @@ class Settings:
 
         Raises:
             SuaveEnvError: If a name is unknown or a value is not allowed.
-
         """
         known = {info.name: info for info in fields(self)}
         for name in changes:
@@ -237,7 +233,6 @@ def parse_thruster_events(text: str) -> tuple[ThrusterEvent, ...]:
 
     Raises:
         SuaveEnvError: If the text cannot be read.
-
     """
     events = [_thruster_event(part.split(), text) for part in text.split(",") if part.strip()]
     return tuple(sorted(events, key=lambda event: event.time))

@@ -21,7 +21,6 @@ class Thrusters:
 
     Attributes:
         outputs: Thrusts [N] of thrusters 1 to 6, positive along the direction of each in the model.
-
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -56,7 +55,6 @@ class Thrusters:
 
         Returns:
             The six outputs [N]. Beyond the limit, the thrusts of a group are scaled together: the direction stays.
-
         """
         forward, left, turn = forward / (4 * _COSINE), left / (4 * _COSINE), turn / (4 * _YAW_ARM_M)
         one, two = -forward - left - turn, -forward + left + turn

@@ -32,7 +32,6 @@ class Vehicle:
     Attributes:
         model: The MuJoCo model (`mujoco.MjModel`).
         data: The MuJoCo state (`mujoco.MjData`).
-
     """
 
     def __init__(self, settings: Settings, x: float, y: float, z: float) -> None:
@@ -81,7 +80,6 @@ class Vehicle:
 
         Args:
             thrusts: Thrust of each thruster [N]; (6,).
-
         """
         self._thrust[:] = thrusts
         for _ in range(self._substeps):

@@ -36,7 +36,6 @@ class Water:
 
         Returns:
             The time [s] and whether the visibility falls then; None if it never crosses.
-
         """
         middle = self._least + self._amplitude
         if not abs(threshold - middle) < self._amplitude:
