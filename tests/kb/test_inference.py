@@ -134,7 +134,6 @@ def test_a_change_of_one_fact_is_told_exactly_as_the_statuses_that_changed(story
         )
 
 
-@pytest.mark.xfail(strict=True, reason="kb.select publishes its event without the changes of status")
 def test_selecting_tells_which_statuses_changed():
     kb = KnowledgeBase(chain(1))
     kb.request_action("look 0")

@@ -276,9 +276,6 @@ def test_no_new_plan_is_made_before_the_pending_one_has_ended():
     assert managed.running == set()
 
 
-@pytest.mark.xfail(
-    strict=True, reason="a failed deactivation ends the plan before the parameters of a running component are given"
-)
 def test_parameters_chosen_in_a_plan_that_failed_elsewhere_still_reach_the_running_component():
     model = rover()
     model.component("arm", kind="process")
@@ -297,7 +294,6 @@ def test_parameters_chosen_in_a_plan_that_failed_elsewhere_still_reach_the_runni
     assert managed.parameters == {"camera": {"exposure": 0.2}}
 
 
-@pytest.mark.xfail(strict=True, reason="parameters that could not be set are not set when the component has recovered")
 def test_parameters_that_could_not_be_set_are_set_once_the_component_has_recovered():
     model = Model("one way")
     light = model.environmental_attribute("light")
@@ -333,12 +329,7 @@ def busy(always_improve):
     "always_improve",
     [
         False,
-        pytest.param(
-            True,
-            marks=pytest.mark.xfail(
-                strict=True, reason="an always-improve function makes the failed plan be made again at every turn"
-            ),
-        ),
+        True,
     ],
 )
 def test_a_component_that_cannot_start_is_not_started_again_and_again(always_improve):
@@ -350,7 +341,6 @@ def test_a_component_that_cannot_start_is_not_started_again_and_again(always_imp
     assert managed.log.count("activate broken") <= 6
 
 
-@pytest.mark.xfail(strict=True, reason="an obsolete component that cannot be stopped is planned to stop at every turn")
 def test_a_component_that_cannot_be_stopped_is_not_stopped_again_and_again():
     kb, clock, managed, manager = start(script={"deactivate camera": [Broken("stuck")]})
     kb.request_action("explore")
@@ -548,7 +538,6 @@ def test_troubles_that_pass_never_raise_select_nothing_unfeasible_and_leave_the_
     live_through(model, data, st.sampled_from((None, 1.0)))
 
 
-@pytest.mark.xfail(strict=True, reason="a plan that fails is made again at every turn")
 @settings(in_life, phases=[Phase.generate])
 @given(models(), st.data())
 def test_troubles_that_never_pass_leave_the_loop_at_rest_too(model, data):
@@ -636,18 +625,9 @@ def test_futures_are_operations():
     "operation",
     [
         lambda: future(Broken("no")),
-        pytest.param(
-            lambda: future("cancelled"),
-            marks=pytest.mark.xfail(strict=True, reason="a cancelled Future raises out of update"),
-        ),
-        pytest.param(
-            lambda: Breaking("done"),
-            marks=pytest.mark.xfail(strict=True, reason="an operation that raises when asked raises out of update"),
-        ),
-        pytest.param(
-            lambda: Breaking("exception"),
-            marks=pytest.mark.xfail(strict=True, reason="an operation that raises when asked raises out of update"),
-        ),
+        lambda: future("cancelled"),
+        lambda: Breaking("done"),
+        lambda: Breaking("exception"),
     ],
 )
 def test_update_never_raises_whatever_an_operation_does(operation):

@@ -310,7 +310,6 @@ def test_a_configuration_is_selected_for_its_own_component_only(kb):
     assert not any(one.is_selected for one in kb.designs.values())
 
 
-@pytest.mark.xfail(strict=True, reason="activate, deactivate, parameters, reason and start of a plan can be set")
 def test_a_plan_is_read_only(kb):
     kb.request_action("explore")
     plan = kb.select({"see": "by lidar"})
