@@ -244,6 +244,8 @@ def finite_number(value: object) -> float:
         number = float(value)
     except OverflowError:
         number = math.inf
+    except (TypeError, ValueError) as error:
+        raise InvalidValue(f"a number is needed, not {value!r}: {error}") from None
     if not math.isfinite(number):
         raise InvalidValue(f"a finite number is needed, not {value!r:.60}")
     return number

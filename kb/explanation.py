@@ -19,7 +19,7 @@ class Explanation:
         name: the element's name.
         status: the status explained.
         fact: the fact at the end of a chain, in words; empty where there are causes.
-        causes: what the status follows from, each explained in turn.
+        causes: all that the status follows from, each explained in turn; the sentence counts what are too many to tell.
         every: the status follows from the causes together rather than from each by itself.
     """
 
@@ -42,10 +42,15 @@ class Explanation:
         statement = f"{subject} {verb} {self.status}"
         if not self.causes:
             return f"{statement} because {self.fact}" if self.fact else statement
-        reasons = [cause._sentence(f"{cause.kind} {cause.name}") for cause in self.causes]
+        told = self.causes if len(self.causes) <= _MOST else self.causes[: _MOST - 1]
+        reasons = [cause._sentence(f"{cause.kind} {cause.name}") for cause in told]
+        if len(told) < len(self.causes):
+            reasons.append(f"{len(self.causes) - len(told)} more")
         return f"{statement} because {(' and ' if self.every else '; also ').join(reasons)}"
 
 
+_MOST = 4
+"""How many causes of one status a sentence tells before it only counts the rest."""
 _IN = (Status.FAILURE, Status.CONFIGURATION_ERROR, Status.IMPLICIT_CONFIGURATION_ERROR)
 _FEASIBLE = {
     "action": "none of its constraints is violated and none of its functions is unfeasible",

@@ -75,6 +75,7 @@ class Network:
     """What depends on what in a model; one node per element, by name within its kind."""
 
     def __init__(self, model: "Model") -> None:
+        self.model = model
         self.nodes: list[Node] = []
         self.attributes = {name: self._node("attribute", element) for name, element in model.attributes.items()}
         self.components = {name: self._node("component", element) for name, element in model.components.items()}

@@ -3,8 +3,10 @@
 import logging
 import math
 import time
+from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 
+from kb.declarations import parameters as checked_parameters
 from kb.diagnostics import DiagnosticProblem, Measurement, read_diagnostics
 from kb.elements import Constraint, Element, Parameters, finite_number
 from kb.events import Event, EventKind, StatusChange
@@ -12,10 +14,10 @@ from kb.exceptions import InvalidValue, KnowledgeBaseError
 from kb.explanation import explain, shortest, why_selected
 from kb.inference import Change, Network, Node, State, settle
 from kb.model import Model
-from kb.questions import Questions
+from kb.questions import ELEMENTS, Questions
 from kb.reconfiguration import ReconfigurationPlan, reselect
 from kb.requests import Reply, RequiredAction, check_result
-from kb.status import Status
+from kb.status import STATUSES, Status
 from kb.views import ElementView
 
 __all__ = ["KnowledgeBase"]
@@ -34,10 +36,15 @@ class KnowledgeBase(Questions):
     """
 
     def __init__(self, model: Model, *, clock: Callable[[], float] = time.time) -> None:
+        if not isinstance(model, Model):
+            raise InvalidValue(f"a knowledge base is made of a kb.Model, not of {model!r}")
+        if not callable(clock):
+            raise InvalidValue(f"the clock is a function that returns the time in seconds, not {clock!r}")
         network = Network(model)
         super().__init__(network, State(network), clock)
         self.model = model
         self._subscribers: list[Callable[[Event], None]] = []
+        self._events: deque[Event] = deque()
         self._open: dict[str, RequiredAction] = {}
         self._history: list[RequiredAction] = []
         self._plans: list[ReconfigurationPlan] = []
@@ -73,18 +80,20 @@ class KnowledgeBase(Questions):
     def component_active(self, component: str, active: bool) -> None:
         """Tell whether a component is running."""
         node = self.components.node(component)
+        running = _yes("active", active)
         with self._lock:
-            if self._state.active[node.index] == active:
+            if self._state.active[node.index] == running:
                 return
-            self._state.active[node.index] = active
-            words = "active" if active else "inactive"
-            self._told(EventKind.MONITORING_DATA, self._clock(), node, lambda: f"{component} is {words}")
+            now = self._clock()
+            self._state.active[node.index] = running
+            words = "active" if running else "inactive"
+            self._told(EventKind.MONITORING_DATA, now, node, lambda: f"{node.name} is {words}")
 
     def component_configured(self, component: str, parameters: Parameters) -> None:
         """Tell which parameters a component was given; see `parameters_in_force` of its view."""
-        self.components.node(component)
+        node = self.components.node(component)
         with self._lock:
-            self._in_force[component] = dict(parameters)
+            self._in_force[node.name] = dict(checked_parameters(node.name, parameters))
 
     def receive(self, diagnostics: object) -> tuple[DiagnosticProblem, ...]:
         """Take in a DiagnosticArray; see `kb.diagnostics` for the forms in which it may come.
@@ -128,17 +137,19 @@ class KnowledgeBase(Questions):
         """State that an element is required; False or None takes that back and hides no inferred requirement."""
         with self._lock:
             node = self._node(element, ("action", "function", "component"), unique=True)
-            self._state.asserted_required[node.index] = bool(required)
+            now = self._clock()
+            self._state.asserted_required[node.index] = required is not None and _yes("required", required)
             words = "asserted required" if required else "no longer asserted required"
-            self._told(EventKind.MONITORING_DATA, self._clock(), node, lambda: f"{node.name} is {words}")
+            self._told(EventKind.MONITORING_DATA, now, node, lambda: f"{node.name} is {words}")
 
     def assert_selected(self, element: ElementView | Element | str, selected: bool | None) -> None:
         """State that a design or configuration is the selected one, or is not."""
         with self._lock:
             node = self._node(element, ("function design", "configuration"), unique=True)
-            self._state.selected[node.index] = bool(selected)
+            now = self._clock()
+            self._state.selected[node.index] = selected is not None and _yes("selected", selected)
             words = "selected" if selected else "not selected"
-            self._told(EventKind.MONITORING_DATA, self._clock(), node, lambda: f"{node.name} is {words}")
+            self._told(EventKind.MONITORING_DATA, now, node, lambda: f"{node.name} is {words}")
 
     # actions
 
@@ -150,8 +161,9 @@ class KnowledgeBase(Questions):
             preference: name of the attribute to favour when a configuration is chosen for it.
         """
         node = self.actions.node(action)
+        action = node.name
         if preference is not None:
-            self.attributes.node(preference)
+            preference = self.attributes.node(preference).name
         with self._lock:
             now = self._clock()
             if action in self._open:
@@ -172,13 +184,14 @@ class KnowledgeBase(Questions):
             result: "completed", "failed" or "abandoned".
         """
         node = self.actions.node(action)
+        action = node.name
         check_result(result)
         with self._lock:
+            now = self._clock()
             required = self._open.pop(action, None)
             if required is None:
                 return
-            now = self._clock()
-            required._end, required._result = now, result
+            required._finish(result, now)
             self._state.requested[node.index] = False
             self._told(EventKind.ACTION_UPDATE, now, node, lambda: f"{action} is {result}")
 
@@ -209,10 +222,9 @@ class KnowledgeBase(Questions):
             The plan that leads there from the present state; None if there is nothing to do.
         """
         with self._lock:
-            chosen = [_owned(self.designs.node(name), self.functions.node(of)) for of, name in (designs or {}).items()]
+            chosen = [_owned(self.designs.node(name), self.functions.node(of)) for of, name in _pairs(designs)]
             given = [
-                _owned(self.configurations.node(name), self.components.node(of))
-                for of, name in (configurations or {}).items()
+                _owned(self.configurations.node(name), self.components.node(of)) for of, name in _pairs(configurations)
             ]
             now = self._clock()
             reason = why_selected(self._state, [*chosen, *given], now)
@@ -255,10 +267,10 @@ class KnowledgeBase(Questions):
         """
         check_result(result)
         with self._lock:
+            if not isinstance(plan, ReconfigurationPlan) or (plan.end is None and plan not in self._open_plans):
+                raise KnowledgeBaseError(f"{plan!r} is not a plan of this knowledge base; finish one of kb.plans")
             if plan.end is not None:
                 return False
-            if plan not in self._open_plans:
-                raise KnowledgeBaseError(f"{plan!r} is not a plan of this knowledge base; finish one of kb.plans")
             now = self._clock()
             plan._finish(result, now)
             self._open_plans.remove(plan)
@@ -283,7 +295,13 @@ class KnowledgeBase(Questions):
         return self._revision
 
     def subscribe(self, callback: Callable[[Event], None]) -> Callable[[], None]:
-        """Have a function called with every event, in order, by the thread that caused it; returns how to stop that."""
+        """Have a function called with every event, in order; returns how to stop that.
+
+        It is called by the thread that told, which holds the base meanwhile: it may ask and tell, but must not wait
+        for another thread that does. What it raises is logged and reaches nobody else.
+        """
+        if not callable(callback):
+            raise InvalidValue(f"a subscriber is called with each event; {callback!r} cannot be called")
         self._subscribers.append(callback)
 
         def unsubscribe() -> None:
@@ -295,6 +313,7 @@ class KnowledgeBase(Questions):
     def _report(self, component: str, failed: bool) -> None:
         node = self.components.node(component)
         with self._lock:
+            now = self._clock()
             retracts = not failed and self._state.asserted[node.index] is Status.FAILURE
             if retracts:
                 self._state.asserted[node.index] = None
@@ -302,14 +321,18 @@ class KnowledgeBase(Questions):
                 return
             self._state.failed[node.index] = failed
             words = "has failed" if failed else "is recovered"
-            self._told(EventKind.MONITORING_DATA, self._clock(), node, lambda: f"{component} {words}")
+            self._told(EventKind.MONITORING_DATA, now, node, lambda: f"{node.name} {words}")
 
     def _assert_status(self, element: ElementView | Element | str, status: Status | None) -> None:
         with self._lock:
-            node = self._node(element, unique=True)
+            node = self._node(element, ELEMENTS, unique=True)
+            if status is not None and status not in STATUSES[node.kind]:
+                known = ", ".join(STATUSES[node.kind])
+                raise InvalidValue(f"a {node.kind} is never {status!s}; it can be {known}")
+            now = self._clock()
             self._state.asserted[node.index] = status
             words = f"asserted {status}" if status else "no longer asserted"
-            self._told(EventKind.MONITORING_DATA, self._clock(), node, lambda: f"{node.name} is {words}")
+            self._told(EventKind.MONITORING_DATA, now, node, lambda: f"{node.name} is {words}")
 
     def _told(self, kind: EventKind, now: float, node: Node, text: Callable[[], str], plain: bool = False) -> None:
         """Infer what follows from a changed fact and publish it; a plain fact matters only if a status changed."""
@@ -320,8 +343,16 @@ class KnowledgeBase(Questions):
             self._publish(Event(kind, now, node.name, text(), _status_changes(changes)))
 
     def _publish(self, event: Event) -> None:
-        for subscriber in tuple(self._subscribers):
-            subscriber(event)
+        self._events.append(event)
+        if len(self._events) > 1:
+            return  # told by a subscriber: it is published after the event that the subscriber is hearing
+        while self._events:
+            for subscriber in tuple(self._subscribers):
+                try:
+                    subscriber(self._events[0])
+                except Exception:
+                    _log.exception("a subscriber failed on %r", self._events[0].text)
+            self._events.popleft()
 
 
 def _status_changes(changes: Iterable[Change]) -> tuple[StatusChange, ...]:
@@ -331,6 +362,18 @@ def _status_changes(changes: Iterable[Change]) -> tuple[StatusChange, ...]:
 def _reading(attribute: Node, value: float) -> str:
     bounds = [one.element.value for one in attribute.constraints if isinstance(one.element, Constraint)]
     return f"{attribute.name} is {shortest(value, bounds)}"
+
+
+def _pairs(chosen: Mapping[str, str] | None) -> Iterable[tuple[str, str]]:
+    if chosen is not None and not isinstance(chosen, Mapping):
+        raise InvalidValue(f"what is selected is given as choice by name of what it is for, not as {chosen!r}")
+    return (chosen or {}).items()
+
+
+def _yes(what: str, value: object) -> bool:
+    if isinstance(value, bool):
+        return value
+    raise InvalidValue(f"{what} is True or False, not {value!r}")
 
 
 def _measured(attribute: str, value: object) -> float:

@@ -4,11 +4,13 @@
 anything. A knowledge base adds facts to this; a situation answers the same from an overlay.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from threading import RLock
+from typing import Any, Final
 
+from kb.declarations import listed
 from kb.elements import Element, Parameters
-from kb.exceptions import AmbiguousName, UnknownName
+from kb.exceptions import AmbiguousName, InvalidValue, UnknownName
 from kb.explanation import Explanation, explain
 from kb.inference import Network, Node, Overlay, State, is_adaptable
 from kb.reconfiguration import Obsolete, obsolete, reselect
@@ -24,7 +26,10 @@ from kb.views import (
     Views,
 )
 
-__all__ = ["Questions"]
+__all__ = ["ELEMENTS", "Questions"]
+
+ELEMENTS: Final = ("action", "function", "component", "function design", "configuration")
+"""The kinds of elements that have a name and a status."""
 
 
 class Questions:
@@ -80,15 +85,16 @@ class Questions:
         with self._lock:
             return _adaptable(self._state, "function")
 
-    def adaptable_components(self, designs: Iterable[str] = ()) -> tuple[str, ...]:
+    def adaptable_components(self, designs: Iterable[str] | Mapping[str, str] = ()) -> tuple[str, ...]:
         """Names of the components for which a configuration has to be chosen, or may be chosen better.
 
         Args:
-            designs: names of designs just chosen; the answer is what it will be once they are selected and
-                what is obsolete is not.
+            designs: names of designs just chosen, or these by function; the answer is what it will be once they are
+                selected and what is obsolete is not.
         """
+        names = listed("designs", designs.values() if isinstance(designs, Mapping) else designs)
         with self._lock:
-            chosen = [self.designs.node(name) for name in designs]
+            chosen = [self.designs.node(name) for name in names]
             supposed = Overlay(self._state)
             reselect(supposed, chosen, ())
             return _adaptable(supposed, "component")
@@ -106,32 +112,38 @@ class Questions:
                 before the function, component, design and configuration.
         """
         with self._lock:
-            return explain(self._state, self._node(element), self._clock())
+            return explain(self._state, self._node(element, ELEMENTS), self._clock())
 
     def _selectable(self, nodes: Iterable[Node]) -> tuple[str, ...]:
         status = self._state.status
         return tuple(node.name for node in nodes if status[node.index] is not Status.UNFEASIBLE)
 
-    def _node(self, element: ElementView | Element | str, kinds: Iterable[str] = (), unique: bool = False) -> Node:
-        """Return the node that is meant; a bare name is looked for in the given kinds (all), in this order."""
-        if isinstance(element, ElementView):
-            return element._node
-        if isinstance(element, Element):
-            return self._network.find(element)
-        tables = {
-            "action": self._network.actions,
-            "function": self._network.functions,
-            "component": self._network.components,
-            "function design": self._network.designs,
-            "configuration": self._network.configurations,
+    def _node(self, element: ElementView | Element | str, kinds: Iterable[str], unique: bool = False) -> Node:
+        """Return the node that is meant; a bare name is looked for in the given kinds, in this order."""
+        views: dict[str, Views[Any]] = {
+            "action": self.actions,
+            "function": self.functions,
+            "component": self.components,
+            "function design": self.designs,
+            "configuration": self.configurations,
         }
-        searched = {kind: tables[kind] for kind in (tuple(kinds) or tables)}
-        found = [table[element] for table in searched.values() if element in table]
+        if isinstance(element, Element):
+            if self._network.model is not element.model:
+                raise InvalidValue(f"{element.name!r} belongs to another model, {element.model.name!r}")
+            element = next((view for kind in views.values() if (view := kind.of(element)) is not None), element.name)
+        if isinstance(element, ElementView):
+            if element._base is not self:
+                raise InvalidValue(f"{element!r} is a view of another knowledge base; take it from this one")
+            if element._node.kind not in (*kinds, *(("constraint",) if kinds is ELEMENTS else ())):
+                raise InvalidValue(f"{element!r} cannot be meant here; allowed are {', '.join(kinds)}")
+            return element._node
+        found = [views[kind].node(element) for kind in kinds if isinstance(element, str) and element in views[kind]]
         if not found:
-            raise UnknownName(" or ".join(searched), element, [name for table in searched.values() for name in table])
+            raise UnknownName(" or ".join(kinds), element, [name for kind in kinds for name in views[kind]])
         if unique and len(found) > 1:
-            listed = " and a ".join(node.kind for node in found)
-            raise AmbiguousName(f"{element!r} names a {listed}; pass the view, e.g. kb.components[{element!r}]")
+            things = ", ".join(f"{'an' if node.kind == 'action' else 'a'} {node.kind}" for node in found)
+            example = f"kb.{found[0].kind.removeprefix('function ')}s[{element!r}]"
+            raise AmbiguousName(f"{element!r} names several things: {things}; pass the view meant, e.g. {example}")
         return found[0]
 
 

@@ -1,5 +1,6 @@
 """Actions that a mission asks for: the answer to a request, and the record of what was required."""
 
+from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 from kb.exceptions import InvalidValue
@@ -24,36 +25,30 @@ class Reply(NamedTuple):
         return self.accepted
 
 
+@dataclass(frozen=True, slots=True, eq=False)
 class RequiredAction:
-    """An action that a mission asked for, from when, and how it ended.
+    """An action that a mission asked for, from when, and how it ended; only the knowledge base can end it.
 
     Attributes:
         action: its name.
         preference: name of the attribute preferred when a configuration is chosen for it, or None.
         start: when it was requested [s].
+        end: when it ended [s], None while it is open.
+        result: "completed", "failed" or "abandoned", None while it is open.
     """
 
-    __slots__ = ("_end", "_result", "action", "preference", "start")
-
-    def __init__(self, action: str, preference: str | None, start: float) -> None:
-        self.action = action
-        self.preference = preference
-        self.start = start
-        self._end: float | None = None
-        self._result: str | None = None
-
-    @property
-    def end(self) -> float | None:
-        """When it ended [s], None while it is open."""
-        return self._end
-
-    @property
-    def result(self) -> str | None:
-        """How it ended: "completed", "failed", "abandoned"; None while it is open."""
-        return self._result
+    action: str
+    preference: str | None
+    start: float
+    end: float | None = None
+    result: str | None = None
 
     def __repr__(self) -> str:
         return f"<RequiredAction {self.action!r} ({self.result or 'open'})>"
+
+    def _finish(self, result: str, end: float) -> None:
+        object.__setattr__(self, "end", end)
+        object.__setattr__(self, "result", result)
 
 
 def check_result(result: str) -> None:

@@ -11,6 +11,7 @@ from enum import StrEnum
 
 __all__ = [
     "OPERATORS",
+    "STATUSES",
     "Status",
     "action_status",
     "component_status",
@@ -41,6 +42,43 @@ class Status(StrEnum):
     UNSOLVED = "unsolved"
     SOLVED = "solved"
     FEASIBLE = "feasible"
+
+
+STATUSES: Mapping[str, tuple[Status, ...]] = {
+    "constraint": (Status.NOT_EVALUATED, Status.SATISFIED, Status.VIOLATED),
+    "configuration": (Status.UNFEASIBLE, Status.FEASIBLE),
+    "component": (
+        Status.FAILURE,
+        Status.UNFEASIBLE,
+        Status.CONFIGURATION_ERROR,
+        Status.UNSOLVED,
+        Status.SOLVED,
+        Status.FEASIBLE,
+    ),
+    "function design": (
+        Status.UNFEASIBLE,
+        Status.IMPLICIT_CONFIGURATION_ERROR,
+        Status.UNSOLVED,
+        Status.SOLVED,
+        Status.FEASIBLE,
+    ),
+    "function": (
+        Status.UNFEASIBLE,
+        Status.CONFIGURATION_ERROR,
+        Status.IMPLICIT_CONFIGURATION_ERROR,
+        Status.SOLVED,
+        Status.UNSOLVED,
+        Status.FEASIBLE,
+    ),
+    "action": (
+        Status.UNFEASIBLE,
+        Status.IMPLICIT_CONFIGURATION_ERROR,
+        Status.UNSOLVED,
+        Status.SOLVED,
+        Status.FEASIBLE,
+    ),
+}
+"""The statuses that an element of each kind can have, in the order of its table."""
 
 
 def constraint_status(measured: float | None, relation: str, threshold: float) -> Status:

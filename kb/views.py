@@ -13,6 +13,7 @@ from kb.elements import (
     ComponentKind,
     Configuration,
     Constraint,
+    Element,
     Function,
     FunctionDesign,
     Parameters,
@@ -290,9 +291,16 @@ class Views(Mapping[str, ViewT], Generic[ViewT]):
     def __len__(self) -> int:
         return len(self._nodes)
 
-    def node(self, name: str) -> Node:
-        """Return the node behind a name."""
+    def node(self, name: str | ElementView) -> Node:
+        """Return the node behind a name, or behind a view of this kind."""
         try:
-            return self._nodes[name]
+            return self._nodes[name]  # type: ignore[index]  # a view is no key: answered below
         except (KeyError, TypeError):
+            if isinstance(name, ElementView) and self._nodes.get(name.name) is name._node:
+                return name._node
             raise UnknownName(self._kind, name, self._nodes) from None
+
+    def of(self, element: Element) -> ViewT | None:
+        """Return the view of an element of the model, None if it is of another kind."""
+        node = self._nodes.get(element.name)
+        return self._view(self._base, node) if node is not None and node.element is element else None

@@ -304,7 +304,6 @@ def test_a_cause_is_a_part_whose_status_is_as_stated(story):
         check(twins.kb.explain(twins.view(kind, name)))
 
 
-@pytest.mark.xfail(strict=True, reason="every path to a fact is told in full, so a shared fault fills pages")
 def test_a_reason_stays_short_enough_to_read_when_many_things_share_a_fault():
     model = Model("shared")
     model.component("driver")
