@@ -176,12 +176,13 @@ class KnowledgeBase(Questions):
             self._told(EventKind.ACTION_UPDATE, now, node, lambda: f"{action} is requested")
             return Reply(True, f"{action} is required")
 
-    def cancel_action(self, action: str, result: str = "abandoned") -> None:
+    def cancel_action(self, action: str, result: str = "abandoned", reason: str = "") -> None:
         """Say that an action is no longer required, and how it ended; nothing happens if it is not required.
 
         Args:
             action: its name.
             result: "completed", "failed" or "abandoned".
+            reason: why it ended so, in words; for those who listen and for the history.
         """
         node = self.actions.node(action)
         action = node.name
@@ -191,9 +192,9 @@ class KnowledgeBase(Questions):
             required = self._open.pop(action, None)
             if required is None:
                 return
-            required._finish(result, now)
+            required._finish(result, now, reason)
             self._state.requested[node.index] = False
-            self._told(EventKind.ACTION_UPDATE, now, node, lambda: f"{action} is {result}")
+            self._told(EventKind.ACTION_UPDATE, now, node, lambda: f"{action} is {result}{': ' * bool(reason)}{reason}")
 
     @property
     def required_actions(self) -> tuple[RequiredAction, ...]:

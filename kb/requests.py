@@ -35,6 +35,7 @@ class RequiredAction:
         start: when it was requested [s].
         end: when it ended [s], None while it is open.
         result: "completed", "failed" or "abandoned", None while it is open.
+        reason: why it ended so, in words, where that was told.
     """
 
     action: str
@@ -42,13 +43,15 @@ class RequiredAction:
     start: float
     end: float | None = None
     result: str | None = None
+    reason: str = ""
 
     def __repr__(self) -> str:
         return f"<RequiredAction {self.action!r} ({self.result or 'open'})>"
 
-    def _finish(self, result: str, end: float) -> None:
+    def _finish(self, result: str, end: float, reason: str) -> None:
         object.__setattr__(self, "end", end)
         object.__setattr__(self, "result", result)
+        object.__setattr__(self, "reason", reason)
 
 
 def check_result(result: str) -> None:

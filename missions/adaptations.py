@@ -63,6 +63,7 @@ class AdaptationLog:
         self._tell = tell
         self._news: list[_News] = []
         self._stamp: float | None = None
+        self._last_tick = self._this_tick = float("-inf")
         self._lost: dict[str, _News] = {}
         self._regained: dict[str, _News] = {}
         self._given_up: dict[str, None] = {}
@@ -76,6 +77,10 @@ class AdaptationLog:
     def news(self, stamp: float | None) -> None:
         """Say that what the knowledge base hears next is news of that time [s]; None: it is our own doing."""
         self._stamp = stamp
+
+    def ticking(self, time: float) -> None:
+        """Say that the task layer is about to be ticked [s]."""
+        self._last_tick, self._this_tick = self._this_tick, time
 
     def settle(self) -> None:
         """Complete the adaptations whose plans have ended; called after each turn of the manager."""
@@ -135,6 +140,8 @@ class AdaptationLog:
             cause = self._lost[before]
         elif action in self._given_up:
             cause = self._regained.get(action)
+            if cause is not None and cause.time < self._last_tick:  # it waited for something else to end
+                cause = _News(event.time, f"{before} is over", cause.reason)
         self._given_up.pop(action, None)
         if cause is not None:
             self._task = Adaptation(

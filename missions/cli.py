@@ -1,9 +1,12 @@
 """The command line: `rosa`, the same as `python -m missions`."""
 
+import logging
+import signal
 import sys
 import time
 from collections.abc import Mapping
-from contextlib import ExitStack, nullcontext
+from contextlib import ExitStack, nullcontext, suppress
+from io import BytesIO
 from pathlib import Path
 from typing import Annotated
 
@@ -82,12 +85,9 @@ def run_mission(
     changed = _assignments(settings or [])
     run_settings, world_settings = split_settings(found, changed)
     console = _console()
+    wanted = {"json": json, "plot": plot, "timing": timing_file, "record": record}
     with ExitStack() as stack:
-        files = {
-            name: stack.enter_context(OutputFile(path))
-            for name, path in {"json": json, "plot": plot, "timing": timing_file, "record": record}.items()
-            if path is not None
-        }
+        files = _files({name: path for name, path in wanted.items() if path is not None}, stack)
         listeners: list[Listener] = []
         if "record" in files:
             listeners.append(Recorder(files["record"]))
@@ -103,7 +103,7 @@ def run_mission(
             verdict = _run(run)
             wall_s = time.perf_counter() - start
         _print_result(console, run, wall_s)
-        _print_verdict(console, verdict)
+        _print_verdict(console, run, verdict)
         data = summary(run, verdict, seed, changed)
         texts = {"json": as_json(data), "timing": as_json(timing(run, wall_s)), "record": ""}
         for name in texts.keys() & files.keys():
@@ -112,7 +112,9 @@ def run_mission(
         if "plot" in files:  # last, because it takes longest
             from missions.plot import draw
 
-            draw(run, data, files["plot"].file)
+            picture = BytesIO()
+            draw(run, data, picture)
+            files["plot"].write(picture.getvalue())
             files["plot"].keep()
     if not verdict.success:
         raise typer.Exit(FAILED)
@@ -121,11 +123,33 @@ def run_mission(
 def main() -> None:
     """Run the command line; what goes wrong is one clear message, never a traceback."""
     sys.path.append(str(Path.cwd()))  # where a mission of one's own is, given as module:NAME
+    logging.basicConfig(level=logging.ERROR, format="rosa: %(message)s")  # what is less is told by the narrator
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # so that no draft of a file stays
     try:
         app()
     except (MissionError, KnowledgeBaseError, RosaPddlError) as error:
-        Console(stderr=True, soft_wrap=True).print(f"[bold red]rosa:[/] {escape(str(error))}", highlight=False)
+        _complain(str(error))
         sys.exit(WRONG_USE)
+    except OSError as error:  # standard output is full or gone
+        with suppress(OSError):
+            sys.stdout.close()
+        _complain(f"cannot print: {error.strerror or error}")
+        sys.exit(FAILED)
+
+
+def _complain(text: str) -> None:
+    console = Console(stderr=True, soft_wrap=True, emoji=False)
+    console.print(f"[bold red]rosa:[/] {escape(text)}", highlight=False)
+
+
+def _files(paths: Mapping[str, Path], stack: ExitStack) -> dict[str, OutputFile]:
+    """Open every file that is asked for, so that one that cannot be written is found out before the mission runs."""
+    places: dict[Path, str] = {}
+    for name, path in paths.items():
+        other = places.setdefault(path.absolute().resolve() if path.is_file() else path.absolute(), name)
+        if other != name and not path.is_char_device():
+            raise MissionError(f"--{other} and --{name} name the same file, {path}; give each its own")
+    return {name: stack.enter_context(OutputFile(path)) for name, path in paths.items()}
 
 
 def _opened(
@@ -177,13 +201,19 @@ def _with_unit(name: str) -> str:
     return f"{words.replace('_', ' ')} [{unit}]"
 
 
-def _print_verdict(console: Console, verdict: Verdict) -> None:
+def _print_verdict(console: Console, run: MissionRun, verdict: Verdict) -> None:
+    if run.problems:
+        _, first = run.problems[0]
+        text = f"{len(run.problems)} parts of diagnostics were not used, the first: {first}"
+        console.print(f"[yellow]{escape(text)}[/]", highlight=False)
     colour = "green" if verdict.success else "red"
     console.print(f"[bold {colour}]{verdict.outcome}[/]: {escape(verdict.reason)}", highlight=False)
+    if verdict.detail:
+        console.print(escape(verdict.detail), highlight=False)
 
 
 def _console() -> Console:
-    console = Console()
+    console = Console(emoji=False)
     if not console.is_terminal:
         console.width = 160  # a pipe or a file has no width of its own
     return console

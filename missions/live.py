@@ -32,6 +32,7 @@ class Narrator(Listener):
 
     def __init__(self, console: Console, duration_s: float) -> None:
         self._console = console
+        self._known_problems: set[tuple[str, str]] = set()
         columns = (
             TextColumn("{task.completed:5.1f} s"),
             BarColumn(),
@@ -62,12 +63,14 @@ class Narrator(Listener):
     def plan(self, plan: "PlanRecord", time_s: float) -> None:
         """Say what is planned, and why it was planned anew."""
         steps = ", then ".join(step.schema for step in plan.steps)
-        found = steps if plan.outcome.is_solved else f"none, {plan.outcome}: {plan.message}"
+        found = steps if plan.outcome.is_solved else f"none, {plan.outcome} ({plan.engine})"
         self._say(time_s, f"[bold green]plan[/] ({escape(plan.reason)}): {escape(found)}")
 
     def problem(self, problem: DiagnosticProblem, time_s: float) -> None:
-        """Say what could not be used."""
-        self._say(time_s, f"[bold red]diagnostics not used[/]: {escape(str(problem))}")
+        """Say what could not be used, the first time."""
+        if (problem.key, problem.reason) not in self._known_problems:
+            self._known_problems.add((problem.key, problem.reason))
+            self._say(time_s, f"[bold red]diagnostics not used[/]: {escape(str(problem))}")
 
     def tick(self, run: MissionRun) -> None:
         """Move the bar, and show what is being done and seen."""

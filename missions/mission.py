@@ -67,10 +67,12 @@ class Verdict(NamedTuple):
     Attributes:
         outcome: "inspected_all", "time_limit", "not_found" or "aborted"; the first two are successes.
         reason: why, in words.
+        detail: what only a person at this machine has use for; no part of the result.
     """
 
     outcome: str
     reason: str
+    detail: str = ""
 
     @property
     def success(self) -> bool:

@@ -2,6 +2,7 @@
 
 import os
 import tempfile
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO, Self
@@ -23,20 +24,24 @@ class OutputFile:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._direct = path.exists() and not path.is_file()
         try:
-            if path.is_dir():
+            self._target = path.resolve()  # a link is followed, not replaced
+            self._direct = self._target.exists() and not self._target.is_file()
+            if self._target.is_dir():
                 raise IsADirectoryError("it is a directory; name a file in it")
-            if path.is_file() and not os.access(path, os.W_OK):
+            if self._target.is_file() and not os.access(self._target, os.W_OK):
                 raise PermissionError("the file there is read-only")
             if self._direct:
-                self._file: BinaryIO = path.open("wb")
-                self._draft = path
+                self._file: BinaryIO = self._target.open("wb")
+                self._draft = self._target
             else:
-                handle, draft = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+                os.lstat(self._target.parent)
+                if len(os.fsencode(self._target.name)) > 255:
+                    raise OSError("the name is longer than 255 bytes")
+                handle, draft = tempfile.mkstemp(prefix=".rosa-", dir=self._target.parent)
                 self._file, self._draft = os.fdopen(handle, "wb"), Path(draft)
         except OSError as error:
-            raise MissionError(f"cannot write {path}: {error.strerror or error}") from error
+            raise self._failure(error) from error
 
     def __enter__(self) -> Self:
         return self
@@ -44,25 +49,38 @@ class OutputFile:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._file.close()
+        with suppress(OSError):  # what could not be written is told by keep
+            self._file.close()
         if not self._direct:
             self._draft.unlink(missing_ok=True)
 
-    @property
-    def file(self) -> BinaryIO:
-        """Where the content goes."""
-        return self._file
+    def write(self, content: str | bytes) -> None:
+        """Append text or bytes.
 
-    def write(self, text: str) -> None:
-        """Append text."""
-        self._file.write(text.encode())
+        Raises:
+            MissionError: there is no room for it.
+        """
+        try:
+            self._file.write(content.encode() if isinstance(content, str) else content)
+        except OSError as error:
+            raise self._failure(error) from error
 
     def keep(self) -> None:
-        """Put the file, which is complete now, in its place."""
-        self._file.close()
-        if not self._direct:
-            self._draft.chmod(0o666 & ~_umask())
-            self._draft.replace(self._path)
+        """Put the file, which is complete now, in its place.
+
+        Raises:
+            MissionError: that cannot be done.
+        """
+        try:
+            self._file.close()
+            if not self._direct:
+                self._draft.chmod(0o666 & ~_umask())
+                self._draft.replace(self._target)
+        except OSError as error:
+            raise self._failure(error) from error
+
+    def _failure(self, error: OSError) -> MissionError:
+        return MissionError(f"cannot write {self._path}: {error.strerror or error}")
 
 
 def _umask() -> int:

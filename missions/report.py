@@ -50,7 +50,13 @@ def summary(run: MissionRun, verdict: Verdict, seed: int, changed: Mapping[str, 
             for one in run.adaptations
         ],
         "actions": [
-            {"name": one.action, "start_s": one.start, "end_s": one.end, "result": one.result}
+            {
+                "name": one.action,
+                "start_s": one.start,
+                "end_s": one.end,
+                "result": one.result,
+                "reason": one.reason,
+            }
             for one in run.kb.action_history
         ],
         "plans": [

@@ -116,7 +116,7 @@ class MissionRun:
 
     def run(self) -> Verdict:
         """Run until the task is done or the time limit is reached; nothing is left running however this ends."""
-        trouble = None
+        trouble: Verdict | None = None
         try:
             while (
                 trouble is None
@@ -129,8 +129,17 @@ class MissionRun:
             self._runner.shutdown()
             self.world.close()
         if trouble is not None:
-            return Verdict("aborted", trouble)
-        return self.mission.world.verdict(self._senses, self.world.results(), self.kb)
+            return trouble
+        verdict = self.mission.world.verdict(self._senses, self.world.results(), self.kb)
+        return verdict if verdict.success else verdict._replace(reason=self._with_what_went_wrong(verdict.reason))
+
+    def _with_what_went_wrong(self, reason: str) -> str:
+        """Add to the reason of a failure why there was no plan, or why an action failed last."""
+        plan = self.plans[-1] if self.plans else None
+        if plan is not None and not plan.outcome.is_solved:
+            return f"{reason}; there was no plan: {plan.outcome}"
+        failed = next((one for one in reversed(self.kb.action_history) if one.result == "failed"), None)
+        return f"{reason}; {failed.action} failed last: {failed.reason or 'no reason told'}" if failed else reason
 
     def _turn(self) -> None:
         """Let the world go on to the next news or tick, and answer it."""
@@ -144,6 +153,8 @@ class MissionRun:
         managed = perf_counter()
         self._task.catch_up()
         caught_up = perf_counter()
+        if self.world.now >= self._runner.due:
+            self._log.ticking(self.world.now)
         ticked = self._runner.update()
         decided = perf_counter()
         spent["world"] += advanced - started
@@ -158,15 +169,15 @@ class MissionRun:
             for listener in self._listeners:
                 listener.tick(self)
 
-    def _hear_plans(self) -> str | None:
-        """Pass on the task plans that are new; return what is wrong if the planner itself could not do its work."""
+    def _hear_plans(self) -> Verdict | None:
+        """Pass on the task plans that are new; end the mission if the planner itself could not do its work."""
         plans = self.plans
         heard, self._plans_heard = self._plans_heard, len(plans)
         for plan in plans[heard:]:
             for listener in self._listeners:
                 listener.plan(plan, self.world.now)
             if plan.outcome.is_trouble:
-                return f"no plan, {plan.outcome}: {plan.message}"
+                return Verdict("aborted", f"no plan, {plan.outcome}: {plan.engine}", plan.message)
         return None
 
     def _take_in(self, message: Message) -> None:

@@ -1,5 +1,6 @@
 """The two behaviours of the pattern "feasible, then act": a condition that asks, and an action that requests."""
 
+import logging
 from collections import Counter
 from collections.abc import Iterator
 from weakref import WeakKeyDictionary
@@ -11,6 +12,8 @@ from py_trees.ports import PortInformation, PortsMixin
 from kb import KnowledgeBase
 
 __all__ = ["IsActionFeasible", "RosaAction"]
+
+_log = logging.getLogger(__name__)
 
 _RESULTS = {Status.SUCCESS: "completed", Status.FAILURE: "failed", Status.INVALID: "abandoned"}
 
@@ -123,6 +126,7 @@ class RosaAction(_ActionBehaviour):
                 return
         except Exception as error:
             self.feedback_message = f"{type(error).__name__}: {error}"
+            _log.debug("%s failed", self.name, exc_info=True)
         self.stop(Status.FAILURE)
         yield self
 
@@ -158,4 +162,4 @@ class RosaAction(_ActionBehaviour):
         holders = _holders[self.kb]
         holders[action] -= 1
         if not holders[action]:
-            self.kb.cancel_action(action, result)
+            self.kb.cancel_action(action, result, self.feedback_message if result == "failed" else "")

@@ -221,7 +221,7 @@ def test_no_request_is_left_open_or_released_twice_whatever_a_tree_does(scripts,
     kb = KnowledgeBase(rover(), clock=lambda: 0.0)
     released = []
     cancel = kb.cancel_action
-    kb.cancel_action = lambda action, result="abandoned": (released.append(action), cancel(action, result))
+    kb.cancel_action = lambda action, *how: (released.append(action), cancel(action, *how))
     leaves = []
     for number, script in enumerate(scripts):
         action = ("scan", "rest")[number % 2]
