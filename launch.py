@@ -23,10 +23,15 @@ MARK = VENV / "set-up-for"
 
 def set_up() -> None:
     """Make the virtual environment and install this project in it; without the mark the next call does it anew."""
-    inputs = b"".join((ROOT / name).read_bytes() for name in ("pyproject.toml", "constraints.txt", "launch.py"))
+    try:
+        inputs = b"".join((ROOT / name).read_bytes() for name in ("pyproject.toml", "constraints.txt", "launch.py"))
+    except OSError as error:
+        sys.exit(f"launch.py: cannot read {error.filename}: {error.strerror}; get it back from the repository")
     wanted = hashlib.sha256(inputs + sys.version.encode()).hexdigest()
-    if MARK.is_file() and MARK.read_text() == wanted:
+    if MARK.is_file() and MARK.read_text() == wanted and (BIN / "python").exists():
         return
+    if VENV.exists() and not VENV.is_dir():
+        sys.exit(f"launch.py: {VENV} is in the way; it has to be a folder, so move it elsewhere and run this again")
     print("Setting up .venv (once, about half a minute) ...", file=sys.stderr, flush=True)
     python = str(BIN / "python")
     if find_spec("pip"):  # the outer pip serves, so a Python without ensurepip does too
@@ -48,7 +53,10 @@ def main() -> None:
     """Set up, then become the command that was asked for."""
     if sys.version_info < (3, 11):  # noqa: UP036  # the one file that an older Python may meet
         sys.exit(f"launch.py: Python 3.11 or newer is needed, this is {sys.version.split()[0]}")
-    if len(sys.argv) < 2 or sys.argv[1] in ("-h", "--help"):
+    if sys.argv[1:2] in (["-h"], ["--help"]):
+        print(__doc__)
+        return
+    if len(sys.argv) < 2:
         sys.exit(__doc__)
     set_up()
     command = BIN / sys.argv[1]

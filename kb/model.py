@@ -208,6 +208,6 @@ class Model:
 def _add(kind: str, table: dict[str, NamedT], element: NamedT) -> NamedT:
     name = identifier(kind, element.name)
     if name in table:
-        raise DuplicateName(f"there is a {kind} {name!r} already; names are unique within a kind")
+        raise DuplicateName(f"{kind} {name!r} is declared already; names are unique within a kind")
     table[name] = element
     return element

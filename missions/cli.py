@@ -1,6 +1,7 @@
 """The command line: `rosa`, the same as `python -m missions`."""
 
 import logging
+import os
 import signal
 import sys
 import time
@@ -19,6 +20,7 @@ from kb import KnowledgeBaseError
 from missions.live import Narrator, Pace, Recorder
 from missions.mission import Mission, MissionError, Verdict
 from missions.output import OutputFile
+from missions.recording import header, line_of
 from missions.registry import MISSIONS, find_mission
 from missions.report import adaptation_table, as_json, summary, timing
 from missions.runner import Listener, MissionRun
@@ -97,6 +99,8 @@ def run_mission(
         if progress:
             listeners.append(narrator)
         run = _opened(found, task, seed, run_settings, world_settings, tuple(listeners))
+        if "record" in files:
+            files["record"].write(line_of(header(run, seed)))
         with narrator if progress else nullcontext():
             console.print(f"[bold]{found.name}[/] (task layer: {task}, seed {seed})")
             start = time.perf_counter()
@@ -144,9 +148,9 @@ def _complain(text: str) -> None:
 
 def _files(paths: Mapping[str, Path], stack: ExitStack) -> dict[str, OutputFile]:
     """Open every file that is asked for, so that one that cannot be written is found out before the mission runs."""
-    places: dict[Path, str] = {}
+    places: dict[str, str] = {}
     for name, path in paths.items():
-        other = places.setdefault(path.absolute().resolve() if path.is_file() else path.absolute(), name)
+        other = places.setdefault(os.path.realpath(path), name)
         if other != name and not path.is_char_device():
             raise MissionError(f"--{other} and --{name} name the same file, {path}; give each its own")
     return {name: stack.enter_context(OutputFile(path)) for name, path in paths.items()}

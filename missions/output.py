@@ -35,9 +35,6 @@ class OutputFile:
                 self._file: BinaryIO = self._target.open("wb")
                 self._draft = self._target
             else:
-                os.lstat(self._target.parent)
-                if len(os.fsencode(self._target.name)) > 255:
-                    raise OSError("the name is longer than 255 bytes")
                 handle, draft = tempfile.mkstemp(prefix=".rosa-", dir=self._target.parent)
                 self._file, self._draft = os.fdopen(handle, "wb"), Path(draft)
         except OSError as error:

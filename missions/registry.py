@@ -28,8 +28,8 @@ def find_mission(name: str) -> Mission:
         raise MissionError(f"unknown mission {name!r}; there are {known}; one of your own is given as module:NAME")
     try:
         found = getattr(import_module(module), attribute)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise MissionError(f"cannot import mission {name!r}: {error}") from error
+    except (ImportError, AttributeError, ValueError, SyntaxError) as error:
+        raise MissionError(f"cannot import mission {name!r}: {type(error).__name__}: {error}") from error
     if not isinstance(found, Mission):
         raise MissionError(f"{name!r} is a {type(found).__name__}, not a missions.mission.Mission")
     return found

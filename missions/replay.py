@@ -11,7 +11,7 @@ measured anew. What they command takes as long as it did, and has no effect on t
 """
 
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -29,6 +29,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Decisions", "Recording", "replay"]
 
+VERBS: Final = ("activate", "deactivate", "set_parameters")
+SWITCHING_S: Final = 0.05
+"""How long a command takes where a recording does not say [s]."""
 AFTERMATH_S: Final = 1.0
 """How long a replay goes on after the last message, for what that set off [s]."""
 
@@ -63,7 +66,7 @@ def replay(
     *,
     task: str = "bt",
     settings: RunSettings | None = None,
-    switching_s: float = 0.05,
+    switching_s: float | None = None,
 ) -> Decisions:
     """Decide a recorded mission once more.
 
@@ -71,18 +74,22 @@ def replay(
         path: a recording, as `rosa run MISSION --record FILE` writes it, or written by hand.
         mission: whose model and task layer decide, or its name.
         task: the kind of task layer, "bt" or "pddl".
-        settings: how it is run; it ends a second after the recording at the latest.
-        switching_s: how long a command to a component takes [s].
+        settings: how it is run, by default as it was recorded; it ends a second after the recording at the latest.
+        switching_s: how long a command to a component takes [s], by default as it was recorded, or 0.05.
 
     Raises:
         MissionError: the recording cannot be read, or there is no such mission or task layer.
     """
     wanted = find_mission(mission) if isinstance(mission, str) else mission
     messages = list(read_recording(path))
-    limits = settings or RunSettings()
+    recorded = messages[0].get("run", {}) if messages else {}
+    limits = settings or RunSettings(**recorded.get("settings", {}))
+    takes_s = recorded.get("switching_s", {}) if switching_s is None else {}
+    default_s = SWITCHING_S if switching_s is None else switching_s
+    world = Recording(messages, {verb: takes_s.get(verb, default_s) for verb in VERBS})
     end_s = max((message["time"] for message in messages), default=0.0) + AFTERMATH_S
     limits = replace(limits, duration_s=min(limits.duration_s, end_s))
-    run = MissionRun(wanted, task, Recording(messages, switching_s), limits)
+    run = MissionRun(wanted, task, world, limits)
     run.run()
     return Decisions(
         actions=tuple((one.action, one.start, one.end, one.result) for one in run.kb.action_history),
@@ -110,7 +117,7 @@ class _Command:
 class _Commanded:
     """A managed system in which every command succeeds after a set time, one after the other for each component."""
 
-    def __init__(self, clock: Callable[[], float], switching_s: float) -> None:
+    def __init__(self, clock: Callable[[], float], switching_s: Mapping[str, float]) -> None:
         self._clock = clock
         self._switching_s = switching_s
         self._busy_until: dict[str, float] = {}
@@ -120,17 +127,17 @@ class _Commanded:
         return min((end for end in self._busy_until.values() if end > self._clock()), default=float("inf"))
 
     def activate(self, component: str) -> _Command:
-        return self._command(component)
+        return self._command("activate", component)
 
     def deactivate(self, component: str) -> _Command:
-        return self._command(component)
+        return self._command("deactivate", component)
 
     def set_parameters(self, component: str, parameters: object) -> _Command:
-        return self._command(component)
+        return self._command("set_parameters", component)
 
-    def _command(self, component: str) -> _Command:
+    def _command(self, verb: str, component: str) -> _Command:
         begin = max(self._clock(), self._busy_until.get(component, 0.0))
-        self._busy_until[component] = begin + self._switching_s
+        self._busy_until[component] = begin + self._switching_s[verb]
         return _Command(self._busy_until[component], self._clock)
 
 
@@ -139,10 +146,10 @@ class Recording(World):
 
     Args:
         messages: in order of time.
-        switching_s: how long a command to a component takes [s].
+        switching_s: how long a command takes, by its verb [s].
     """
 
-    def __init__(self, messages: Iterable[Message], switching_s: float) -> None:
+    def __init__(self, messages: Iterable[Message], switching_s: Mapping[str, float]) -> None:
         self._messages = deque(messages)
         self._now = 0.0
         self._managed = _Commanded(lambda: self._now, switching_s)

@@ -33,7 +33,21 @@ class Sea(World):
 
     def advance(self, until: float) -> list[Message]:
         """Simulate until something is published or switched, at most to the time `until` [s]."""
-        return list(self._env.advance(until, pause=True))
+        from suave_env import SuaveEnvError
+
+        try:
+            return list(self._env.advance(until, pause=True))
+        except SuaveEnvError as error:
+            raise MissionError(str(error)) from error
+
+    def switching_s(self) -> Mapping[str, float]:
+        """Return how long the nodes take."""
+        settings = self._env.settings
+        return {
+            "activate": settings.activation_s,
+            "deactivate": settings.deactivation_s,
+            "set_parameters": settings.parameter_s,
+        }
 
     def results(self) -> Mapping[str, float | None]:
         """Return search time and inspected distances."""

@@ -19,8 +19,8 @@ class _Described:
     source: str
 
 
-def _seconds(default: float, meaning: str, source: str) -> float:
-    metadata = {"unit": "s", "meaning": meaning, "source": source}
+def _seconds(default: float, meaning: str, source: str, least: float = 0.0) -> float:
+    metadata = {"unit": "s", "meaning": meaning, "source": source, "least": least}
     value: float = field(default=default, metadata=metadata)
     return value
 
@@ -29,8 +29,10 @@ def _seconds(default: float, meaning: str, source: str) -> float:
 class RunSettings:
     """How a mission is run."""
 
-    duration_s: float = _seconds(300.0, "time limit of the mission", "SUAVE, time-constrained mission")
-    tick_period_s: float = _seconds(0.1, "from one tick of the task layer to the next", "ROSA's tree: sleep of 100 ms")
+    duration_s: float = _seconds(300.0, "time limit of the mission", "as SUAVE, time-constrained mission", least=0.001)
+    tick_period_s: float = _seconds(
+        0.1, "from one tick of the task layer to the next", "ROSA's tree: sleep of 100 ms", least=0.001
+    )
     planning_delay_s: float = _seconds(0.2, "simulated time in which a plan is found", "own choice; PDDL only")
 
 
@@ -56,15 +58,16 @@ def split_settings(mission: Mission, values: Mapping[str, str]) -> tuple[RunSett
             near = get_close_matches(name, sorted(known), n=3)
             hint = f"did you mean {' or '.join(near)}?" if near else f"`rosa settings {mission.name}` lists them"
             raise MissionError(f"unknown setting {name!r} of mission {mission.name}; {hint}")
-    run = RunSettings(**{name: _positive(name, value) for name, value in values.items() if name in own})
+    least = {one.name: float(one.metadata["least"]) for one in fields(RunSettings)}
+    run = RunSettings(**{name: _seconds_of(name, values[name], least[name]) for name in values if name in own})
     return run, {name: value for name, value in {**mission.fixed, **values}.items() if name not in own}
 
 
-def _positive(name: str, text: str) -> float:
+def _seconds_of(name: str, text: str, least: float) -> float:
     try:
         value = float(text)
     except ValueError:
         value = math.nan
-    if not (math.isfinite(value) and value > 0):
-        raise MissionError(f"setting {name} is {text!r}; allowed is a number of seconds above 0")
+    if not (math.isfinite(value) and value >= least):
+        raise MissionError(f"setting {name} is {text!r}; allowed is a number of seconds from {least:g}")
     return value

@@ -56,7 +56,10 @@ def build_task(
         MissionError: no such kind.
     """
     if kind == "bt":
-        return TaskLayer(mission.tree(kb, senses))
+        root = mission.tree(kb, senses)
+        if not isinstance(root, Behaviour):
+            raise MissionError(f"the tree of mission {mission.name} is {root!r}, not a py_trees behaviour")
+        return TaskLayer(root)
     if kind == "pddl":
         return _planning(mission, kb, senses, clock, planning_delay_s)
     raise MissionError(f"unknown kind of task layer {kind!r}; there are {' and '.join(TASK_KINDS)}")
@@ -65,7 +68,7 @@ def build_task(
 def _planning(
     mission: Mission, kb: KnowledgeBase, senses: Senses, clock: Callable[[], float], delay_s: float
 ) -> TaskLayer:
-    from rosa_pddl import PlanExecutor, Step, load_domain
+    from rosa_pddl import PlanExecutor, Planner, Step, load_domain
 
     if mission.domain is None or mission.problem is None:
         raise MissionError(f"mission {mission.name} has no PDDL domain and problem; run it with --task bt")
@@ -73,13 +76,18 @@ def _planning(
     def factory(action: Callable[[KnowledgeBase, Senses], Behaviour]) -> Callable[[Step], Behaviour]:
         return lambda step: action(kb, senses)
 
+    domain, planner = load_domain(mission.domain, mission.problem), Planner()
+    missing = planner.missing(domain)
+    if missing is not None:
+        raise MissionError(missing)
     executor = PlanExecutor(
         f"plan for {mission.name}",
         kb=kb,
-        domain=load_domain(mission.domain, mission.problem),
+        domain=domain,
         behaviours={schema: factory(action) for schema, action in mission.actions.items()},
         sense=lambda: mission.facts(senses),
         clock=clock,
+        planner=planner,
         delay_s=delay_s,
     )
 

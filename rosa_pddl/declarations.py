@@ -47,6 +47,13 @@ _DOMAIN_SECTIONS = (
     ":action",
     ":durative-action",
 )
+_REQUIREMENTS = (
+    *(":strips", ":typing", ":negative-preconditions", ":disjunctive-preconditions", ":equality"),
+    *(":existential-preconditions", ":universal-preconditions", ":quantified-preconditions", ":conditional-effects"),
+    *(":fluents", ":numeric-fluents", ":object-fluents", ":adl", ":durative-actions", ":duration-inequalities"),
+    *(":continuous-effects", ":derived-predicates", ":timed-initial-literals", ":preferences", ":constraints"),
+    *(":action-costs", ":goal-utilities", ":time", ":hierarchy", ":method-preconditions", ":contingent"),
+)
 _PROBLEM_SECTIONS = ("problem", ":domain", ":requirements", ":objects", ":init", ":goal", ":metric")
 _UNSUPPORTED = {":derived", ":process", ":event", ":task", ":method", ":constraints", ":htn"}
 _BODY = {
@@ -69,6 +76,7 @@ def mentions(domain: Source, problem: Source) -> tuple[Mention, ...]:
     """
     _check_frame(domain, "domain", _DOMAIN_SECTIONS)
     _check_frame(problem, "problem", _PROBLEM_SECTIONS)
+    _check_belongs(domain, problem)
     found_in_domain = tuple(chain.from_iterable(_section(domain, node) for node in domain.root.children[2:]))
     found_in_problem = tuple(chain.from_iterable(_section(problem, node) for node in problem.root.children[2:]))
     _check(found_in_domain, _declared(found_in_domain))
@@ -84,6 +92,10 @@ def _check_frame(source: Source, what: str, sections: Collection[str]) -> None:
     if title.head != what or len(title.children) != 2:
         raise source.error(title, f"found {_start(title)!r}, expected '({what} NAME)'; is this the {what} file?")
     for node in root.children[2:]:
+        for word in node.children[1:] if node.head == ":requirements" else ():
+            if word.lower not in _REQUIREMENTS:
+                hint = nearest(word.lower, _REQUIREMENTS)
+                raise source.error(word, f"found {_start(word)!r}, expected a requirement of PDDL; {hint}")
         if node.head in _UNSUPPORTED:
             raise source.unsupported(node, f"found '({node.head}': no installed planner of this package handles it")
         if node.head not in sections:
@@ -92,6 +104,16 @@ def _check_frame(source: Source, what: str, sections: Collection[str]) -> None:
         for needed in (":domain", ":init", ":goal"):
             if all(node.head != needed for node in root.children):
                 raise source.error(root, f"the problem has no '({needed} ...)'")
+
+
+def _check_belongs(domain: Source, problem: Source) -> None:
+    """Assure that the problem names this domain."""
+    title = domain.root.children[1].children[1]
+    for node in problem.root.children[2:]:
+        if node.head == ":domain" and [child.lower for child in node.children[1:]] != [title.lower]:
+            raise problem.error(
+                node, f"found {_start(node)!r}, expected '(:domain {title})', as {domain.file} is called"
+            )
 
 
 def _start(node: Node) -> str:

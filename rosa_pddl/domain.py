@@ -107,6 +107,9 @@ class Domain:
         Raises:
             PddlError: it does not know one; the message points at the object and names the nearest actions.
         """
+        if self.rosa_actions and not self.tracks_feasibility:
+            text = f"there are objects of type action but no predicate ({FEASIBLE} ?a - action) to ask for"
+            raise PddlError(text, self.file, 1)
         for action in self.rosa_actions:
             if action not in kb.actions:
                 file, line = self.places[action]

@@ -9,7 +9,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from enum import Enum
 
-from rosa_pddl.domain import Step, UpThing
+from rosa_pddl.domain import Domain, Step, UpThing
 from rosa_pddl.exceptions import UnsupportedPddlError, nearest
 from rosa_pddl.problem import Problem
 from rosa_pddl.validate import flaw
@@ -78,6 +78,12 @@ class Planner:
         self.engine = engine
         self.timeout_s = timeout_s
 
+    def missing(self, domain: Domain) -> str | None:
+        """Return what to install if the engine is not there, None if it is; asked before a mission begins."""
+        factory = domain.up_problem.environment.factory
+        name = "fast-downward" if self.engine.startswith("fast-downward") else self.engine
+        return None if {self.engine, name} <= set(factory.engines) else self._missing(factory)
+
     def plan(self, problem: Problem) -> PlanningResult:
         """Plan now and wait for the answer; trouble with the engine is an outcome, never an exception."""
         return self._plan(problem, _Watch(self.timeout_s))
@@ -113,8 +119,9 @@ class Planner:
     def _solve(self, problem: Problem, watch: "_Watch") -> PlanningResult:
         factory = problem.domain.up_problem.environment.factory
         name = "fast-downward" if self.engine.startswith("fast-downward") else self.engine
-        if self.engine not in factory.engines or name not in factory.engines:
-            return self._result(Outcome.ENGINE_MISSING, self._missing(factory))
+        missing = self.missing(problem.domain)
+        if missing is not None:
+            return self._result(Outcome.ENGINE_MISSING, missing)
         up_problem = problem.build()
         engine = self._make(factory.engine(name), up_problem)
         unsupported = up_problem.kind.features - type(engine).supported_kind().features

@@ -2,6 +2,7 @@
 
 import math
 
+from suave_env.exceptions import SuaveEnvError
 from suave_env.guidance import Guidance, Vector
 from suave_env.settings import Settings
 from suave_env.thrusters import Thrusters
@@ -54,6 +55,10 @@ class Autopilot:
         last = math.floor(until / period + 1e-9)
         for count in range(self._periods, last):
             pose, motion = vehicle.pose, vehicle.motion
+            if not math.isfinite(pose[0] + motion[0]):
+                raise SuaveEnvError(
+                    f"the simulation became unstable after {count * period:.3f} s; a setting is far from its default"
+                )
             east, north, up = guidance.force(pose, motion, count * period, period)
             yaw = yaw_of(pose[3:])
             cosine, sine = math.cos(yaw), math.sin(yaw)

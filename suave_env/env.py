@@ -133,6 +133,11 @@ class SuaveEnv:
             self._await_crossing(threshold, 0.0)
 
     @property
+    def settings(self) -> Settings:
+        """The constants of this sea."""
+        return self._settings
+
+    @property
     def now(self) -> float:
         """Time since GUIDED [s]."""
         return self._now

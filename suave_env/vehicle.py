@@ -1,5 +1,6 @@
 """The BlueROV2 in the water, as MuJoCo simulates it. This is the only file that touches MuJoCo."""
 
+import logging
 import math
 from importlib.resources import files
 from typing import Any
@@ -12,6 +13,10 @@ from suave_env.settings import Settings
 from suave_env.thrusters import COUNT
 
 __all__ = ["Vehicle", "yaw_of"]
+
+_log = logging.getLogger(__name__)
+# MuJoCo's own handler prints, and writes a file into the working directory; what matters is raised by the autopilot
+mujoco.set_mju_user_warning(_log.debug)
 
 _FLOAT_MASS_KG = 0.001  # of the body that carries the buoyancy, see assets/sea.xml
 
@@ -36,6 +41,7 @@ class Vehicle:
 
     def __init__(self, settings: Settings, x: float, y: float, z: float) -> None:
         self.model: Any = _compiled(settings)
+        self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # a state that is lost stays lost
         self.data: Any = mujoco.MjData(self.model)
         self._substeps = round(settings.control_period_s / settings.physics_step_s)
         self._step = mujoco.mj_step

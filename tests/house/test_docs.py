@@ -51,6 +51,9 @@ def test_document_does_what_it_says(path, tmp_path, monkeypatch):
     pieces = [text for language, text in blocks(path) if language == "python"]
     if path.name == "own_robot.md":
         (tmp_path / "rover.py").write_text("\n".join(pieces))
+        domain, problem = (text for language, text in blocks(path) if language == "pddl")
+        (tmp_path / "domain.pddl").write_text(domain)
+        (tmp_path / "problem.pddl").write_text(problem)
     elif path.name == "replay_tests.md":
         (tmp_path / "test_replay.py").write_text("\n".join(pieces))
         pytest_again = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "test_replay.py"]

@@ -9,7 +9,7 @@ from running import run_mission
 
 from missions import cli, registry, runner, task
 from missions.registry import MISSIONS
-from rosa_bt import IsActionFeasible
+from rosa_bt import IsActionFeasible, RosaAction
 from rosa_pddl import Planner
 
 
@@ -62,6 +62,8 @@ def test_action_in_the_domain_that_the_model_does_not_know_names_the_nearest(alt
         (lambda text: text.rstrip()[:-1], "domain.pddl:"),
         (lambda text: text.replace("(pipeline_found ?p - pipeline)", ""), "pipeline_found"),
         (lambda text: text.replace(":types", ":tipes"), ":tipes"),
+        (lambda text: text.replace(":durative-actions", ":durativ-actions"), "nearest: :durative-actions"),
+        (lambda text: text.replace("action_feasible", "act_feas"), "no predicate (action_feasible ?a - action)"),
     ],
 )
 def test_malformed_domain_names_file_and_what_was_expected(altered, monkeypatch, capsys, tmp_path, broken, message):
@@ -72,6 +74,16 @@ def test_malformed_domain_names_file_and_what_was_expected(altered, monkeypatch,
     assert code == 2
     assert f"{domain}:" in err
     assert message in err
+
+
+def test_problem_of_another_domain_is_refused(altered, monkeypatch, capsys, tmp_path):
+    problem = tmp_path / "problem.pddl"
+    text = MISSIONS["suave_extended"].problem.read_text()
+    problem.write_text(text.replace("(:domain suave_extended)", "(:domain sea)"))
+    altered(problem=problem)
+    code, _, err = run_altered(monkeypatch, capsys, "--task", "pddl")
+    assert code == 2
+    assert f"{problem}:3:3: found '(:domain sea)', expected '(:domain suave_extended)'" in err
 
 
 def test_missing_domain_file_is_named(altered, monkeypatch, capsys, tmp_path):
@@ -96,6 +108,43 @@ def test_missing_planner_ends_the_mission_and_says_what_to_install(monkeypatch, 
     assert "aborted" in out
     assert "engine missing" in out
     assert "fast-forward" in out
+
+
+def test_planner_that_is_not_installed_is_found_out_before_the_mission(monkeypatch, capsys, altered):
+    altered()
+    monkeypatch.setattr(Planner.__init__, "__defaults__", ("aries", 10.0))
+    code, out, err = run_altered(monkeypatch, capsys, "--task", "pddl")
+    assert code == 2
+    assert "the planning engine 'aries' is not installed; try 'pip install up-aries'" in err
+    assert "adaptation" not in out
+
+
+def test_exception_in_an_action_is_told_with_the_verdict(monkeypatch, capsys, altered):
+    class Rash(RosaAction):
+        def update(self):
+            raise ValueError("no such camera")
+
+    altered(tree=lambda kb, senses: Rash("search", kb, "search_pipeline"))
+    code, out, _ = run_altered(monkeypatch, capsys, "--set", "duration_s=3")
+    assert code == 1
+    assert "search_pipeline failed last: ValueError: no such camera" in out
+
+
+def test_mission_without_a_plan_says_so(monkeypatch, capsys, altered, tmp_path):
+    problem = tmp_path / "problem.pddl"
+    text = MISSIONS["suave_extended"].problem.read_text()
+    problem.write_text(text.replace("(inspect_pipeline_action inspect_pipeline)", ""))
+    altered(problem=problem)
+    code, out, _ = run_altered(monkeypatch, capsys, "--task", "pddl", "--set", "duration_s=5")
+    assert code == 1
+    assert "there was no plan: unsolvable proven" in out
+
+
+def test_tree_that_is_none_is_refused(monkeypatch, capsys, altered):
+    altered(tree=lambda kb, senses: None)
+    code, _, err = run_altered(monkeypatch, capsys)
+    assert code == 2
+    assert "the tree of mission altered is None, not a py_trees behaviour" in err
 
 
 def test_unknown_names_and_nan_in_diagnostics_are_reported_and_the_mission_goes_on(monkeypatch):

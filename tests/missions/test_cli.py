@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
@@ -119,12 +120,19 @@ def test_mission_that_fails_its_goal_exits_with_1(quick):
         (["settings", "suaf"], "unknown mission 'suaf'"),
         (["run", "suave", "--task", "bd"], "unknown task layer 'bd'; there are bt and pddl"),
         (["run", "suave", "--set", "duratoin_s=3"], "unknown setting 'duratoin_s' of mission suave; did you mean"),
-        (["run", "suave", "--set", "duration_s=-3"], "duration_s is '-3'; allowed is a number of seconds above 0"),
+        (["run", "suave", "--set", "duration_s=-3"], "duration_s is '-3'; allowed is a number of seconds from 0.001"),
         (["run", "suave", "--set", "duration_s=nan"], "duration_s is 'nan'"),
         (["run", "suave", "--set", "duration_s"], "--set takes NAME=VALUE, not 'duration_s'"),
         (["run", "suave", "--set", "mass_kg=heavy"], "mass_kg"),
         (["run", "suave", "--json", "no/such/folder/x.json"], "cannot write no/such/folder/x.json"),
         (["run", "suave", "--plot", "/"], "cannot write /: it is a directory"),
+        (["run", "suave", "--json", "n" * 300], ": File name too long"),
+        (["run", "suave", "--json", "same", "--plot", "./same"], "--json and --plot name the same file"),
+        (["run", "suave", "--task", ":x:"], "unknown task layer ':x:'"),
+        (["run", "suave", "--set", "tick_period_s=1e-12"], "allowed is a number of seconds from 0.001"),
+        (["run", "suave", "--set", "drag_surge=1e300", "--no-progress"], "the simulation became unstable after"),
+        (["run", "nowhere:MISSION"], "cannot import mission 'nowhere:MISSION'"),
+        (["run", "json:loads"], "'json:loads' is a function, not a missions.mission.Mission"),
         (["run", "suave", "--seed", "-1"], "--seed"),
         (["run", "suave", "--fast"], "--fast"),
         (["fly"], "fly"),
@@ -142,6 +150,62 @@ def test_no_file_is_left_behind_when_the_mission_cannot_run(quick, tmp_path):
     code, _, _ = quick("run", "suave", "--json", tmp_path / "x.json", "--set", "mass_kg=-1")
     assert code == 2
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("option", ["json", "plot", "timing", "record"])
+def test_full_device_is_one_clear_message(quick, option):
+    code, _, err = quick("run", "suave", "--set", "duration_s=5", f"--{option}", "/dev/full")
+    assert code == 2
+    assert "cannot write /dev/full: No space left on device" in err
+
+
+def test_full_standard_output_is_one_clear_message():
+    with Path("/dev/full").open("w") as full:
+        command = [sys.executable, "-m", "missions", "list"]
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stderr.strip() == "rosa: cannot print: No space left on device"
+
+
+def test_link_is_followed_not_replaced(quick, tmp_path):
+    target, link = tmp_path / "target.json", tmp_path / "link.json"
+    target.write_text("old")
+    link.symlink_to(target)
+    quick("run", "suave", "--set", "duration_s=5", "--json", link)
+    assert link.is_symlink()
+    assert json.loads(target.read_text())["mission"] == "suave"
+
+
+def test_termination_leaves_no_draft_behind(tmp_path):
+    command = [sys.executable, "-m", "missions", "run", "suave", "--realtime", "--json", str(tmp_path / "x.json")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
+        assert "suave (task layer" in running.stdout.readline()
+        running.terminate()
+        running.communicate()
+    assert running.returncode == 128 + 15
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_same_fault_in_diagnostics_is_told_once_and_counted(quick):
+    _, out, _ = quick("run", "suave", "--set", "battery=true", "--set", "duration_s=30")
+    text = " ".join(out.split())
+    assert text.count("diagnostics not used") == 1
+    assert "30 parts of diagnostics were not used, the first: battery_level='1.0'" in text
+
+
+def test_recording_carries_the_settings_so_that_its_replay_decides_the_same(quick, tmp_path):
+    from missions.replay import replay
+
+    changed = ["tick_period_s=0.7", "duration_s=320", "activation_s=0.4", "deactivation_s=0.2", "planning_delay_s=1.3"]
+    options = [part for setting in changed for part in ("--set", setting)]
+    files = ["--record", tmp_path / "run.jsonl", "--json", tmp_path / "run.json"]
+    code, _, err = quick("run", "suave_extended", "--task", "pddl", "--no-progress", *options, *files)
+    assert code == 0, err
+    decisions = replay(tmp_path / "run.jsonl", "suave_extended", task="pddl")
+    live = json.loads((tmp_path / "run.json").read_text())["adaptations"]
+    assert len(live) > 6
+    again = [(round(one.at_s, 6), one.change, round(one.reaction_s, 6)) for one in decisions.adaptations]
+    assert again == [(one["at_s"], one["change"], one["reaction_s"]) for one in live]
 
 
 def test_help_names_every_option():
