@@ -52,7 +52,7 @@ class Sample:
 
     Attributes:
         time: [s].
-        position: (x, y, z) [m], world frame, z up.
+        position: (x, y, z) [m], world frame, z up; NaN where it is not known.
         signals: further quantities by name, e.g. {"altitude [m]": 2.9}.
     """
 
@@ -65,7 +65,7 @@ class Verdict(NamedTuple):
     """How a mission ended.
 
     Attributes:
-        outcome: "inspected_all", "time_limit", "not_found" or "aborted"; the first two are successes.
+        outcome: a word, e.g. "inspected_all", "time_limit"; "not_found" and "aborted" are no successes, all others are.
         reason: why, in words.
         detail: what only a person at this machine has use for; no part of the result.
     """
@@ -77,7 +77,7 @@ class Verdict(NamedTuple):
     @property
     def success(self) -> bool:
         """Whether the mission did what it was for."""
-        return self.outcome in ("inspected_all", "time_limit")
+        return self.outcome not in ("not_found", "aborted")
 
 
 class World(ABC):
@@ -106,7 +106,7 @@ class World(ABC):
         return {}
 
     def sample(self) -> Sample | None:
-        """Return what there is to see now, None where nothing can be seen."""
+        """Return what there is to see now; None for no more than what the knowledge base is told."""
         return None
 
     def disturbances(self) -> list[tuple[float, str]]:

@@ -93,7 +93,7 @@ def picture(run: MissionRun, data: Mapping[str, Any]) -> Figure:
     _title(figure, data, run.world.results())
     _legend(figure, story)
     top = _timelines(figure, story)
-    if len(story.times):
+    if np.isfinite(story.xy).any():
         split = 960 if story.adaptations else 1420
         places = {name: np.asarray(points, dtype=float) for name, points in run.world.scenery().items() if len(points)}
         _map(_axes(figure, 72, 106, split - 72, top - 162), story, places)

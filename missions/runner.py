@@ -2,6 +2,7 @@
 
 from collections import defaultdict
 from dataclasses import dataclass, field
+from math import nan
 from time import perf_counter
 from typing import TYPE_CHECKING
 
@@ -204,13 +205,17 @@ class MissionRun:
         if self.world.now < self._sampled_at + SAMPLE_PERIOD_S - 1e-9:
             return
         self._sampled_at = self.world.now
-        sample = self.world.sample()
-        if sample is None:
-            return
+        sample = self.world.sample() or self._measured()
         action = ", ".join(required.action for required in self.kb.required_actions)
         components = (self.kb.components[name] for name in self.kb.components)
         configured = (one.selected_configuration for one in components if one.is_active and one.configurations)
         self.trace.samples.append((sample, action, ", ".join(name for name in configured if name)))
+
+    def _measured(self) -> Sample:
+        """Return what the knowledge base was told, for a world that shows nothing of itself."""
+        values = {name: view.value for name, view in self.kb.attributes.items()}
+        signals = {name: nan if value is None else value for name, value in values.items()}
+        return Sample(self.world.now, (nan, nan, nan), signals)
 
     def _hear(self, event: Event) -> None:
         if event.kind is EventKind.ACTION_UPDATE:
