@@ -89,7 +89,9 @@ class AdaptationLog:
             if self._task is not None:
                 self._task.reaction_s = self._task.at_s - self._task.news_s
                 self._tell(self._task)
-                self._task, self._switching = None, False
+                self._task = None
+            if self._kb.required_actions:  # a change of action that needed no plan is over
+                self._switching = False
         waiting = []
         for adaptation, plan in self._under_way:
             if plan.end is None:
