@@ -2,7 +2,6 @@
 
 import logging
 from collections.abc import Callable, Iterator
-from concurrent.futures import CancelledError
 from dataclasses import dataclass, field
 
 from kb.elements import ComponentKind
@@ -79,8 +78,8 @@ class StagedExecutor:
     def _progress(self, kb: KnowledgeBase, step: _Step) -> bool:
         """Tell whether a step has ended, one way or the other; one that failed is commanded once more at most."""
         if step.operation is not None:
-            error = _error_of(step.operation)
-            if error is _UNDER_WAY:
+            ended, error = _outcome(step.operation)
+            if not ended:
                 return False
             if error is not None and step.attempts < self._attempts:
                 self._command(step)
@@ -95,15 +94,12 @@ class StagedExecutor:
         return True
 
 
-_UNDER_WAY = Exception("under way")
-
-
-def _error_of(operation: Operation) -> BaseException | None:
-    """Return what an operation ended with; asking itself may raise, e.g. of a future that was cancelled."""
+def _outcome(operation: Operation) -> tuple[bool, BaseException | None]:
+    """Return whether an operation has ended, and with which error; asking may raise, e.g. of a cancelled future."""
     try:
-        return operation.exception() if operation.done() else _UNDER_WAY
-    except (Exception, CancelledError) as error:
-        return error
+        return (True, operation.exception()) if operation.done() else (False, None)
+    except Exception as error:
+        return True, error
 
 
 class _Refused:

@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Final, Generic, NamedTuple, TypeVar
 
 from kb.elements import Action, Attribute, Component, Configuration, Constraint, Element, Function, FunctionDesign
+from kb.exceptions import UnknownName
 from kb.status import (
     Status,
     action_status,
@@ -106,7 +107,11 @@ class Network:
                 node.wholes.append(target)
 
     def find(self, element: Element) -> Node:
-        """Return the node of an element of this model."""
+        """Return the node of an element of this model.
+
+        Raises:
+            UnknownName: it was declared after the network was made.
+        """
         tables: dict[type[Element], dict[str, Node]] = {
             Action: self.actions,
             Attribute: self.attributes,
@@ -115,7 +120,10 @@ class Network:
             Function: self.functions,
             FunctionDesign: self.designs,
         }
-        return tables[type(element)][element.name]
+        table = tables[type(element)]
+        if element.name not in table:
+            raise UnknownName(type(element).__name__.lower(), element.name, table)
+        return table[element.name]
 
     def _node(
         self, kind: str, element: Element | Constraint, *, parts: Iterable[Node] = (), wholes: Iterable[Node] = ()
@@ -253,14 +261,12 @@ def _require(state: State, node: Node, agenda: list[dict[Node, None]]) -> None:
         required = state.asserted_required[node.index] or any(state.required[whole.index] for whole in node.wholes)
     elif node.kind == "component":
         required = state.asserted_required[node.index] or any(state.selected[whole.index] for whole in node.wholes)
-    elif node.kind == "function design":
-        agenda[LEVELS["function"]].update(dict.fromkeys(node.wholes))
-        for component in node.parts:
-            _require(state, component, agenda)
-        return
     else:
-        if node.kind == "configuration":
-            agenda[LEVELS["component"]].update(dict.fromkeys(node.wholes))
+        for whole in node.wholes:  # whether this one is selected matters to what it is selected for
+            agenda[whole.level][whole] = None
+        if node.kind == "function design":
+            for component in node.parts:
+                _require(state, component, agenda)
         return
     if required == state.required[node.index]:
         return

@@ -194,7 +194,8 @@ class KnowledgeBase(Questions):
                 return
             required._finish(result, now, reason)
             self._state.requested[node.index] = False
-            self._told(EventKind.ACTION_UPDATE, now, node, lambda: f"{action} is {result}{': ' * bool(reason)}{reason}")
+            words = f"{action} is {result}: {reason}" if reason else f"{action} is {result}"
+            self._told(EventKind.ACTION_UPDATE, now, node, lambda: words)
 
     @property
     def required_actions(self) -> tuple[RequiredAction, ...]:

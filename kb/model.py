@@ -14,8 +14,8 @@ A name is unique within its kind, not across kinds. Elements refer to one anothe
 """
 
 from collections.abc import Iterable, Mapping
-from types import MappingProxyType
-from typing import TypeVar
+from types import MappingProxyType, UnionType
+from typing import TypeVar, get_args
 
 from kb.declarations import choice, expressions, flag, identifier, listed, reference, text
 from kb.declarations import parameters as checked_parameters
@@ -164,24 +164,20 @@ class Model:
         if not targets:
             raise ModelError(f"{checked} constrains nothing; name at least one element")
         for element in targets:
-            self._owned("constrained", element, (Action, FunctionDesign, Component, Configuration))
-        constraint = Constraint(checked.attribute, checked.operator, checked.value, targets)
-        self._constraints.append(constraint)
-        return constraint
+            self._owned("constrained", element, Constrainable)
+        return self._constrained(targets, checked)
 
     def constrain_all(self, element: Constrainable, constraints: Iterable[Expression]) -> None:
         """Add each constraint to an element, or none if one of them is refused."""
-        self._owned("constrained", element, (Action, FunctionDesign, Component, Configuration))
-        for expression in expressions(self, self._attributes, constraints):
-            self._constraints.append(
-                Constraint(expression.attribute, expression.operator, expression.value, (element,))
-            )
+        self._owned("constrained", element, Constrainable)
+        for checked in expressions(self, self._attributes, constraints):
+            self._constrained((element,), checked)
 
     def add_estimation(
         self, causer: Estimable, attribute: Attribute | str, value: float, kind: EstimationKind | str = "positive"
     ) -> Estimation:
         """State what choosing the causer does to an attribute; see `Component.estimate`."""
-        self._owned("the causer of an estimation", causer, (FunctionDesign, Component, Configuration))
+        self._owned("the causer of an estimation", causer, Estimable)
         affected = reference("attribute", self._attributes, attribute, self)
         sense = choice("estimation kind", EstimationKind, kind)
         estimation = Estimation(affected, finite_number(value), sense, causer)
@@ -197,9 +193,14 @@ class Model:
         self.constrain_all(element, wanted)
         return element
 
-    def _owned(self, what: str, element: object, kinds: tuple[type[Element], ...]) -> None:
+    def _constrained(self, targets: tuple[Constrainable, ...], checked: Expression) -> Constraint:
+        constraint = Constraint(checked.attribute, checked.operator, checked.value, targets)
+        self._constraints.append(constraint)
+        return constraint
+
+    def _owned(self, what: str, element: object, kinds: UnionType) -> None:
         if not isinstance(element, kinds):
-            names = ", ".join(kind.__name__ for kind in kinds)
+            names = ", ".join(kind.__name__ for kind in get_args(kinds))
             raise ModelError(f"{what} can be one of {names}; not {element!r}")
         if element.model is not self:
             raise ModelError(f"{element.name!r} belongs to model {element.model.name!r}, not to {self.name!r}")

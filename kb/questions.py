@@ -1,7 +1,7 @@
 """The questions a knowledge base answers, from whatever state it is in.
 
 "What can the robot do now?", "what needs another configuration?", "which would do?": answered here without changing
-anything. A knowledge base adds facts to this; a situation answers the same from an overlay.
+anything. A knowledge base adds facts to this.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -28,8 +28,8 @@ from kb.views import (
 
 __all__ = ["ELEMENTS", "Questions"]
 
-ELEMENTS: Final = ("action", "function", "component", "function design", "configuration")
-"""The kinds of elements that have a name and a status."""
+ELEMENTS: Final = ("action", "function", "component", "function design", "configuration", "constraint")
+"""The kinds of elements that have a status; all but constraints have a name too."""
 
 
 class Questions:
@@ -120,6 +120,14 @@ class Questions:
 
     def _node(self, element: ElementView | Element | str, kinds: Iterable[str], unique: bool = False) -> Node:
         """Return the node that is meant; a bare name is looked for in the given kinds, in this order."""
+        if isinstance(element, ElementView):
+            if element._base is not self:
+                raise InvalidValue(f"{element!r} is a view of another knowledge base; take it from this one")
+            return _allowed(element._node, kinds)
+        if isinstance(element, Element):
+            if self._network.model is not element.model:
+                raise InvalidValue(f"{element.name!r} belongs to another model, {element.model.name!r}")
+            return _allowed(self._network.find(element), kinds)
         views: dict[str, Views[Any]] = {
             "action": self.actions,
             "function": self.functions,
@@ -127,24 +135,21 @@ class Questions:
             "function design": self.designs,
             "configuration": self.configurations,
         }
-        if isinstance(element, Element):
-            if self._network.model is not element.model:
-                raise InvalidValue(f"{element.name!r} belongs to another model, {element.model.name!r}")
-            element = next((view for kind in views.values() if (view := kind.of(element)) is not None), element.name)
-        if isinstance(element, ElementView):
-            if element._base is not self:
-                raise InvalidValue(f"{element!r} is a view of another knowledge base; take it from this one")
-            if element._node.kind not in (*kinds, *(("constraint",) if kinds is ELEMENTS else ())):
-                raise InvalidValue(f"{element!r} cannot be meant here; allowed are {', '.join(kinds)}")
-            return element._node
-        found = [views[kind].node(element) for kind in kinds if isinstance(element, str) and element in views[kind]]
+        searched = {kind: views[kind] for kind in kinds if kind in views}
+        found = [table.node(element) for table in searched.values() if isinstance(element, str) and element in table]
         if not found:
-            raise UnknownName(" or ".join(kinds), element, [name for kind in kinds for name in views[kind]])
+            raise UnknownName(" or ".join(searched), element, [name for table in searched.values() for name in table])
         if unique and len(found) > 1:
             things = ", ".join(f"{'an' if node.kind == 'action' else 'a'} {node.kind}" for node in found)
             example = f"kb.{found[0].kind.removeprefix('function ')}s[{element!r}]"
             raise AmbiguousName(f"{element!r} names several things: {things}; pass the view meant, e.g. {example}")
         return found[0]
+
+
+def _allowed(node: Node, kinds: Iterable[str]) -> Node:
+    if node.kind not in kinds:
+        raise InvalidValue(f"{node!r} cannot be meant here; allowed are {', '.join(kinds)}")
+    return node
 
 
 def _adaptable(state: State, kind: str) -> tuple[str, ...]:

@@ -81,7 +81,7 @@ def reselect(state: State, designs: Iterable[Node], configurations: Iterable[Nod
     replaced, changed = _choose(state, designs)
     _, newly_configured = _choose(state, configurations)
     changes = settle(state, [*changed, *newly_configured])
-    _, idle_designs, idle_configurations = _obsolete_nodes(state)
+    idle, idle_designs, idle_configurations = _obsolete_nodes(state)
     for node in (*idle_designs, *idle_configurations):
         state.selected[node.index] = False
     changes += settle(state, (*idle_designs, *idle_configurations))
@@ -92,7 +92,6 @@ def reselect(state: State, designs: Iterable[Node], configurations: Iterable[Nod
         for component in design.parts
     )
     given_up = [component for design in replaced for component in design.parts if component not in needed]
-    idle, _, _ = _obsolete_nodes(state)
     return Selection(
         activate=_names(node for node in needed if not state.active[node.index]),
         deactivate=_names(node for node in dict.fromkeys([*given_up, *idle]) if state.active[node.index]),

@@ -13,7 +13,6 @@ from kb.elements import (
     ComponentKind,
     Configuration,
     Constraint,
-    Element,
     Function,
     FunctionDesign,
     Parameters,
@@ -299,8 +298,3 @@ class Views(Mapping[str, ViewT], Generic[ViewT]):
             if isinstance(name, ElementView) and self._nodes.get(name.name) is name._node:
                 return name._node
             raise UnknownName(self._kind, name, self._nodes) from None
-
-    def of(self, element: Element) -> ViewT | None:
-        """Return the view of an element of the model, None if it is of another kind."""
-        node = self._nodes.get(element.name)
-        return self._view(self._base, node) if node is not None and node.element is element else None

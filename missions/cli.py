@@ -25,7 +25,7 @@ from missions.registry import MISSIONS, find_mission
 from missions.report import adaptation_table, as_json, summary, timing
 from missions.runner import Listener, MissionRun
 from missions.settings import RunSettings, describe, split_settings
-from missions.task import TASK_KINDS
+from missions.task import check_task
 from rosa_pddl import RosaPddlError
 
 __all__ = ["app", "main"]
@@ -82,8 +82,7 @@ def run_mission(
 ) -> None:
     """Run a mission, say what happened and why, and exit with 0 if it did what it was for."""
     found = find_mission(mission)
-    if task not in TASK_KINDS:
-        raise MissionError(f"unknown task layer {task!r}; there are {' and '.join(TASK_KINDS)}")
+    check_task(task)
     changed = _assignments(settings or [])
     run_settings, world_settings = split_settings(found, changed)
     console = _console()

@@ -19,7 +19,10 @@ class Sea(World):
     """Adapter of the simulator to what a mission needs."""
 
     def __init__(self, env: "SuaveEnv") -> None:
+        from suave_env import SuaveEnvError
+
         self._env = env
+        self._trouble = SuaveEnvError
 
     @property
     def now(self) -> float:
@@ -33,11 +36,9 @@ class Sea(World):
 
     def advance(self, until: float) -> list[Message]:
         """Simulate until something is published or switched, at most to the time `until` [s]."""
-        from suave_env import SuaveEnvError
-
         try:
             return list(self._env.advance(until, pause=True))
-        except SuaveEnvError as error:
+        except self._trouble as error:
             raise MissionError(str(error)) from error
 
     def switching_s(self) -> Mapping[str, float]:

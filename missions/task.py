@@ -14,7 +14,7 @@ from missions.senses import Senses
 if TYPE_CHECKING:
     from rosa_pddl import PlanRecord
 
-__all__ = ["TASK_KINDS", "TaskLayer", "build_task"]
+__all__ = ["TASK_KINDS", "TaskLayer", "build_task", "check_task"]
 
 TASK_KINDS: Final = ("bt", "pddl")
 
@@ -32,6 +32,12 @@ class TaskLayer:
     root: Behaviour
     catch_up: Callable[[], None] = lambda: None
     plans: Callable[[], tuple["PlanRecord", ...]] = tuple
+
+
+def check_task(kind: str) -> None:
+    """Raise unless there is that kind of task layer."""
+    if kind not in TASK_KINDS:
+        raise MissionError(f"unknown task layer {kind!r}; there are {' and '.join(TASK_KINDS)}")
 
 
 def build_task(
@@ -53,16 +59,15 @@ def build_task(
         planning_delay_s: simulated time in which a plan is found [s].
 
     Raises:
-        MissionError: no such kind.
+        MissionError: no such kind, or the mission has no task logic of that kind.
     """
+    check_task(kind)
     if kind == "bt":
         root = mission.tree(kb, senses)
         if not isinstance(root, Behaviour):
             raise MissionError(f"the tree of mission {mission.name} is {root!r}, not a py_trees behaviour")
         return TaskLayer(root)
-    if kind == "pddl":
-        return _planning(mission, kb, senses, clock, planning_delay_s)
-    raise MissionError(f"unknown kind of task layer {kind!r}; there are {' and '.join(TASK_KINDS)}")
+    return _planning(mission, kb, senses, clock, planning_delay_s)
 
 
 def _planning(
@@ -90,5 +95,4 @@ def _planning(
         planner=planner,
         delay_s=delay_s,
     )
-
     return TaskLayer(FailureIsRunning("until the goal holds", executor), executor.catch_up, lambda: executor.plans)

@@ -77,12 +77,12 @@ class Planner:
     def __init__(self, engine: str = "fast-downward-opt", timeout_s: float = 10.0) -> None:
         self.engine = engine
         self.timeout_s = timeout_s
+        self._name = "fast-downward" if engine.startswith("fast-downward") else engine
 
     def missing(self, domain: Domain) -> str | None:
         """Return what to install if the engine is not there, None if it is; asked before a mission begins."""
         factory = domain.up_problem.environment.factory
-        name = "fast-downward" if self.engine.startswith("fast-downward") else self.engine
-        return None if {self.engine, name} <= set(factory.engines) else self._missing(factory)
+        return None if {self.engine, self._name} <= set(factory.engines) else self._missing(factory)
 
     def plan(self, problem: Problem) -> PlanningResult:
         """Plan now and wait for the answer; trouble with the engine is an outcome, never an exception."""
@@ -117,13 +117,11 @@ class Planner:
             return self._result(Outcome.ENGINE_CRASHED, f"{self.engine} raised {type(error).__name__}: {error}")
 
     def _solve(self, problem: Problem, watch: "_Watch") -> PlanningResult:
-        factory = problem.domain.up_problem.environment.factory
-        name = "fast-downward" if self.engine.startswith("fast-downward") else self.engine
         missing = self.missing(problem.domain)
         if missing is not None:
             return self._result(Outcome.ENGINE_MISSING, missing)
         up_problem = problem.build()
-        engine = self._make(factory.engine(name), up_problem)
+        engine = self._make(problem.domain.up_problem.environment.factory.engine(self._name), up_problem)
         unsupported = up_problem.kind.features - type(engine).supported_kind().features
         if unsupported:
             message = f"{self.engine} does not support {', '.join(sorted(unsupported)).lower()} ({problem.domain.file})"
