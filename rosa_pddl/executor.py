@@ -149,8 +149,10 @@ class PlanExecutor(Behaviour):
         finished, _ = wait([request.future], timeout=limit_s)
         if not finished:
             request.future.cancel()
+            engine = str(getattr(self._planner, "engine", type(self._planner).__name__))
+            message = f"{engine} gave no answer in {limit_s:g} s of waiting; allow more time or ask for less"
             late: Future[PlanningResult] = Future()
-            late.set_result(PlanningResult(Outcome.OUT_OF_TIME, message=f"no answer after {limit_s:g} s of waiting"))
+            late.set_result(PlanningResult(Outcome.OUT_OF_TIME, engine=engine, message=message))
             self._request = replace(request, future=late)
 
     # ---------------------------------------------------------------- hooks of py_trees

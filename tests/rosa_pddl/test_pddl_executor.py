@@ -271,6 +271,8 @@ def test_a_planner_later_than_its_own_limit_is_out_of_time(extended):
     assert world.run() is Status.FAILURE
     assert [record.outcome for record in world.executor.plans] == [Outcome.OUT_OF_TIME]
     assert "out of time" in world.executor.feedback_message
+    assert "HeldPlanner gave no answer" in world.executor.feedback_message
+    assert "allow more time" in world.executor.feedback_message
     assert world.executor._planner.futures[0].cancelled()
 
 
