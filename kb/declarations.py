@@ -12,7 +12,18 @@ from kb.exceptions import ModelError, UnknownName
 if TYPE_CHECKING:
     from kb.model import Model
 
-__all__ = ["choice", "expressions", "flag", "identifier", "listed", "parameters", "priority", "reference", "text"]
+__all__ = [
+    "age",
+    "choice",
+    "expressions",
+    "flag",
+    "identifier",
+    "listed",
+    "parameters",
+    "priority",
+    "reference",
+    "text",
+]
 
 ChoiceT = TypeVar("ChoiceT", bound=StrEnum)
 ElementT = TypeVar("ElementT", bound=Element)
@@ -44,6 +55,13 @@ def priority(name: str, value: object) -> int | None:
     if value is None or (isinstance(value, int) and not isinstance(value, bool)):
         return value
     raise ModelError(f"the priority of {name!r} is a whole number or None, not {value!r}")
+
+
+def age(name: str, value: object) -> float:
+    """Return a maximum age [s]."""
+    if isinstance(value, int | float) and not isinstance(value, bool) and value > 0:
+        return float(value)
+    raise ModelError(f"max_age of {name!r} is a time in seconds above 0, not {value!r}")
 
 
 def choice(what: str, options: type[ChoiceT], given: object) -> ChoiceT:

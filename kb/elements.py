@@ -1,4 +1,7 @@
-"""What a robot is made of and can do, in ROSA's words, as frozen values; `model` is their builder."""
+"""What a robot is made of and can do, in ROSA's words; `model` is their builder, and alone may change one.
+
+An element is one thing in one model: it equals nothing but itself.
+"""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -30,6 +33,7 @@ __all__ = [
     "FunctionDesign",
     "Parameter",
     "Parameters",
+    "StalePolicy",
     "exact",
     "finite_number",
 ]
@@ -55,6 +59,13 @@ class ComponentKind(StrEnum):
     PLAIN = "plain"
     PROCESS = "process"
     LIFECYCLE = "lifecycle"
+
+
+class StalePolicy(StrEnum):
+    """What a measurement counts as once it is older than its attribute's maximum age."""
+
+    NOT_EVALUATED = "not evaluated"
+    VIOLATED = "violated"
 
 
 class EstimationKind(StrEnum):
@@ -89,7 +100,7 @@ class Expression:
         return f"{self.attribute} {self.operator} {exact(self.value)}"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Constraint:
     """An expression that must not be violated for the constrained elements to be possible."""
 
@@ -102,7 +113,7 @@ class Constraint:
         return f"{self.attribute} {self.operator} {exact(self.value)}"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Estimation:
     """What choosing the causer (a design, a component or a configuration) is expected to do to an attribute."""
 
@@ -112,7 +123,7 @@ class Estimation:
     causer: "Estimable"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Element:
     """Something with a name in a model."""
 
@@ -120,14 +131,14 @@ class Element:
     model: "Model" = field(repr=False, compare=False)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class _Constrainable(Element):
-    def constrain(self, *expressions: Expression) -> None:
+    def constrain(self, *expressions: Expression) -> tuple[Constraint, ...]:
         """Add one constraint per expression to this element, or none if one of them is refused."""
-        self.model.constrain_all(self, expressions)  # type: ignore[arg-type]  # a subclass is one of the four
+        return self.model.constrain_all(self, expressions)  # type: ignore[arg-type]  # a subclass is one of the four
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class _Estimable(_Constrainable):
     def estimate(self, attribute: "Attribute | str", value: float, kind: EstimationKind | str = "positive") -> None:
         """State what choosing this element does to an attribute.
@@ -140,11 +151,19 @@ class _Estimable(_Constrainable):
         self.model.add_estimation(self, attribute, value, kind)  # type: ignore[arg-type]  # a subclass is one of three
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Attribute(Element):
-    """Something that is measured; comparing it with a number gives an expression."""
+    """Something that is measured; comparing it with a number gives an expression.
+
+    Attributes:
+        kind: what it describes.
+        max_age: how long a measurement holds [s]; for ever by default.
+        when_stale: what its constraints are once the latest measurement is older than that.
+    """
 
     kind: AttributeKind = AttributeKind.QUALITY
+    max_age: float = math.inf
+    when_stale: StalePolicy = StalePolicy.NOT_EVALUATED
 
     def __ge__(self, value: float) -> Expression:
         return Expression(self.name, ">=", finite_number(value), self.model)
@@ -159,7 +178,7 @@ class Attribute(Element):
         return Expression(self.name, "<", finite_number(value), self.model)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Configuration(_Estimable):
     """One set of values for the parameters of a component."""
 
@@ -168,7 +187,7 @@ class Configuration(_Estimable):
     priority: int | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Component(_Estimable):
     """A hardware or software part of the robot.
 
@@ -198,7 +217,7 @@ class Component(_Estimable):
         return self.model.add_configuration(name, self, parameters or {}, priority, constraints)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class FunctionDesign(_Estimable):
     """One way to realise a function: the components that together do it."""
 
@@ -207,7 +226,7 @@ class FunctionDesign(_Estimable):
     priority: int | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Function(Element):
     """Something the robot can do as a means, e.g. localise; realised by one of its designs."""
 
@@ -225,7 +244,7 @@ class Function(Element):
         return self.model.add_design(name, self, components, priority, constraints)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Action(_Constrainable):
     """Something a mission does, and the functions it needs for that."""
 

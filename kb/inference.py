@@ -158,6 +158,7 @@ class State:
     Attributes:
         value: latest measurement of an attribute, or None.
         time: when that was measured [s].
+        stale: the latest measurement of an attribute is older than it may be.
         failed: a component is reported failed.
         active: a component is running.
         selected: a design or configuration is chosen.
@@ -174,6 +175,7 @@ class State:
         self.network = network
         self.value: list[float | None] | _Layer[float | None] = [None] * size
         self.time: list[float | None] | _Layer[float | None] = [None] * size
+        self.stale: list[bool] | _Layer[bool] = [False] * size
         self.failed: list[bool] | _Layer[bool] = [False] * size
         self.active: list[bool] | _Layer[bool] = [False] * size
         self.selected: list[bool] | _Layer[bool] = [False] * size
@@ -198,6 +200,7 @@ class Overlay(State):
         self.network = below.network
         self.value = _Layer(below.value)
         self.time = _Layer(below.time)
+        self.stale = _Layer(below.stale)
         self.failed = _Layer(below.failed)
         self.active = _Layer(below.active)
         self.selected = _Layer(below.selected)

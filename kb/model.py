@@ -10,14 +10,18 @@
     explore = model.action("explore", requires=[see])
     explore.constrain(light >= 0.05)
 
-A name is unique within its kind, not across kinds. Elements refer to one another by name.
+A name is unique within its kind, not across kinds. Elements refer to one another by name. A model can be changed while
+knowledge bases are at work on it: the next question that they are asked sees it.
 """
 
-from collections.abc import Iterable, Mapping
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType, UnionType
-from typing import TypeVar, get_args
+from typing import Any, Protocol, TypeVar, get_args
+from weakref import WeakSet
 
-from kb.declarations import choice, expressions, flag, identifier, listed, reference, text
+from kb.amendments import checked_changes, checked_fact, concerns, description, removal
+from kb.declarations import age, choice, expressions, flag, identifier, listed, reference, text
 from kb.declarations import parameters as checked_parameters
 from kb.declarations import priority as checked_priority
 from kb.elements import (
@@ -37,19 +41,34 @@ from kb.elements import (
     Function,
     FunctionDesign,
     Parameters,
+    StalePolicy,
     finite_number,
 )
 from kb.exceptions import DuplicateName, ModelError
+from kb.facts import Fact, RequiredFact, SelectedFact, StatusFact
 
-__all__ = ["Model"]
+__all__ = ["Changeable", "Model", "Observer"]
 
+Changeable = Element | Constraint | Estimation
 
 NamedT = TypeVar("NamedT", bound=Element)
-ConstrainedT = TypeVar("ConstrainedT", bound=Constrainable)
+
+
+class Observer(Protocol):
+    """What is told of every change of a model, after it."""
+
+    def model_grew(self, added: Iterable[Changeable]) -> None:
+        """Elements, with the constraints on them, were declared; all at once or not at all."""
+
+    def model_changed(self, element: Changeable) -> None:
+        """An element is not what it was."""
+
+    def model_shrank(self, removed: Iterable[Changeable]) -> None:
+        """Elements, with the constraints on them, were removed."""
 
 
 class Model:
-    """The knowledge about one robot, complete before it moves.
+    """The knowledge about one robot.
 
     Args:
         name: what the model is called in messages and files.
@@ -65,8 +84,10 @@ class Model:
         self._functions: dict[str, Function] = {}
         self._designs: dict[str, FunctionDesign] = {}
         self._actions: dict[str, Action] = {}
-        self._constraints: list[Constraint] = []
-        self._estimations: list[Estimation] = []
+        self._constraints: dict[Constraint, None] = {}
+        self._estimations: dict[Estimation, None] = {}
+        self._facts: list[Fact] = []
+        self._observers: WeakSet[Observer] = WeakSet()
         self.attributes: Mapping[str, Attribute] = MappingProxyType(self._attributes)
         self.components: Mapping[str, Component] = MappingProxyType(self._components)
         self.configurations: Mapping[str, Configuration] = MappingProxyType(self._configurations)
@@ -84,13 +105,28 @@ class Model:
         """All estimations, in order of declaration."""
         return tuple(self._estimations)
 
-    def quality_attribute(self, name: str) -> Attribute:
-        """Declare a measured property of the robot itself, e.g. its energy."""
-        return _add("attribute", self._attributes, Attribute(name, self, AttributeKind.QUALITY))
+    @property
+    def facts(self) -> tuple[Fact, ...]:
+        """What is stated to be so from the start, in order."""
+        return tuple(self._facts)
 
-    def environmental_attribute(self, name: str) -> Attribute:
-        """Declare a measured property of the surroundings, e.g. the light."""
-        return _add("attribute", self._attributes, Attribute(name, self, AttributeKind.ENVIRONMENTAL))
+    def quality_attribute(
+        self, name: str, *, max_age: float = math.inf, when_stale: StalePolicy | str = StalePolicy.NOT_EVALUATED
+    ) -> Attribute:
+        """Declare a measured property of the robot itself, e.g. its energy.
+
+        Args:
+            name: unique among attributes.
+            max_age: how long a measurement holds [s].
+            when_stale: what its constraints are after that: "not evaluated" or "violated".
+        """
+        return self._attribute(name, AttributeKind.QUALITY, max_age, when_stale)
+
+    def environmental_attribute(
+        self, name: str, *, max_age: float = math.inf, when_stale: StalePolicy | str = StalePolicy.NOT_EVALUATED
+    ) -> Attribute:
+        """Declare a measured property of the surroundings, e.g. the light; see `quality_attribute`."""
+        return self._attribute(name, AttributeKind.ENVIRONMENTAL, max_age, when_stale)
 
     def component(
         self,
@@ -118,7 +154,7 @@ class Model:
     def function(self, name: str, *, always_improve: bool = False) -> Function:
         """Declare something the robot can do as a means; `always_improve` chooses again even while it is solved."""
         improve = flag(f"always_improve of {name!r}", always_improve)
-        return _add("function", self._functions, Function(name, self, improve))
+        return self._added("function", self._functions, Function(name, self, improve))
 
     def action(
         self, name: str, *, requires: Iterable[Function | str] = (), constraints: Iterable[Expression] = ()
@@ -165,13 +201,17 @@ class Model:
             raise ModelError(f"{checked} constrains nothing; name at least one element")
         for element in targets:
             self._owned("constrained", element, Constrainable)
-        return self._constrained(targets, checked)
+        constraint = self._constrained(targets, checked)
+        self._grew([constraint])
+        return constraint
 
-    def constrain_all(self, element: Constrainable, constraints: Iterable[Expression]) -> None:
+    def constrain_all(self, element: Constrainable, constraints: Iterable[Expression]) -> tuple[Constraint, ...]:
         """Add each constraint to an element, or none if one of them is refused."""
         self._owned("constrained", element, Constrainable)
-        for checked in expressions(self, self._attributes, constraints):
-            self._constrained((element,), checked)
+        wanted = expressions(self, self._attributes, constraints)
+        added = tuple(self._constrained((element,), one) for one in wanted)
+        self._grew(added)
+        return added
 
     def add_estimation(
         self, causer: Estimable, attribute: Attribute | str, value: float, kind: EstimationKind | str = "positive"
@@ -181,34 +221,109 @@ class Model:
         affected = reference("attribute", self._attributes, attribute, self)
         sense = choice("estimation kind", EstimationKind, kind)
         estimation = Estimation(affected, finite_number(value), sense, causer)
-        self._estimations.append(estimation)
+        self._estimations[estimation] = None
+        self._grew([estimation])
         return estimation
 
+    def add_fact(self, fact: Fact) -> None:
+        """State what is so from the start; see `kb.facts`. A knowledge base that is already at work is not told."""
+        if isinstance(fact, StatusFact | RequiredFact | SelectedFact):
+            self._owned("what a fact is about", fact.element, Changeable)
+        self._facts.append(checked_fact(self, fact))
+
+    def change(self, element: Changeable, **fields: object) -> None:
+        """Change what may change of an element, e.g. `model.change(design, priority=2)`, or nothing if one is refused.
+
+        Args:
+            element: of this model; a constraint is one of `constraints`, or what `constrain` returned.
+            fields: new values; of a constraint or estimation its `value`, of a design its `priority`, of a
+                configuration also its `parameters`, of a function or component `always_improve`, of an attribute
+                `max_age` and `when_stale`, of a component also `stops_to_configure`.
+        """
+        self._owned("changed", element, Changeable)
+        for name, value in checked_changes(element, fields).items():
+            object.__setattr__(element, name, value)
+        for observer in tuple(self._observers):
+            observer.model_changed(element)
+
+    def remove(self, element: Changeable) -> None:
+        """Take an element out of the model, with the constraints and estimations that are of nothing else.
+
+        Raises:
+            ModelError: something else in the model is made of it; the message names what.
+        """
+        self._owned("removed", element, Changeable)
+        removed = removal(self, element)
+        for one in removed:
+            if isinstance(one, Constraint):
+                del self._constraints[one]
+            elif isinstance(one, Estimation):
+                del self._estimations[one]
+            else:
+                del self._table(one)[one.name]
+        self._facts = [fact for fact in self._facts if not concerns(fact, removed)]
+        for observer in tuple(self._observers):
+            observer.model_shrank(removed)
+
+    def __eq__(self, other: object) -> bool:
+        """Tell whether two models have the same name and say the same, in the same order within each kind."""
+        return isinstance(other, Model) and (self is other or description(self) == description(other))
+
+    def __hash__(self) -> int:
+        return hash(self.name)
+
+    def __repr__(self) -> str:
+        return f"<Model {self.name!r}>"
+
+    def _attribute(self, name: str, kind: AttributeKind, max_age: float, when_stale: StalePolicy | str) -> Attribute:
+        policy = choice("policy for stale measurements", StalePolicy, when_stale)
+        return self._added("attribute", self._attributes, Attribute(name, self, kind, age(name, max_age), policy))
+
     def _added(
-        self, kind: str, table: dict[str, ConstrainedT], element: ConstrainedT, constraints: Iterable[Expression]
-    ) -> ConstrainedT:
+        self, kind: str, table: dict[str, NamedT], element: NamedT, constraints: Iterable[Expression] = ()
+    ) -> NamedT:
         """Add an element with its constraints, or nothing if one of them is refused."""
         wanted = expressions(self, self._attributes, constraints)
-        _add(kind, table, element)
-        self.constrain_all(element, wanted)
+        name = identifier(kind, element.name)
+        if name in table:
+            raise DuplicateName(f"{kind} {name!r} is declared already; names are unique within a kind")
+        table[name] = element
+        own = [self._constrained((element,), one) for one in wanted]  # type: ignore[arg-type]  # constrainable, if any
+        self._grew([element, *own])
         return element
 
     def _constrained(self, targets: tuple[Constrainable, ...], checked: Expression) -> Constraint:
         constraint = Constraint(checked.attribute, checked.operator, checked.value, targets)
-        self._constraints.append(constraint)
+        self._constraints[constraint] = None
         return constraint
+
+    def _grew(self, added: Sequence[Changeable]) -> None:
+        for observer in tuple(self._observers):
+            observer.model_grew(added)
+
+    def _table(self, element: Element) -> dict[str, Any]:
+        tables: dict[type[Element], dict[str, Any]] = {
+            Attribute: self._attributes,
+            Component: self._components,
+            Configuration: self._configurations,
+            Function: self._functions,
+            FunctionDesign: self._designs,
+            Action: self._actions,
+        }
+        return tables[type(element)]
 
     def _owned(self, what: str, element: object, kinds: UnionType) -> None:
         if not isinstance(element, kinds):
             names = ", ".join(kind.__name__ for kind in get_args(kinds))
             raise ModelError(f"{what} can be one of {names}; not {element!r}")
-        if element.model is not self:
-            raise ModelError(f"{element.name!r} belongs to model {element.model.name!r}, not to {self.name!r}")
-
-
-def _add(kind: str, table: dict[str, NamedT], element: NamedT) -> NamedT:
-    name = identifier(kind, element.name)
-    if name in table:
-        raise DuplicateName(f"{kind} {name!r} is declared already; names are unique within a kind")
-    table[name] = element
-    return element
+        if isinstance(element, Constraint):
+            found, name = element in self._constraints, str(element)
+        elif isinstance(element, Estimation):
+            found, name = element in self._estimations, f"the estimation of {element.attribute!r}"
+        else:
+            assert isinstance(element, Element)
+            if element.model is not self:
+                raise ModelError(f"{element.name!r} belongs to model {element.model.name!r}, not to {self.name!r}")
+            found, name = self._table(element).get(element.name) is element, repr(element.name)
+        if not found:
+            raise ModelError(f"{name} is not in model {self.name!r}, or no longer")

@@ -1,0 +1,210 @@
+"""How a model is amended while it is in use: what may change of an element, and what goes when one is removed."""
+
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import fields
+from typing import TYPE_CHECKING, Final
+
+from kb.declarations import age, choice, flag, priority
+from kb.declarations import parameters as checked_parameters
+from kb.elements import (
+    Action,
+    Attribute,
+    Component,
+    Configuration,
+    Constraint,
+    Element,
+    Estimation,
+    EstimationKind,
+    Function,
+    FunctionDesign,
+    StalePolicy,
+    finite_number,
+)
+from kb.exceptions import InvalidValue, ModelError, UnknownName
+from kb.facts import (
+    ActiveFact,
+    Fact,
+    MeasurementFact,
+    PlanFact,
+    ProcessFact,
+    RequiredActionFact,
+    RequiredFact,
+    SelectedFact,
+    StatusFact,
+)
+from kb.status import STATUSES
+
+if TYPE_CHECKING:
+    from kb.model import Model
+
+__all__ = ["KINDS", "checked_changes", "checked_fact", "concerns", "description", "removal"]
+
+KINDS: Final[Mapping[type, str]] = {
+    Action: "action",
+    Attribute: "attribute",
+    Component: "component",
+    Configuration: "configuration",
+    Constraint: "constraint",
+    Estimation: "estimation",
+    Function: "function",
+    FunctionDesign: "function design",
+}
+"""What each class of element is called."""
+
+Check = Callable[[str, object], object]
+
+_PRIORITY: Final[Mapping[str, Check]] = {"priority": priority}
+_IMPROVE: Final[Mapping[str, Check]] = {
+    "always_improve": lambda name, value: flag(f"always_improve of {name!r}", value)
+}
+_CHECKS: Final[Mapping[type, Mapping[str, Check]]] = {
+    Action: {},
+    Attribute: {
+        "max_age": age,
+        "when_stale": lambda _, value: choice("policy for stale measurements", StalePolicy, value),
+    },
+    Component: {
+        **_IMPROVE,
+        "stops_to_configure": lambda name, value: flag(f"stops_to_configure of {name!r}", value),
+    },
+    Configuration: {**_PRIORITY, "parameters": checked_parameters},
+    Constraint: {"value": lambda _, value: finite_number(value)},
+    Estimation: {
+        "value": lambda _, value: finite_number(value),
+        "kind": lambda _, value: choice("estimation kind", EstimationKind, value),
+    },
+    Function: _IMPROVE,
+    FunctionDesign: _PRIORITY,
+}
+
+
+def checked_changes(element: Element | Constraint | Estimation, changes: Mapping[str, object]) -> dict[str, object]:
+    """Return new values of an element's fields, all of which are allowed.
+
+    Raises:
+        ModelError: one of the fields cannot change; declare another element for that.
+    """
+    checks, kind = _CHECKS[type(element)], KINDS[type(element)]
+    name = element.name if isinstance(element, Element) else element.attribute
+    for field in changes:
+        if field not in checks:
+            allowed = ", ".join(checks) or "nothing"
+            raise ModelError(f"{field!r} of {kind} {name!r} cannot change; what can: {allowed}")
+    return {field: checks[field](name, value) for field, value in changes.items()}
+
+
+def removal(model: "Model", element: Element | Constraint | Estimation) -> list[Element | Constraint | Estimation]:
+    """Return an element and what goes with it; a constraint on other elements too is only loosened from this one.
+
+    Raises:
+        ModelError: something else in the model is made of it.
+    """
+    if isinstance(element, Element):
+        users = _users(model, element)
+        if users:
+            raise ModelError(f"{element.name!r} is needed by {', '.join(users)}; remove that first")
+    removed: list[Element | Constraint | Estimation] = [element]
+    for constraint in model.constraints:
+        if element in constraint.constrained:
+            rest = tuple(one for one in constraint.constrained if one is not element)
+            if rest:
+                object.__setattr__(constraint, "constrained", rest)
+            else:
+                removed.append(constraint)
+    removed += [one for one in model.estimations if one.causer is element]
+    return removed
+
+
+def _users(model: "Model", element: Element) -> list[str]:
+    name = element.name
+    if isinstance(element, Component):
+        designs = [f"function design {one.name!r}" for one in model.designs.values() if name in one.components]
+        return designs + [
+            f"configuration {one.name!r}" for one in model.configurations.values() if one.component == name
+        ]
+    if isinstance(element, Function):
+        actions = [f"action {one.name!r}" for one in model.actions.values() if name in one.functions]
+        return actions + [f"function design {one.name!r}" for one in model.designs.values() if one.function == name]
+    if isinstance(element, Attribute):
+        constraints = [f"constraint {one}" for one in model.constraints if one.attribute == name]
+        return constraints + [
+            f"an estimation of {one.attribute!r}" for one in model.estimations if one.attribute == name
+        ]
+    return []
+
+
+def checked_fact(model: "Model", fact: object) -> Fact:
+    """Return a fact that speaks of elements of the model only, and says what such elements can be."""
+    if not isinstance(fact, Fact):
+        raise ModelError(f"a fact is one of those in kb.facts, not {fact!r}")
+    tables = {
+        "attribute": model.attributes,
+        "action": model.actions,
+        "component": model.components,
+        "configuration": model.configurations,
+    }
+    for kind, name in _names(fact):
+        if name not in tables[kind]:
+            raise UnknownName(kind, name, tables[kind])
+    if isinstance(fact, MeasurementFact):
+        finite_number(fact.value)
+    elif isinstance(fact, StatusFact):
+        kind = KINDS[type(fact.element)]
+        if fact.status not in STATUSES.get(kind, ()):
+            raise InvalidValue(f"a {kind} is never {fact.status!s}; it can be {', '.join(STATUSES.get(kind, ()))}")
+    return fact
+
+
+def _names(fact: Fact) -> list[tuple[str, str]]:
+    """List the kind and name of each element that a fact gives by name."""
+    if isinstance(fact, MeasurementFact):
+        return [("attribute", fact.attribute)]
+    if isinstance(fact, ActiveFact | ProcessFact):
+        return [("component", fact.component)]
+    if isinstance(fact, RequiredActionFact):
+        return [("action", fact.action), *(("attribute", name) for name in fact.preference or {})]
+    if isinstance(fact, PlanFact):
+        components = [("component", name) for name in (*fact.activate, *fact.deactivate)]
+        return components + [("configuration", name) for name in fact.parameters]
+    return []
+
+
+def concerns(fact: Fact, removed: Collection[Element | Constraint | Estimation]) -> bool:
+    """Tell whether a fact is about something that is removed."""
+    if isinstance(fact, StatusFact | RequiredFact | SelectedFact):
+        return fact.element in removed
+    gone = {(KINDS[type(one)], one.name) for one in removed if isinstance(one, Element)}
+    return any(named in gone for named in _names(fact))
+
+
+def description(model: "Model") -> object:
+    """Return all that a model says, as plain values that can be compared."""
+    tables = (
+        model.attributes,
+        model.components,
+        model.configurations,
+        model.functions,
+        model.designs,
+        model.actions,
+    )
+    number = {constraint: position for position, constraint in enumerate(model.constraints)}
+
+    def plain(value: object) -> object:
+        if isinstance(value, Constraint):
+            return ("constraint", number[value])
+        if isinstance(value, Element):
+            return (KINDS[type(value)], value.name)
+        if isinstance(value, Mapping):
+            return {key: (type(one), one) for key, one in value.items()}
+        return tuple(plain(one) for one in value) if isinstance(value, tuple) else value
+
+    def contents(one: object) -> list[object]:
+        return [plain(getattr(one, field.name)) for field in fields(one) if field.name != "model"]  # type: ignore[arg-type]  # all are dataclasses
+
+    return (
+        model.name,
+        [[contents(one) for one in table.values()] for table in tables],
+        [contents(one) for one in model.constraints],
+        [contents(one) for one in model.estimations],
+        [(type(one), contents(one)) for one in model.facts],
+    )

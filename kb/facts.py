@@ -1,0 +1,121 @@
+"""Facts that a model states from the start: a file of a robot's model may say what was known when it was written.
+
+A knowledge base made of the model begins with them. What is not stated is not so: no component is active, nothing is
+selected or required, nothing is measured.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from kb.elements import Action, Component, Configuration, Constraint, Element, Function, FunctionDesign
+from kb.status import Status
+
+__all__ = [
+    "ActiveFact",
+    "Fact",
+    "MeasurementFact",
+    "PlanFact",
+    "ProcessFact",
+    "RequiredActionFact",
+    "RequiredFact",
+    "SelectedFact",
+    "StatusFact",
+]
+
+
+@dataclass(frozen=True, slots=True)
+class MeasurementFact:
+    """An attribute had a value.
+
+    Attributes:
+        attribute: its name.
+        value: in the attribute's unit.
+        time: when [s since 1970-01-01 UTC]; None for the time when the knowledge base is made.
+        latest: nothing newer was known; otherwise it belongs to the history only.
+    """
+
+    attribute: str
+    value: float
+    time: float | None = None
+    latest: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class StatusFact:
+    """A status is asserted, in place of the inferred one."""
+
+    element: Element | Constraint
+    status: Status
+
+
+@dataclass(frozen=True, slots=True)
+class RequiredFact:
+    """An element is asserted to be required."""
+
+    element: Action | Function | Component
+
+
+@dataclass(frozen=True, slots=True)
+class SelectedFact:
+    """A design or configuration is the one chosen."""
+
+    element: FunctionDesign | Configuration
+
+
+@dataclass(frozen=True, slots=True)
+class ActiveFact:
+    """A component is running."""
+
+    component: str
+
+
+@dataclass(frozen=True, slots=True)
+class RequiredActionFact:
+    """An action was asked for; it still is while there is no end.
+
+    Attributes:
+        action: its name.
+        preference: weight by name of each attribute to favour.
+        start, end: [s since 1970-01-01 UTC]; a start of None is the time when the knowledge base is made.
+        result: "completed", "failed" or "abandoned", None while it is open.
+    """
+
+    action: str
+    preference: Mapping[str, float] | None = None
+    start: float | None = None
+    end: float | None = None
+    result: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ProcessFact:
+    """A component ran, or runs, as a process of the operating system; times as in `RequiredActionFact`."""
+
+    component: str
+    pid: int
+    start: float | None = None
+    end: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class PlanFact:
+    """A reconfiguration plan was made; names as in `ReconfigurationPlan`, times as in `RequiredActionFact`."""
+
+    activate: tuple[str, ...] = ()
+    deactivate: tuple[str, ...] = ()
+    parameters: tuple[str, ...] = ()
+    start: float | None = None
+    end: float | None = None
+    result: str | None = None
+
+
+Fact = (
+    MeasurementFact
+    | StatusFact
+    | RequiredFact
+    | SelectedFact
+    | ActiveFact
+    | RequiredActionFact
+    | ProcessFact
+    | PlanFact
+)
