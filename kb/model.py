@@ -16,8 +16,9 @@ knowledge bases are at work on it: the next question that they are asked sees it
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from types import MappingProxyType, UnionType
-from typing import Any, Protocol, TypeVar, get_args
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar, get_args
 from weakref import WeakSet
 
 from kb.amendments import checked_changes, checked_fact, concerns, description, removal
@@ -46,6 +47,9 @@ from kb.elements import (
 )
 from kb.exceptions import DuplicateName, ModelError
 from kb.facts import Fact, RequiredFact, SelectedFact, StatusFact
+
+if TYPE_CHECKING:
+    from kb.judge import Finding
 
 __all__ = ["Changeable", "Model", "Observer"]
 
@@ -230,6 +234,37 @@ class Model:
         if isinstance(fact, StatusFact | RequiredFact | SelectedFact):
             self._owned("what a fact is about", fact.element, Changeable)
         self._facts.append(checked_fact(self, fact))
+
+    @classmethod
+    def load(cls, paths: str | Path | Iterable[str | Path], name: str | None = None) -> "Model":
+        """Read a model from one file or several, each of which may add to those before it.
+
+        Args:
+            paths: files of ROSA's TypeQL (`.tql`).
+            name: what the model is called; by default what the files say, else the first file's name.
+
+        Raises:
+            ModelError: the message names the file, line and column, what stands there and what was expected.
+        """
+        from kb.files import load_model
+
+        return load_model(cls, paths, name)
+
+    def save(self, path: str | Path) -> None:
+        """Write the model to a file (`.tql`) that `load` reads back as the same model; nothing half-written stays."""
+        from kb.files import save_model
+
+        save_model(self, path)
+
+    def check(self, names: Iterable[str] | None = None) -> tuple["Finding", ...]:
+        """Judge the model: what can never work, contradicts itself or is likely a slip, and what to do about it.
+
+        Args:
+            names: the action names that a mission's tree or PDDL domain uses; those that do not match are found too.
+        """
+        from kb.judge import check_model
+
+        return check_model(self, names)
 
     def change(self, element: Changeable, **fields: object) -> None:
         """Change what may change of an element, e.g. `model.change(design, priority=2)`, or nothing if one is refused.
