@@ -1,0 +1,341 @@
+"""What an element needs to be possible: under which measurements, and after which repairs, it is not unfeasible.
+
+The status tables make an and/or structure of a model: an action needs all its functions, a function one of its
+designs, a design all its components, a component one of its configurations, and each of them its own constraints.
+Each way through it is a box: an interval for every attribute that matters, and what has to be repaired besides.
+"""
+
+import math
+import sys
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Final, NamedTuple
+
+from kb.elements import Attribute, Component, Constraint, Element, Function, StalePolicy, exact
+from kb.inference import Node, State
+from kb.status import OPERATORS, Status
+
+__all__ = [
+    "Alternatives",
+    "Box",
+    "Interval",
+    "MissingDesign",
+    "Recovered",
+    "Repair",
+    "Requirements",
+    "Retracted",
+    "alternatives",
+    "is_counted_violated",
+    "is_known",
+]
+
+LIMIT: Final = 64
+"""How many boxes are kept for one element."""
+
+
+@dataclass(frozen=True, slots=True)
+class Interval:
+    """Values between two bounds; a bound that is open does not belong to them."""
+
+    low: float = -math.inf
+    high: float = math.inf
+    low_open: bool = False
+    high_open: bool = False
+
+    @classmethod
+    def of(cls, constraint: Constraint) -> "Interval":
+        """Return the values that satisfy a constraint."""
+        is_open = constraint.operator in (">", "<")
+        if constraint.operator in (">=", ">"):
+            return cls(low=constraint.value, low_open=is_open)
+        return cls(high=constraint.value, high_open=is_open)
+
+    def __contains__(self, value: float) -> bool:
+        above = value > self.low or (value == self.low and not self.low_open)
+        return above and (value < self.high or (value == self.high and not self.high_open))
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether no finite number lies in it."""
+        least = math.nextafter(self.low, math.inf) if self.low_open else self.low
+        greatest = math.nextafter(self.high, -math.inf) if self.high_open else self.high
+        return max(least, -sys.float_info.max) > min(greatest, sys.float_info.max)
+
+    def covers(self, other: "Interval") -> bool:
+        """Tell whether the other interval lies in this one."""
+        return (self.low, self.low_open) <= (other.low, other.low_open) and (self.high, not self.high_open) >= (
+            other.high,
+            not other.high_open,
+        )
+
+    def meet(self, other: "Interval") -> "Interval":
+        """Return what both have in common."""
+        low, low_open = max((self.low, self.low_open), (other.low, other.low_open))
+        high, high_closed = min((self.high, not self.high_open), (other.high, not other.high_open))
+        return Interval(low, high, low_open, not high_closed)
+
+    def text(self, attribute: str) -> str:
+        """Write it as comparisons of an attribute, e.g. "light >= 0.2 and light <= 0.8"."""
+        bounds = []
+        if self.low > -math.inf:
+            bounds.append(f"{attribute} {'>' if self.low_open else '>='} {exact(self.low)}")
+        if self.high < math.inf:
+            bounds.append(f"{attribute} {'<' if self.high_open else '<='} {exact(self.high)}")
+        return " and ".join(bounds)
+
+
+@dataclass(frozen=True, slots=True)
+class Recovered:
+    """A component that has failed works again; an asserted failure is taken back by that too."""
+
+    component: str
+
+    def __str__(self) -> str:
+        return f"{self.component} recovered"
+
+
+@dataclass(frozen=True, slots=True)
+class Retracted:
+    """An asserted status is taken back."""
+
+    element: Element | Constraint
+
+    def __str__(self) -> str:
+        name = self.element.name if isinstance(self.element, Element) else self.element
+        return f"asserted status of {name} retracted"
+
+
+@dataclass(frozen=True, slots=True)
+class MissingDesign:
+    """A function has no design: the model lacks one."""
+
+    function: str
+
+    def __str__(self) -> str:
+        return f"a design for {self.function}"
+
+
+Repair = Recovered | Retracted | MissingDesign
+"""A fact that has to change and is no measurement."""
+
+
+@dataclass(frozen=True, slots=True)
+class Box:
+    """One way in which an element is possible.
+
+    Attributes:
+        intervals: by name of each attribute that matters, the values that it may have.
+        repairs: what has to change besides.
+    """
+
+    intervals: Mapping[str, Interval] = field(default_factory=dict)
+    repairs: frozenset[Repair] = frozenset()
+
+    def covers(self, other: "Box") -> bool:
+        """Tell whether the other box asks for all that this one asks for."""
+        if not self.repairs <= other.repairs:
+            return False
+        theirs = other.intervals
+        return all(name in theirs and mine.covers(theirs[name]) for name, mine in self.intervals.items())
+
+    def meet(self, other: "Box") -> "Box | None":
+        """Return what satisfies both boxes, None if nothing does."""
+        intervals = dict(self.intervals)
+        for name, interval in other.intervals.items():
+            if name in intervals:
+                interval = intervals[name].meet(interval)
+                if interval.is_empty:
+                    return None
+            intervals[name] = interval
+        return Box(intervals, self.repairs | other.repairs)
+
+
+class Alternatives(NamedTuple):
+    """The ways in which an element is possible.
+
+    Attributes:
+        boxes: none that another one covers; empty if there is no way.
+        complete: these are all; otherwise there were too many to look at each, and there may be more.
+    """
+
+    boxes: tuple[Box, ...]
+    complete: bool
+
+
+FREE: Final = Alternatives((Box(),), True)
+NOTHING: Final = Alternatives((), True)
+
+
+def alternatives(node: Node, state: State | None = None, limit: int = LIMIT) -> Alternatives:
+    """Return the ways in which an element can be possible; see `Requirements` for the arguments."""
+    return Requirements(state, limit).of(node)
+
+
+class Requirements:
+    """What the elements of one network need; what is found out about one is kept for the others.
+
+    Args:
+        state: the facts to start from; an attribute that they do not know or that violates nothing restricts nothing,
+            and repairs are asked for. None asks what is possible at all: every constraint counts, nothing has failed
+            and a function without a design is impossible.
+        limit: how many boxes are kept for each element.
+        changing: if given, only these attributes (by name) and repairs may change.
+    """
+
+    def __init__(
+        self, state: State | None = None, limit: int = LIMIT, changing: Collection[str | Repair] | None = None
+    ) -> None:
+        self._state = state
+        self._limit = limit
+        self._changing = changing
+        self._known: dict[int, Alternatives] = {}
+        self._fixed: dict[int, bool] = {}
+
+    def of(self, node: Node) -> Alternatives:
+        """Return the ways in which an element can be possible."""
+        found = self._known.get(node.index)
+        if found is None:
+            found = self._known[node.index] = self._with_assertion(node)
+        return found
+
+    def only(self, changing: Collection[str | Repair]) -> "Requirements":
+        """Return the same with less that may change; what needs nothing is not looked at again."""
+        fewer = Requirements(self._state, self._limit, changing)
+        fewer._known = {index: found for index, found in self._known.items() if found is FREE}
+        return fewer
+
+    def _with_assertion(self, node: Node) -> Alternatives:
+        asserted = None if self._state is None else self._state.asserted[node.index]
+        if asserted is None:
+            return self._needs(node)
+        if asserted not in (Status.UNFEASIBLE, Status.FAILURE, Status.VIOLATED):
+            return FREE
+        repair = Recovered(node.name) if asserted is Status.FAILURE else Retracted(node.element)
+        return self._all_of([self._repaired(repair), self._needs(node)])
+
+    def _needs(self, node: Node) -> Alternatives:
+        """Return what an element needs if no status of it is asserted."""
+        element = node.element
+        if isinstance(element, Constraint):
+            return self._bound(element, node.parts[0])
+        needed = [self.of(constraint) for constraint in node.constraints]
+        if isinstance(element, Function):
+            return self._any_of(self.of(part) for part in node.parts) if node.parts else self._lacking(element)
+        if not isinstance(element, Component):
+            needed += [self.of(part) for part in node.parts]
+            return self._all_of(needed)
+        if self._state is not None and self._state.failed[node.index]:
+            needed.append(self._repaired(Recovered(node.name)))
+        if node.parts:
+            needed.append(self._any_of(self.of(part) for part in node.parts))
+        return self._all_of(needed)
+
+    def _lacking(self, function: Function) -> Alternatives:
+        return NOTHING if self._state is None else self._repaired(MissingDesign(function.name))
+
+    def _repaired(self, repair: Repair) -> Alternatives:
+        if self._changing is not None and repair not in self._changing:
+            return NOTHING
+        return Alternatives((Box(repairs=frozenset((repair,))),), True)
+
+    def _bound(self, constraint: Constraint, attribute: Node) -> Alternatives:
+        interval = Interval.of(constraint)
+        if self._state is not None:
+            if not is_known(self._state, attribute):
+                return FREE
+            if self._is_fixed(self._state, attribute):
+                return FREE if _holds(self._state, attribute, constraint) else NOTHING
+        return NOTHING if interval.is_empty else Alternatives((Box({attribute.name: interval}),), True)
+
+    def _is_fixed(self, state: State, attribute: Node) -> bool:
+        """Tell whether an attribute stays as it is: it may not change, or violates nothing and so need not."""
+        fixed = self._fixed.get(attribute.index)
+        if fixed is None:
+            may = self._changing is None or attribute.name in self._changing
+            fixed = self._fixed[attribute.index] = not may or all(
+                _holds(state, attribute, one.element)
+                for one in attribute.constraints
+                if isinstance(one.element, Constraint)
+            )
+        return fixed
+
+    def _any_of(self, choices: Iterable[Alternatives]) -> Alternatives:
+        boxes: list[Box] = []
+        complete = True
+        for choice in choices:
+            if choice is FREE:
+                return FREE
+            boxes += choice.boxes
+            complete = complete and choice.complete
+        return self._kept(boxes, complete)
+
+    def _all_of(self, needed: Iterable[Alternatives]) -> Alternatives:
+        restricting = sorted((one for one in needed if one is not FREE), key=lambda one: len(one.boxes))
+        if any(one == NOTHING for one in restricting):
+            return NOTHING
+        together = FREE
+        for one in restricting:
+            if together is FREE:
+                together = one
+                continue
+            complete = together.complete and one.complete
+            together = self._kept(_meetings(together.boxes, one.boxes), complete)
+        return together
+
+    def _kept(self, boxes: Iterable[Box], complete: bool) -> Alternatives:
+        """Keep the boxes that no other covers, those that change the least first, and as many as the limit allows."""
+        kept: list[Box] = []
+        for box in sorted(boxes, key=self._changes):
+            if any(other.covers(box) for other in kept):
+                continue
+            kept = [other for other in kept if not box.covers(other)]
+            if len(kept) == self._limit:
+                return Alternatives(tuple(kept), False)
+            kept.append(box)
+        return Alternatives(tuple(kept), complete)
+
+    def _changes(self, box: Box) -> tuple[int, int]:
+        state = self._state
+        if state is None:
+            return 0, len(box.intervals)
+        table = state.network.attributes
+        changed = sum(is_outside(state, table[name], interval) for name, interval in box.intervals.items())
+        return changed + len(box.repairs), len(box.intervals)
+
+
+def is_known(state: State, attribute: Node) -> bool:
+    """Tell whether the constraints on an attribute are evaluated: it is measured, or its staleness violates them."""
+    if state.stale[attribute.index]:
+        return is_counted_violated(state, attribute)
+    return state.value[attribute.index] is not None
+
+
+def is_counted_violated(state: State, attribute: Node) -> bool:
+    """Tell whether an attribute violates its constraints because its measurement is too old."""
+    assert isinstance(attribute.element, Attribute)
+    return state.stale[attribute.index] and attribute.element.when_stale is StalePolicy.VIOLATED
+
+
+def is_outside(state: State, attribute: Node, interval: Interval) -> bool:
+    """Tell whether an attribute has to be measured anew to be within an interval."""
+    value = state.value[attribute.index]
+    return is_counted_violated(state, attribute) or (value is not None and value not in interval)
+
+
+def _holds(state: State, attribute: Node, constraint: Constraint) -> bool:
+    value = state.value[attribute.index]
+    if value is None or is_counted_violated(state, attribute):
+        return False
+    return OPERATORS[constraint.operator](value, constraint.value)
+
+
+def _meetings(ones: tuple[Box, ...], others: tuple[Box, ...]) -> Iterator[Box]:
+    """Yield what satisfies one of the ones and one of the others."""
+    for one in ones:
+        if any(other.covers(one) for other in others):
+            yield one
+            continue
+        for other in others:
+            both = one.meet(other)
+            if both is not None:
+                yield both
