@@ -1,12 +1,18 @@
 """What a knowledge base tells those who listen: the original's three kinds of events, in order."""
 
+import logging
+from collections import deque
+from collections.abc import Callable
 from enum import StrEnum
 from typing import NamedTuple
 
+from kb.exceptions import InvalidValue
 from kb.reconfiguration import ReconfigurationPlan
 from kb.status import Status
 
-__all__ = ["Event", "EventKind", "StatusChange"]
+__all__ = ["Event", "EventKind", "Publisher", "StatusChange"]
+
+_log = logging.getLogger(__name__)
 
 
 class EventKind(StrEnum):
@@ -44,3 +50,39 @@ class Event(NamedTuple):
     text: str
     changes: tuple[StatusChange, ...] = ()
     plan: ReconfigurationPlan | None = None
+
+
+class Publisher:
+    """Tells every event to every subscriber, one event at a time, in order."""
+
+    def __init__(self) -> None:
+        self._subscribers: list[Callable[[Event], None]] = []
+        self._events: deque[Event] = deque()
+
+    def __bool__(self) -> bool:
+        return bool(self._subscribers)
+
+    def subscribe(self, callback: Callable[[Event], None]) -> Callable[[], None]:
+        """Have a function called with every event; returns how to stop that."""
+        if not callable(callback):
+            raise InvalidValue(f"a subscriber is called with each event; {callback!r} cannot be called")
+        self._subscribers.append(callback)
+
+        def unsubscribe() -> None:
+            if callback in self._subscribers:
+                self._subscribers.remove(callback)
+
+        return unsubscribe
+
+    def publish(self, event: Event) -> None:
+        """Tell an event; one that a subscriber causes is told after the event that it is hearing."""
+        self._events.append(event)
+        if len(self._events) > 1:
+            return
+        while self._events:
+            for subscriber in tuple(self._subscribers):
+                try:
+                    subscriber(self._events[0])
+                except Exception:
+                    _log.exception("a subscriber failed on %r", self._events[0].text)
+            self._events.popleft()

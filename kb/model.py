@@ -19,7 +19,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType, UnionType
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar, get_args
-from weakref import WeakSet
+from weakref import ref
 
 from kb.amendments import checked_changes, checked_fact, concerns, description, removal
 from kb.declarations import age, choice, expressions, flag, identifier, listed, reference, text
@@ -91,7 +91,7 @@ class Model:
         self._constraints: dict[Constraint, None] = {}
         self._estimations: dict[Estimation, None] = {}
         self._facts: list[Fact] = []
-        self._observers: WeakSet[Observer] = WeakSet()
+        self._observers: list[ref[Observer]] = []
         self.attributes: Mapping[str, Attribute] = MappingProxyType(self._attributes)
         self.components: Mapping[str, Component] = MappingProxyType(self._components)
         self.configurations: Mapping[str, Configuration] = MappingProxyType(self._configurations)
@@ -235,6 +235,10 @@ class Model:
             self._owned("what a fact is about", fact.element, Changeable)
         self._facts.append(checked_fact(self, fact))
 
+    def watch(self, observer: Observer) -> None:
+        """Have something told of every change from now on, for as long as anybody else holds it."""
+        self._observers.append(ref(observer, self._observers.remove))
+
     @classmethod
     def load(cls, paths: str | Path | Iterable[str | Path], name: str | None = None) -> "Model":
         """Read a model from one file or several, each of which may add to those before it.
@@ -278,7 +282,7 @@ class Model:
         self._owned("changed", element, Changeable)
         for name, value in checked_changes(element, fields).items():
             object.__setattr__(element, name, value)
-        for observer in tuple(self._observers):
+        for observer in self._watching():
             observer.model_changed(element)
 
     def remove(self, element: Changeable) -> None:
@@ -297,7 +301,7 @@ class Model:
             else:
                 del self._table(one)[one.name]
         self._facts = [fact for fact in self._facts if not concerns(fact, removed)]
-        for observer in tuple(self._observers):
+        for observer in self._watching():
             observer.model_shrank(removed)
 
     def __eq__(self, other: object) -> bool:
@@ -333,8 +337,11 @@ class Model:
         return constraint
 
     def _grew(self, added: Sequence[Changeable]) -> None:
-        for observer in tuple(self._observers):
+        for observer in self._watching():
             observer.model_grew(added)
+
+    def _watching(self) -> list[Observer]:
+        return [observer for one in tuple(self._observers) if (observer := one()) is not None]
 
     def _table(self, element: Element) -> dict[str, Any]:
         tables: dict[type[Element], dict[str, Any]] = {

@@ -4,6 +4,7 @@
 anything. A knowledge base adds facts to this.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from threading import RLock
 from typing import Any, Final
@@ -12,8 +13,10 @@ from kb.declarations import listed
 from kb.elements import Element, Parameters
 from kb.exceptions import AmbiguousName, InvalidValue, UnknownName
 from kb.explanation import Explanation, explain
-from kb.inference import Network, Node, Overlay, State, is_adaptable
+from kb.history import History
+from kb.network import Network, Node
 from kb.reconfiguration import Obsolete, obsolete, reselect
+from kb.state import Overlay, State
 from kb.status import Status
 from kb.views import (
     ActionView,
@@ -32,30 +35,34 @@ ELEMENTS: Final = ("action", "function", "component", "function design", "config
 """The kinds of elements that have a status; all but constraints have a name too."""
 
 
-class Questions:
+class Questions(ABC):
     """Everything that can be asked.
 
     Args:
         network: what depends on what.
-        state: the facts and statuses to answer from.
-        clock: gives the time [s]; for the age of measurements in explanations.
+        clock: gives the time [s]; for the age of measurements.
 
     Attributes:
         actions, functions, components, designs, configurations, attributes: views by name.
     """
 
-    def __init__(self, network: Network, state: State, clock: Callable[[], float]) -> None:
+    def __init__(self, network: Network, clock: Callable[[], float]) -> None:
         self._network = network
-        self._state = state
         self._clock = clock
         self._lock = RLock()
         self._in_force: dict[str, Parameters] = {}
+        self._histories: dict[int, History] = {}
         self.actions = Views(self, "action", network.actions, ActionView)
         self.functions = Views(self, "function", network.functions, FunctionView)
         self.components = Views(self, "component", network.components, ComponentView)
         self.designs = Views(self, "function design", network.designs, DesignView)
         self.configurations = Views(self, "configuration", network.configurations, ConfigurationView)
         self.attributes = Views(self, "attribute", network.attributes, AttributeView)
+
+    @property
+    @abstractmethod
+    def _state(self) -> State:
+        """The facts and statuses to answer from."""
 
     def is_feasible(self, action: str) -> bool:
         """Tell whether an action can be done now: its status is not "unfeasible"."""
@@ -114,6 +121,12 @@ class Questions:
         with self._lock:
             return explain(self._state, self._node(element, ELEMENTS), self._clock())
 
+    def _history_of(self, attribute: Node) -> History:
+        history = self._histories.get(attribute.index)
+        if history is None:
+            history = self._histories[attribute.index] = History()
+        return history
+
     def _selectable(self, nodes: Iterable[Node]) -> tuple[str, ...]:
         status = self._state.status
         return tuple(node.name for node in nodes if status[node.index] is not Status.UNFEASIBLE)
@@ -153,4 +166,4 @@ def _allowed(node: Node, kinds: Iterable[str]) -> Node:
 
 
 def _adaptable(state: State, kind: str) -> tuple[str, ...]:
-    return tuple(node.name for node in state.watch() if node.kind == kind and is_adaptable(state, node))
+    return tuple(node.name for node in state.adaptable.nodes() if node.kind == kind)

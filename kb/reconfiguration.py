@@ -68,8 +68,12 @@ class ReconfigurationPlan:
 
 def obsolete(state: State) -> Obsolete:
     """Return what is obsolete: selected or active for no required function (an asserted `required` does not count)."""
-    components, designs, configurations = _obsolete_nodes(state)
-    return Obsolete(_names(components), _names(designs), _names(configurations))
+    nodes = state.obsolete.nodes()
+    return Obsolete(
+        _names(node for node in nodes if node.kind == "component"),
+        _names(node for node in nodes if node.kind == "function design"),
+        _names(node for node in nodes if node.kind == "configuration"),
+    )
 
 
 def reselect(state: State, designs: Iterable[Node], configurations: Iterable[Node]) -> Selection:
@@ -81,19 +85,14 @@ def reselect(state: State, designs: Iterable[Node], configurations: Iterable[Nod
     replaced, changed = _choose(state, designs)
     _, newly_configured = _choose(state, configurations)
     changes = settle(state, [*changed, *newly_configured])
-    idle, idle_designs, idle_configurations = _obsolete_nodes(state)
-    for node in (*idle_designs, *idle_configurations):
+    idle = [node for node in state.obsolete.nodes() if node.kind == "component"]
+    unselected = [node for node in state.obsolete.nodes() if node.kind != "component"]
+    for node in unselected:
         state.selected[node.index] = False
-    changes += settle(state, (*idle_designs, *idle_configurations))
-    needed = dict.fromkeys(
-        component
-        for design in state.watch()
-        if design.kind == "function design" and state.selected[design.index] and state.required[design.wholes[0].index]
-        for component in design.parts
-    )
-    given_up = [component for design in replaced for component in design.parts if component not in needed]
+    changes += settle(state, unselected)
+    given_up = [part for design in replaced for part in design.parts if not _is_needed(state, part)]
     return Selection(
-        activate=_names(node for node in needed if not state.active[node.index]),
+        activate=_names(_lacking(state)),
         deactivate=_names(node for node in dict.fromkeys([*given_up, *idle]) if state.active[node.index]),
         parameters=_names(node for node in newly_configured if state.selected[node.index]),
         changes=tuple(changes),
@@ -115,23 +114,18 @@ def _choose(state: State, chosen: Iterable[Node]) -> tuple[list[Node], list[Node
     return replaced, changed
 
 
-def _obsolete_nodes(state: State) -> tuple[list[Node], list[Node], list[Node]]:
-    components: list[Node] = []
-    designs: list[Node] = []
-    configurations: list[Node] = []
-    for node in state.watch():
-        if node.kind == "component" and state.active[node.index] and not _could_serve(state, node):
-            components.append(node)
-        elif node.kind == "function design" and state.selected[node.index] and not state.required[node.wholes[0].index]:
-            designs.append(node)
-        elif node.kind == "configuration" and state.selected[node.index] and not _could_serve(state, node.wholes[0]):
-            configurations.append(node)
-    return components, designs, configurations
+def _lacking(state: State) -> list[Node]:
+    """Return the inactive components of selected designs of required functions, by design."""
+    lacking = state.lacking.nodes()
+    users = {user.index: user for component in lacking for user in state.users[component.index]}
+    designs = [users[index] for index in sorted(users) if state.required[users[index].wholes[0].index]]
+    inactive = (part for design in designs for part in design.parts if not state.active[part.index])
+    return list(dict.fromkeys(inactive))
 
 
-def _could_serve(state: State, component: Node) -> bool:
-    """Tell whether the component is in a design, selected or not, of a required function."""
-    return any(state.required[design.wholes[0].index] for design in component.wholes)
+def _is_needed(state: State, component: Node) -> bool:
+    """Tell whether a selected design of a required function contains the component."""
+    return any(state.required[design.wholes[0].index] for design in state.users[component.index])
 
 
 def _names(nodes: Iterable[Node]) -> tuple[str, ...]:

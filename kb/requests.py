@@ -1,5 +1,6 @@
 """Actions that a mission asks for: the answer to a request, and the record of what was required."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
@@ -31,7 +32,8 @@ class RequiredAction:
 
     Attributes:
         action: its name.
-        preference: name of the attribute preferred when a configuration is chosen for it, or None.
+        preference: name of the attribute preferred when a configuration is chosen for it, or the weight of each of
+            several by name, or None.
         start: when it was requested [s].
         end: when it ended [s], None while it is open.
         result: "completed", "failed" or "abandoned", None while it is open.
@@ -39,7 +41,7 @@ class RequiredAction:
     """
 
     action: str
-    preference: str | None
+    preference: str | Mapping[str, float] | None
     start: float
     end: float | None = None
     result: str | None = None

@@ -13,6 +13,7 @@ from kb.elements import (
     ComponentKind,
     Configuration,
     Constraint,
+    Element,
     Function,
     FunctionDesign,
     Parameters,
@@ -51,6 +52,11 @@ class ElementView:
         """The element's name, unique within its kind."""
         return self._node.name
 
+    @property
+    def element(self) -> Element | Constraint:
+        """The element of the model that this is a view of, e.g. to amend it there."""
+        return self._node.element
+
     def __repr__(self) -> str:
         return f"<{self._node.kind} {self.name!r}>"
 
@@ -67,7 +73,8 @@ class _StatusView(ElementView):
     @property
     def status(self) -> Status:
         """The one status that the element has now."""
-        return self._base._state.status[self._node.index]
+        with self._base._lock:
+            return self._base._state.status[self._node.index]
 
 
 class ConstraintView(_StatusView):
@@ -267,6 +274,28 @@ class AttributeView(ElementView):
     def time(self) -> float | None:
         """When that was measured [s], or None."""
         return self._base._state.time[self._node.index]
+
+    @property
+    def is_stale(self) -> bool:
+        """Whether that is longer ago than `max_age`."""
+        return self._base._state.stale[self._node.index]
+
+    @property
+    def max_age(self) -> float:
+        """How long a measurement holds [s]."""
+        assert isinstance(self._node.element, Attribute)
+        return self._node.element.max_age
+
+    @property
+    def history(self) -> tuple[tuple[float, float], ...]:
+        """Every measurement so far, as (time [s], value), by time."""
+        with self._base._lock:
+            return self._base._history_of(self._node).samples()
+
+    def at(self, time: float) -> float | None:
+        """Return what the latest measurement was at a time [s]; None before the first."""
+        with self._base._lock:
+            return self._base._history_of(self._node).at(time)
 
 
 ViewT = TypeVar("ViewT", bound=ElementView)

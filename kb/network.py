@@ -1,0 +1,200 @@
+"""What depends on what in a model, as a network of nodes that grows and shrinks with the model."""
+
+import math
+from bisect import bisect_right, insort
+from collections.abc import Iterable
+from operator import itemgetter
+from typing import TYPE_CHECKING, Any, Final
+
+from kb.amendments import KINDS
+from kb.elements import Action, Attribute, Component, Configuration, Constraint, Element, Function, FunctionDesign
+from kb.exceptions import UnknownName
+
+if TYPE_CHECKING:
+    from kb.model import Model
+
+__all__ = ["LEVELS", "Network", "Node", "Thresholds"]
+
+LEVELS: Final = {
+    "constraint": 0,
+    "configuration": 1,
+    "component": 2,
+    "function design": 3,
+    "function": 4,
+    "action": 5,
+    "attribute": 6,
+}
+"""The order in which statuses are inferred; an attribute has none."""
+
+
+class Node:
+    """An element's place in the network.
+
+    Attributes:
+        index: its position in every array of a state.
+        constraints: the constraints on it (of an attribute: those that compare it).
+        parts: what its status is inferred from, one level or more below: a component's configurations, a design's
+            components, a function's designs, an action's functions, a constraint's attribute.
+        wholes: what is inferred from its status.
+    """
+
+    __slots__ = ("constraints", "element", "index", "kind", "level", "parts", "wholes")
+
+    def __init__(self, index: int, kind: str, element: Element | Constraint) -> None:
+        self.index = index
+        self.kind = kind
+        self.level = LEVELS[kind]
+        self.element = element
+        self.constraints: list[Node] = []
+        self.parts: list[Node] = []
+        self.wholes: list[Node] = []
+
+    @property
+    def name(self) -> str:
+        """The element's name; a constraint is called by its text."""
+        return self.element.name if isinstance(self.element, Element) else str(self.element)
+
+    def __repr__(self) -> str:
+        return f"<{self.kind} {self.name!r}>"
+
+
+class Thresholds:
+    """The constraints on one attribute in the order of the values at which they turn.
+
+    Each of the four comparisons turns at one value t: it is one thing below t and the other from t on. For `>` and
+    `<=` that is the next number above the written one.
+    """
+
+    def __init__(self, constraints: Iterable[Node]) -> None:
+        self._turns = sorted(((_turn(node), node) for node in constraints), key=_FIRST)
+
+    def add(self, node: Node) -> None:
+        """Add a constraint."""
+        insort(self._turns, (_turn(node), node), key=_FIRST)
+
+    def crossed(self, old: float, new: float) -> list[Node]:
+        """Return the constraints that are not for the new value what they were for the old one."""
+        low, high = sorted((bisect_right(self._turns, old, key=_FIRST), bisect_right(self._turns, new, key=_FIRST)))
+        return [node for _, node in self._turns[low:high]]
+
+    def around(self, value: float) -> list[float]:
+        """Return the written values nearest to a measured one on either side, if any."""
+        place = bisect_right(self._turns, value, key=_FIRST)
+        near = [node.element for _, node in self._turns[max(0, place - 1) : place + 1]]
+        return [constraint.value for constraint in near if isinstance(constraint, Constraint)]
+
+
+_FIRST = itemgetter(0)
+
+
+def _turn(node: Node) -> float:
+    assert isinstance(node.element, Constraint)
+    value = node.element.value
+    return value if node.element.operator in (">=", "<") else math.nextafter(value, math.inf)
+
+
+class Network:
+    """One node per element of a model, by name within its kind; constraints by themselves."""
+
+    def __init__(self, model: "Model") -> None:
+        self.model = model
+        self.nodes: list[Node] = []
+        self.attributes: dict[str, Node] = {}
+        self.components: dict[str, Node] = {}
+        self.configurations: dict[str, Node] = {}
+        self.functions: dict[str, Node] = {}
+        self.designs: dict[str, Node] = {}
+        self.actions: dict[str, Node] = {}
+        self.constraints: dict[Constraint, Node] = {}
+        self._thresholds: dict[Node, Thresholds] = {}
+        self._tables: dict[type, dict[Any, Node]] = {
+            Action: self.actions,
+            Attribute: self.attributes,
+            Component: self.components,
+            Configuration: self.configurations,
+            Constraint: self.constraints,
+            Function: self.functions,
+            FunctionDesign: self.designs,
+        }
+        for elements in (
+            model.attributes.values(),
+            model.components.values(),
+            model.configurations.values(),
+            model.functions.values(),
+            model.designs.values(),
+            model.actions.values(),
+            model.constraints,
+        ):
+            for element in elements:
+                self.add(element)
+
+    def find(self, element: Element | Constraint) -> Node:
+        """Return the node of an element of this model.
+
+        Raises:
+            UnknownName: it is not in the model, or no longer.
+        """
+        table = self._tables[type(element)]
+        node = table.get(element if isinstance(element, Constraint) else element.name)
+        if node is None or node.element is not element:
+            name = str(element) if isinstance(element, Constraint) else element.name
+            raise UnknownName(KINDS[type(element)], name, [str(one) for one in table])
+        return node
+
+    def add(self, element: Element | Constraint) -> Node:
+        """Add the node of an element whose parts are there already."""
+        node = Node(len(self.nodes), KINDS[type(element)], element)
+        self.nodes.append(node)
+        if isinstance(element, Constraint):
+            self.constraints[element] = node
+            attribute = self.attributes[element.attribute]
+            node.parts.append(attribute)
+            attribute.constraints.append(node)
+            if attribute in self._thresholds:
+                self._thresholds[attribute].add(node)
+            for constrained in dict.fromkeys(element.constrained):
+                target = self._tables[type(constrained)][constrained.name]
+                target.constraints.append(node)
+                node.wholes.append(target)
+            return node
+        self._tables[type(element)][element.name] = node
+        if isinstance(element, Configuration):
+            _join(node, self.components[element.component])
+        elif isinstance(element, FunctionDesign):
+            for name in element.components:
+                _join(self.components[name], node)
+            _join(node, self.functions[element.function])
+        elif isinstance(element, Action):
+            for name in dict.fromkeys(element.functions):
+                _join(self.functions[name], node)
+        return node
+
+    def remove(self, node: Node) -> list[Node]:
+        """Take out a node; returns what depended on it. Its place in the arrays stays empty."""
+        element = node.element
+        del self._tables[type(element)][element if isinstance(element, Constraint) else element.name]
+        wholes = list(node.wholes)
+        for whole in wholes:
+            (whole.constraints if node.kind == "constraint" else whole.parts).remove(node)
+        for part in node.parts:
+            (part.constraints if part.kind == "attribute" else part.wholes).remove(node)
+            self._thresholds.pop(part, None)
+        for constraint in node.constraints:
+            constraint.wholes.remove(node)
+        return wholes
+
+    def moved(self, constraint: Node) -> None:
+        """Take note that the value of a constraint is another."""
+        self._thresholds.pop(constraint.parts[0], None)
+
+    def thresholds(self, attribute: Node) -> Thresholds:
+        """Return the constraints on an attribute in order."""
+        found = self._thresholds.get(attribute)
+        if found is None:
+            found = self._thresholds[attribute] = Thresholds(attribute.constraints)
+        return found
+
+
+def _join(part: Node, whole: Node) -> None:
+    whole.parts.append(part)
+    part.wholes.append(whole)

@@ -1,0 +1,315 @@
+"""Facts in: what monitors and others tell, and what follows from it, told to those who listen."""
+
+import heapq
+import logging
+import math
+from collections.abc import Callable, Iterable
+
+from kb.declarations import parameters as checked_parameters
+from kb.diagnostics import DiagnosticProblem, Measurement, read_diagnostics
+from kb.elements import Attribute, Element, Parameters, finite_number
+from kb.events import Event, EventKind, Publisher, StatusChange
+from kb.exceptions import InvalidValue, KnowledgeBaseError
+from kb.explanation import shortest
+from kb.history import Process
+from kb.inference import Change, initial_state, settle
+from kb.network import Network, Node
+from kb.questions import ELEMENTS, Questions
+from kb.state import State
+from kb.status import STATUSES, Status
+from kb.views import ElementView
+
+__all__ = ["Telling"]
+
+_log = logging.getLogger(__name__)
+
+
+class Telling(Questions):
+    """Everything that can be told of the robot, from any thread.
+
+    Args:
+        network: what depends on what.
+        clock: gives the time [s].
+    """
+
+    def __init__(self, network: Network, clock: Callable[[], float]) -> None:
+        super().__init__(network, clock)
+        self._known = initial_state(network)
+        self._publisher = Publisher()
+        self._deadlines: list[tuple[float, int]] = []
+        self._aging: set[int] = set()
+        self._processes: list[Process] = []
+        self._rejected = 0
+        self._revision = 0
+
+    @property
+    def _state(self) -> State:
+        """The facts, of which none is older than it may be."""
+        if self._deadlines:
+            self._expire()
+        return self._known
+
+    def measure(self, attribute: str, value: float) -> None:
+        """Tell that an attribute was measured just now.
+
+        Raises:
+            UnknownName: no such attribute.
+            InvalidValue: not a finite number; the facts are as they were.
+        """
+        node = self.attributes.node(attribute)
+        number = value if type(value) is float and math.isfinite(value) else _measured(attribute, value)
+        with self._lock:
+            now = self._clock()
+            touched = self._take_measurement(node, number, now)
+            self._tell(EventKind.MONITORING_DATA, now, node, lambda: self._reading(node, number), touched, plain=True)
+
+    def component_failed(self, component: str) -> None:
+        """Tell that a component has failed."""
+        self._report(component, failed=True)
+
+    def component_recovered(self, component: str) -> None:
+        """Tell that a component has not failed, or no longer."""
+        self._report(component, failed=False)
+
+    def component_active(self, component: str, active: bool) -> None:
+        """Tell whether a component is running."""
+        node = self.components.node(component)
+        running = _yes("active", active)
+        with self._lock:
+            if self._known.active[node.index] == running:
+                return
+            now = self._clock()
+            self._known.active[node.index] = running
+            words = "active" if running else "inactive"
+            self._tell(EventKind.MONITORING_DATA, now, node, lambda: f"{node.name} is {words}")
+
+    def component_configured(self, component: str, parameters: Parameters) -> None:
+        """Tell which parameters a component was given; see `parameters_in_force` of its view."""
+        node = self.components.node(component)
+        with self._lock:
+            self._in_force[node.name] = dict(checked_parameters(node.name, parameters))
+
+    def component_started(self, component: str, pid: int) -> Process:
+        """Tell that a component runs as a process of the operating system, whether it is active already or not."""
+        node = self.components.node(component)
+        if not isinstance(pid, int) or isinstance(pid, bool) or pid < 0:
+            raise InvalidValue(f"a process number is a whole number from 0, not {pid!r}")
+        with self._lock:
+            process = Process(node.name, pid, self._clock())
+            self._processes.append(process)
+            return process
+
+    def component_ended(self, component: str, pid: int | None = None) -> None:
+        """Tell that the process of a component has ended: that of a number, or all of them."""
+        node = self.components.node(component)
+        with self._lock:
+            now = self._clock()
+            for process in self._processes:
+                if process.component == node.name and process.end is None and pid in (None, process.pid):
+                    process._finish(now)
+
+    @property
+    def processes(self) -> tuple[Process, ...]:
+        """Every process that a component ran as, in the order in which they were started."""
+        with self._lock:
+            return tuple(self._processes)
+
+    def receive(self, diagnostics: object) -> tuple[DiagnosticProblem, ...]:
+        """Take in a DiagnosticArray; see `kb.diagnostics` for the forms in which it may come.
+
+        Returns:
+            What could not be used, and why; all the rest has been taken in. These are logged and counted in
+            `rejected` too.
+        """
+        problems = []
+        for reading in read_diagnostics(diagnostics):
+            if isinstance(reading, DiagnosticProblem):
+                problems.append(reading)
+                continue
+            try:
+                if isinstance(reading, Measurement):
+                    self.measure(reading.attribute, reading.value)
+                else:
+                    self._report(reading.component, reading.failed)
+            except KnowledgeBaseError as error:
+                problems.append(DiagnosticProblem(reading[0], reading.written, str(error)))
+        for problem in problems:
+            _log.warning("diagnostics: %s", problem)
+        with self._lock:
+            self._rejected += len(problems)
+        return tuple(problems)
+
+    def assert_status(self, element: ElementView | Element | str, status: Status | str) -> None:
+        """State an element's status outright; it stands in place of the inferred one until it is retracted."""
+        try:
+            wanted = Status(status)
+        except ValueError:
+            known = ", ".join(repr(str(one)) for one in Status)
+            raise InvalidValue(f"{status!r} is no status; a status is one of {known}") from None
+        self._assert_status(element, wanted)
+
+    def retract_status(self, element: ElementView | Element | str) -> None:
+        """Take back an asserted status; the inferred one holds again."""
+        self._assert_status(element, None)
+
+    def assert_required(self, element: ElementView | Element | str, required: bool | None) -> None:
+        """State that an element is required; False or None takes that back and hides no inferred requirement."""
+        with self._lock:
+            node = self._node(element, ("action", "function", "component"), unique=True)
+            now = self._clock()
+            self._known.asserted_required[node.index] = required is not None and _yes("required", required)
+            words = "asserted required" if required else "no longer asserted required"
+            self._tell(EventKind.MONITORING_DATA, now, node, lambda: f"{node.name} is {words}")
+
+    def assert_selected(self, element: ElementView | Element | str, selected: bool | None) -> None:
+        """State that a design or configuration is the selected one, or is not."""
+        with self._lock:
+            node = self._node(element, ("function design", "configuration"), unique=True)
+            now = self._clock()
+            self._known.selected[node.index] = selected is not None and _yes("selected", selected)
+            words = "selected" if selected else "not selected"
+            self._tell(EventKind.MONITORING_DATA, now, node, lambda: f"{node.name} is {words}")
+
+    @property
+    def rejected(self) -> int:
+        """How many parts of diagnostics could not be used so far."""
+        return self._rejected
+
+    @property
+    def revision(self) -> int:
+        """Grows whenever a fact changed that can matter to a planner: a measurement only if a status changed by it."""
+        if self._deadlines:
+            self._expire()
+        return self._revision
+
+    def subscribe(self, callback: Callable[[Event], None]) -> Callable[[], None]:
+        """Have a function called with every event, in order; returns how to stop that.
+
+        It is called by the thread that told, which holds the base meanwhile: it may ask and tell, but must not wait
+        for another thread that does. What it raises is logged and reaches nobody else.
+        """
+        return self._publisher.subscribe(callback)
+
+    def _take_measurement(self, node: Node, value: float, time: float) -> list[Node]:
+        """Set the latest measurement of an attribute; returns the constraints whose status it may change."""
+        state, index = self._known, node.index
+        before, was_stale = state.value[index], state.stale[index]
+        state.value[index], state.time[index], state.stale[index] = value, time, False
+        self._history_of(node).add(time, value)
+        element = node.element
+        assert isinstance(element, Attribute)
+        if element.max_age != math.inf:
+            self._watch_age(node, time + element.max_age)
+        if before is None or was_stale:
+            return node.constraints
+        return [] if value == before else self._network.thresholds(node).crossed(before, value)
+
+    def _watch_age(self, node: Node, deadline: float) -> None:
+        if node.index not in self._aging:
+            self._aging.add(node.index)
+            heapq.heappush(self._deadlines, (deadline, node.index))
+
+    def _renew_age(self, node: Node) -> None:
+        """Take note that an attribute's maximum age is another, or what its measurement counts as after that."""
+        time, element = self._known.time[node.index], node.element
+        assert isinstance(element, Attribute)
+        self._known.stale[node.index] = False
+        self._deadlines = [one for one in self._deadlines if one[1] != node.index]
+        heapq.heapify(self._deadlines)
+        self._aging.discard(node.index)
+        if time is not None and element.max_age != math.inf:
+            self._watch_age(node, time + element.max_age)
+        settle(self._known, node.constraints)
+
+    def _expire(self) -> None:
+        """Take note of the measurements that have grown too old since somebody last looked."""
+        now = self._clock()
+        if now <= self._deadlines[0][0]:
+            return
+        with self._lock:
+            while self._deadlines and now > self._deadlines[0][0]:
+                _, index = heapq.heappop(self._deadlines)
+                self._aging.remove(index)
+                self._grow_old(self._network.nodes[index], now)
+
+    def _grow_old(self, node: Node, now: float) -> None:
+        time, element = self._known.time[node.index], node.element
+        assert isinstance(element, Attribute)
+        if time is None or element.max_age == math.inf:
+            return
+        if now <= time + element.max_age:  # measured again since, or allowed to be older
+            self._watch_age(node, time + element.max_age)
+            return
+        self._known.stale[node.index] = True
+        text = f"{node.name} is stale: measured {now - time:.1f} s ago, at most {element.max_age:g} s"
+        self._tell(EventKind.MONITORING_DATA, now, node, lambda: text, node.constraints, plain=True)
+
+    def _report(self, component: str, failed: bool) -> None:
+        node = self.components.node(component)
+        with self._lock:
+            now, state = self._clock(), self._known
+            retracts = not failed and state.asserted[node.index] is Status.FAILURE
+            if retracts:
+                state.asserted[node.index] = None
+            elif state.failed[node.index] == failed:
+                return
+            state.failed[node.index] = failed
+            words = "has failed" if failed else "is recovered"
+            self._tell(EventKind.MONITORING_DATA, now, node, lambda: f"{node.name} {words}")
+
+    def _assert_status(self, element: ElementView | Element | str, status: Status | None) -> None:
+        with self._lock:
+            node = self._node(element, ELEMENTS, unique=True)
+            if status is not None and status not in STATUSES[node.kind]:
+                known = ", ".join(STATUSES[node.kind])
+                raise InvalidValue(f"a {node.kind} is never {status!s}; it can be {known}")
+            now = self._clock()
+            self._known.asserted[node.index] = status
+            words = f"asserted {status}" if status else "no longer asserted"
+            self._tell(EventKind.MONITORING_DATA, now, node, lambda: f"{node.name} is {words}")
+
+    def _tell(
+        self,
+        kind: EventKind,
+        now: float,
+        node: Node,
+        text: Callable[[], str],
+        touched: Iterable[Node] | None = None,
+        plain: bool = False,
+    ) -> None:
+        """Infer what follows from changed facts and publish it.
+
+        Args:
+            kind: of the event.
+            now: the time [s].
+            node: what the event is about.
+            text: gives the event in words.
+            touched: the nodes whose facts changed, if not the one that the event is about.
+            plain: it matters only if a status changed by it.
+        """
+        changes = settle(self._known, [node] if touched is None else touched)
+        if changes or not plain:
+            self._revision += 1
+        if self._publisher:
+            self._publisher.publish(Event(kind, now, node.name, text(), status_changes(changes)))
+
+    def _reading(self, attribute: Node, value: float) -> str:
+        return f"{attribute.name} is {shortest(value, self._network.thresholds(attribute).around(value))}"
+
+
+def status_changes(changes: Iterable[Change]) -> tuple[StatusChange, ...]:
+    """Name the elements whose statuses changed."""
+    return tuple(StatusChange(node.kind, node.name, old, new) for node, old, new in changes)
+
+
+def _yes(what: str, value: object) -> bool:
+    if isinstance(value, bool):
+        return value
+    raise InvalidValue(f"{what} is True or False, not {value!r}")
+
+
+def _measured(attribute: str, value: object) -> float:
+    try:
+        return finite_number(value)
+    except InvalidValue as error:
+        raise InvalidValue(f"{attribute} cannot be measured as {value!r}: {error}") from None
