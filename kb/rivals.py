@@ -132,8 +132,7 @@ def _covering(preferred: Sequence[tuple[Node, Bounds]], needed: Bounds) -> str:
         wanted = needed.get(attribute.name)
         if wanted is None and _can_be_violated_by_age(attribute):
             continue
-        offers.sort(key=lambda offer: (offer[0].low, offer[0].low_open))
-        if _united([interval for interval, _ in offers], wanted or Interval()):
+        if _leave_no_gap([interval for interval, _ in offers], wanted or Interval()):
             return " or ".join(name for _, name in offers)
     return ""
 
@@ -143,17 +142,19 @@ def _can_be_violated_by_age(attribute: Node) -> bool:
     return isinstance(element, Attribute) and element.when_stale is StalePolicy.VIOLATED and element.max_age < math.inf
 
 
-def _united(intervals: Iterable[Interval], wanted: Interval) -> bool:
-    """Tell whether intervals, in order of their lower bounds, leave no gap in the wanted one."""
+def _leave_no_gap(intervals: Iterable[Interval], wanted: Interval) -> bool:
+    """Tell whether every value that is wanted lies in one of the intervals."""
     reached: Interval | None = None
-    for one in intervals:
-        if reached is None:
+    for one in sorted(intervals, key=lambda interval: (interval.low, interval.low_open)):
+        if (
+            reached is None
+            or one.low > reached.high
+            or (one.low == reached.high and one.low_open and reached.high_open)
+        ):
             reached = one
-        elif one.low < reached.high or (one.low == reached.high and not (one.low_open and reached.high_open)):
+        else:
             high, high_closed = max((reached.high, not reached.high_open), (one.high, not one.high_open))
             reached = Interval(reached.low, high, reached.low_open, not high_closed)
-        else:
-            reached = one
         if reached.covers(wanted):
             return True
     return False
