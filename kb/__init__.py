@@ -1,22 +1,27 @@
 """What a robot knows: which actions are feasible now, why, and how it has to be configured for what it does."""
 
 from kb.diagnostics import DiagnosticProblem
-from kb.elements import AttributeKind, ComponentKind, EstimationKind, Expression
+from kb.elements import AttributeKind, ComponentKind, EstimationKind, Expression, StalePolicy
 from kb.events import Event, EventKind, StatusChange
 from kb.exceptions import AmbiguousName, DuplicateName, InvalidValue, KnowledgeBaseError, ModelError, UnknownName
 from kb.execution import StagedExecutor
 from kb.explanation import Explanation
+from kb.history import Process
+from kb.judge import Finding
 from kb.knowledge_base import KnowledgeBase
 from kb.managed import ManagedObject, ManagedObjects, ManagedSystem, Operation
 from kb.manager import ConfigurationManager, Executor, Monitor, Planner, PriorityPlanner
 from kb.model import Model
 from kb.reconfiguration import Obsolete, ReconfigurationPlan
 from kb.requests import Reply, RequiredAction
+from kb.selection import Choice
+from kb.situation import Situation
 from kb.status import Status
 
 __all__ = [
     "AmbiguousName",
     "AttributeKind",
+    "Choice",
     "ComponentKind",
     "ConfigurationManager",
     "DiagnosticProblem",
@@ -27,6 +32,7 @@ __all__ = [
     "Executor",
     "Explanation",
     "Expression",
+    "Finding",
     "InvalidValue",
     "KnowledgeBase",
     "KnowledgeBaseError",
@@ -40,10 +46,13 @@ __all__ = [
     "Operation",
     "Planner",
     "PriorityPlanner",
+    "Process",
     "ReconfigurationPlan",
     "Reply",
     "RequiredAction",
+    "Situation",
     "StagedExecutor",
+    "StalePolicy",
     "Status",
     "StatusChange",
     "UnknownName",

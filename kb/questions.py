@@ -10,12 +10,13 @@ from threading import RLock
 from typing import Any, Final
 
 from kb.declarations import listed
-from kb.elements import Element, Parameters
+from kb.elements import Configuration, Element, FunctionDesign, Parameters
 from kb.exceptions import AmbiguousName, InvalidValue, UnknownName
 from kb.explanation import Explanation, explain
 from kb.history import History
 from kb.network import Network, Node
 from kb.reconfiguration import Obsolete, obsolete, reselect
+from kb.selection import Choice, first_by_priority
 from kb.state import Overlay, State
 from kb.status import Status
 from kb.views import (
@@ -87,6 +88,21 @@ class Questions(ABC):
         with self._lock:
             return self._selectable(self.components.node(component).parts)
 
+    def best_configuration(self, action: str) -> Choice | None:
+        """Return how the robot is best configured for an action by itself, by priority; None while it is unfeasible.
+
+        Args:
+            action: its name; it need not be required.
+        """
+        node = self.actions.node(action)
+        with self._lock:
+            if self._state.status[node.index] is Status.UNFEASIBLE:
+                return None
+            designs = {function: self._best(function) for function in node.parts}
+            components = dict.fromkeys(part for design in designs.values() if design for part in design.parts)
+            configurations = {component: self._best(component) for component in components}
+            return Choice(_by_name(designs), _by_name(configurations))
+
     def adaptable_functions(self) -> tuple[str, ...]:
         """Names of the functions for which a design has to be chosen, or may be chosen better."""
         with self._lock:
@@ -126,6 +142,14 @@ class Questions(ABC):
         if history is None:
             history = self._histories[attribute.index] = History()
         return history
+
+    def _best(self, whole: Node) -> Node | None:
+        """Return the part of a function or component that is selectable and comes first by priority."""
+        parts = {part.name: part for part in whole.parts if self._state.status[part.index] is not Status.UNFEASIBLE}
+        first = first_by_priority(
+            part.element for part in parts.values() if isinstance(part.element, FunctionDesign | Configuration)
+        )
+        return None if first is None else parts[first]
 
     def _selectable(self, nodes: Iterable[Node]) -> tuple[str, ...]:
         status = self._state.status
@@ -167,3 +191,7 @@ def _allowed(node: Node, kinds: Iterable[str]) -> Node:
 
 def _adaptable(state: State, kind: str) -> tuple[str, ...]:
     return tuple(node.name for node in state.adaptable.nodes() if node.kind == kind)
+
+
+def _by_name(chosen: Mapping[Node, Node | None]) -> dict[str, str]:
+    return {whole.name: part.name for whole, part in chosen.items() if part}

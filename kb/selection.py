@@ -1,9 +1,9 @@
 """Which of several possibilities to choose; pure, so that it can be replaced and tried by itself."""
 
-from collections.abc import Iterable
-from typing import Protocol
+from collections.abc import Iterable, Mapping
+from typing import NamedTuple, Protocol
 
-__all__ = ["Candidate", "first_by_priority"]
+__all__ = ["Candidate", "Choice", "first_by_priority"]
 
 
 class Candidate(Protocol):
@@ -16,6 +16,13 @@ class Candidate(Protocol):
     @property
     def priority(self) -> int | None:
         """Its priority; the lowest number is preferred."""
+
+
+class Choice(NamedTuple):
+    """A design for each function and a configuration for each component that has some, by name."""
+
+    designs: Mapping[str, str]
+    configurations: Mapping[str, str]
 
 
 def first_by_priority(candidates: Iterable[Candidate]) -> str | None:

@@ -36,6 +36,7 @@ class Telling(Questions):
         super().__init__(network, clock)
         self._known = initial_state(network)
         self._publisher = Publisher()
+        self._deadline = math.inf
         self._deadlines: list[tuple[float, int]] = []
         self._aging: set[int] = set()
         self._processes: list[Process] = []
@@ -45,8 +46,7 @@ class Telling(Questions):
     @property
     def _state(self) -> State:
         """The facts, of which none is older than it may be."""
-        if self._deadlines:
-            self._expire()
+        self._look_at_the_clock()
         return self._known
 
     def measure(self, attribute: str, value: float) -> None:
@@ -178,8 +178,7 @@ class Telling(Questions):
     @property
     def revision(self) -> int:
         """Grows whenever a fact changed that can matter to a planner: a measurement only if a status changed by it."""
-        if self._deadlines:
-            self._expire()
+        self._look_at_the_clock()
         return self._revision
 
     def subscribe(self, callback: Callable[[Event], None]) -> Callable[[], None]:
@@ -208,28 +207,32 @@ class Telling(Questions):
         if node.index not in self._aging:
             self._aging.add(node.index)
             heapq.heappush(self._deadlines, (deadline, node.index))
+            self._deadline = self._deadlines[0][0]
 
     def _renew_age(self, node: Node) -> None:
         """Take note that an attribute's maximum age is another, or what its measurement counts as after that."""
         time, element = self._known.time[node.index], node.element
         assert isinstance(element, Attribute)
         self._known.stale[node.index] = False
-        self._deadlines = [one for one in self._deadlines if one[1] != node.index]
-        heapq.heapify(self._deadlines)
-        self._aging.discard(node.index)
+        if node.index in self._aging:
+            self._aging.remove(node.index)
+            self._deadlines = [one for one in self._deadlines if one[1] != node.index]
+            heapq.heapify(self._deadlines)
+            self._deadline = self._deadlines[0][0] if self._deadlines else math.inf
         if time is not None and element.max_age != math.inf:
             self._watch_age(node, time + element.max_age)
         settle(self._known, node.constraints)
 
-    def _expire(self) -> None:
+    def _look_at_the_clock(self) -> None:
         """Take note of the measurements that have grown too old since somebody last looked."""
-        now = self._clock()
-        if now <= self._deadlines[0][0]:
+        if self._deadline == math.inf or self._clock() <= self._deadline:
             return
         with self._lock:
-            while self._deadlines and now > self._deadlines[0][0]:
+            now = self._clock()
+            while now > self._deadline:
                 _, index = heapq.heappop(self._deadlines)
                 self._aging.remove(index)
+                self._deadline = self._deadlines[0][0] if self._deadlines else math.inf
                 self._grow_old(self._network.nodes[index], now)
 
     def _grow_old(self, node: Node, now: float) -> None:

@@ -24,6 +24,8 @@ class Naive:
     def __init__(self, model):
         self.model = model
         self.value = {}
+        self.time = {}  # of the measurements, by name of attribute
+        self.now = 0.0
         self.failed = set()
         self.active = set()
         self.designs = set()  # names of the selected ones
@@ -79,6 +81,9 @@ class Naive:
         constraint = self.model.constraints[number]
         if constraint.attribute not in self.value:
             return "not evaluated"
+        attribute = self.model.attributes[constraint.attribute]
+        if self.now - self.time.get(constraint.attribute, self.now) > attribute.max_age:
+            return str(attribute.when_stale)
         holds = COMPARE[constraint.operator](self.value[constraint.attribute], constraint.value)
         return "satisfied" if holds else "violated"
 

@@ -1,0 +1,168 @@
+"""What a model states from the start is what a knowledge base made of it begins with."""
+
+import pytest
+from models import Clock
+
+from kb import InvalidValue, KnowledgeBase, Model, ModelError, Status, UnknownName
+from kb.facts import (
+    ActiveFact,
+    MeasurementFact,
+    PlanFact,
+    ProcessFact,
+    RequiredActionFact,
+    RequiredFact,
+    SelectedFact,
+    StatusFact,
+)
+
+
+@pytest.fixture
+def model():
+    model = Model("rover")
+    light = model.environmental_attribute("light", max_age=10.0)
+    model.quality_attribute("energy")
+    camera = model.component("camera", kind="process")
+    camera.configuration("day", {"exposure": 0.01}, priority=1, constraints=[light >= 0.5])
+    see = model.function("see")
+    see.design("by camera", [camera])
+    model.action("explore", requires=[see])
+    return model
+
+
+def begun(model, *facts, now=100.0):
+    for fact in facts:
+        model.add_fact(fact)
+    return KnowledgeBase(model, clock=Clock(now))
+
+
+def test_measurements_that_are_stated_are_measured_and_remembered(model):
+    kb = begun(
+        model,
+        MeasurementFact("light", 0.4, 95.0),
+        MeasurementFact("light", 0.9, 90.0, latest=False),
+        MeasurementFact("energy", 1.0),
+    )
+    light = kb.attributes["light"]
+    assert (light.value, light.time, light.is_stale) == (0.4, 95.0, False)
+    assert light.history == ((90.0, 0.9), (95.0, 0.4))
+    assert [light.at(time) for time in (89.0, 90.0, 94.9, 95.0, 200.0)] == [None, 0.9, 0.9, 0.4, 0.4]
+    assert (kb.attributes["energy"].value, kb.attributes["energy"].time) == (1.0, 100.0)
+    assert kb.components["camera"].status is Status.UNFEASIBLE
+
+
+def test_a_stated_measurement_may_be_too_old_from_the_start(model):
+    kb = begun(model, MeasurementFact("light", 0.4, 50.0))
+    assert kb.attributes["light"].is_stale
+    assert kb.is_feasible("explore")
+
+
+def test_a_configured_robot_at_work_may_be_stated(model):
+    kb = begun(
+        model,
+        RequiredActionFact("explore", {"energy": 1.0}),
+        SelectedFact(model.designs["by camera"]),
+        SelectedFact(model.configurations["day"]),
+        ActiveFact("camera"),
+        ProcessFact("camera", 4711, 80.0),
+    )
+    assert kb.actions["explore"].status is Status.SOLVED
+    (required,) = kb.required_actions
+    assert (required.action, required.preference, required.start) == ("explore", "energy", 100.0)
+    (process,) = kb.processes
+    assert (process.component, process.pid, process.start, process.end) == ("camera", 4711, 80.0, None)
+    kb.component_ended("camera", 4711)
+    assert kb.processes[0].end == 100.0
+    kb.cancel_action("explore", "completed")
+    assert kb.obsolete() == (("camera",), ("by camera",), ("day",))
+
+
+def test_stated_statuses_and_requirements_stand_until_they_are_taken_back(model):
+    kb = begun(model, StatusFact(model.functions["see"], Status.UNFEASIBLE), RequiredFact(model.components["camera"]))
+    assert not kb.is_feasible("explore")
+    assert kb.components["camera"].status is Status.UNSOLVED
+    kb.retract_status(kb.functions["see"])
+    kb.assert_required(kb.components["camera"], None)
+    assert kb.is_feasible("explore")
+    assert kb.components["camera"].status is Status.FEASIBLE
+
+
+def test_what_is_stated_to_have_ended_is_remembered_and_no_longer_open(model):
+    kb = begun(
+        model,
+        RequiredActionFact("explore", None, 10.0, 20.0, "completed"),
+        RequiredActionFact("explore", {"energy": 2.0, "light": 1.0}, 30.0),
+        PlanFact(activate=("camera",), parameters=("day",), start=10.0, end=11.0, result="completed"),
+        PlanFact(deactivate=("camera",), start=20.0),
+    )
+    past, present = kb.action_history
+    assert (past.start, past.end, past.result) == (10.0, 20.0, "completed")
+    assert dict(present.preference) == {"energy": 2.0, "light": 1.0}
+    assert kb.required_actions == (present,)
+    assert kb.actions["explore"].is_required
+    done, pending = kb.plans
+    assert (done.activate, done.parameters, done.result) == (("camera",), ("day",), "completed")
+    assert kb.pending_plan is pending
+    assert pending.deactivate == ("camera",)
+    assert kb.finish_plan(pending, "abandoned")
+
+
+@pytest.mark.parametrize(
+    ("fact", "error", "words"),
+    [
+        (MeasurementFact("lihgt", 1.0), UnknownName, "did you mean 'light'"),
+        (MeasurementFact("light", float("inf")), InvalidValue, "finite"),
+        (ActiveFact("lidar"), UnknownName, "unknown component 'lidar'"),
+        (RequiredActionFact("sleep"), UnknownName, "unknown action 'sleep'"),
+        (RequiredActionFact("explore", {"power": 1.0}), UnknownName, "unknown attribute 'power'"),
+        (PlanFact(parameters=("night",)), UnknownName, "unknown configuration 'night'"),
+        ("light is on", ModelError, "a fact is one of those in kb.facts"),
+    ],
+)
+def test_facts_about_what_is_not_there_are_refused(model, fact, error, words):
+    with pytest.raises(error, match=words):
+        model.add_fact(fact)
+    assert model.facts == ()
+
+
+def test_facts_about_elements_of_another_model_are_refused(model):
+    other = Model("other")
+    with pytest.raises(ModelError, match="belongs to model 'other'"):
+        model.add_fact(RequiredFact(other.function("see")))
+
+
+def test_a_status_that_the_kind_never_has_is_refused(model):
+    with pytest.raises(InvalidValue, match="a configuration is never solved"):
+        model.add_fact(StatusFact(model.configurations["day"], Status.SOLVED))
+
+
+def test_facts_about_what_is_removed_go_with_it(model):
+    begun(model, SelectedFact(model.configurations["day"]), RequiredActionFact("explore"))
+    model.remove(model.configurations["day"])
+    assert model.facts == (RequiredActionFact("explore"),)
+
+
+def test_processes_are_told_by_component_and_number(model):
+    clock = Clock(1.0)
+    kb = KnowledgeBase(model, clock=clock)
+    kb.component_started("camera", 10)
+    clock.now = 2.0
+    kb.component_started("camera", 11)
+    clock.now = 3.0
+    kb.component_ended("camera", 10)
+    clock.now = 4.0
+    kb.component_ended("camera")
+    assert [(one.pid, one.start, one.end) for one in kb.processes] == [(10, 1.0, 3.0), (11, 2.0, 4.0)]
+    with pytest.raises(InvalidValue, match="a process number is a whole number from 0, not -1"):
+        kb.component_started("camera", -1)
+    with pytest.raises(UnknownName):
+        kb.component_started("lidar", 1)
+
+
+def test_measurements_told_out_of_order_are_remembered_in_order(model):
+    clock = Clock(5.0)
+    kb = KnowledgeBase(model, clock=clock)
+    kb.measure("light", 0.5)
+    clock.now = 3.0
+    kb.measure("light", 0.3)
+    assert kb.attributes["light"].history == ((3.0, 0.3), (5.0, 0.5))
+    assert kb.attributes["light"].value == 0.3

@@ -1,0 +1,166 @@
+"""What if: a situation answers as if its assumptions were facts, and leaves the facts as they are."""
+
+import copy
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from models import NUMBERS, Clock, Twins, events, stories, subsets
+
+from kb import InvalidValue, KnowledgeBase, Model, Status, UnknownName
+
+SLOW = [HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much]
+
+
+@pytest.fixture
+def clock():
+    return Clock(1.0)
+
+
+@pytest.fixture
+def kb(clock):
+    model = Model("rover")
+    light = model.environmental_attribute("light")
+    energy = model.quality_attribute("energy left")
+    camera = model.component("camera")
+    camera.configuration("day", priority=1, constraints=[light >= 0.5])
+    camera.configuration("night", priority=2, constraints=[light >= 0.1])
+    lidar = model.component("lidar", constraints=[energy >= 0.3])
+    see = model.function("see")
+    see.design("by camera", [camera], priority=1)
+    see.design("by lidar", [lidar], priority=2)
+    model.action("explore", requires=[see])
+    model.action("rest")
+    return KnowledgeBase(model, clock=clock)
+
+
+def assumptions(model):
+    components = sorted(model.components)
+    return st.fixed_dictionaries(
+        {
+            "measured": st.dictionaries(st.sampled_from(sorted(model.attributes)), st.none() | NUMBERS, max_size=2),
+            "failed": subsets(components, 2),
+            "recovered": subsets(components, 2),
+            "requested": subsets(sorted(model.actions), 2),
+        }
+    )
+
+
+def supposed(naive, assumed):
+    """The naive twin after what is assumed really happened."""
+    twin = copy.copy(naive)
+    for facts in ("value", "time", "failed", "asserted", "open_actions", "designs", "configurations", "active"):
+        setattr(twin, facts, copy.copy(getattr(naive, facts)))
+    for name, value in assumed["measured"].items():
+        twin.value.pop(name, None)
+        if value is not None:
+            twin.value[name], twin.time[name] = value, naive.now
+    twin.failed |= set(assumed["failed"])
+    twin.failed -= set(assumed["recovered"])
+    for name in assumed["recovered"]:
+        if twin.asserted.get(("component", name)) == "failure":
+            del twin.asserted["component", name]
+    twin.open_actions |= set(assumed["requested"])
+    return twin
+
+
+def suppose(asked, assumed):
+    rest = {key: value for key, value in assumed.items() if key != "measured"}
+    return asked.situation(assumed["measured"], **rest)
+
+
+@settings(suppress_health_check=SLOW)
+@given(stories(aging=True), st.data())
+def test_a_situation_answers_as_if_its_assumptions_were_facts(story, data):
+    model, happenings = story
+    twins = Twins(model)
+    for event in happenings:
+        twins.happen(event)
+    before = twins.statuses()
+    first, second = data.draw(assumptions(model)), data.draw(assumptions(model))
+    situation = suppose(twins.kb, first)
+    twins.agree(situation, supposed(twins.naive, first))
+    nested = suppose(situation, second)
+    twins.agree(nested, supposed(supposed(twins.naive, first), second))
+    assert twins.statuses() == before
+    twins.agree()
+
+
+@settings(suppress_health_check=SLOW, max_examples=60)
+@given(stories(max_size=8), st.data())
+def test_a_situation_follows_what_its_base_learns(story, data):
+    model, happenings = story
+    twins = Twins(model)
+    assumed = data.draw(assumptions(model))
+    situation = suppose(twins.kb, assumed)
+    for event in happenings:
+        twins.happen(event)
+        twins.agree(situation, supposed(twins.naive, assumed))
+    for event in data.draw(st.lists(events(model), max_size=3)):
+        twins.happen(event)
+    twins.agree(situation, supposed(twins.naive, assumed))
+
+
+def test_what_the_robot_can_do_in_a_situation_and_how_it_is_best_configured_for_it(kb):
+    kb.measure("light", 0.8)
+    dark = kb.situation(light=0.3)
+    assert kb.best_configuration("explore") == ({"see": "by camera"}, {"camera": "day"})
+    assert dark.best_configuration("explore") == ({"see": "by camera"}, {"camera": "night"})
+    assert dark.situation(failed=["camera"]).best_configuration("explore") == ({"see": "by lidar"}, {})
+    night = dark.situation({"energy left": 0.1}, light=0.0)
+    assert night.selectable_actions() == ("rest",)
+    assert night.best_configuration("explore") is None
+    assert kb.attributes["light"].value == 0.8
+    assert dark.attributes["light"].value == 0.3
+    assert "light 0 violates >= 0.1" in str(night.explain("explore"))
+
+
+def test_a_later_assumption_goes_before_an_earlier_one(kb):
+    assert kb.situation(light=0.0, failed=["lidar"]).situation(light=1.0, recovered=["lidar"]).is_feasible("explore")
+
+
+def test_a_name_by_itself_is_not_taken_for_its_letters(kb):
+    assert kb.situation(failed="camera").components["camera"].status is Status.FAILURE
+
+
+def test_supposing_nothing_measured_makes_constraints_not_evaluated(kb):
+    kb.measure("light", 0.0)
+    unknown = kb.situation(light=None)
+    assert unknown.configurations["day"].constraints[0].status is Status.NOT_EVALUATED
+    assert unknown.attributes["light"].time is None
+
+
+def test_a_situation_supposes_for_an_attribute_named_as_a_keyword_too():
+    model = Model("odd")
+    model.action("go", constraints=[model.quality_attribute("failed") <= 0.5])
+    kb = KnowledgeBase(model, clock=Clock())
+    assert not kb.situation({"failed": 1.0}).is_feasible("go")
+
+
+@pytest.mark.parametrize("view", ["actions", "components", "attributes"])
+def test_views_of_a_situation_are_not_views_of_its_base(kb, view):
+    situation = kb.situation(light=0.3)
+    name = next(iter(getattr(kb, view)))
+    assert getattr(situation, view)[name] != getattr(kb, view)[name]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "error", "words"),
+    [
+        ({"lihgt": 0.3}, UnknownName, "did you mean 'light'"),
+        ({"light": "dark"}, InvalidValue, "light cannot be supposed to be 'dark'"),
+        ({"light": float("nan")}, InvalidValue, "finite"),
+        ({"failed": ["camrea"]}, UnknownName, "did you mean 'camera'"),
+        ({"requested": ["sleep"]}, UnknownName, "unknown action 'sleep'"),
+    ],
+)
+def test_what_cannot_be_supposed_is_refused(kb, wrong, error, words):
+    with pytest.raises(error, match=words):
+        kb.situation(**wrong)
+
+
+def test_a_situation_about_something_removed_from_the_model_says_so(kb):
+    situation = kb.situation(requested=["rest"])
+    kb.model.remove(kb.model.actions["rest"])
+    with pytest.raises(UnknownName, match="rest"):
+        situation.selectable_actions()
