@@ -1,0 +1,271 @@
+"""What files say, statement by statement: things with their attributes, and which play which role in which relation."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+from kb.exceptions import UnknownName
+from kb.files import DuplicateInFile, Place
+from kb.typeql_schema import Schema, Type, place_of
+from kb.typeql_syntax import (
+    Clause,
+    Comparison,
+    Has,
+    Insert,
+    Isa,
+    Match,
+    Player,
+    Players,
+    Statement,
+    Unsupported,
+    Word,
+)
+from kb.typeql_values import Literal, checked, literal
+from kb.typeql_words import FIELDS, Field, Kind, Role
+
+__all__ = ["ANONYMOUS", "Bindings", "Own", "Part", "Store", "Thing"]
+
+ANONYMOUS: Final = "$_"
+"""A variable that stands for something else each time."""
+
+_REPEATABLE: Final = frozenset({"status", "required", "selected", "active"})
+"""What may be told again later: facts, of which the last one stands."""
+
+
+@dataclass(frozen=True, slots=True)
+class Own:
+    """A thing has an attribute.
+
+    Attributes:
+        field: what we make of it; None if ROSA has no such attribute.
+        label: what it is called there.
+        value: of the field's type.
+        place: where the attribute is named.
+        order: of the statement, over all files.
+    """
+
+    field: Field | None
+    label: str
+    value: Literal
+    place: Place
+    order: int
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """A thing plays a role in a relation; the role is None in a relation that ROSA does not know."""
+
+    role: Role | None
+    thing: "Thing"
+    place: Place
+
+
+@dataclass(slots=True, eq=False)
+class Thing:
+    """An entity or relation that a file inserts."""
+
+    type: Type
+    place: Place
+    order: int
+    owns: list[Own] = field(default_factory=list)
+    parts: list[Part] = field(default_factory=list)
+
+    @property
+    def kind(self) -> Kind | None:
+        """What we make of it."""
+        return self.type.kind
+
+    @property
+    def name(self) -> str:
+        """What it is called."""
+        own = self.own("name")
+        if own is None:
+            raise self.place.error(f"this {self.type.label} has no name; write `has {self.kind}-name '...'`")
+        return str(own.value)
+
+    def own(self, name: str) -> Own | None:
+        """Return the attribute of that name, the last one said."""
+        return next((own for own in reversed(self.owns) if own.field and own.field.name == name), None)
+
+    def value(self, name: str) -> Literal | None:
+        """Return the value of the attribute of that name."""
+        own = self.own(name)
+        return own.value if own else None
+
+    def players(self, role: str) -> "list[Thing]":
+        """Return what plays a role, in order."""
+        return [part.thing for part in self.parts if part.role and part.role.name == role]
+
+
+Bindings = Mapping[str, Thing | Literal]
+"""What variables stand for: things, and values of attributes."""
+
+
+class Store:
+    """All that was told so far.
+
+    Attributes:
+        schema: the types.
+        things: in order, by what we make of them.
+        named: those that have a name, by kind and name.
+        notes: what was passed over, and where.
+    """
+
+    def __init__(self, schema: Schema) -> None:
+        self.schema = schema
+        self.things: dict[Kind | None, list[Thing]] = {}
+        self.named: dict[Kind, dict[str, Thing]] = {kind: {} for kind in Kind}
+        self.notes: list[str] = []
+        self._order = 0
+
+    def tell(self, query: Insert | Match, file: str) -> None:
+        """Take in what a query inserts, once for each answer to what it matches."""
+        if isinstance(query, Insert):
+            _Insertion(self, file, {}).run(query.statements)
+            return
+        from kb.typeql_matching import answers
+
+        for bindings in answers(self, query.patterns, file):
+            _Insertion(self, file, bindings).run(query.statements)
+
+    def next_order(self) -> int:
+        """Count one statement."""
+        self._order += 1
+        return self._order
+
+    def note(self, place: Place, text: str) -> None:
+        """Remember something that was passed over."""
+        self.notes.append(f"{place}: {text}")
+
+    def add(self, label: Word, place: Place) -> Thing:
+        """Begin a new thing."""
+        thing = Thing(self.schema.type(label, place), place, 0)
+        if thing.kind is None:
+            self.note(place, f"{thing.type.label} is no sort of anything in ROSA; it is passed over")
+        self.things.setdefault(thing.kind, []).append(thing)
+        return thing
+
+    def give(self, thing: Thing, label: str, value: Literal, place: Place) -> None:
+        """Let a thing have an attribute."""
+        found = self.schema.field(thing.kind, label) if thing.kind else None
+        if found is None or thing.kind is None:
+            if thing.kind and not self.schema.declares(label):
+                known = [one.words[0] for one in FIELDS[thing.kind]]
+                self.note(place, f"{UnknownName(f'attribute of {thing.type.label}', label, known)}; passed over")
+            thing.owns.append(Own(None, label, value, place, self._order))
+            return
+        own = Own(found, label, checked(found, value, label, place), place, self._order)
+        if found.name in _REPEATABLE or not self._said_before(thing, own):
+            thing.owns.append(own)
+            if found.name == "name":
+                self._name(thing.kind, str(own.value), thing, place)
+
+    def _said_before(self, thing: Thing, own: Own) -> bool:
+        before = thing.own(own.field.name) if own.field else None
+        if before is None:
+            return False
+        if before.value != own.value:
+            if before.label == own.label:
+                raise own.place.error(f"{own.label} is {own.value!r} here, and {before.value!r} at {before.place}")
+            self.note(own.place, f"{own.label} is passed over: {before.label} at {before.place} says it already")
+        return True
+
+    def _name(self, kind: Kind, name: str, thing: Thing, place: Place) -> None:
+        before = self.named[kind].setdefault(name, thing)
+        if before is not thing:
+            raise DuplicateInFile(f"{kind} {name!r} is declared already at {before.place}; a name is unique", *place)
+
+
+class _Insertion:
+    """One `insert`, for one answer to what stands before it."""
+
+    def __init__(self, store: Store, file: str, bindings: Bindings) -> None:
+        self.store, self.file = store, file
+        self.bound = bindings
+        self.things = {name: one for name, one in bindings.items() if isinstance(one, Thing)}
+        self.values: dict[str, Literal] = {name: one for name, one in bindings.items() if not isinstance(one, Thing)}
+        self.labels: dict[str, str] = {}
+
+    def run(self, statements: Sequence[Statement]) -> None:
+        """Find what each variable is, then take in what is said of it, for it may be said before."""
+        subjects = [self._subject(statement) for statement in statements]
+        for statement, thing in zip(statements, subjects, strict=True):
+            order = self.store.next_order()
+            if thing is None and statement.variable not in self.values:
+                thing = self._thing(statement.word)
+            if thing is not None:
+                thing.order = thing.order or order
+                for clause in statement.clauses:
+                    self._take_in(thing, clause)
+
+    def _subject(self, statement: Statement) -> Thing | None:
+        """Return the thing that a statement declares; None if it is declared elsewhere, or a value."""
+        name = None if statement.variable == ANONYMOUS else statement.variable
+        isa = [clause for clause in statement.clauses if isinstance(clause, Isa)]
+        compared = [clause for clause in statement.clauses if isinstance(clause, Comparison)]
+        if compared and name:
+            self._value(name, compared, isa)
+            return None
+        for other in isa[1:]:
+            raise place_of(self.file, other.label).error(f"a second type, `{other.label}`; a thing has one")
+        if not isa:
+            return None
+        label, place = isa[0].label, place_of(self.file, statement.word)
+        if name is None:
+            return self.store.add(label, place_of(self.file, label))
+        if name in self.things:
+            before = self.things[name]
+            raise place.error(f"{name} is given a type already at {before.place}, {before.type.label}; a thing has one")
+        self.things[name] = self.store.add(label, place_of(self.file, label))
+        return self.things[name]
+
+    def _value(self, name: str, compared: Iterable[Comparison], isa: Iterable[Isa]) -> None:
+        for clause in compared:
+            place = place_of(self.file, clause.value)
+            if clause.operator not in (None, "=", "==") or clause.value.type == "VARIABLE":
+                raise place.error(f"{name} is compared here; what is inserted is given a value, such as {name} 0.5")
+            self.values[name] = literal(clause.value, place)
+        self.labels.update((name, str(clause.label)) for clause in isa)
+
+    def _take_in(self, thing: Thing, clause: Clause) -> None:
+        if isinstance(clause, Has):
+            self._has(thing, clause)
+        elif isinstance(clause, Players):
+            for player in clause.players:
+                self._player(thing, player)
+        elif isinstance(clause, Unsupported):
+            place = place_of(self.file, clause.word)
+            raise place.error(f"`{clause.word}` stands here; expected `isa`, `has` or the players of a relation")
+
+    def _has(self, thing: Thing, clause: Has) -> None:
+        word = clause.value
+        place = place_of(self.file, clause.label or word)
+        if clause.operator is not None and clause.operator not in ("=", "=="):
+            raise place.error(f"`{clause.operator}` compares; what is inserted has a value")
+        label = str(clause.label or self.labels.get(str(word), ""))
+        if not label:
+            raise place.error(f"which attribute {word} is, is not said; write `has NAME {word}`")
+        if word.type != "VARIABLE":
+            value = literal(word, place_of(self.file, word))
+        elif str(word) in self.values:
+            value = self.values[str(word)]
+        else:
+            raise self._unknown(word, self.values, "give it a value, such as")
+        self.store.give(thing, label, value, place)
+
+    def _player(self, thing: Thing, player: Player) -> None:
+        one = self._thing(player.variable)
+        place = place_of(self.file, player.role or player.variable)
+        role = self.store.schema.role(thing.type, thing.kind, player.role, one.type, place) if thing.kind else None
+        if role is not None and role.most and len(thing.players(role.name)) >= role.most:
+            raise place.error(f"a second {role.name}; a {thing.type.label} has one")
+        thing.parts.append(Part(role, one, place))
+
+    def _thing(self, word: Word) -> Thing:
+        if str(word) not in self.things:
+            raise self._unknown(word, self.things, "give it a type by `isa`:")
+        return self.things[str(word)]
+
+    def _unknown(self, word: Word, known: Iterable[str], advice: str) -> Exception:
+        place = place_of(self.file, word)
+        return place.error(f"{UnknownName('variable', str(word), known)}; {advice} {word}")
