@@ -12,7 +12,8 @@ from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
 from kb.elements import Attribute, Component, Constraint, Element, Function, StalePolicy, exact
-from kb.inference import Node, State
+from kb.network import Node
+from kb.state import State
 from kb.status import OPERATORS, Status
 
 __all__ = [
@@ -26,11 +27,13 @@ __all__ = [
     "Retracted",
     "alternatives",
     "is_counted_violated",
-    "is_known",
+    "is_outside",
 ]
 
 LIMIT: Final = 64
 """How many boxes are kept for one element."""
+WORK: Final = 20_000
+"""How many pairs of boxes are looked at for one element before fewer are kept on the way."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,10 +66,8 @@ class Interval:
 
     def covers(self, other: "Interval") -> bool:
         """Tell whether the other interval lies in this one."""
-        return (self.low, self.low_open) <= (other.low, other.low_open) and (self.high, not self.high_open) >= (
-            other.high,
-            not other.high_open,
-        )
+        below = other.low < self.low or (other.low == self.low and self.low_open > other.low_open)
+        return not below and (other.high < self.high or (other.high == self.high and self.high_open <= other.high_open))
 
     def meet(self, other: "Interval") -> "Interval":
         """Return what both have in common."""
@@ -133,9 +134,9 @@ class Box:
 
     def covers(self, other: "Box") -> bool:
         """Tell whether the other box asks for all that this one asks for."""
-        if not self.repairs <= other.repairs:
-            return False
         theirs = other.intervals
+        if len(self.intervals) > len(theirs) or not self.repairs <= other.repairs:
+            return False
         return all(name in theirs and mine.covers(theirs[name]) for name, mine in self.intervals.items())
 
     def meet(self, other: "Box") -> "Box | None":
@@ -198,6 +199,11 @@ class Requirements:
             found = self._known[node.index] = self._with_assertion(node)
         return found
 
+    @property
+    def size(self) -> int:
+        """How many elements were looked at that need something."""
+        return sum(found is not FREE for found in self._known.values())
+
     def only(self, changing: Collection[str | Repair]) -> "Requirements":
         """Return the same with less that may change; what needs nothing is not looked at again."""
         fewer = Requirements(self._state, self._limit, changing)
@@ -241,7 +247,7 @@ class Requirements:
     def _bound(self, constraint: Constraint, attribute: Node) -> Alternatives:
         interval = Interval.of(constraint)
         if self._state is not None:
-            if not is_known(self._state, attribute):
+            if not _is_known(self._state, attribute):
                 return FREE
             if self._is_fixed(self._state, attribute):
                 return FREE if _holds(self._state, attribute, constraint) else NOTHING
@@ -267,29 +273,30 @@ class Requirements:
                 return FREE
             boxes += choice.boxes
             complete = complete and choice.complete
-        return self._kept(boxes, complete)
+        return self._kept(boxes, complete, self._limit)
 
     def _all_of(self, needed: Iterable[Alternatives]) -> Alternatives:
         restricting = sorted((one for one in needed if one is not FREE), key=lambda one: len(one.boxes))
         if any(one == NOTHING for one in restricting):
             return NOTHING
+        limit = min(self._limit, max(2, WORK // max(1, sum(len(one.boxes) for one in restricting))))
         together = FREE
         for one in restricting:
             if together is FREE:
                 together = one
                 continue
             complete = together.complete and one.complete
-            together = self._kept(_meetings(together.boxes, one.boxes), complete)
+            together = self._kept(_meetings(together.boxes, one.boxes), complete, limit)
         return together
 
-    def _kept(self, boxes: Iterable[Box], complete: bool) -> Alternatives:
+    def _kept(self, boxes: Iterable[Box], complete: bool, limit: int) -> Alternatives:
         """Keep the boxes that no other covers, those that change the least first, and as many as the limit allows."""
         kept: list[Box] = []
         for box in sorted(boxes, key=self._changes):
             if any(other.covers(box) for other in kept):
                 continue
             kept = [other for other in kept if not box.covers(other)]
-            if len(kept) == self._limit:
+            if len(kept) == limit:
                 return Alternatives(tuple(kept), False)
             kept.append(box)
         return Alternatives(tuple(kept), complete)
@@ -303,7 +310,7 @@ class Requirements:
         return changed + len(box.repairs), len(box.intervals)
 
 
-def is_known(state: State, attribute: Node) -> bool:
+def _is_known(state: State, attribute: Node) -> bool:
     """Tell whether the constraints on an attribute are evaluated: it is measured, or its staleness violates them."""
     if state.stale[attribute.index]:
         return is_counted_violated(state, attribute)

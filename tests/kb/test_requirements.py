@@ -9,7 +9,8 @@ from models import OPERATORS, models
 
 from kb import Model, Status
 from kb.elements import Constraint
-from kb.inference import Network, State, settle
+from kb.inference import initial_state, settle
+from kb.network import Network
 from kb.requirements import Interval, Requirements, alternatives
 
 GRID = (-0.25, 0.0, 0.25, 0.5, 0.75, 1.0, 1.25)
@@ -18,7 +19,7 @@ IMPOSSIBLE = (Status.UNFEASIBLE, Status.FAILURE, Status.VIOLATED)
 
 
 def measured(network, values):
-    state = State(network)
+    state = initial_state(network)
     for name, value in values.items():
         state.value[network.attributes[name].index] = value
     settle(state, network.attributes.values())
