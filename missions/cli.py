@@ -17,6 +17,8 @@ from rich.markup import escape
 from rich.table import Table
 
 from kb import KnowledgeBaseError
+from kb.findings import Severity
+from missions.checking import judge, print_judgement
 from missions.live import Narrator, Pace, Recorder
 from missions.mission import Mission, MissionError, Verdict
 from missions.output import OutputFile
@@ -120,6 +122,25 @@ def run_mission(
             files["plot"].write(picture.getvalue())
             files["plot"].keep()
     if not verdict.success:
+        raise typer.Exit(FAILED)
+
+
+@app.command("check")
+def check(
+    files: Annotated[list[Path] | None, typer.Argument(help="Files of a model, each may add to those before.")] = None,
+    mission: Annotated[str | None, typer.Option(help="Check with its tree and PDDL, or its own model.")] = None,
+    tree: Annotated[list[str] | None, typer.Option(metavar="MODULE:CALLABLE", help="A tree that uses it.")] = None,
+    pddl: Annotated[list[Path] | None, typer.Option(help="A PDDL domain or problem that uses it.")] = None,
+    strict: Annotated[bool, typer.Option("--strict", help="Exit with 1 for warnings too.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print the findings as JSON.")] = False,
+) -> None:
+    """Judge a model, say what to do about each finding, and exit with 0 if nothing in it can never work."""
+    found = judge(files or [], find_mission(mission) if mission else None, tree or [], pddl or [])
+    if json:
+        typer.echo(found.as_json())
+    else:
+        print_judgement(_console(), found)
+    if found.of(Severity.ERROR) or (strict and found.findings):
         raise typer.Exit(FAILED)
 
 

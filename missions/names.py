@@ -1,0 +1,171 @@
+"""Which ROSA actions a behaviour tree or PDDL files use, found without running either."""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from inspect import Parameter, signature
+from pathlib import Path
+from typing import Final
+
+from py_trees.behaviour import Behaviour
+from py_trees.trees import BehaviourTree
+
+from kb import KnowledgeBase, Model
+from missions.mission import MissionError
+from missions.senses import Senses
+from rosa_bt import IsActionFeasible, RosaAction
+from rosa_pddl.syntax import Node, Source, read_source
+
+__all__ = ["Names", "names_in_pddl", "names_in_tree", "tree_builder"]
+
+ACTION_TYPE: Final = "action"
+ACTION_SUFFIX: Final = "_action"
+
+
+@dataclass(frozen=True, slots=True)
+class Names:
+    """The names of actions that something uses.
+
+    Attributes:
+        places: for each name where it stands, in words.
+        complete: whether these are all; a tree may also have names that it is only given while it runs.
+    """
+
+    places: Mapping[str, tuple[str, ...]]
+    complete: bool = True
+
+    def __or__(self, other: "Names") -> "Names":
+        merged = dict(self.places)
+        for name, places in other.places.items():
+            merged[name] = merged.get(name, ()) + places
+        return Names(merged, self.complete and other.complete)
+
+
+class _Tolerant(KnowledgeBase):
+    """A knowledge base of which trees may ask for actions that there are not, so that they can be built and judged."""
+
+    def is_feasible(self, action: str) -> bool:
+        """Answer without looking."""
+        return True
+
+
+def tree_builder(reference: str) -> Callable[..., object]:
+    """Return what is given as module:callable.
+
+    Raises:
+        MissionError: it cannot be imported or called.
+    """
+    module, colon, name = reference.partition(":")
+    if not colon:
+        raise MissionError(f"a tree is given as module:callable, not as {reference!r}")
+    try:
+        built: object = getattr(import_module(module), name)
+    except (ImportError, AttributeError, ValueError, SyntaxError) as error:
+        raise MissionError(f"cannot import tree {reference!r}: {type(error).__name__}: {error}") from error
+    if not callable(built):
+        raise MissionError(f"{reference!r} is a {type(built).__name__}, not a function that builds a tree")
+    return built
+
+
+def names_in_tree(build: Callable[..., object], model: Model, title: str) -> Names:
+    """Return the actions that the behaviours of a tree are about.
+
+    Args:
+        build: builds the tree; called with a knowledge base and senses, as far as it has parameters for them.
+        model: what the knowledge base is made of.
+        title: what the tree is called in messages.
+    """
+    given = (_Tolerant(model), Senses())
+    root = build(*given[: _parameters(build)])
+    if isinstance(root, BehaviourTree):
+        root = root.root
+    if not isinstance(root, Behaviour):
+        raise MissionError(f"{title} is {root!r}, not a py_trees behaviour")
+    places: dict[str, tuple[str, ...]] = {}
+    complete = True
+    for behaviour in root.iterate():
+        if isinstance(behaviour, IsActionFeasible | RosaAction):
+            name = _action(behaviour)
+            if name:
+                places[name] = (*places.get(name, ()), f"behaviour {behaviour.name!r} of {title}")
+            complete = complete and bool(name)
+    return Names(places, complete)
+
+
+def _parameters(build: Callable[..., object]) -> int:
+    """Return how many things a function can be called with, by position and without having to be given more."""
+    kinds = (Parameter.POSITIONAL_ONLY, Parameter.POSITIONAL_OR_KEYWORD)
+    return sum(one.kind in kinds and one.default is Parameter.empty for one in signature(build).parameters.values())
+
+
+def _action(behaviour: IsActionFeasible | RosaAction) -> str:
+    try:
+        return behaviour.action
+    except Exception:  # py_trees raises several kinds when a port is not connected before the tree runs
+        return ""
+
+
+def names_in_pddl(paths: Iterable[Path]) -> Names:
+    """Return the actions that PDDL files are about: the constants and objects of type action or of a type below it.
+
+    A domain by itself may have none; then each predicate `(NAME_action ?a)` of one action stands for the action NAME.
+
+    Raises:
+        RosaPddlError: a file cannot be read; the message names file, line and column.
+    """
+    sources = [read_source(path) for path in paths]
+    parents = {node.lower: of for source in sources for node, of in _typed(_section(source, ":types"))}
+    objects = [
+        (source, node, of)
+        for source in sources
+        for section in (":constants", ":objects")
+        for node, of in _typed(_section(source, section))
+    ]
+    places: dict[str, tuple[str, ...]] = {}
+    for source, node, of in objects:
+        if _is_action(of, parents):
+            places[str(node)] = (*places.get(str(node), ()), _place(source, node))
+    if not places:
+        for source in sources:
+            places |= dict(_by_predicate(source, parents))
+    return Names(places)
+
+
+def _by_predicate(source: Source, parents: Mapping[str, str]) -> Iterator[tuple[str, tuple[str, ...]]]:
+    for predicate in _section(source, ":predicates"):
+        name, *parameters = predicate.children
+        types = [of for _, of in _typed(parameters)]
+        if name.lower.endswith(ACTION_SUFFIX) and len(types) == 1 and _is_action(types[0], parents):
+            yield str(name)[: -len(ACTION_SUFFIX)], (_place(source, name),)
+
+
+def _section(source: Source, keyword: str) -> list[Node]:
+    return [child for node in source.root.children if node.head == keyword for child in node.children[1:]]
+
+
+def _typed(nodes: Iterable[Node]) -> list[tuple[Node, str]]:
+    """Read a typed list such as `a b - t c`; what has no type is an object."""
+    found: list[tuple[Node, str]] = []
+    waiting: list[Node] = []
+    expects_type = False
+    for node in nodes:
+        if expects_type:
+            found += [(one, node.lower) for one in waiting]
+            waiting, expects_type = [], False
+        elif node.word == "-":
+            expects_type = True
+        else:
+            waiting.append(node)
+    return found + [(one, "object") for one in waiting]
+
+
+def _is_action(name: str, parents: Mapping[str, str]) -> bool:
+    seen: set[str] = set()
+    while name != ACTION_TYPE and name in parents and name not in seen:
+        seen.add(name)
+        name = parents[name]
+    return name == ACTION_TYPE
+
+
+def _place(source: Source, node: Node) -> str:
+    return f"{source.file}:{node.line}:{node.column}"
