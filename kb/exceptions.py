@@ -5,6 +5,9 @@ from difflib import get_close_matches
 
 __all__ = ["AmbiguousName", "DuplicateName", "InvalidValue", "KnowledgeBaseError", "ModelError", "UnknownName"]
 
+_MANY = 5000
+"""Of more names than this, only those that begin alike are compared with an unknown one."""
+
 
 class KnowledgeBaseError(Exception):
     """Base of every error that this package raises on purpose."""
@@ -37,7 +40,9 @@ class UnknownName(KnowledgeBaseError, KeyError):
 
     def __init__(self, kind: str, name: object, known: Iterable[str]) -> None:
         names = list(known)
-        near = get_close_matches(str(name), names, n=3)
+        begin = str(name)[:2].casefold()
+        likely = names if len(names) <= _MANY else [one for one in names if one.casefold().startswith(begin)]
+        near = get_close_matches(str(name), likely, n=3)
         if near:
             hint = f"did you mean {' or '.join(repr(match) for match in near)}?"
         elif names:

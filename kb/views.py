@@ -313,6 +313,9 @@ class Views(Mapping[str, ViewT], Generic[ViewT]):
     def __getitem__(self, name: str) -> ViewT:
         return self._view(self._base, self.node(name))
 
+    def __contains__(self, name: object) -> bool:
+        return isinstance(name, str) and name in self._nodes
+
     def __iter__(self) -> Iterator[str]:
         return iter(self._nodes)
 
