@@ -71,10 +71,7 @@ def judge(files: Sequence[Path], mission: Mission | None, trees: Iterable[str], 
 
 def _model(files: Sequence[Path], mission: Mission | None) -> Model:
     if files:
-        try:
-            return Model.load(files)
-        except OSError as error:
-            raise MissionError(f"cannot read {error.filename}: {error.strerror or error}") from error
+        return Model.load(files)
     if mission is None:
         raise MissionError("nothing to check; name the files of a model, or a mission with --mission NAME")
     return mission.model()

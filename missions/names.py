@@ -10,7 +10,7 @@ from typing import Final
 from py_trees.behaviour import Behaviour
 from py_trees.trees import BehaviourTree
 
-from kb import KnowledgeBase, Model
+from kb import KnowledgeBase, KnowledgeBaseError, Model
 from missions.mission import MissionError
 from missions.senses import Senses
 from rosa_bt import IsActionFeasible, RosaAction
@@ -71,12 +71,11 @@ def names_in_tree(build: Callable[..., object], model: Model, title: str) -> Nam
     """Return the actions that the behaviours of a tree are about.
 
     Args:
-        build: builds the tree; called with a knowledge base and senses, as far as it has parameters for them.
+        build: builds the tree; called with a knowledge base and senses, or with as many of these as it needs.
         model: what the knowledge base is made of.
         title: what the tree is called in messages.
     """
-    given = (_Tolerant(model), Senses())
-    root = build(*given[: _parameters(build)])
+    root = _built(build, (_Tolerant(model), Senses()), title)
     if isinstance(root, BehaviourTree):
         root = root.root
     if not isinstance(root, Behaviour):
@@ -92,10 +91,17 @@ def names_in_tree(build: Callable[..., object], model: Model, title: str) -> Nam
     return Names(places, complete)
 
 
-def _parameters(build: Callable[..., object]) -> int:
-    """Return how many things a function can be called with, by position and without having to be given more."""
+def _built(build: Callable[..., object], given: tuple[object, ...], title: str) -> object:
+    """Call a function with as many of the given things as it has to be called with."""
     kinds = (Parameter.POSITIONAL_ONLY, Parameter.POSITIONAL_OR_KEYWORD)
-    return sum(one.kind in kinds and one.default is Parameter.empty for one in signature(build).parameters.values())
+    try:
+        parameters = signature(build).parameters.values()
+        needed = [one for one in parameters if one.kind in kinds and one.default is Parameter.empty]
+        return build(*given[: len(needed)])
+    except KnowledgeBaseError:
+        raise
+    except Exception as error:  # whatever the author's code may raise
+        raise MissionError(f"cannot build {title}: {type(error).__name__}: {error}") from error
 
 
 def _action(behaviour: IsActionFeasible | RosaAction) -> str:

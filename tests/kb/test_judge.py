@@ -1,6 +1,7 @@
 """The judge of models, tried on models that are broken on purpose, on sound ones and on random ones."""
 
 from itertools import product
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -547,3 +548,9 @@ def test_configurations_over_one_attribute_are_never_selected_exactly_if_so_repo
         never = str(number) not in chosen
         if "component c" not in told:
             assert (f"configuration {number}" in told) is never
+
+
+def test_document_has_a_row_for_each_rule_in_its_words():
+    text = (Path(__file__).parents[2] / "docs" / "judge.md").read_text()
+    rows = [line for line in text.splitlines() if line.startswith("| ") and not line.startswith("| code |")]
+    assert rows == [f"| {code} | {rule.severity} | {rule.meaning} | {rule.advice} |" for code, rule in RULES.items()]

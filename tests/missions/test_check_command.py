@@ -1,0 +1,268 @@
+"""`rosa check`: a model is judged together with the trees and PDDL files that use it, and nothing is run."""
+
+import dataclasses
+import json
+import sys
+
+import py_trees
+import pytest
+
+from kb import Model
+from kb.findings import RULES
+from missions import cli, registry
+from missions.checking import judge
+from missions.mission import MissionError
+from missions.names import names_in_pddl, names_in_tree
+from missions.registry import MISSIONS
+from rosa_bt import IsActionFeasible
+from rosa_pddl import PddlError
+
+DOMAIN = """
+(define (domain cave) (:requirements :strips :typing)
+  (:types task - action place action)
+  (:constants look - task here - place)
+  (:predicates (action_feasible ?a - action) (explore_action ?a - action) (lit ?p - place) (shut_action ?p - place))
+)
+"""
+PROBLEM = """
+(define (problem p) (:domain cave)
+  (:objects explore charge - action
+            there - place)
+  (:init) (:goal (and)))
+"""
+TREES = """
+from py_trees.composites import Sequence
+from py_trees.trees import BehaviourTree
+from rosa_bt import IsActionFeasible, RosaAction
+
+class Explore(RosaAction):
+    def update(self):
+        raise AssertionError("nothing is run")
+
+def of_both(kb, senses):
+    assert not senses.holds("anything")
+    return Sequence("all", memory=False, children=[IsActionFeasible("can it?", kb, "expolre"),
+                                                   Explore("do it", kb, "explore")])
+
+def of_kb(kb, period=1.0):
+    return BehaviourTree(IsActionFeasible("can it?", kb, "explore"))
+
+def of_nothing():
+    return Sequence("empty", memory=False)
+
+def of_no_tree():
+    return 3
+
+def of_a_mistake(kb, senses):
+    return senses.wings
+
+def of_a_component(kb):
+    return kb.components["wing"]
+
+TREE = Sequence("empty", memory=False)
+"""
+
+
+def explorer():
+    model = Model("explorer")
+    see = model.function("see")
+    see.design("by camera", [model.component("camera")], priority=1)
+    model.action("explore", requires=[see])
+    return model
+
+
+@pytest.fixture
+def rosa(capsys, monkeypatch, tmp_path):
+    """Run `rosa check` in an empty folder with a module of trees; returns exit status, output and errors."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delitem(sys.modules, "trees", raising=False)
+    (tmp_path / "trees.py").write_text(TREES)
+    (tmp_path / "domain.pddl").write_text(DOMAIN)
+    (tmp_path / "problem.pddl").write_text(PROBLEM)
+    explorer().save("explorer.tql")
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["rosa", "check", *arguments])
+        code = 0
+        try:
+            cli.main()
+        except SystemExit as end:
+            code = end.code or 0
+        captured = capsys.readouterr()
+        assert "Traceback" not in captured.out + captured.err
+        return code, captured.out, captured.err
+
+    return run
+
+
+@pytest.mark.parametrize("name", MISSIONS)
+def test_own_missions_match_their_models_and_have_nothing_to_find(rosa, name):
+    assert rosa("--mission", name, "--strict") == (0, f"model {name}: nothing found\n", "")
+
+
+def test_names_of_the_own_missions_are_found_in_tree_and_domain():
+    mission = MISSIONS["suave_extended"]
+    model = mission.model()
+    in_tree = names_in_tree(mission.tree, model, "the tree")
+    in_pddl = names_in_pddl([mission.domain, mission.problem])
+    assert set(in_tree.places) == set(in_pddl.places) == set(model.actions)
+    assert in_tree.complete
+    assert in_tree.places["recharge"] == (
+        "behaviour 'recharge feasible?' of the tree",
+        "behaviour 'recharge' of the tree",
+    )
+
+
+def test_sound_files_exit_with_0(rosa):
+    assert rosa("explorer.tql", "--tree", "trees:of_kb") == (0, "model explorer: nothing found\n", "")
+
+
+def test_files_are_read_in_order_and_a_later_one_mends_an_earlier_one(rosa, tmp_path):
+    (tmp_path / "more.tql").write_text(
+        'match $a isa Action, has action-name "explore"; insert $f isa Function, has function-name "hear";'
+        "(action: $a, required-function: $f) isa functional-requirement;"
+    )
+    (tmp_path / "most.tql").write_text(
+        'match $f isa Function, has function-name "hear"; $c isa Component, has component-name "camera"; insert'
+        '(function: $f, required-component: $c) isa function-design, has function-design-name "by ear", has priority 1;'
+    )
+    code, out, _ = rosa("explorer.tql", "more.tql")
+    assert code == 1
+    assert "function hear has no design, so action explore can never be feasible" in out
+    assert rosa("explorer.tql", "more.tql", "most.tql")[0] == 0
+
+
+def test_findings_are_grouped_with_what_to_do_and_counted(rosa):
+    model = explorer()
+    for name in ("fog", "wind"):
+        model.quality_attribute(name)
+    model.action("dive", requires=[model.function("sink")])
+    model.save("slips.tql")
+    code, out, err = rosa("slips.tql")
+    assert (code, err) == (1, "")
+    assert (
+        out.splitlines()
+        == [
+            "error function-without-designs",
+            "  function sink has no design, so action dive can never be feasible",
+            f"  -> {RULES['function-without-designs'].advice}",
+            "warning unused-attribute",
+            "  nothing depends on attribute fog",
+            "  nothing depends on attribute wind",
+            f"  -> {RULES['unused-attribute'].advice}",
+            "model slips: 1 error and 2 warnings",
+        ]
+        or out.splitlines()[-1] == "model explorer: 1 error and 2 warnings"
+    )
+
+
+def test_warnings_alone_exit_with_0_unless_strict(rosa):
+    model = explorer()
+    model.quality_attribute("fog")
+    model.save("foggy.tql")
+    assert rosa("foggy.tql")[0] == 0
+    assert rosa("foggy.tql", "--strict")[0] == 1
+
+
+def test_json_carries_every_part_of_a_finding(rosa):
+    code, out, _ = rosa("explorer.tql", "--tree", "trees:of_both", "--json")
+    assert code == 1
+    data = json.loads(out)
+    assert (data["model"], data["errors"], data["warnings"]) == ("explorer", 1, 0)
+    assert data["findings"] == [
+        {
+            "code": "unknown-action",
+            "severity": "error",
+            "element": "expolre",
+            "message": "behaviour 'can it?' of tree trees:of_both: unknown action 'expolre'; did you mean 'explore'?",
+            "advice": RULES["unknown-action"].advice,
+        }
+    ]
+
+
+def test_names_of_several_trees_and_domains_are_taken_together(rosa):
+    code, out, _ = rosa("explorer.tql", "--tree", "trees:of_nothing")
+    assert (code, "action explore is mentioned nowhere" in out) == (0, True)
+    code, out, _ = rosa("explorer.tql", "--tree", "trees:of_nothing", "--tree", "trees:of_kb")
+    assert (code, "mentioned nowhere" in out) == (0, False)
+    code, out, _ = rosa("explorer.tql", "--tree", "trees:of_both", "--pddl", "domain.pddl", "--pddl", "problem.pddl")
+    assert code == 1
+    assert "problem.pddl:3:21: unknown action 'charge'" in out
+    assert "domain.pddl:4:15: unknown action 'look'" in out
+    assert "3 errors" in out
+
+
+def test_domain_without_objects_tells_its_actions_by_its_predicates(rosa, tmp_path):
+    (tmp_path / "bare.pddl").write_text(DOMAIN.replace("look - task", ""))
+    names = names_in_pddl([tmp_path / "bare.pddl"])
+    assert dict(names.places) == {"explore": (f"{tmp_path / 'bare.pddl'}:5:47",)}
+    assert rosa("explorer.tql", "--pddl", "bare.pddl")[0] == 0
+
+
+def test_name_that_a_tree_is_given_only_while_it_runs_is_no_finding():
+    model = explorer()
+    names = names_in_tree(lambda kb: IsActionFeasible("later", kb), model, "the tree")
+    assert (dict(names.places), names.complete) == ({}, False)
+    given_later = dataclasses.replace(
+        MISSIONS["suave"], model=explorer, tree=lambda kb, senses: IsActionFeasible("later", kb), domain=None
+    )
+    assert judge([], dataclasses.replace(given_later, problem=None), [], []).findings == ()
+
+
+def test_files_are_judged_with_the_tree_of_a_mission(rosa):
+    code, out, _ = rosa("explorer.tql", "--mission", "suave")
+    assert code == 1
+    assert "behaviour 'search feasible?' of the tree of suave and 2 more: unknown action 'search_pipeline'" in out
+    assert "action explore is mentioned nowhere" in out
+
+
+def test_mission_of_ones_own_with_a_misspelt_action_is_judged_although_it_cannot_run(rosa, monkeypatch):
+    broken = dataclasses.replace(
+        MISSIONS["suave"], name="broken", tree=lambda kb, senses: IsActionFeasible("search?", kb, "serch_pipeline")
+    )
+    monkeypatch.setattr(registry, "MISSIONS", {"broken": broken})
+    code, out, _ = rosa("--mission", "broken")
+    assert code == 1
+    assert "did you mean 'search_pipeline'" in out
+
+
+def test_tree_may_be_given_as_something_that_needs_nothing():
+    assert names_in_tree(lambda: py_trees.composites.Sequence("s", memory=False), explorer(), "it").places == {}
+    with pytest.raises(MissionError, match="it is None, not a py_trees behaviour"):
+        names_in_tree(lambda: None, explorer(), "it")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "nothing to check; name the files of a model, or a mission with --mission NAME"),
+        (["nowhere.tql"], "nowhere.tql"),
+        (["broken.tql"], "broken.tql:2:"),
+        (["explorer.txt"], "explorer.txt"),
+        (["--mission", "suaf"], "unknown mission 'suaf'"),
+        (["explorer.tql", "--tree", "trees"], "a tree is given as module:callable, not as 'trees'"),
+        (["explorer.tql", "--tree", "trees:wood"], "cannot import tree 'trees:wood': AttributeError"),
+        (["explorer.tql", "--tree", "forest:wood"], "cannot import tree 'forest:wood': ModuleNotFoundError"),
+        (["explorer.tql", "--tree", "trees:TREE"], "'trees:TREE' is a Sequence, not a function that builds a tree"),
+        (["explorer.tql", "--tree", "trees:of_no_tree"], "tree trees:of_no_tree is 3, not a py_trees behaviour"),
+        (["explorer.tql", "--tree", "trees:of_a_mistake"], "cannot build tree trees:of_a_mistake: AttributeError"),
+        (["explorer.tql", "--tree", "builtins:int"], "tree builtins:int"),
+        (["explorer.tql", "--tree", "trees:of_a_component"], "unknown component 'wing'"),
+        (["explorer.tql", "--pddl", "nowhere.pddl"], "nowhere.pddl: cannot read this PDDL file"),
+        (["explorer.tql", "--pddl", "broken.tql"], "broken.tql:"),
+        (["explorer.tql", "--plan"], "--plan"),
+    ],
+)
+def test_wrong_use_is_one_clear_message_and_exits_with_2(rosa, tmp_path, arguments, message):
+    (tmp_path / "broken.tql").write_text('insert\n$a isa Action has action-name "a";\n')
+    code, out, err = rosa(*arguments)
+    assert code == 2
+    assert message in " ".join(err.split())
+    assert out == ""
+
+
+def test_pddl_error_points_at_its_place(tmp_path):
+    (tmp_path / "open.pddl").write_text("(define (domain cave)")
+    with pytest.raises(PddlError, match=r"open\.pddl:1:1"):
+        names_in_pddl([tmp_path / "open.pddl"])
