@@ -1,13 +1,51 @@
 """Why an element has the status it has: a chain from the status down to the facts, as data and as a sentence."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from typing import Final
 
-from kb.elements import Constraint, exact
-from kb.inference import Node, State
+from kb.elements import Attribute, Constraint, exact
+from kb.network import Node
+from kb.remedies import Remedy, remedies
+from kb.state import State
 from kb.status import OPERATORS, Status
 
-__all__ = ["Explanation", "explain", "shortest", "why_selected"]
+__all__ = ["Comparison", "Explanation", "explain", "shortest", "why", "why_selected"]
+
+_MOST: Final = 4
+"""How many causes of one status a sentence tells before it only counts the rest."""
+_MOST_REMEDIES: Final = 3
+_IN: Final = (Status.FAILURE, Status.CONFIGURATION_ERROR, Status.IMPLICIT_CONFIGURATION_ERROR)
+_ERRORS: Final = (Status.CONFIGURATION_ERROR, Status.IMPLICIT_CONFIGURATION_ERROR)
+_IMPOSSIBLE: Final = (Status.UNFEASIBLE, Status.FAILURE)
+_POSSIBLE: Final = {
+    "action": "none of its constraints is violated and none of its functions is unfeasible",
+    "function": "it has a design that is not unfeasible",
+    "function design": "none of its constraints is violated and none of its components has failed or is unfeasible",
+    "component": "it has not failed, and no constraint rules it out",
+    "configuration": "none of its constraints is violated",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """What a constraint compares.
+
+    Attributes:
+        attribute: name of what is measured.
+        operator: one of `>=`, `>`, `<=`, `<`.
+        threshold: what it is compared with, in the attribute's unit.
+        value: the latest measurement, None before the first.
+        time: when that was measured [s].
+        is_stale: it is older than it may be, and so not compared.
+    """
+
+    attribute: str
+    operator: str
+    threshold: float
+    value: float | None
+    time: float | None
+    is_stale: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,20 +56,48 @@ class Explanation:
         kind: the element's kind, e.g. "action".
         name: the element's name.
         status: the status explained.
-        fact: the fact at the end of a chain, in words; empty where there are causes.
-        causes: all that the status follows from, each explained in turn; the sentence counts what are too many to tell.
-        every: the status follows from the causes together rather than from each by itself.
+        fact: why, in words; the sentence ends with it even where there are causes.
+        reasons: each suffices for the status by itself (or for a worse one); the causes within one count together.
+        measurement: of a constraint, what it compares.
+        possible_only: it explains that the element is not unfeasible, and not which status it has instead.
+        remedies: of an element that is unfeasible or in failure, the smallest sets of facts that would make it
+            feasible; only of the one that was asked about, not of its causes.
+        has_all_remedies: the remedies are all there are.
     """
 
     kind: str
     name: str
     status: Status
     fact: str = ""
-    causes: tuple["Explanation", ...] = ()
-    every: bool = False
+    reasons: tuple[tuple["Explanation", ...], ...] = field(default=(), repr=False)
+    measurement: Comparison | None = None
+    possible_only: bool = False
+    remedies: tuple[Remedy, ...] = ()
+    has_all_remedies: bool = True
+
+    @property
+    def causes(self) -> tuple["Explanation", ...]:
+        """All that the status follows from, each explained in turn down to the facts."""
+        return tuple(cause for reason in self.reasons for cause in reason)
+
+    @property
+    def sentence(self) -> str:
+        """Why, in short: what are too many causes to tell are counted, and no remedy is told."""
+        return self._sentence(self.name)
 
     def __str__(self) -> str:
-        return self._sentence(self.name)
+        return f"{self.sentence}{self._outlook()}"
+
+    def _outlook(self) -> str:
+        if self.kind == "constraint" or self.status not in _IMPOSSIBLE:
+            return ""
+        if not self.remedies:
+            return "; nothing that can be measured or repaired would make it feasible" if self.has_all_remedies else ""
+        told = [str(remedy) for remedy in self.remedies[:_MOST_REMEDIES]]
+        untold = len(self.remedies) - len(told)
+        if untold:
+            told.append(f"{untold} more" if self.has_all_remedies else f"at least {untold} more")
+        return f"; it would be feasible with {' or '.join(told)}"
 
     def _sentence(self, subject: str) -> str:
         if self.kind == "constraint":
@@ -39,27 +105,23 @@ class Explanation:
         if self.status is Status.FAILURE and not self.fact:
             return f"{subject} has failed"
         verb = "is in" if self.status in _IN else "is"
-        statement = f"{subject} {verb} {self.status}"
-        if not self.causes:
-            return f"{statement} because {self.fact}" if self.fact else statement
-        told = self.causes if len(self.causes) <= _MOST else self.causes[: _MOST - 1]
-        reasons = [cause._sentence(f"{cause.kind} {cause.name}") for cause in told]
-        if len(told) < len(self.causes):
-            reasons.append(f"{len(self.causes) - len(told)} more")
-        return f"{statement} because {(' and ' if self.every else '; also ').join(reasons)}"
+        statement = f"{subject} is not unfeasible" if self.possible_only else f"{subject} {verb} {self.status}"
+        why = self.fact or self._told_causes()
+        return f"{statement} because {why}" if why else statement
 
-
-_MOST = 4
-"""How many causes of one status a sentence tells before it only counts the rest."""
-_IN = (Status.FAILURE, Status.CONFIGURATION_ERROR, Status.IMPLICIT_CONFIGURATION_ERROR)
-_FEASIBLE = {
-    "action": "none of its constraints is violated and none of its functions is unfeasible",
-    "function": "it has a design that is not unfeasible",
-    "function design": "none of its constraints is violated and none of its components has failed or is unfeasible",
-    "component": "it has not failed, and no constraint rules it out",
-    "configuration": "none of its constraints is violated",
-}
-_ERRORS = (Status.CONFIGURATION_ERROR, Status.IMPLICIT_CONFIGURATION_ERROR)
+    def _told_causes(self) -> str:
+        count = len(self.causes)
+        left = _MOST if count <= _MOST else _MOST - 1
+        told = []
+        for reason in self.reasons:
+            texts = [cause._sentence(f"{cause.kind} {cause.name}") for cause in reason[:left]]
+            left -= len(texts)
+            if texts:
+                told.append(" and ".join(texts))
+        if count > _MOST:
+            rest = f"{count - _MOST + 1} more"
+            told = [f"{told[0]} and {rest}"] if len(self.reasons) == 1 else [*told, rest]
+        return "; also ".join(told)
 
 
 def explain(state: State, node: Node, now: float) -> Explanation:
@@ -70,46 +132,116 @@ def explain(state: State, node: Node, now: float) -> Explanation:
         node: the element.
         now: the present time [s], for the age of measurements.
     """
-    status = state.status[node.index]
+    explained = _Explainer(state, now).status(node)
+    if explained.status not in _IMPOSSIBLE:
+        return explained
+    found, complete = remedies(state, node)
+    return replace(explained, remedies=found, has_all_remedies=complete)
 
-    def because(causes: Iterable[Node] = (), fact: str = "", every: bool = False) -> Explanation:
-        explained = tuple(explain(state, cause, now) for cause in causes)
-        return Explanation(node.kind, node.name, status, fact, explained, every)
 
-    if state.asserted[node.index] is not None:
-        return because(fact="it is asserted so")
-    if isinstance(node.element, Constraint):
-        return because(fact=_comparison(state, node.element, node.parts[0], now))
-    violated = [one for one in node.constraints if state.status[one.index] is Status.VIOLATED]
-    parts = [(part, state.status[part.index]) for part in node.parts]
+def why(state: State, node: Node, now: float) -> str:
+    """Say in a sentence why an element has its status, without what would change it; see `explain`."""
+    return _Explainer(state, now).status(node).sentence
 
-    def parts_in(*statuses: Status) -> list[Node]:
-        return [part for part, one in parts if one in statuses]
 
-    selected = [part for part in node.parts if state.selected[part.index]]
-    if status is Status.FAILURE:
-        return because()
-    if status is Status.UNFEASIBLE:
-        if violated:
-            alone = node.kind in ("action", "function design")  # a part by itself makes these unfeasible too
-            return because([*violated, *(parts_in(Status.UNFEASIBLE, Status.FAILURE) if alone else [])])
-        if node.kind == "function" and not parts:
-            return because(fact="it has no design")
-        return because(parts_in(Status.UNFEASIBLE, Status.FAILURE), every=node.kind in ("function", "component"))
-    if status is Status.FEASIBLE:
-        return because(fact=_FEASIBLE[node.kind])
-    if status is Status.CONFIGURATION_ERROR:
-        return because([part for part in selected if state.status[part.index] is Status.UNFEASIBLE])
-    if status is Status.IMPLICIT_CONFIGURATION_ERROR:
-        return because(parts_in(*_ERRORS))
-    if status is Status.UNSOLVED and node.kind == "component":
-        inactive = not state.active[node.index]
-        return because(fact="it is required and not active" if inactive else "none of its configurations is selected")
-    if status is Status.UNSOLVED and node.kind == "function":
-        return because(selected, fact="" if selected else "none of its designs is selected")
-    if status is Status.UNSOLVED:
-        return because([part for part, one in parts if one is not Status.SOLVED])
-    return because(fact="it is required, and all that it needs is in place")
+class _Explainer:
+    """Explains the elements of one state; what several share is explained once."""
+
+    def __init__(self, state: State, now: float) -> None:
+        self._state = state
+        self._now = now
+        self._known: dict[tuple[int, bool], Explanation] = {}
+
+    def status(self, node: Node) -> Explanation:
+        """Explain which status an element has."""
+        return self._explained(node, possible_only=False)
+
+    def possible(self, node: Node) -> Explanation:
+        """Explain that an element is not unfeasible, whichever status it has."""
+        return self._explained(node, possible_only=self._state.status[node.index] is not Status.FEASIBLE)
+
+    def _explained(self, node: Node, possible_only: bool) -> Explanation:
+        found = self._known.get((node.index, possible_only))
+        if found is None:
+            found = self._known[node.index, possible_only] = self._explain(node, possible_only)
+        return found
+
+    def _explain(self, node: Node, possible_only: bool) -> Explanation:
+        status = self._state.status[node.index]
+        if isinstance(node.element, Constraint):
+            return self._constraint(node, node.element, status)
+        if self._state.asserted[node.index] is not None:
+            return Explanation(node.kind, node.name, status, "it is asserted so")
+        if possible_only or status is Status.FEASIBLE:
+            fact, reasons = _POSSIBLE[node.kind], _together(self._witnesses(node))
+        else:
+            fact, reasons = self._grounds(node, status)
+        return Explanation(node.kind, node.name, status, fact, reasons, possible_only=possible_only)
+
+    def _constraint(self, node: Node, constraint: Constraint, status: Status) -> Explanation:
+        attribute = node.parts[0]
+        value, time = self._state.value[attribute.index], self._state.time[attribute.index]
+        is_stale = self._state.stale[attribute.index]
+        compared = Comparison(constraint.attribute, constraint.operator, constraint.value, value, time, is_stale)
+        if self._state.asserted[node.index] is not None:
+            return Explanation(node.kind, node.name, status, f"{node.name} is asserted {status}", measurement=compared)
+        return Explanation(node.kind, node.name, status, _told(compared, attribute, self._now), measurement=compared)
+
+    def _grounds(self, node: Node, status: Status) -> tuple[str, "Reasons"]:
+        """Return the fact and the reasons of a status that is inferred and not "feasible"."""
+        selected = [part for part in node.parts if self._state.selected[part.index]]
+        if status is Status.UNFEASIBLE:
+            return "" if node.parts or node.kind != "function" else "it has no design", self._faults(node)
+        if status is Status.CONFIGURATION_ERROR:
+            return "", self._each(part for part in selected if self._is(part, Status.UNFEASIBLE))
+        if status is Status.IMPLICIT_CONFIGURATION_ERROR:
+            choices = selected if node.kind == "function" else node.parts
+            return "", self._each(part for part in choices if self._is(part, *_ERRORS))
+        if status is Status.SOLVED:
+            parts = selected if node.kind in ("function", "component") else node.parts
+            needed = [self.status(one) for one in (*node.constraints, *parts)]
+            return "it is required, and all that it needs is in place", _together(needed)
+        if status is Status.UNSOLVED and node.kind == "component":
+            inactive = not self._state.active[node.index]
+            return "it is required and not active" if inactive else "none of its configurations is selected", ()
+        if status is Status.UNSOLVED and node.kind == "function":
+            return "" if selected else "none of its designs is selected", _together(map(self.status, selected))
+        if status is Status.UNSOLVED:
+            return "", self._each(part for part in node.parts if not self._is(part, Status.SOLVED))
+        return "", ()  # a failure says it all
+
+    def _faults(self, node: Node) -> "Reasons":
+        """Return why an element is unfeasible."""
+        violated = self._each(one for one in node.constraints if self._is(one, Status.VIOLATED))
+        impossible = [part for part in node.parts if self._is(part, *_IMPOSSIBLE)]
+        if node.kind in ("action", "function design"):
+            return *violated, *self._each(impossible)
+        if len(impossible) < len(node.parts):
+            return violated
+        return *violated, *_together(map(self.status, impossible))
+
+    def _witnesses(self, node: Node) -> list[Explanation]:
+        """Return what suffices for an element not to be unfeasible."""
+        parts = node.parts
+        if node.kind in ("function", "component"):
+            possible = [part for part in parts if not self._is(part, *_IMPOSSIBLE)]
+            selected = [part for part in possible if self._state.selected[part.index]]
+            parts = (selected or possible)[:1]
+        return [*map(self.status, node.constraints), *map(self.possible, parts)]
+
+    def _each(self, nodes: Iterable[Node]) -> "Reasons":
+        return tuple((self.status(node),) for node in nodes)
+
+    def _is(self, node: Node, *statuses: Status) -> bool:
+        return self._state.status[node.index] in statuses
+
+
+Reasons = tuple[tuple[Explanation, ...], ...]
+
+
+def _together(causes: Iterable[Explanation]) -> Reasons:
+    reason = tuple(causes)
+    return (reason,) if reason else ()
 
 
 def why_selected(state: State, chosen: Iterable[Node], now: float) -> str:
@@ -123,7 +255,7 @@ def why_selected(state: State, chosen: Iterable[Node], now: float) -> str:
         if before is None:
             reasons.append(f"{whole.kind} {whole.name} is needed by {_needed_by(state, whole)}")
         elif state.status[before.index] is Status.UNFEASIBLE:
-            reasons.append(str(explain(state, before, now)))
+            reasons.append(why(state, before, now))
         else:
             reasons.append(f"{node.name} is feasible and preferred to {before.name}")
     return "; ".join(dict.fromkeys(reasons)) or "what was active or selected is no longer needed"
@@ -142,15 +274,18 @@ def _needed_by(state: State, node: Node) -> str:
     return ", ".join(actions) or "something asserted"
 
 
-def _comparison(state: State, constraint: Constraint, attribute: Node, now: float) -> str:
-    value, time = state.value[attribute.index], state.time[attribute.index]
-    bound = f"{constraint.operator} {exact(constraint.value)}"
-    if value is None:
-        return f"{constraint.attribute} is not measured (wanted {bound})"
-    holds = OPERATORS[constraint.operator](value, constraint.value)
-    age = f" (measured {max(0.0, now - time):.1f} s ago)" if time is not None else ""
-    shown = shortest(value, [constraint.value])
-    return f"{constraint.attribute} {shown} {'satisfies' if holds else 'violates'} {bound}{age}"
+def _told(compared: Comparison, attribute: Node, now: float) -> str:
+    """Write a comparison, with the age of the measurement."""
+    bound = f"{compared.operator} {exact(compared.threshold)}"
+    if compared.value is None:
+        return f"{compared.attribute} is not measured (wanted {bound})"
+    shown = f"{compared.attribute} {shortest(compared.value, [compared.threshold])}"
+    age = "" if compared.time is None else f"measured {max(0.0, now - compared.time):.1f} s ago"
+    if compared.is_stale:
+        assert isinstance(attribute.element, Attribute)
+        return f"{shown} is stale: {age}, at most {exact(attribute.element.max_age)} s"
+    holds = OPERATORS[compared.operator](compared.value, compared.threshold)
+    return f"{shown} {'satisfies' if holds else 'violates'} {bound}{age and f' ({age})'}"
 
 
 def shortest(value: float, thresholds: Iterable[float]) -> str:

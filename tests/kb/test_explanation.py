@@ -43,23 +43,24 @@ def test_a_violated_constraint_of_an_action_is_told_with_measurement_bound_and_a
     kb.measure("light", 0.24)
     clock.now += 1.0
     assert (
-        str(kb.explain("explore")) == "explore is unfeasible because light 0.24 violates >= 0.25 (measured 1.0 s ago)"
+        kb.explain("explore").sentence
+        == "explore is unfeasible because light 0.24 violates >= 0.25 (measured 1.0 s ago)"
     )
 
 
 def test_a_failed_component_is_told_through_every_level(kb):
     kb.component_failed("camera")
-    assert str(kb.explain("look")) == (
+    assert kb.explain("look").sentence == (
         "look is unfeasible because function see is unfeasible because function design by camera is unfeasible "
         "because component camera has failed"
     )
-    assert str(kb.explain(kb.components["camera"])) == "camera has failed"
+    assert kb.explain(kb.components["camera"]).sentence == "camera has failed"
 
 
 def test_configurations_that_are_all_unfeasible_are_told_together(kb, clock):
     kb.measure("light", 0.05)
     clock.now += 2.5
-    assert str(kb.explain(kb.components["camera"])) == (
+    assert kb.explain(kb.components["camera"]).sentence == (
         "camera is unfeasible because configuration day is unfeasible because light 0.05 violates >= 0.5 "
         "(measured 2.5 s ago) and configuration night is unfeasible because light 0.05 violates >= 0.1 "
         "(measured 2.5 s ago)"
@@ -67,33 +68,34 @@ def test_configurations_that_are_all_unfeasible_are_told_together(kb, clock):
 
 
 def test_a_function_without_a_design_says_so(kb):
-    assert str(kb.explain("imagine")) == (
+    assert kb.explain("imagine").sentence == (
         "imagine is unfeasible because function dream is unfeasible because it has no design"
     )
 
 
 def test_each_status_of_a_required_chain_reads_as_a_sentence(kb):
     kb.request_action("look")
-    assert str(kb.explain("look")) == (
+    assert kb.explain("look").sentence == (
         "look is unsolved because function see is unsolved because none of its designs is selected"
     )
     kb.select({"see": "by camera"})
-    assert str(kb.explain(kb.functions["see"])) == (
+    assert kb.explain(kb.functions["see"]).sentence == (
         "see is unsolved because function design by camera is unsolved because component camera is unsolved because "
         "it is required and not active"
     )
     kb.component_active("camera", True)
     assert (
-        str(kb.explain(kb.components["camera"])) == "camera is unsolved because none of its configurations is selected"
+        kb.explain(kb.components["camera"]).sentence
+        == "camera is unsolved because none of its configurations is selected"
     )
     kb.select({}, {"camera": "day"})
-    assert str(kb.explain("look")) == "look is solved because it is required, and all that it needs is in place"
+    assert kb.explain("look").sentence == "look is solved because it is required, and all that it needs is in place"
     kb.measure("light", 0.3)
-    assert str(kb.explain(kb.components["camera"])) == (
+    assert kb.explain(kb.components["camera"]).sentence == (
         "camera is in configuration error because configuration day is unfeasible because light 0.3 violates >= 0.5 "
         "(measured 0.0 s ago)"
     )
-    assert str(kb.explain("look")).startswith(
+    assert kb.explain("look").sentence.startswith(
         "look is in implicit configuration error because function see is in implicit configuration error because "
         "function design by camera is in implicit configuration error because component camera is in configuration "
         "error because configuration day is unfeasible"
@@ -102,23 +104,40 @@ def test_each_status_of_a_required_chain_reads_as_a_sentence(kb):
 
 def test_an_asserted_status_says_that_it_is_asserted(kb):
     kb.assert_status(kb.functions["see"], "unfeasible")
-    assert str(kb.explain("look")) == (
+    assert kb.explain("look").sentence == (
         "look is unfeasible because function see is unfeasible because it is asserted so"
     )
     kb.assert_status(kb.components["camera"], "failure")
-    assert str(kb.explain(kb.components["camera"])) == "camera is in failure because it is asserted so"
+    assert kb.explain(kb.components["camera"]).sentence == "camera is in failure because it is asserted so"
+
+
+def test_an_asserted_constraint_says_that_it_is_asserted(kb):
+    kb.measure("light", 0.9)
+    (constraint,) = kb.actions["explore"].constraints
+    kb.assert_status(constraint, "violated")
+    assert kb.explain("explore").sentence == "explore is unfeasible because light >= 0.25 is asserted violated"
+
+
+def test_the_whole_text_is_the_sentence_and_what_would_help(kb):
+    kb.component_failed("camera")
+    for view in (kb.actions["look"], kb.components["camera"]):
+        explanation = kb.explain(view)
+        assert str(explanation) == f"{explanation.sentence}; it would be feasible with camera recovered"
+    for view in (kb.actions["rest"], *kb.actions["explore"].constraints):
+        assert str(kb.explain(view)) == kb.explain(view).sentence
+        assert kb.explain(view).remedies == ()
 
 
 def test_what_is_feasible_says_so(kb):
     for view in (kb.actions["rest"], kb.functions["see"], kb.configurations["day"]):
-        assert str(kb.explain(view)).startswith(f"{view.name} is feasible because ")
+        assert kb.explain(view).sentence.startswith(f"{view.name} is feasible because ")
 
 
 def test_a_refusal_gives_the_explanation(kb):
     kb.measure("light", 0.24)
     reply = kb.request_action("explore")
     assert not reply
-    assert reply.reason == str(kb.explain("explore"))
+    assert reply.reason.startswith(kb.explain("explore").sentence)
 
 
 def test_causes_form_the_chain_down_to_the_fact(kb):
@@ -159,7 +178,7 @@ def test_explaining_an_unknown_name_says_which_is_near(kb):
 
 def test_an_action_tells_every_thing_that_makes_it_unfeasible(kb):
     kb.measure("light", 0.05)
-    text = str(kb.explain("explore"))
+    text = kb.explain("explore").sentence
     assert "light 0.05 violates >= 0.25" in text
     assert "function see is unfeasible" in text
 
@@ -172,7 +191,7 @@ def test_a_design_tells_every_thing_that_makes_it_unfeasible():
     kb = KnowledgeBase(model)
     kb.measure("light", 0.1)
     kb.component_failed("camera")
-    text = str(kb.explain(kb.designs["by camera"]))
+    text = kb.explain(kb.designs["by camera"]).sentence
     assert "light 0.1 violates >= 0.5" in text
     assert "camera has failed" in text
 
@@ -187,7 +206,7 @@ def test_a_feasible_function_never_claims_what_is_not_so():
     kb = KnowledgeBase(model)
     kb.component_failed("bad")
     assert kb.functions["see"].status is Status.FEASIBLE
-    assert "nothing that it needs is violated, failed or unfeasible" not in str(kb.explain("see"))
+    assert "nothing that it needs is violated, failed or unfeasible" not in kb.explain("see").sentence
 
 
 FLOATS = st.floats(allow_nan=False, allow_infinity=False)
@@ -220,8 +239,8 @@ def spelled_out(value, operator, bound):
     kb = KnowledgeBase(model)
     kb.measure("light", value)
     (constraint,) = kb.actions["go"].constraints
-    found = SPELLED_OUT.search(str(kb.explain(constraint)))
-    assert found, str(kb.explain(constraint))
+    found = SPELLED_OUT.search(kb.explain(constraint).sentence)
+    assert found, kb.explain(constraint).sentence
     return found, constraint.status
 
 
@@ -268,6 +287,7 @@ def test_every_explanation_states_the_status_and_ends_in_facts(story):
         assert isinstance(explanation, Explanation)
         assert explanation.status is twins.view(kind, name).status
         text = str(explanation)
+        assert text.startswith(explanation.sentence)
         assert text.strip() == text
         assert "because ;" not in text
         assert "  " not in text

@@ -1,0 +1,165 @@
+"""Why this design or configuration and not that one."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+from kb.elements import Configuration, FunctionDesign
+from kb.explanation import why
+from kb.inference import is_adaptable
+from kb.network import Node
+from kb.selection import first_by_priority
+from kb.state import State
+from kb.status import Status
+
+__all__ = ["Alternative", "ChoiceExplanation", "explain_choice"]
+
+_PARTS: Final = {"function": "design", "component": "configuration"}
+
+
+@dataclass(frozen=True, slots=True)
+class Alternative:
+    """A design or configuration that is not the one chosen.
+
+    Attributes:
+        name: its name.
+        status: its status.
+        priority: the lowest number is preferred; None comes last.
+        reason: why it is not the one, in words.
+    """
+
+    name: str
+    status: Status
+    priority: int | None
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class ChoiceExplanation:
+    """What is chosen for a function or a component, and why nothing else is.
+
+    Attributes:
+        kind: "function" or "component".
+        name: what it is chosen for.
+        chosen: name of the design or configuration that is selected, else of the one that would be; None if none can.
+        is_selected: it is selected; otherwise it only would be.
+        reason: why it is this one, in words.
+        alternatives: the others, in order of declaration.
+    """
+
+    kind: str
+    name: str
+    chosen: str | None
+    is_selected: bool
+    reason: str
+    alternatives: tuple[Alternative, ...]
+
+    def __str__(self) -> str:
+        if self.chosen is None:
+            start = f"nothing can be selected for {self.kind} {self.name} because {self.reason}"
+        else:
+            verb = "is" if self.is_selected else "would be"
+            start = f"{self.chosen} {verb} selected for {self.kind} {self.name} because {self.reason}"
+        return "; ".join([start, *(f"not {one.name} because {one.reason}" for one in self.alternatives)])
+
+
+def explain_choice(
+    state: State, node: Node, now: float, preferred: str | None = None, verdicts: Mapping[str, str] | None = None
+) -> ChoiceExplanation:
+    """Explain what is selected for a function or component, or would be, and why no other one is.
+
+    Args:
+        state: the facts and statuses.
+        node: the function or component.
+        now: the present time [s], for the age of measurements.
+        preferred: name of the possible part that a criterion prefers; by default the first by priority.
+        verdicts: what that criterion says of each possible part, in words, by name; by default what its priority says.
+    """
+    return _Chooser(state, node, now, preferred, verdicts or {}).explanation()
+
+
+class _Chooser:
+    """Explains one choice."""
+
+    def __init__(
+        self, state: State, node: Node, now: float, preferred: str | None, verdicts: Mapping[str, str]
+    ) -> None:
+        self._state = state
+        self._node = node
+        self._now = now
+        self._verdicts = verdicts
+        self._possible = [part for part in node.parts if state.status[part.index] is not Status.UNFEASIBLE]
+        name = preferred or first_by_priority(_element(part) for part in self._possible)
+        self._first = next((part for part in self._possible if part.name == name), None)
+        self._selected = next((part for part in node.parts if state.selected[part.index]), None)
+        self._chosen = self._selected or self._first
+
+    def explanation(self) -> ChoiceExplanation:
+        """Explain the choice."""
+        others = [part for part in self._node.parts if part is not self._chosen]
+        return ChoiceExplanation(
+            self._node.kind,
+            self._node.name,
+            self._chosen.name if self._chosen else None,
+            self._selected is not None,
+            self._why_chosen(),
+            tuple(
+                Alternative(part.name, self._state.status[part.index], _element(part).priority, self._why_not(part))
+                for part in others
+            ),
+        )
+
+    def _why_chosen(self) -> str:
+        chosen, what = self._chosen, _PARTS[self._node.kind]
+        if chosen is None:
+            return f"each {what} of it is unfeasible" if self._node.parts else f"it has no {what}"
+        if chosen not in self._possible:
+            return f"it was possible before; now {why(self._state, chosen, self._now)}"
+        if not self._state.required[self._node.index]:
+            return f"{self._advantage(chosen)}; nothing requires the {self._node.kind} now"
+        return self._advantage(chosen)
+
+    def _advantage(self, chosen: Node) -> str:
+        what, priority = _PARTS[self._node.kind], _element(chosen).priority
+        if chosen is not self._first:
+            return "it was preferred before"
+        if chosen.name in self._verdicts:
+            return self._verdicts[chosen.name]
+        if len(self._possible) == 1:
+            return f"it is the only {what}" if len(self._node.parts) == 1 else f"no other {what} is feasible"
+        if any(_element(rival).priority == priority for rival in self._possible if rival is not chosen):
+            return f"of those with {_told(priority)} it comes first by name"
+        return f"{_told(priority)} is the lowest of those that are feasible"
+
+    def _why_not(self, part: Node) -> str:
+        if part not in self._possible:
+            return f"it{why(self._state, part, self._now).removeprefix(part.name)}"
+        if part is self._first:
+            return self._why_not_yet()
+        if part.name in self._verdicts:
+            return self._verdicts[part.name]
+        assert self._first is not None  # something is possible, so something is preferred
+        mine, best = _element(part).priority, _element(self._first).priority
+        if mine == best:
+            return f"it has {_told(mine)} too, and comes after {self._first.name} by name"
+        return f"it has {_told(mine)}, which comes after {best}"
+
+    def _why_not_yet(self) -> str:
+        """Say why the one that is preferred is not the one selected."""
+        node, status = self._node, self._state.status[self._node.index]
+        if not self._state.required[node.index]:
+            return f"nothing is selected anew while nothing requires the {node.kind}"
+        if is_adaptable(self._state, node):
+            return "it is to be selected next"
+        if status is Status.SOLVED:
+            return f"the {node.kind} works, and is not to be improved while it does"
+        return f"nothing is selected anew while the {node.kind} has the status {status}"
+
+
+def _element(part: Node) -> FunctionDesign | Configuration:
+    assert isinstance(part.element, FunctionDesign | Configuration)
+    return part.element
+
+
+def _told(priority: int | None) -> str:
+    return "no priority number" if priority is None else f"priority number {priority}"
