@@ -1,9 +1,14 @@
-"""What a robot of one size costs, measured in a process of its own: `python one_size.py 10000` prints it as JSON."""
+"""What a robot of one size costs, measured in a process of its own: `python one_size.py 10000` prints it as JSON.
+
+A robot of the smallest size is measured in turn with it, so that whatever else the machine does slows down both.
+"""
 
 import json
 import resource
 import sys
 from collections.abc import Callable
+from itertools import chain
+from pathlib import Path
 from random import Random
 from statistics import median
 from time import perf_counter
@@ -13,8 +18,12 @@ from generated import SUBSYSTEM, Happening, at_work, disturbance, robot, story, 
 from kb import KnowledgeBase, PriorityPlanner
 
 EVENTS = ("measured", "failed", "active", "requested", "selected")
-TOLD = 600
-ASKED = 200
+SMALLEST = 100
+ROUNDS = 20
+TOLD = 60
+ASKED = 20
+
+Times = dict[str, list[float]]
 
 
 def time_of(call: Callable[..., object], *arguments: object) -> float:
@@ -25,23 +34,27 @@ def time_of(call: Callable[..., object], *arguments: object) -> float:
 
 def peak_memory() -> int:
     """Return the most memory that this process ever had [bytes]."""
+    status = Path("/proc/self/status")
+    if status.exists():  # what Linux gives as resource usage begins with that of the process which started this one
+        line = next(line for line in status.read_text().splitlines() if line.startswith("VmHWM:"))
+        return int(line.split()[1]) * 1024
     unit = 1 if sys.platform == "darwin" else 1024
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
 
 
-def events(kb: KnowledgeBase, size: int) -> tuple[dict[str, float], dict[str, int]]:
-    """Return the median time of each kind of event [s], and how many elements all of that kind consulted."""
+def events(kb: KnowledgeBase, size: int, number: int) -> tuple[Times, dict[str, int]]:
+    """Return how long each event of each kind took [s], and how many elements were consulted for all of that kind."""
     times, visited = {}, {}
     for kind in EVENTS:
         before = kb._state.visited
-        times[kind] = median(time_of(tell, kb, one) for one in story((kind,), size, TOLD, seed=1))
+        times[kind] = [time_of(tell, kb, one) for one in story((kind,), size, TOLD, seed=number)]
         visited[kind] = kb._state.visited - before
     return times, visited
 
 
-def adaptations(kb: KnowledgeBase, size: int) -> float:
-    """Return the median time of a plan after a component failed [s]; all is as it was afterwards."""
-    draw, where, times, wired = Random(2), Random(2), [], wiring(0)
+def adaptations(kb: KnowledgeBase, size: int, number: int) -> list[float]:
+    """Return how long each plan after a failure took [s]; all is as it was afterwards."""
+    draw, where, times, wired = Random(number), Random(number), [], wiring(0)
     for _ in range(ASKED):
         here = where.randrange(size // SUBSYSTEM)
         failed, recovered = disturbance("failed", wired, here, draw)
@@ -53,7 +66,7 @@ def adaptations(kb: KnowledgeBase, size: int) -> float:
         tell(kb, recovered)
         for one in before:
             tell(kb, one)
-    return median(times)
+    return times
 
 
 def surroundings(here: int, size: int) -> list[Happening]:
@@ -74,9 +87,9 @@ def holds(kb: KnowledgeBase, one: Happening) -> bool:
     return (kb.designs if one.name in kb.model.designs else kb.configurations)[one.name].is_selected
 
 
-def questions(kb: KnowledgeBase, size: int) -> dict[str, float]:
-    """Return the median time of each question [s], about places all over the robot."""
-    where = Random(3)
+def questions(kb: KnowledgeBase, size: int, number: int) -> Times:
+    """Return how long each question took [s], about places all over the robot."""
+    where = Random(number)
     places = [where.randrange(size // SUBSYSTEM) for _ in range(ASKED)]
     busy = [f"action 1 of {here}" for here in places]
 
@@ -85,10 +98,19 @@ def questions(kb: KnowledgeBase, size: int) -> dict[str, float]:
         return kb.situation(measured).is_feasible(f"action 1 of {here}")
 
     return {
-        "situation": median(time_of(suppose, here) for here in places),
-        "explain": median(time_of(kb.explain, kb.actions[name]) for name in busy),
-        "is_feasible": median(time_of(kb.is_feasible, name) for name in busy),
+        "situation": [time_of(suppose, here) for here in places],
+        "explain": [time_of(kb.explain, kb.actions[name]) for name in busy],
+        "is_feasible": [time_of(kb.is_feasible, name) for name in busy],
     }
+
+
+def one_round(kb: KnowledgeBase, size: int, number: int) -> tuple[Times, dict[str, int]]:
+    times, visited = events(kb, size, number)
+    return {**times, "plan": adaptations(kb, size, number), **questions(kb, size, number)}, visited
+
+
+def medians(rounds: list[Times]) -> dict[str, float]:
+    return {name: median(chain.from_iterable(times[name] for times in rounds)) for name in rounds[0]}
 
 
 def main(size: int) -> None:
@@ -98,10 +120,12 @@ def main(size: int) -> None:
     kb = KnowledgeBase(model)
     built, memory = perf_counter(), peak_memory()
     del kb
-    kb = at_work(model)
-    times, visited = events(kb, size)
+    here, small = at_work(model), at_work(robot(SMALLEST))
+    rounds = [(one_round(small, SMALLEST, number)[0], one_round(here, size, number)) for number in range(ROUNDS)]
+    visited = {kind: sum(found[1][kind] for _, found in rounds) / (ROUNDS * TOLD) for kind in EVENTS}
+    p50, base = medians([found[0] for _, found in rounds]), medians([found for found, _ in rounds])
     found = {"model_s": declared - start, "build_s": built - start, "memory": memory, "visited": visited}
-    print(json.dumps({**found, "p50": {**times, "plan": adaptations(kb, size), **questions(kb, size)}}))
+    print(json.dumps({**found, "p50": p50, "ratio": {name: p50[name] / base[name] for name in p50}}))
 
 
 if __name__ == "__main__":
