@@ -60,7 +60,7 @@ class ChoiceExplanation:
         else:
             verb = "is" if self.is_selected else "would be"
             start = f"{self.chosen} {verb} selected for {self.kind} {self.name} because {self.reason}"
-        return "; ".join([start, *(f"not {one.name} because {one.reason}" for one in self.alternatives)])
+        return "; ".join([start, *(f"not {one.name}: {one.reason}" for one in self.alternatives)])
 
 
 def explain_choice(

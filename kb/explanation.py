@@ -97,7 +97,8 @@ class Explanation:
         untold = len(self.remedies) - len(told)
         if untold:
             told.append(f"{untold} more" if self.has_all_remedies else f"at least {untold} more")
-        return f"; it would be feasible with {' or '.join(told)}"
+        joined = ", or " if any(len(remedy.facts) > 1 for remedy in self.remedies) else " or "
+        return f"; it would be feasible with {joined.join(told)}"
 
     def _sentence(self, subject: str) -> str:
         if self.kind == "constraint":

@@ -84,7 +84,7 @@ def reasons(explained):
 def test_what_nothing_requires_is_told_as_what_would_be_selected(kb, see):
     assert str(choice_of(kb, see)) == (
         "by camera would be selected for function see because priority number 1 is the lowest of those that are "
-        "feasible; nothing requires the function now; not by touch because it has priority number 3, which comes "
+        "feasible; nothing requires the function now; not by touch: it has priority number 3, which comes "
         "after 1"
     )
 
@@ -136,7 +136,7 @@ def test_the_only_one_is_told_to_be_that(kb, see, camera):
     kb.request_action("look")
     explained = choice_of(kb, see)
     assert str(explained) == (
-        "by touch would be selected for function see because no other design is feasible; not by camera because it is "
+        "by touch would be selected for function see because no other design is feasible; not by camera: it is "
         "unfeasible because component camera has failed"
     )
     kb.select({"see": "by touch"})
@@ -160,7 +160,7 @@ def test_where_nothing_can_be_chosen_the_reason_is_told():
         "nothing can be selected for component lamp because it has no configuration"
     )
     assert str(choice_of(kb, network.components["camera"])) == (
-        "nothing can be selected for component camera because each configuration of it is unfeasible; not day because "
+        "nothing can be selected for component camera because each configuration of it is unfeasible; not day: "
         "it is unfeasible because light 0 violates >= 0.5 (measured 0.0 s ago)"
     )
 
