@@ -6,7 +6,7 @@ from enum import StrEnum
 from types import MappingProxyType
 from typing import Final
 
-__all__ = ["RULES", "Finding", "Rule", "Severity", "found", "listing"]
+__all__ = ["Finding", "RULES", "Rule", "Severity", "found", "listing"]
 
 
 class Severity(StrEnum):

@@ -79,22 +79,24 @@ def _exclude_one_another(rivals: Sequence[Bounds]) -> bool:
 def _excluded(component: Node) -> Iterator[Finding]:
     """Yield the configurations that are feasible only where their component is not, unless that is so of all."""
     own = bounds(component)
-    if not own or any(interval.is_empty for interval in own.values()):
+    rivals = {rival: bounds(rival) for rival in component.parts}
+    clashes = {rival: _clash(mine, own) for rival, mine in rivals.items() if not _is_contradictory(mine)}
+    if _is_contradictory(own) or all(clashes.values()):
         return
-    clashes = {}
-    for rival in component.parts:
-        mine = bounds(rival)
-        if any(interval.is_empty for interval in mine.values()):
-            continue
-        clashes[rival] = [name for name in mine if name in own and mine[name].meet(own[name]).is_empty]
-    if all(clashes.values()):
-        return
-    for rival, attributes in clashes.items():
-        if attributes:
-            name = attributes[0]
-            needs, allows = bounds(rival)[name].text(name), own[name].text(name)
-            message = f"configuration {rival.name} needs {needs}, but its component {component.name} {allows}"
-            yield found("never-selected", f"configuration {rival.name}", message)
+    for rival, name in clashes.items():
+        if name:
+            what, needs, allows = f"configuration {rival.name}", rivals[rival][name].text(name), own[name].text(name)
+            message = f"{what} needs {needs}, but its component {component.name} {allows}"
+            yield found("never-selected", what, message)
+
+
+def _clash(mine: Bounds, own: Bounds) -> str:
+    """Name an attribute of which no value lies within the bounds of both, "" if there is none."""
+    return next((name for name in mine if name in own and mine[name].meet(own[name]).is_empty), "")
+
+
+def _is_contradictory(values: Bounds) -> bool:
+    return any(interval.is_empty for interval in values.values())
 
 
 def _dominated(whole: Node) -> Iterator[Finding]:
@@ -103,7 +105,7 @@ def _dominated(whole: Node) -> Iterator[Finding]:
     offered = [(rival, _priority(rival), bounds(rival)) for rival in ranked[:PREFERRED]]
     for rival in ranked:
         needed = _bounds_in_use(rival)
-        if any(interval.is_empty for interval in needed.values()):
+        if _is_contradictory(needed):
             continue
         rank = _priority(rival)
         easier = [(one, own) for one, priority, own in offered if priority < rank and _is_part_of(one, rival)]
@@ -174,10 +176,7 @@ class _Estimated:
         if not self._direct:
             return {}
         if node not in self._known:
-            names: dict[str, None] = {}
-            if not isinstance(node.element, Element):
-                return names
-            names |= self._direct.get(node.element, {})
+            names = dict(self.directly(node))
             for part in node.parts:
                 names |= self.by(part)
             self._known[node] = names
