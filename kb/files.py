@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -12,6 +12,9 @@ if TYPE_CHECKING:
     from kb.model import Model
 
 __all__ = ["DuplicateInFile", "ModelFileError", "Place", "load_model", "read_text", "save_model", "write_text"]
+
+_MARK: Final = "\ufeff"
+"""What some editors put before everything else."""
 
 
 class ModelFileError(ModelError):
@@ -66,7 +69,8 @@ def load_model(cls: "type[Model]", paths: str | Path | Iterable[str | Path], nam
     if not files:
         raise ModelError("no file is given to load a model from; give one path or several, in order")
     for file in files:
-        _known_suffix(file)
+        if not _is_folder(file):
+            _known_suffix(file)
     from kb.typeql import load_typeql
 
     return load_typeql(cls, files, name)
@@ -86,10 +90,10 @@ def read_text(file: Path) -> str:
         raise ModelFileError(_missing(file), str(file)) from None
     except IsADirectoryError:
         raise ModelFileError("this is a folder; give the model file in it", str(file)) from None
-    except OSError as error:
-        raise ModelFileError(f"the file cannot be read: {error.strerror}", str(file)) from None
+    except (OSError, ValueError) as error:
+        raise ModelFileError(f"the file cannot be read: {error}", str(file)) from None
     try:
-        return content.decode("utf-8-sig")
+        return content.decode("utf-8").removeprefix(_MARK)
     except UnicodeDecodeError as error:
         raise _undecodable(file, content, error.start) from None
 
@@ -101,8 +105,9 @@ def write_text(file: Path, text: str) -> None:
         part.write_text(text, encoding="utf-8", newline="\n")
         part.replace(file)
     except OSError as error:
-        part.unlink(missing_ok=True)
-        raise ModelFileError(f"the file cannot be written: {error.strerror}", str(file)) from None
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
+        raise ModelFileError(f"the file cannot be written: {error}", str(file)) from None
 
 
 def _typeql(model: "Model") -> str:
@@ -112,6 +117,13 @@ def _typeql(model: "Model") -> str:
 
 
 _WRITERS: Final[Mapping[str, Callable[["Model"], str]]] = {".tql": _typeql}
+
+
+def _is_folder(file: Path) -> bool:
+    try:
+        return file.is_dir()
+    except (OSError, ValueError):
+        return False
 
 
 def _known_suffix(file: Path) -> str:
@@ -132,7 +144,7 @@ def _missing(file: Path) -> str:
 def _undecodable(file: Path, content: bytes, offset: int) -> ModelFileError:
     before = content[:offset]
     line = before.count(b"\n") + 1
-    column = len(before[before.rfind(b"\n") + 1 :].decode("utf-8-sig")) + 1
+    column = len(before[before.rfind(b"\n") + 1 :].decode("utf-8").removeprefix(_MARK)) + 1
     likely = "UTF-16" if content[:2] in (b"\xff\xfe", b"\xfe\xff") else "Latin-1 or Windows-1252"
     return ModelFileError(
         f"byte {content[offset]:#04x} at offset {offset} is no UTF-8, which is expected; "

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 __all__ = ["load_typeql", "parse", "typeql_text"]
 
 MAX_DEPTH: Final = 100
-"""How deep braces may nest; what is deeper is no model, and would only fill the memory."""
+"""How deep brackets may nest; what is deeper is no model, and would only fill the memory."""
 
 _CHANGING: Final = frozenset({"delete", "update", "undefine"})
 _EXPECTED: Final = {
@@ -135,11 +135,11 @@ class _Refusal(PostLex):
         for word in stream:
             if word.type == "REFUSED":
                 _refuse(word)
-            elif word.type == "BRACE":
+            elif word.type in ("BRACE", "OPEN"):
                 depth += 1
                 if depth > MAX_DEPTH:
-                    raise _Refused(word, f"braces are nested deeper than {MAX_DEPTH}; no model needs that")
-            elif word.type == "RBRACE":
+                    raise _Refused(word, f"brackets are nested deeper than {MAX_DEPTH}; no model needs that")
+            elif word.type in ("RBRACE", "RPAR"):
                 depth -= 1
             yield word
 
@@ -237,6 +237,8 @@ def _unexpected(file: str, error: UnexpectedToken | UnexpectedCharacters, given:
 
 
 def _ended(text: str, file: str, wanted: str) -> ModelFileError:
+    if not text.strip():
+        return ModelFileError(f"the file is empty; expected {wanted}", file, 1, 1)
     line = text.count("\n") + 1
     column = len(text) - text.rfind("\n")
     return ModelFileError(f"the file ends here; expected {wanted}", file, line, column)

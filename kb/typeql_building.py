@@ -177,9 +177,9 @@ def _number(thing: Thing, name: str, default: float | None = None) -> float:
     value = thing.value(name)
     if isinstance(value, int | float):
         return value
-    if default is None:
-        raise thing.place.error(f"this {thing.type.label} has no {name}; write `has {thing.kind}-{name} 0.5`")
-    return default
+    if default is None and thing.kind:
+        raise thing.place.error(f"this {thing.type.label} has no {name}; write `has {thing.kind.label}-{name} 0.5`")
+    return default or 0.0
 
 
 def _priority(thing: Thing) -> int | None:

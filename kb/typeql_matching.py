@@ -247,10 +247,11 @@ class _Question:
         name, kind = self._name(node, self.known), node.kind
         if name is not None and kind is not None and name not in self.store.named[kind]:
             return node.place.error(f"`match` finds nothing: {UnknownName(kind, name, self.store.named[kind])}")
-        what = node.types[0][0].label if node.types else "thing"
-        number = len(self.store.things.get(kind, ())) if node.types else 0
-        told = f"; of the {number} told so far none is and has all that is asked for" if number else " is told so far"
-        return node.place.error(f"`match` finds nothing: no {what} like this{told}")
+        if not node.types:
+            return node.place.error("`match` finds nothing: no thing told so far is like this")
+        wanted = node.types[0][0]
+        number = sum(wanted in thing.type.lineage() for thing in self.store.things.get(kind, ()))
+        return node.place.error(f"`match` finds nothing: no {wanted.label} of the {number} told so far is like this")
 
     def _unsupported(self, word: Word) -> ModelFileError:
         return place_of(self.file, word).error(

@@ -110,12 +110,12 @@ class Schema:
         fitting = [role for role in candidates if player.kind in role.kinds]
         if len(fitting) == 1 or (fitting and word is not None):
             return fitting[0]
-        needed = " or ".join(dict.fromkeys(f"a {one}" for role in candidates for one in role.kinds))
         if fitting:
             names = ", ".join(role.name for role in fitting)
-            raise place.error(f"a {player.label} can play several roles in {of.label}: {names}; write which")
-        what = f"role `{word}` of {of.label}" if word else f"a role of {of.label}"
-        raise place.error(f"{what} is played by {needed}; a {player.label} stands here")
+            raise place.error(f"what this {player.label} is in {of.label} is not clear; write one of the roles {names}")
+        needed = ", ".join(dict.fromkeys(one.value for role in candidates for one in role.kinds))
+        what = f"role `{word}`" if word else "a player"
+        raise place.error(f"{what} of {of.label} can be: {needed}; not a thing of type {player.label}, as here")
 
     def roles(self, of: Type, kind: Kind, word: Word, place: Place) -> tuple[Role, ...]:
         """Return the roles that a word can mean; where the files declare one in words of their own, any of them."""

@@ -1,6 +1,6 @@
 """What files say, statement by statement: things with their attributes, and which play which role in which relation."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -79,9 +79,9 @@ class Thing:
     def name(self) -> str:
         """What it is called."""
         own = self.own("name")
-        if own is None:
-            raise self.place.error(f"this {self.type.label} has no name; write `has {self.kind}-name '...'`")
-        return str(own.value)
+        if own is None and self.kind:
+            raise self.place.error(f"this {self.type.label} has no name; write `has {self.kind.label}-name '...'`")
+        return str(own.value) if own else ""
 
     def own(self, name: str) -> Own | None:
         """Return the attribute of that name, the last one said."""
@@ -250,7 +250,7 @@ class _Insertion:
         elif str(word) in self.values:
             value = self.values[str(word)]
         else:
-            raise self._unknown(word, self.values, "give it a value, such as")
+            raise self._unknown(word, self.values, f'a value is given by `{word} "..."`')
         self.store.give(thing, label, value, place)
 
     def _player(self, thing: Thing, player: Player) -> None:
@@ -263,9 +263,9 @@ class _Insertion:
 
     def _thing(self, word: Word) -> Thing:
         if str(word) not in self.things:
-            raise self._unknown(word, self.things, "give it a type by `isa`:")
+            raise self._unknown(word, self.things, f"a type is given by `{word} isa ...`")
         return self.things[str(word)]
 
-    def _unknown(self, word: Word, known: Iterable[str], advice: str) -> Exception:
-        place = place_of(self.file, word)
-        return place.error(f"{UnknownName('variable', str(word), known)}; {advice} {word}")
+    def _unknown(self, word: Word, known: Collection[str], advice: str) -> Exception:
+        what = UnknownName("variable", str(word), known) if known else f"unknown variable '{word}'"
+        return place_of(self.file, word).error(f"{what}; {advice}")

@@ -44,7 +44,7 @@ def literal(word: Word, place: Place) -> Literal:
             return moment if moment.tzinfo else moment.replace(tzinfo=UTC)
         return int(text) if re.fullmatch(r"[+-]?\d+", text) else float(text)
     except ValueError as error:
-        raise place.error(f"`{text:.40}` is no value: {error}") from None
+        raise place.error(f"`{text:.40}` is no value: {error!s:.60}") from None
 
 
 def checked(field: Field, value: Literal, label: str, place: Place) -> Literal:

@@ -35,6 +35,11 @@ class Kind(StrEnum):
     ADAPTATION = "parameter adaptation"
     PROCESS = "component process"
 
+    @property
+    def label(self) -> str:
+        """How it is spelled in the names of attributes."""
+        return self.replace(" ", "-")
+
 
 class Value(StrEnum):
     """What sort of value an attribute has, as messages call it."""
@@ -127,7 +132,7 @@ QUALIFIERS: Final = frozenset(
 )
 """Words before a role that add nothing to it."""
 
-_ATTRIBUTE: Final = "attribute measure quality-attribute environmental-attribute environment-attribute element"
+_ATTRIBUTE: Final = "attribute measure quality-attribute environmental-attribute environment-attribute metric element"
 _CHOICE: Final = "function-design design component component-configuration configuration element"
 _STEPS: Final = (
     ("component-activation", Kind.ACTIVATION, "activation activate activated component-to-activate"),
@@ -160,12 +165,16 @@ ROLES: Final[Mapping[Kind, tuple[Role, ...]]] = {
         _role("parameter", (Kind.PARAMETER,), "parameter configuration-parameter parameter-value", least=0),
     ),
     Kind.CONSTRAINT: (
-        _role("constrained", (Kind.ACTION, *_CHOICES), f"constrained constrainee constrained-thing action {_CHOICE}"),
+        _role(
+            "constrained",
+            (Kind.ACTION, *_CHOICES),
+            f"constrained constrainee constrained-thing constrained-entity action {_CHOICE}",
+        ),
         _role(
             "attribute",
             (Kind.ATTRIBUTE,),
-            "constraint constrainer constraining constraint-attribute constraint-measure measurement measured "
-            f"{_ATTRIBUTE}",
+            "condition constraint constrainer constraining constraint-attribute constraint-measure "
+            f"measurement measured {_ATTRIBUTE}",
             most=1,
         ),
     ),
@@ -179,8 +188,8 @@ ROLES: Final[Mapping[Kind, tuple[Role, ...]]] = {
         _role(
             "causer",
             _CHOICES,
-            "causer cause causing affecting affecter impacting influencing influencer source estimating estimator "
-            f"estimation origin contributor impact {_CHOICE}",
+            "causer cause causing affecting affecter impacting influencing influencer source estimating "
+            f"estimator effector estimation origin contributor impact {_CHOICE}",
         ),
     ),
     Kind.MEASUREMENT: (_role("measured-attribute", (Kind.ATTRIBUTE,), f"measured measurement {_ATTRIBUTE}"),),
