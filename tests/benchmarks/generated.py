@@ -51,10 +51,13 @@ def wiring(seed: int) -> Wiring:
     )
 
 
-def robot(size: int, seed: int = 0) -> Model:
+WIRING = wiring(seed=0)
+
+
+def robot(size: int, wired: Wiring = WIRING) -> Model:
     """Build a model of `size` elements, which is a multiple of 100."""
     assert size % (2 * SUBSYSTEM) == 0, size
-    wired, model, ring = wiring(seed), Model(f"robot of {size}"), range(size // SUBSYSTEM)
+    model, ring = Model(f"robot of {size}"), range(size // SUBSYSTEM)
     for here in ring:
         for number in range(4):
             model.environmental_attribute(f"attribute {number} of {here}")
@@ -123,7 +126,7 @@ def at_work(model: Model) -> KnowledgeBase:
     return kb
 
 
-def disturbance(kind: str, wired: Wiring, subsystem: int, draw: Random) -> tuple[Happening, Happening]:
+def disturbance(kind: str, subsystem: int, draw: Random, wired: Wiring = WIRING) -> tuple[Happening, Happening]:
     """Draw a thing that happens to a subsystem of a robot at work, and the end of it."""
     chosen = [2 * function for function in wired.functions[1]]
     used = [component for design in chosen for component in wired.components[design][: 1 if design == 2 else 3]]
@@ -141,17 +144,19 @@ def disturbance(kind: str, wired: Wiring, subsystem: int, draw: Random) -> tuple
     return both(kind, f"component {draw.choice(used)}", *((True, False) if kind == "failed" else (False, True)))
 
 
-def story(kinds: tuple[str, ...], size: int, count: int, seed: int, overlap: int = 1) -> Iterator[Happening]:
+def story(
+    kinds: tuple[str, ...], size: int, count: int, seed: int, overlap: int = 1, wired: Wiring = WIRING
+) -> Iterator[Happening]:
     """Yield `count` happenings all over the robot; as many disturbances as `overlap` go on at the same time.
 
     The places within the subsystems are the same at every size; which subsystems these are is not.
     """
-    wired, draw, where = wiring(0), Random(seed), Random(seed)
+    draw, where = Random(seed), Random(seed)
     open_ones: list[Happening] = []
     told = 0
     while True:
         for kind in kinds:
-            begun, ended = disturbance(kind, wired, where.randrange(size // SUBSYSTEM), draw)
+            begun, ended = disturbance(kind, where.randrange(size // SUBSYSTEM), draw, wired)
             open_ones.append(ended)
             for happening in (begun, *([open_ones.pop(0)] if len(open_ones) == overlap else [])):
                 if told == count:

@@ -13,7 +13,7 @@ from random import Random
 from statistics import median
 from time import perf_counter
 
-from generated import SUBSYSTEM, Happening, at_work, disturbance, robot, story, tell, wiring
+from generated import SUBSYSTEM, Happening, at_work, disturbance, robot, story, tell
 
 from kb import KnowledgeBase, PriorityPlanner
 
@@ -54,10 +54,10 @@ def events(kb: KnowledgeBase, size: int, number: int) -> tuple[Times, dict[str, 
 
 def adaptations(kb: KnowledgeBase, size: int, number: int) -> list[float]:
     """Return how long each plan after a failure took [s]; all is as it was afterwards."""
-    draw, where, times, wired = Random(number), Random(number), [], wiring(0)
+    draw, where, times = Random(number), Random(number), []
     for _ in range(ASKED):
         here = where.randrange(size // SUBSYSTEM)
-        failed, recovered = disturbance("failed", wired, here, draw)
+        failed, recovered = disturbance("failed", here, draw)
         before = [one._replace(value=holds(kb, one)) for one in surroundings(here, size)]
         tell(kb, failed)
         times.append(time_of(PriorityPlanner().plan, kb))
