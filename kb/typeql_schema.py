@@ -106,6 +106,8 @@ class Schema:
             player: the type of what plays it.
             place: where the player is written.
         """
+        if kind not in ROLES:
+            raise place.error(f"{of.label} is no relation; nothing plays a role in it")
         candidates = ROLES[kind] if word is None else self.roles(of, kind, word, place)
         fitting = [role for role in candidates if player.kind in role.kinds]
         if len(fitting) == 1 or (fitting and word is not None):

@@ -1,0 +1,240 @@
+"""What is wrong in a model file is one clear error with its place; what is only odd is noted."""
+
+import re
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from kb import DuplicateName, Model, ModelError
+from kb.files import ModelFileError
+from kb.typeql import MAX_DEPTH
+
+FILES = sorted(Path(__file__).with_name("typeql_files").glob("*.tql"))
+ROBOT = """insert
+$a isa Action, has action-name 'go';
+$f isa Function, has function-name 'move';
+$c isa Component, has component-name 'motor';
+$q isa QualityAttribute, has attribute-name 'charge';
+"""  # what follows begins in line 6
+DESIGN = "(function: $f, required-component: $c) isa function-design"
+PARAMETER = (
+    "(component: $c, parameter: $p) isa component-configuration; $p isa ComponentParameter, has parameter-key 'k'"
+)
+CONSTRAINT = "(attribute: $q, constrained: $a) isa constraint"
+
+
+def load(path, text):
+    path = path / "robot.tql"
+    path.write_text(text)
+    return Model.load(path)
+
+
+SYNTAX = {
+    "$a isa Action;": "1:1: `$a` stands here; expected `define`, `insert` or `match`",
+    "insert $a isa Action has x 1;": "1:22: `has` stands here; expected `,` or `;`",
+    "insert $a isa Action\n$b isa Action;": "2:1: `$b` stands here; expected `,` or `;`",
+    "insert $a isa;": "1:14: `;` stands here; expected a name",
+    "insert $a has name;": "1:19: `;` stands here; expected a variable such as `$x` or a value",
+    "insert ($a, ) isa x;": "1:13: `)` stands here; expected a variable such as `$x` or a name",
+    "insert ($a, $b) has x 1;": "1:17: `has` stands here; expected `isa`",
+    "insert $a isa Action, has n 'x;": "1:29: a text without a closing quote stands here; expected a variable",
+    "insert $a isa Action, has n €;": "1:29: '€' stands here; expected",
+    "insert $a isa Action": "1:21: the file ends here; expected `,` or `;`",
+    "insert\n$a": "2:3: the file ends here; expected a value, `isa`, `has` or `(`",
+    "insert": "1:7: the file ends here; expected",
+    "match $a isa Action;": "1:21: the file ends here; expected",
+    "define Action sub;": "1:18: `;` stands here; expected a name",
+    "define rule r: when { } then { };": "1:23: `}` stands here; expected",
+    "": "1:1: the file is empty; expected `define`, `insert` or `match`",
+    "  \n ": "1:1: the file is empty",
+    "# nothing": "1:10: the file ends here; expected `define`, `insert` or `match`",
+}
+READING = {
+    "match $a isa Action; get $a;": "1:22: `get` reads.*KnowledgeBase.query",
+    "match $a isa Action, has name $n; not {$a has status 'x';}; fetch $n;": "1:61: `fetch` reads.*SPARQL",
+    "match $a isa Action; {$a has x 1;} or {$a has x 2;}; get; limit 1;": "1:54: `get` reads",
+    "match $a isa Action; delete $a isa Action;": "1:22: `delete` changes",
+    "undefine Action sub entity;": "1:1: `undefine` changes",
+}
+MEANING = {
+    "(funktion: $f) isa function-design;": "6:2: unknown role of function-design 'funktion'; did you mean 'function'.*"
+    r"roles: function, required-component",
+    "(function: $c) isa function-design;": "6:2: role `function` .* can be: function; not a thing of type Component",
+    "($a, $c) isa function-design;": "6:2: a player of function-design can be: function, component; not .* Action",
+    "(required-component: $c) isa function-design;": "6:30: this function-design has no function",
+    "(function: $f, function: $f) isa function-design;": "6:16: a second function",
+    "(action: $a) isa functional-requirement;": "6:18: this functional-requirement has no required-function",
+    "(component: $x) isa component-configuration;": r"6:13: unknown variable '\$x'.*`\$x isa ...`",
+    "(component: $_) isa component-configuration;": "6:13: unknown variable",
+    "$x has component-name 'x';": r"6:1: unknown variable '\$x'",
+    "$x isa Component, has component-name $n;": r"6:38: unknown variable '\$n'; a value is given by",
+    "$x isa Component, has $c;": "6:23: which attribute",
+    "$x isa Componnt;": "6:8: unknown type 'Componnt'; did you mean 'Component'.*`define`",
+    "$x isa Component;": "6:8: this Component has no name; write `has component-name '...'`",
+    "$x isa Component, has component-name ' ';": "6:8: the name of a component is a non-empty text",
+    "$a isa Function;": "6:1: .a is given a type already at .*:2:8, Action",
+    "$a isa Action, isa Function;": "6:20: a second type|6:1: ",
+    "$x isa Component, has component-name 'x', has component-name 'y';": "6:47: component-name is 'y' here, and 'x' at",
+    "$a sub thing;": "6:4: `sub` stands here; expected `isa`",
+    "$x (action: $a) isa Component;": "6:5: Component is no relation",
+    "$n > 3;": "6:6: .n is compared here",
+    "$x isa Component, has component-name > 3;": "6:23: `>` compares",
+    f"{DESIGN}, has priority 'one';": "6:65: priority is a whole number, not 'one'",
+    f"{DESIGN}, has priority 1.5;": "6:65: priority is a whole number, not 1.5",
+    f"{DESIGN}, has priority true;": "6:65: priority is a whole number, not true",
+    "$c has is-active 'true';": "6:8: is-active is true or false, not 'true'",
+    "$x isa Component, has component-name 3;": "6:23: component-name is a text in quotes, not 3",
+    "(action: $a) isa required-action, has start-time 5;": "6:39: start-time is a date and time such as .*, not 5",
+    "(action: $a) isa required-action, has start-time 2024-13-01;": "6:50: `2024-13-01` is no value: month",
+    f"{CONSTRAINT}, has constraint-value 'x';": "6:54: constraint-value is a number, not 'x'",
+    f"{CONSTRAINT}, has constraint-value 1e999;": "6:54: constraint-value is a finite number",
+    f"{CONSTRAINT}, has constraint-value 1, has operator '=>';": "6:78: '=>' is no comparison; there are >=, >, <=, <",
+    f"{CONSTRAINT};": "6:38: this constraint has no value",
+    "(constrained: $a) isa constraint, has constraint-value 1;": "6:23: this constraint has no attribute",
+    "(constrained: $f, attribute: $q) isa constraint;": "6:2: role `constrained` .*can be: action, function design",
+    f"{PARAMETER};": "6:68: this ComponentParameter has no value",
+    f"{PARAMETER}, has parameter-value 'a', has parameter-type 'double';": "6:115: 'a' cannot be read as double",
+    f"{PARAMETER}, has parameter-value '1.5', has parameter-type 'long';": "'1.5' cannot be read as long",
+    f"{PARAMETER}, has parameter-value '[1', has parameter-type 'long_array';": "cannot be read as long_array",
+    f"{PARAMETER}, has parameter-value '1', has parameter-type 'duble';": "unknown parameter type 'duble'; did you",
+    "(causer: $c, affected: $q) isa estimation, has estimation-value 1, has estimation-type 'plus';": "6:72: unknown "
+    "estimation kind 'plus'; known: 'positive', 'negative', 'absolute'",
+    "(measured-attribute: $q) isa measurement;": "6:30: this measurement has no value",
+    "(action: $a, preference: $q) isa required-action, has preference-weights '[1, 2]';": "6:55: .*list of weights",
+    "$c has pid " + "9" * 5000 + ";": "6:12: `9999.* is no value",
+    "define x sub y; y sub x;": "x is declared a sort of itself|y is declared a sort of itself",
+    "define x sub nothing-known;": "6:14: unknown type 'nothing-known'",
+    "match $x isa Component, has component-name 'moter'; insert $x has is-active true;": "6:7: `match` finds nothing: "
+    "unknown component 'moter'; did you mean 'motor'",
+    "match $x isa ROSNode; insert $x has is-active true;": "6:7: `match` finds nothing: no ROSNode of the 0 told",
+    "match $x has is-active true; insert $x has is-active true;": "6:7: `match` finds nothing: no thing",
+    "match $x isa Component, has component-name $n; $n != 'motor'; insert $x has is-active true;": "6:54: nothing",
+    "match $x isa Component; $n > 1; insert $x has is-active true;": "6:30: .n is compared, and no `has",
+    "match $x isa Component; not {$x has pid 1;}; insert $x has is-active true;": "6:25: `not` is not understood",
+    "match $x isa Component, has pid like 'x'; insert $x has is-active true;": "6:33: `like` is not understood",
+    "match $x isa Component; $x is $x; insert $x has is-active true;": "6:28: `is` is not understood",
+}
+
+
+@pytest.mark.parametrize("text", SYNTAX, ids=repr)
+def test_syntax_error_says_what_stands_there_and_what_was_expected(tmp_path, text):
+    with pytest.raises(ModelFileError) as caught:
+        load(tmp_path, text)
+    place, _, message = SYNTAX[text].partition(": ")
+    assert str(caught.value).startswith(f"{caught.value.file}:{place}: {message}")
+
+
+@pytest.mark.parametrize("text", READING, ids=repr)
+def test_query_that_does_not_tell_is_refused_with_what_to_do(tmp_path, text):
+    with pytest.raises(ModelFileError, match=f":{READING[text]}"):
+        load(tmp_path, text)
+
+
+@pytest.mark.parametrize("text", MEANING, ids=lambda text: text[:60])
+def test_wrong_statement_is_an_error_with_its_place(tmp_path, text):
+    with pytest.raises(ModelFileError, match=MEANING[text]) as caught:
+        load(tmp_path, ROBOT + text)
+    assert caught.value.line == 6
+    assert caught.value.column is not None
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "$b isa Action, has action-name 'go';",
+        "$b isa ROSNode, has component-name 'motor';",
+        f"{DESIGN}, has function-design-name 'd'; {DESIGN}, has function-design-name 'd';",
+    ],
+)
+def test_key_given_twice_is_a_duplicate_name(tmp_path, text):
+    with pytest.raises(DuplicateName, match=r"is declared already at .*robot\.tql:\d:\d+") as caught:
+        load(tmp_path, ROBOT + text)
+    assert isinstance(caught.value, ModelFileError)
+
+
+@pytest.mark.parametrize("opening", ["(", "{", "[", "()", "{}", "insert (", "define rule r: when {", "match {"])
+def test_file_of_brackets_is_an_error(tmp_path, opening):
+    with pytest.raises(ModelFileError):
+        load(tmp_path, opening + opening[-1] * 1_000_000)
+
+
+@pytest.mark.parametrize("opening", ["{", "("])
+def test_brackets_nest_only_so_deep(tmp_path, opening):
+    with pytest.raises(ModelFileError, match=f"deeper than {MAX_DEPTH}"):
+        load(tmp_path, "define rule r: when {" + opening * MAX_DEPTH)
+
+
+def test_failed_load_leaves_nothing_behind_for_the_next(tmp_path):
+    with pytest.raises(ModelFileError):
+        load(tmp_path, ROBOT + "$a isa;")
+    assert list(load(tmp_path, ROBOT).actions) == ["go"]
+
+
+PIECES = st.sampled_from(
+    (
+        "(",
+        ")",
+        "{",
+        "}",
+        ";",
+        ",",
+        ":",
+        "$x",
+        "isa",
+        "has",
+        "insert",
+        "match",
+        "'",
+        '"',
+        "#",
+        "3",
+        "-",
+        "true",
+        "define",
+    )
+)
+
+
+@given(data=st.data())
+def test_spoilt_file_is_a_model_or_a_model_error(tmp_path_factory, data):
+    text = data.draw(st.sampled_from([path.read_text() for path in FILES]))
+    for _ in range(data.draw(st.integers(1, 3))):
+        start = data.draw(st.integers(0, len(text)))
+        end = data.draw(st.integers(start, min(start + 30, len(text))))
+        text = text[:start] + data.draw(PIECES | st.text(max_size=3)) + text[end:]
+    path = tmp_path_factory.mktemp("spoilt") / "spoilt.tql"
+    path.write_bytes(text.encode())
+    try:
+        loaded = Model.load(path)
+    except ModelError as error:
+        loaded = error
+    assert isinstance(loaded, Model) or str(loaded).startswith(str(path))
+
+
+@pytest.mark.parametrize(
+    ("text", "note"),
+    [
+        ("$c has component-status 'failur';", "6:8: 'failur' is no status of a Component.*did you mean 'failure'"),
+        ("$c has component-status 'odd';", "there are failure, unfeasible"),
+        ("$c has compnent-nme 'x';", "6:8: unknown attribute of Component 'compnent-nme'; known: 'name'"),
+        ("$c has is-activ true;", "did you mean 'is-active'"),
+        (f"{DESIGN};", "6:44: this function-design has no name; it is called 'move design 1'"),
+        ("(component: $c) isa component-configuration;", "it is called 'motor configuration 1'"),
+        ("(action: $a) isa required-action, has result 'dunno';", "'dunno' is no result"),
+        ("(component: $c) isa component-process;", "has no pid"),
+        (
+            "$x (parameter: $p) isa parameter-adaptation; $p isa ComponentParameter; ($x) isa reconfiguration-plan;",
+            "names no",
+        ),
+        ("$c has node-name 'x';", "node-name is passed over: component-name at .*:4:"),
+        ("define Crew sub entity; insert $x isa Crew;", "6:39: Crew is no sort of anything in ROSA"),
+    ],
+    ids=repr,
+)
+def test_odd_statement_is_noted_and_the_rest_is_loaded(tmp_path, text, note):
+    model = load(tmp_path, ROBOT + text)
+    (noted,) = model._notes
+    assert re.search(note, noted), noted
+    assert list(model.actions) == ["go"]
