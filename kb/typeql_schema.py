@@ -145,6 +145,9 @@ class Schema:
             yield label
             label = self._attributes.get(label, label)
 
+    def _is_attribute(self, label: str) -> bool:
+        return _plain(label) not in self._types and any(_field(kind, label) for kind in Kind)
+
     def _linked(self, label: str) -> None:
         chain = [label]
         while (top := str(self._parents[chain[-1]][0])) in self._parents and top not in _ROOTS:
@@ -152,7 +155,7 @@ class Schema:
                 raise self._parents[label][1].error(f"{label} is declared a sort of itself: {' sub '.join(chain)}")
             chain.append(top)
         parent, place = self._parents[chain[-1]]
-        if top == "attribute" or top in self._attributes:
+        if top == "attribute" or top in self._attributes or self._is_attribute(top):
             self._attributes.update((one, str(self._parents[one][0])) for one in chain)
             return
         above = None if top in _ROOTS else self.type(parent, place)

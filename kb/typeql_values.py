@@ -67,7 +67,7 @@ def seconds(moment: datetime) -> float:
 def written_time(time: float) -> str | None:
     """Write a time [s since 1970-01-01 UTC] as a date, or return None where that would not say exactly the same."""
     try:
-        moment = _EPOCH + timedelta(seconds=time)
+        moment = _EPOCH + timedelta(milliseconds=round(time * 1000))
     except (OverflowError, ValueError):
         return None
     text = moment.replace(tzinfo=None).isoformat(timespec="milliseconds")

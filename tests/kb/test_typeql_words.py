@@ -1,0 +1,278 @@
+"""The spellings in which types, roles, attributes and values may come, and what `match` finds."""
+
+from datetime import UTC, datetime
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from kb import Model
+from kb.facts import MeasurementFact, ProcessFact, RequiredActionFact
+from kb.files import ModelFileError
+from kb.typeql_schema import Schema
+from kb.typeql_values import quoted, seconds, written_time
+from kb.typeql_words import FIELDS, RELATIONS, ROLES, Kind
+
+ROBOT = """insert
+$a isa Action, has action-name 'go'; $f isa Function, has function-name 'move';
+$c isa Component, has component-name 'motor'; $d (function: $f, component: $c) isa function-design,
+has function-design-name 'by motor'; $q isa QualityAttribute, has attribute-name 'charge';
+"""
+
+
+@pytest.fixture
+def load(tmp_path):
+    def loaded(*texts):
+        paths = [tmp_path / f"robot{number}.tql" for number in range(len(texts))]
+        for path, text in zip(paths, texts, strict=True):
+            path.write_text(text)
+        return Model.load(paths)
+
+    return loaded
+
+
+@pytest.mark.parametrize("kind", ROLES, ids=str)
+def test_every_role_is_known_by_its_own_name(kind):
+    (label,) = (label for label, one in RELATIONS.items() if one is kind)
+    schema = Schema()
+    relation = schema.type(label, None)
+    for role in ROLES[kind]:
+        assert role in schema.roles(relation, kind, role.name, None)
+
+
+@pytest.mark.parametrize("kind", Kind, ids=str)
+def test_every_attribute_is_known_by_its_endings(kind):
+    schema = Schema()
+    for field in FIELDS[kind]:
+        for word in field.words:
+            assert schema.field(kind, word).name == field.name
+            assert schema.field(kind, f"anything-{word}").name == field.name
+            assert schema.field(kind, word.replace("-", "_").upper()).name == field.name
+    assert schema.field(kind, "colour") is None
+
+
+@pytest.mark.parametrize("label", ["ROSNode", "RosNode", "ros_node", "ros-node", "LifeCycleNode", "lifecyclenode"])
+def test_type_is_known_in_other_spellings(load, label):
+    model = load(f"insert $c isa {label}, has component-name 'driver';")
+    assert model.components["driver"].kind in ("process", "lifecycle")
+
+
+@pytest.mark.parametrize("label", ["Attribute", "Measure", "measure", "QualityAttribute", "quality_attribute"])
+def test_attribute_is_of_the_robot_unless_it_is_environmental(load, label):
+    assert load(f"insert $q isa {label}, has attribute-name 'x';").attributes["x"].kind == "quality"
+    assert load("insert $q isa EnvironmentalAttribute, has name 'x';").attributes["x"].kind == "environmental"
+
+
+@pytest.mark.parametrize(
+    "relation",
+    [
+        "(attribute: $q, constrained: $a)",
+        "(constraint: $q, constrained-element: $a)",
+        "(measured-attribute: $q, constrained-action: $a)",
+        "(constraining_attribute: $q, CONSTRAINED: $a)",
+        "(constraint:attribute: $q, constraint:constrained: $a)",
+        "(quality-attribute: $q, action: $a)",
+        "($q, constrained: $a)",
+        "($a, $q)",
+        "($role: $q, constrained: $a)",
+    ],
+)
+def test_roles_of_a_constraint_are_known_in_other_spellings(load, relation):
+    model = load(ROBOT + f"{relation} isa constraint, has value 0.5, has operator '<';")
+    (constraint,) = model.constraints
+    assert (str(constraint), [one.name for one in constraint.constrained]) == ("charge < 0.5", ["go"])
+
+
+@pytest.mark.parametrize(
+    "relation",
+    [
+        "(causer: $d, affected: $q)",
+        "(impacting-element: $d, impacted-attribute: $q)",
+        "(source: $d, estimated-attribute: $q)",
+        "(function-design: $d, measure: $q)",
+        "(estimation: $q, estimation: $d)",
+        "(element: $q, element: $d)",
+    ],
+)
+def test_roles_of_an_estimation_are_known_in_other_spellings(load, relation):
+    (estimation,) = load(ROBOT + f"{relation} isa estimation, has estimation-value -3;").estimations
+    assert (estimation.causer.name, estimation.attribute, estimation.value) == ("by motor", "charge", -3)
+    assert estimation.kind == "positive"
+
+
+def test_requirements_of_one_action_add_up(load):
+    more = "$g isa Function, has function-name 'see'; (actions: $a, required-functions: $f) isa functional-requirement;"
+    model = load(ROBOT + more + "(action: $a, function: $f, function: $g) isa functional-requirement;")
+    assert model.actions["go"].functions == ("move", "see")
+
+
+def measurement(value, rest=""):
+    return f"(measured-attribute: $q) isa measurement, has measurement-value {value}{rest};"
+
+
+@pytest.mark.parametrize(
+    ("told", "latest"),
+    [
+        ([measurement(1), measurement(2)], [False, True]),
+        ([measurement(1, ", has time 2024-01-02"), measurement(2, ", has time 2024-01-01")], [True, False]),
+        ([measurement(1, ", has latest true"), measurement(2)], [True, False]),
+        ([measurement(1), measurement(2, ", has latest false")], [True, False]),
+        ([measurement(1, ", has latest false")], [False]),
+        (["$q has attribute-value 1;"], [True]),
+    ],
+)
+def test_newest_measurement_is_the_latest_unless_the_file_says_which(load, told, latest):
+    facts = load(ROBOT + "".join(told)).facts
+    assert [fact.value for fact in facts] == [1, 2][: len(told)]
+    assert all(isinstance(fact, MeasurementFact) for fact in facts)
+    assert [fact.latest for fact in facts] == latest
+
+
+def test_preference_may_be_weighted(load):
+    told = "($a, $q) isa required-action, has preference-weights '[0.5]', has result 'success';"
+    assert load(ROBOT + told).facts == (RequiredActionFact("go", {"charge": 0.5}, result="completed"),)
+
+
+def test_component_with_a_pid_is_a_process(load):
+    assert load(ROBOT + "$c has pid 12;").facts == (ProcessFact("motor", 12),)
+
+
+@pytest.mark.parametrize(
+    ("value", "type_name", "expected"),
+    [
+        ("'true'", "boolean", True),
+        ("false", "bool", False),
+        ("'3'", "long", 3),
+        ("3.0", "integer", 3),
+        ("'3'", "double", 3.0),
+        ("'1e3'", "PARAMETER_DOUBLE", 1000.0),
+        ("'3.0'", "string", "3.0"),
+        ("3.5", "string", "3.5"),
+        ("'[3.0, 5]'", "double_array", [3.0, 5.0]),
+        ("'[]'", "long_array", []),
+        ("'[true, False]'", "bool-array", [True, False]),
+        ("'[teste, teste2]'", "string_array", ["teste", "teste2"]),
+        ('"[\'a\', \\"b\\"]"', "string[]", ["a", "b"]),
+        ("'[\"a, b\"]'", "string_array", ["a, b"]),
+        ("'3.0'", None, "3.0"),
+        ("3.0", None, 3.0),
+    ],
+)
+def test_parameter_is_read_as_its_type_says(load, value, type_name, expected):
+    kind = f", has parameter-type '{type_name}'" if type_name else ""
+    model = load(
+        f"{ROBOT}(component: $c, parameter: $p) isa component-configuration, has name 'x';"
+        f"$p isa ComponentParameter, has parameter-key 'k', has parameter-value {value}{kind};"
+    )
+    read = model.configurations["x"].parameters["k"]
+    assert (type(read), read) == (type(expected), expected)
+
+
+def test_parameter_with_two_values_in_one_configuration_is_an_error(load):
+    text = "$p isa ComponentParameter, has key 'k', has value 1; $r isa ComponentParameter, has key 'k', has value 2;"
+    with pytest.raises(ModelFileError, match="parameter 'k' has two values"):
+        load(f"{ROBOT}{text}($c, $p, $r) isa component-configuration;")
+
+
+@pytest.mark.parametrize(
+    ("written", "meant"),
+    [
+        ("'a\"b'", 'a"b'),
+        ('"a\\"b"', 'a"b'),
+        (r"'a\'b'", "a'b"),
+        (r"'a\\n'", "a\\n"),
+        (r"'a\n'", "a\n"),
+        (r"'\d'", "\\d"),
+        ("'two\nlines'", "two\nlines"),
+        (r"'\u00e9'", "é"),
+        ("'# none'", "# none"),
+    ],
+)
+def test_text_is_read_with_its_escapes(load, written, meant):
+    assert list(load(f"insert $a isa Action, has action-name {written};").actions) == [meant]
+
+
+@given(st.text(st.characters(exclude_categories=())))
+def test_quoted_text_holds_no_quote_and_no_line_end(text):
+    inner = quoted(text)[1:-1].replace("\\\\", "").replace('\\"', "")
+    assert '"' not in inner
+    assert not any(character in inner for character in "\n\r\0")
+    assert inner.encode().decode() == inner
+
+
+@given(st.datetimes(datetime(1900, 1, 1), datetime(2500, 1, 1), timezones=st.just(UTC)))
+def test_time_that_is_written_as_a_date_is_read_back_exactly(moment):
+    time = round(seconds(moment), 3)
+    assert written_time(time) is not None
+
+
+@pytest.mark.parametrize("time", [1e-9, 1e300, float("inf")])
+def test_time_that_no_date_says_exactly_is_not_written_as_one(time):
+    assert written_time(time) is None
+
+
+MATCHES = {
+    "match $c isa Component; insert $c has always-improve true;": {"motor", "node"},
+    "match $c isa! Component; insert $c has always-improve true;": {"motor"},
+    "match $c isa ROSNode; insert $c has always-improve true;": {"node"},
+    "match $c has component-name 'motor'; insert $c has always-improve true;": {"motor"},
+    "match $c isa Component, has component-name $n; $n > 'mu'; insert $c has always-improve true;": {"node"},
+    "match $c isa Component, has component-name $n; $n != 'node'; insert $c has always-improve true;": {"motor"},
+    "match $n == 'node'; $c isa Component, has component-name $n; insert $c has always-improve true;": {"node"},
+    "match (function: $f, component: $c) isa function-design; insert $c has always-improve true;": {"motor"},
+    "match ($f, $c) isa function-design; $f has function-name 'move'; insert $c has always-improve true;": {"motor"},
+    "match $d ($_, required-component: $c) isa function-design, has name 'by motor';"
+    " insert $c has always-improve true;": {"motor"},
+    "match $c isa Component, has is-active true; insert $c has always-improve true;": {"node"},
+}
+
+
+@pytest.mark.parametrize("text", MATCHES)
+def test_match_finds_all_that_its_patterns_say(load, text):
+    model = load(ROBOT + "$n isa ROSNode, has component-name 'node', has is-active true;", text)
+    assert {name for name, one in model.components.items() if one.always_improve} == MATCHES[text]
+
+
+def test_each_answer_inserts_once(load):
+    text = "match $c isa Component; $q isa Attribute; insert (causer: $c, affected: $q) isa estimation, has value 1;"
+    model = load(ROBOT + "$n isa ROSNode, has component-name 'node';", text)
+    assert [(one.causer.name, one.attribute) for one in model.estimations] == [("motor", "charge"), ("node", "charge")]
+
+
+def test_players_that_are_found_in_two_ways_insert_once(load):
+    more = "(function: $f, component: $c) isa function-design, has function-design-name 'again';"
+    text = "match (function: $f, component: $c) isa function-design; insert $x ($c) isa component-configuration;"
+    assert list(load(ROBOT + more, text).configurations) == ["motor configuration 1"]
+
+
+def test_value_that_is_matched_can_be_inserted(load):
+    text = "match $f isa Function, has function-name $n; insert $c isa Component, has component-name $n;"
+    assert list(load(ROBOT, text).components) == ["motor", "move"]
+
+
+def test_relation_that_is_matched_can_be_given_more_players(load):
+    text = "match $d isa function-design; insert $d (component: $c); $c isa Component, has component-name 'gear';"
+    assert load(ROBOT, text).designs["by motor"].components == ("motor", "gear")
+
+
+def test_schema_in_a_file_of_its_own_counts_for_all(load):
+    schema = "define Wheel sub Driver; Driver sub ROSNode; wheel-name sub component-name;"
+    model = load("insert $w isa Wheel, has wheel-name 'left';", schema)
+    assert model.components["left"].kind == "process"
+    assert not model._notes
+
+
+def test_schema_that_declares_what_rosa_has_changes_nothing(load):
+    schema = """define
+        name sub attribute, abstract, value string; component-name sub name; status sub attribute, value string;
+        Constrainable sub entity, abstract, plays constraint:constrained;
+        Component sub Constrainable, owns component-name @key, owns status, plays function-design:required-component;
+        ROSNode sub Component; Measure sub entity, abstract; Attribute sub Measure, owns attribute-name @key;
+        QualityAttribute sub Attribute; EnvironmentalAttribute sub Attribute;
+        function-design sub relation, owns priority, relates function, relates required-component;
+        constraint sub relation, relates constrained, relates limit;
+        rule one: when { $c isa! Component, has status $s; $s like 'a|b'; } then { $c has status 'x'; };
+    """
+    model = load(schema, ROBOT + "(limit: $q, constrained: $c) isa constraint, has constraint-value 1;")
+    assert [str(one) for one in model.constraints] == ["charge >= 1"]
+    assert list(model.components) == ["motor"]
