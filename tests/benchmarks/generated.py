@@ -4,7 +4,7 @@ A robot is a ring of subsystems of 50 elements, wired alike; the wiring is drawn
 uses a component and a function of the next one. So a thing that happens at one place touches as many elements in a
 small robot as in a large one, and only what the size itself costs can differ.
 
-Per subsystem: 2 actions (each requires 3 functions), 4 functions (2 designs each), 8 designs (2 or 3 components each, so
+Per subsystem: 2 actions (3 functions each), 4 functions (2 designs each), 8 designs (2 or 3 components each, so that
 a component is in 1 to 4 of them), 8 components (every second one with 2 configurations), 8 configurations, 4 attributes
 and 16 constraints: 4 for each attribute, each on 1 to 3 actions, designs, components or configurations. So the number
 of attributes grows with the robot, and each of them constrains 6 to 10 elements at every size.
