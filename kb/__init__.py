@@ -1,13 +1,14 @@
 """What a robot knows: which actions are feasible now, why, and how it has to be configured for what it does."""
 
+from kb.choice import ChoiceExplanation
 from kb.diagnostics import DiagnosticProblem
 from kb.elements import AttributeKind, ComponentKind, EstimationKind, Expression, StalePolicy
 from kb.events import Event, EventKind, StatusChange
 from kb.exceptions import AmbiguousName, DuplicateName, InvalidValue, KnowledgeBaseError, ModelError, UnknownName
 from kb.execution import StagedExecutor
 from kb.explanation import Explanation
+from kb.findings import Finding, Severity
 from kb.history import Process
-from kb.judge import Finding
 from kb.knowledge_base import KnowledgeBase
 from kb.managed import ManagedObject, ManagedObjects, ManagedSystem, Operation
 from kb.manager import ConfigurationManager, Executor, Monitor, Planner, PriorityPlanner
@@ -22,6 +23,7 @@ __all__ = [
     "AmbiguousName",
     "AttributeKind",
     "Choice",
+    "ChoiceExplanation",
     "ComponentKind",
     "ConfigurationManager",
     "DiagnosticProblem",
@@ -50,6 +52,7 @@ __all__ = [
     "ReconfigurationPlan",
     "Reply",
     "RequiredAction",
+    "Severity",
     "Situation",
     "StagedExecutor",
     "StalePolicy",

@@ -1,6 +1,6 @@
 """Why an element has the status it has: a chain from the status down to the facts, as data and as a sentence."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -245,7 +245,7 @@ def _together(causes: Iterable[Explanation]) -> Reasons:
     return (reason,) if reason else ()
 
 
-def why_selected(state: State, chosen: Iterable[Node], now: float) -> str:
+def why_selected(state: State, chosen: Sequence[Node], now: float) -> str:
     """Say why designs and configurations are about to be selected; the state is the one before."""
     reasons = []
     for node in chosen:
@@ -254,7 +254,7 @@ def why_selected(state: State, chosen: Iterable[Node], now: float) -> str:
         if before is node:
             continue
         if before is None:
-            reasons.append(f"{whole.kind} {whole.name} is needed by {_needed_by(state, whole)}")
+            reasons.append(f"{whole.kind} {whole.name} is needed by {_needed_by(state, whole, chosen)}")
         elif state.status[before.index] is Status.UNFEASIBLE:
             reasons.append(why(state, before, now))
         else:
@@ -262,17 +262,14 @@ def why_selected(state: State, chosen: Iterable[Node], now: float) -> str:
     return "; ".join(dict.fromkeys(reasons)) or "what was active or selected is no longer needed"
 
 
-def _needed_by(state: State, node: Node) -> str:
-    """Name the required actions for which a function or component is wanted."""
-    actions: dict[str, None] = {}
-    waiting = list(node.wholes)
-    while waiting:
-        whole = waiting.pop(0)
-        if whole.kind != "action":
-            waiting.extend(whole.wholes)
-        elif state.required[whole.index]:
-            actions[whole.name] = None
-    return ", ".join(actions) or "something asserted"
+def _needed_by(state: State, node: Node, chosen: Sequence[Node]) -> str:
+    """Name the required actions for which a function or component is wanted, now or with what is about to be chosen."""
+    functions = [node]
+    if node.kind == "component":
+        about = [one for one in chosen if one.kind == "function design" and node in one.parts]
+        functions = [design.wholes[0] for design in (*state.users[node.index], *about)]
+    actions = (action.name for function in functions for action in state.users[function.index])
+    return ", ".join(dict.fromkeys(actions)) or "something asserted"
 
 
 def _told(compared: Comparison, attribute: Node, now: float) -> str:

@@ -8,7 +8,7 @@ from kb.beginning import past_plan, past_process, past_request, stated
 from kb.elements import Action, Constraint, Element, Estimation, finite_number
 from kb.events import Event, EventKind
 from kb.exceptions import InvalidValue, KnowledgeBaseError
-from kb.explanation import explain, why_selected
+from kb.explanation import why, why_selected
 from kb.facts import Fact, MeasurementFact, PlanFact, ProcessFact, RequiredActionFact
 from kb.growth import grown, shrunk
 from kb.inference import settle
@@ -65,7 +65,7 @@ class KnowledgeBase(Telling):
             if action in self._open:
                 return Reply(True, f"{action} is required already")
             if self._state.status[node.index] is Status.UNFEASIBLE:
-                return Reply(False, str(explain(self._state, node, now)))
+                return Reply(False, why(self._state, node, now))
             self._open[action] = RequiredAction(action, preference, now)
             self._history.append(self._open[action])
             self._known.requested[node.index] = True

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Mapping
 from threading import RLock
 from typing import Any, Final
 
+from kb.choice import ChoiceExplanation, explain_choice
 from kb.declarations import listed
 from kb.elements import Configuration, Element, FunctionDesign, Parameters
 from kb.exceptions import AmbiguousName, InvalidValue, UnknownName
@@ -128,7 +129,7 @@ class Questions(ABC):
             return obsolete(self._state)
 
     def explain(self, element: ElementView | Element | str) -> Explanation:
-        """Say why an element has the status that it has.
+        """Say why an element has the status that it has, and what would make it feasible if it is not.
 
         Args:
             element: a view, an element of the model, or a name; a name that several kinds share means the action
@@ -136,6 +137,15 @@ class Questions(ABC):
         """
         with self._lock:
             return explain(self._state, self._node(element, ELEMENTS), self._clock())
+
+    def explain_choice(self, element: ElementView | Element | str) -> ChoiceExplanation:
+        """Say why a function has the design, or a component the configuration, that it has, and not another one.
+
+        Args:
+            element: a view, an element of the model, or a name; of a name that both kinds share the function is meant.
+        """
+        with self._lock:
+            return explain_choice(self._state, self._node(element, ("function", "component")), self._clock())
 
     def _history_of(self, attribute: Node) -> History:
         history = self._histories.get(attribute.index)

@@ -6,16 +6,26 @@ copies nothing.
 
 from collections.abc import Iterable
 from operator import attrgetter
-from typing import Generic, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 from kb.network import Network, Node
 from kb.status import Status
 
-__all__ = ["Marked", "Overlay", "State"]
+__all__ = ["Array", "Marked", "Overlay", "State"]
 
 T = TypeVar("T")
 
 _INDEX = attrgetter("index")
+
+
+class Array(Protocol[T]):
+    """One value for each node, by `Node.index`."""
+
+    def __getitem__(self, index: int, /) -> T:
+        """Return the value of a node."""
+
+    def __setitem__(self, index: int, value: T, /) -> None:
+        """Set the value of a node."""
 
 
 class _Layer(dict[int, T], Generic[T]):
@@ -23,7 +33,7 @@ class _Layer(dict[int, T], Generic[T]):
 
     __slots__ = ("below",)
 
-    def __init__(self, below: "list[T] | _Layer[T]") -> None:
+    def __init__(self, below: "Array[T]") -> None:
         self.below = below
 
     def __missing__(self, index: int) -> T:
@@ -33,11 +43,12 @@ class _Layer(dict[int, T], Generic[T]):
 class Marked:
     """A set of nodes; one on top of another answers from its own changes first."""
 
-    __slots__ = ("_below", "_own")
+    __slots__ = ("_below", "_most", "_own")
 
     def __init__(self, below: "Marked | None" = None) -> None:
         self._below = below
         self._own: dict[Node, bool] = {}
+        self._most = 0
 
     def mark(self, node: Node, yes: bool) -> None:
         """Have a node in the set, or not."""
@@ -45,6 +56,12 @@ class Marked:
             self._own[node] = yes
         else:
             self._own.pop(node, None)
+        count = len(self._own)
+        if count > self._most:
+            self._most = count
+        elif count < self._most // 8:  # a dict keeps the room that it once took, and would be walked through in full
+            self._own = dict(self._own.items())
+            self._most = count
 
     def nodes(self) -> list[Node]:
         """Return the nodes in order of declaration."""
@@ -82,45 +99,41 @@ class State:
 
     def __init__(self, network: Network) -> None:
         self.network = network
-        self.value: list[float | None] | _Layer[float | None] = []
-        self.time: list[float | None] | _Layer[float | None] = []
-        self.stale: list[bool] | _Layer[bool] = []
-        self.failed: list[bool] | _Layer[bool] = []
-        self.active: list[bool] | _Layer[bool] = []
-        self.selected: list[bool] | _Layer[bool] = []
-        self.requested: list[bool] | _Layer[bool] = []
-        self.asserted: list[Status | None] | _Layer[Status | None] = []
-        self.asserted_required: list[bool] | _Layer[bool] = []
-        self.users: list[tuple[Node, ...]] | _Layer[tuple[Node, ...]] = []
-        self.required: list[bool] | _Layer[bool] = []
-        self.served: list[int] | _Layer[int] = []
-        self.status: list[Status] | _Layer[Status] = []
+        self._columns: list[tuple[list[Any], object]] = []
+        self.value: Array[float | None] = self._column(None)
+        self.time: Array[float | None] = self._column(None)
+        self.stale: Array[bool] = self._column(False)
+        self.failed: Array[bool] = self._column(False)
+        self.active: Array[bool] = self._column(False)
+        self.selected: Array[bool] = self._column(False)
+        self.requested: Array[bool] = self._column(False)
+        self.asserted: Array[Status | None] = self._column(None)
+        self.asserted_required: Array[bool] = self._column(False)
+        self.users: Array[tuple[Node, ...]] = self._column(())
+        self.required: Array[bool] = self._column(False)
+        self.served: Array[int] = self._column(0)
+        self.status: Array[Status] = self._column(Status.FEASIBLE)
         self.adaptable = Marked()
         self.obsolete = Marked()
         self.lacking = Marked()
         self.visited = 0
+        self._size = 0
         self.grow()
 
     def grow(self) -> None:
         """Make room for the nodes that the network got, with no fact about any of them."""
-        new = self.network.nodes[len(self.status) :]
-        size = len(new)
-        for unset in (self.value, self.time, self.asserted):
-            unset += [None] * size  # type: ignore[operator]  # a base state, so these are lists
-        for false in (
-            self.stale,
-            self.failed,
-            self.active,
-            self.selected,
-            self.requested,
-            self.asserted_required,
-            self.required,
-        ):
-            false += [False] * size  # type: ignore[operator]  # as above
-        self.users += [()] * size  # type: ignore[operator]  # as above
-        self.served += [0] * size  # type: ignore[operator]  # as above
-        statuses = {"constraint": Status.NOT_EVALUATED}
-        self.status += [statuses.get(node.kind, Status.FEASIBLE) for node in new]  # type: ignore[operator]  # as above
+        new = self.network.nodes[self._size :]
+        self._size += len(new)
+        for column, unset in self._columns:
+            column += [unset] * len(new)
+        for node in new:
+            if node.kind == "constraint":
+                self.status[node.index] = Status.NOT_EVALUATED
+
+    def _column(self, unset: object) -> Any:  # noqa: ANN401  # a list of whatever the array is declared to hold
+        column: list[Any] = []
+        self._columns.append((column, unset))
+        return column
 
 
 class Overlay(State):
