@@ -7,8 +7,9 @@ from kb.events import Event, EventKind, StatusChange
 from kb.exceptions import AmbiguousName, DuplicateName, InvalidValue, KnowledgeBaseError, ModelError, UnknownName
 from kb.execution import StagedExecutor
 from kb.explanation import Explanation
-from kb.findings import Finding, Severity
+from kb.files import ModelFileError
 from kb.history import Process
+from kb.judge import Finding, Severity
 from kb.knowledge_base import KnowledgeBase
 from kb.managed import ManagedObject, ManagedObjects, ManagedSystem, Operation
 from kb.manager import ConfigurationManager, Executor, Monitor, Planner, PriorityPlanner
@@ -43,6 +44,7 @@ __all__ = [
     "ManagedSystem",
     "Model",
     "ModelError",
+    "ModelFileError",
     "Monitor",
     "Obsolete",
     "Operation",

@@ -32,6 +32,7 @@ from kb.facts import (
     SelectedFact,
     StatusFact,
 )
+from kb.requests import check_result
 from kb.status import STATUSES
 
 if TYPE_CHECKING:
@@ -146,9 +147,12 @@ def checked_fact(model: "Model", fact: object) -> Fact:
     for kind, name in _names(fact):
         if name not in tables[kind]:
             raise UnknownName(kind, name, tables[kind])
-    if isinstance(fact, MeasurementFact):
-        finite_number(fact.value)
-    elif isinstance(fact, StatusFact):
+    for number in (getattr(fact, "value", None), *(getattr(fact, name, None) for name in ("time", "start", "end"))):
+        if number is not None:
+            finite_number(number)
+    if isinstance(fact, RequiredActionFact | PlanFact) and fact.result is not None:
+        check_result(fact.result)
+    if isinstance(fact, StatusFact):
         kind = KINDS[type(fact.element)]
         if fact.status not in STATUSES.get(kind, ()):
             raise InvalidValue(f"a {kind} is never {fact.status!s}; it can be {', '.join(STATUSES.get(kind, ()))}")

@@ -49,7 +49,7 @@ from kb.exceptions import DuplicateName, ModelError
 from kb.facts import Fact, RequiredFact, SelectedFact, StatusFact
 
 if TYPE_CHECKING:
-    from kb.judge import Finding
+    from kb.judge.findings import Finding
 
 __all__ = ["Changeable", "Model", "Observer"]
 
@@ -78,6 +78,10 @@ class Model:
         name: what the model is called in messages and files.
 
     Each mapping below is by name, in order of declaration, and read-only.
+
+    Attributes:
+        notes: what a file said that has no meaning in a model, and what was made of it; for the judge.
+        places: where the elements that come from files stand there, as file:line:column.
     """
 
     def __init__(self, name: str) -> None:
@@ -91,6 +95,8 @@ class Model:
         self._constraints: dict[Constraint, None] = {}
         self._estimations: dict[Estimation, None] = {}
         self._facts: list[Fact] = []
+        self.notes: list[str] = []
+        self.places: dict[Element | Constraint, str] = {}
         self._observers: list[ref[Observer]] = []
         self.attributes: Mapping[str, Attribute] = MappingProxyType(self._attributes)
         self.components: Mapping[str, Component] = MappingProxyType(self._components)

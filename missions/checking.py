@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from kb import Model
-from kb.findings import RULES, Finding, Severity
+from kb.judge.findings import RULES, Finding, Severity
 from missions.mission import Mission, MissionError
 from missions.names import Names, names_in_pddl, names_in_tree, tree_builder
 
@@ -83,7 +83,7 @@ def _placed(findings: Iterable[Finding], names: Names) -> Iterable[Finding]:
         if one.code == "unknown-action":
             first, *others = names.places[one.element]
             more = f" and {len(others)} more" if others else ""
-            yield replace(one, message=f"{first}{more}: {one.message}")
+            yield replace(one, place=f"{first}{more}")
         elif one.code != "unmentioned-action" or names.complete:
             yield one
 
@@ -95,7 +95,7 @@ def print_judgement(console: Console, judgement: Judgement) -> None:
         for code, group in groupby(findings, key=lambda one: one.code):
             console.print(f"[bold {COLOURS[severity]}]{severity}[/] {code}", highlight=False)
             for one in group:
-                console.print(f"  {escape(one.message)}", highlight=False, soft_wrap=True)
+                console.print(f"  {escape(one.where_and_what)}", highlight=False, soft_wrap=True)
             console.print(f"  -> {escape(RULES[code].advice)}", highlight=False, soft_wrap=True)
     told = [_counted(len(judgement.of(severity)), severity) for severity in Severity if judgement.of(severity)]
     console.print(f"model {escape(judgement.model)}: {' and '.join(told) or 'nothing found'}", highlight=False)

@@ -17,7 +17,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from kb import KnowledgeBaseError
-from kb.findings import Severity
+from kb.judge.findings import Severity
 from missions.checking import judge, print_judgement
 from missions.live import Narrator, Pace, Recorder
 from missions.mission import Mission, MissionError, Verdict

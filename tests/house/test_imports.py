@@ -27,7 +27,7 @@ ALLOWED = {
 }
 LATE = {"unified_planning", "suave_env", "matplotlib", "lark"}
 """Slow to import: only inside functions, or in the one module that is itself imported late."""
-LATE_MODULES = {"missions/plot.py", "kb/typeql.py"}
+LATE_MODULES = {"missions/plot.py", "kb/typeql/reading.py"}
 
 
 def imports(path):

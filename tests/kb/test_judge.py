@@ -18,7 +18,7 @@ from kb.facts import (
     SelectedFact,
     StatusFact,
 )
-from kb.findings import RULES, Severity, listing
+from kb.judge.findings import RULES, Severity, listing
 from kb.selection import first_by_priority
 
 VALUES = (-0.5, 0.0, 0.25, 0.5, 0.75, 1.0, 1.5)
@@ -287,7 +287,7 @@ def names_that_differ_in_a_space(model):
 
 @specimen("file-note", "model sound", "model.tql:3:7: 'solvd' is no status")
 def file_with_a_note(model):
-    model._notes = ("model.tql:3:7: 'solvd' is no status",)
+    model.notes.append("model.tql:3:7: 'solvd' is no status")
 
 
 @specimen("unknown-action", "explor", "unknown action 'explor'; did you mean 'explore'?")
@@ -395,6 +395,15 @@ def test_finding_is_one_line_that_says_what_where_and_what_to_do():
     )
     with pytest.raises(AttributeError):
         finding.code = "other"
+
+
+def test_finding_about_an_element_from_a_file_says_where_it_stands(tmp_path):
+    path = tmp_path / "rover.tql"
+    path.write_text("insert\n  $a isa Action, has action-name 'go';\n  $f isa Function, has function-name 'move';\n")
+    places = {one.code: one.place for one in Model.load(path).check()}
+    assert places["function-without-designs"] == f"{path}:3:3"
+    assert places["action-without-functions"] == f"{path}:2:3"
+    assert all(str(path) in str(one) for one in Model.load(path).check())
 
 
 def test_errors_come_before_warnings_and_the_rest_in_order_of_declaration():

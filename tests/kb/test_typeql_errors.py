@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from kb import DuplicateName, Model, ModelError
 from kb.files import ModelFileError
-from kb.typeql import MAX_DEPTH
+from kb.typeql.reading import MAX_DEPTH
 
 FILES = sorted(Path(__file__).with_name("typeql_files").glob("*.tql"))
 ROBOT = """insert
@@ -235,6 +235,6 @@ def test_spoilt_file_is_a_model_or_a_model_error(tmp_path_factory, data):
 )
 def test_odd_statement_is_noted_and_the_rest_is_loaded(tmp_path, text, note):
     model = load(tmp_path, ROBOT + text)
-    (noted,) = model._notes
+    (noted,) = model.notes
     assert re.search(note, noted), noted
     assert list(model.actions) == ["go"]

@@ -44,7 +44,7 @@ def test_elements_have_what_the_file_says():
     assert [one.priority for one in model.designs.values()] == [1, 1, 2, None]
     assert model.attributes["water_visibility"].kind == "environmental"
     assert [str(one) for one in model.constraints] == ["water_visibility >= 3.25", "water_visibility >= 1.25"]
-    assert not model._notes
+    assert not model.notes
 
 
 def test_parameters_are_typed_and_may_be_shared():
@@ -106,7 +106,7 @@ def test_facts_are_told_in_the_order_of_the_file():
 def test_constraint_that_only_carries_a_status_is_given_an_attribute_and_noted():
     model = load("asserted")
     assert model.constraints[1].attribute == "unnamed attribute 1"
-    (note,) = model._notes
+    (note,) = model.notes
     assert "asserted.tql:20:28" in note
 
 
@@ -124,6 +124,6 @@ def test_values_without_quotes_are_taken_as_they_are():
 
 
 def test_attribute_that_nobody_declares_is_noted():
-    (note,) = load("mobile_robot")._notes
+    (note,) = load("mobile_robot").notes
     assert "mobile_robot.tql:39:8" in note
     assert "'colour'" in note

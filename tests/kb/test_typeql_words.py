@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from kb import Model
 from kb.facts import MeasurementFact, ProcessFact, RequiredActionFact
 from kb.files import ModelFileError
-from kb.typeql_schema import Schema
-from kb.typeql_values import quoted, seconds, written_time
-from kb.typeql_words import FIELDS, RELATIONS, ROLES, Kind
+from kb.typeql.schema import Schema
+from kb.typeql.values import quoted, seconds, written_time
+from kb.typeql.words import FIELDS, RELATIONS, ROLES, Kind
 
 ROBOT = """insert
 $a isa Action, has action-name 'go'; $f isa Function, has function-name 'move';
@@ -259,7 +259,7 @@ def test_schema_in_a_file_of_its_own_counts_for_all(load):
     schema = "define Wheel sub Driver; Driver sub ROSNode; wheel-name sub component-name;"
     model = load("insert $w isa Wheel, has wheel-name 'left';", schema)
     assert model.components["left"].kind == "process"
-    assert not model._notes
+    assert not model.notes
 
 
 def test_schema_that_declares_what_rosa_has_changes_nothing(load):

@@ -8,7 +8,7 @@ import py_trees
 import pytest
 
 from kb import Model
-from kb.findings import RULES
+from kb.judge.findings import RULES
 from missions import cli, registry
 from missions.checking import judge
 from missions.mission import MissionError

@@ -13,10 +13,10 @@ from kb.elements import (
     Parameter,
     StalePolicy,
 )
-from kb.typeql_facts import Elements, facts
-from kb.typeql_store import Store, Thing
-from kb.typeql_values import parameter
-from kb.typeql_words import ROLES, Kind
+from kb.typeql.facts import Elements, facts
+from kb.typeql.store import Store, Thing
+from kb.typeql.values import parameter
+from kb.typeql.words import ROLES, Kind
 
 if TYPE_CHECKING:
     from kb.model import Model
@@ -47,7 +47,7 @@ def build(cls: "type[Model]", store: Store, name: str | None, stem: str) -> "Mod
     said = (one.name for one in store.things.get(Kind.MODEL, ()))
     model = cls(name if name is not None else next(said, stem))
     _Building(model, store).run()
-    vars(model)["_notes"] = list(store.notes)  # for the judge; no part of what the model says
+    model.notes.extend(store.notes)
     return model
 
 
@@ -78,7 +78,8 @@ class _Building:
         for kind, make in makers.items():
             for thing in self._told(kind):
                 with thing.place.blamed():
-                    self.elements[thing] = make(thing)
+                    self.elements[thing] = element = make(thing)
+                    self.model.places[element] = str(thing.place)
         for thing in self._told(Kind.ESTIMATION):
             with thing.place.blamed():
                 self._estimate(thing)

@@ -7,11 +7,11 @@ from typing import Final
 
 from kb.exceptions import UnknownName
 from kb.files import ModelFileError, Place
-from kb.typeql_schema import Type, place_of
-from kb.typeql_store import ANONYMOUS, Bindings, Part, Store, Thing
-from kb.typeql_syntax import Comparison, Has, Isa, Players, Statement, Unsupported, Word
-from kb.typeql_values import Literal, literal
-from kb.typeql_words import Kind
+from kb.typeql.schema import Type, place_of
+from kb.typeql.store import ANONYMOUS, Bindings, Part, Store, Thing
+from kb.typeql.syntax import Comparison, Has, Isa, Players, Statement, Unsupported, Word
+from kb.typeql.values import Literal, literal
+from kb.typeql.words import Kind
 
 __all__ = ["answers"]
 

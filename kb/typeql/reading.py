@@ -1,7 +1,4 @@
-"""ROSA's models in TypeQL 2 files: from text to what stands there, by the grammar in `typeql.lark`, and on to a model.
-
-Imported late, for it needs lark.
-"""
+"""From the text of a TypeQL file to what stands there, by the grammar in `grammar.lark`, and on to a model."""
 
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
@@ -13,10 +10,10 @@ from lark.exceptions import UnexpectedCharacters, UnexpectedToken
 from lark.lark import PostLex
 
 from kb.files import ModelFileError, Place, read_text
-from kb.typeql_building import build
-from kb.typeql_schema import Schema
-from kb.typeql_store import Store
-from kb.typeql_syntax import (
+from kb.typeql.building import build
+from kb.typeql.schema import Schema
+from kb.typeql.store import Store
+from kb.typeql.syntax import (
     Clause,
     Comparison,
     Define,
@@ -32,12 +29,11 @@ from kb.typeql_syntax import (
     TypeDefinition,
     Unsupported,
 )
-from kb.typeql_writing import typeql_text
 
 if TYPE_CHECKING:
     from kb.model import Model
 
-__all__ = ["load_typeql", "parse", "typeql_text"]
+__all__ = ["load_typeql", "parse"]
 
 MAX_DEPTH: Final = 100
 """How deep brackets may nest; what is deeper is no model, and would only fill the memory."""
@@ -227,7 +223,7 @@ class _Shapes(Transformer[Token, Any]):
 @lru_cache(maxsize=1)
 def _parser() -> Lark:
     return Lark.open(
-        "typeql.lark", rel_to=__file__, parser="lalr", lexer="contextual", postlex=_Refusal(), transformer=_Shapes()
+        "grammar.lark", rel_to=__file__, parser="lalr", lexer="contextual", postlex=_Refusal(), transformer=_Shapes()
     )
 
 

@@ -1,21 +1,24 @@
 """A judge of models: what can never work, contradicts itself or is likely a slip."""
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from kb.contradictions import contradictions
+from kb.amendments import KINDS
 from kb.declarations import listed, text
+from kb.elements import Constraint, Element
 from kb.exceptions import UnknownName
 from kb.facts import RequiredActionFact
-from kb.findings import Finding, Severity, found
 from kb.inference import Network, Node
-from kb.premises import doubtful_facts
-from kb.rivals import doubtful_choices
+from kb.judge.contradictions import contradictions
+from kb.judge.findings import Finding, Severity, found
+from kb.judge.premises import doubtful_facts
+from kb.judge.rivals import doubtful_choices
 
 if TYPE_CHECKING:
     from kb.model import Model
 
-__all__ = ["Finding", "check_model"]
+__all__ = ["check_model"]
 
 
 def check_model(model: "Model", names: Iterable[str] | None = None) -> tuple[Finding, ...]:
@@ -29,9 +32,15 @@ def check_model(model: "Model", names: Iterable[str] | None = None) -> tuple[Fin
         *doubtful_choices(model, network),
         *doubtful_facts(model),
         *_similar_names(network),
-        *(found("file-note", f"model {model.name}", str(note)) for note in getattr(model, "_notes", ())),
+        *(found("file-note", f"model {model.name}", note) for note in model.notes),
     ]
-    return tuple(sorted(findings, key=lambda one: one.severity is not Severity.ERROR))
+    places = {f"{KINDS[type(element)]} {_name(element)}": place for element, place in model.places.items()}
+    placed = (replace(one, place=places.get(one.element, "")) for one in findings)
+    return tuple(sorted(placed, key=lambda one: one.severity is not Severity.ERROR))
+
+
+def _name(element: Element | Constraint) -> str:
+    return element.name if isinstance(element, Element) else str(element)
 
 
 def _mismatches(actions: Collection[str], names: Iterable[str]) -> Iterator[Finding]:

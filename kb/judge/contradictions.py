@@ -9,8 +9,8 @@ from itertools import combinations
 from typing import Final, NamedTuple
 
 from kb.elements import Constraint
-from kb.findings import Finding, found, listing
 from kb.inference import Network, Node
+from kb.judge.findings import Finding, found, listing
 from kb.requirements import Alternatives, Box, Interval, Requirements
 
 __all__ = ["bounds", "contradictions"]

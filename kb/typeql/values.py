@@ -10,8 +10,8 @@ from typing import Final
 from kb.elements import Parameter
 from kb.exceptions import UnknownName
 from kb.files import Place
-from kb.typeql_syntax import Word
-from kb.typeql_words import Field, Value
+from kb.typeql.syntax import Word
+from kb.typeql.words import Field, Value
 
 __all__ = ["Literal", "checked", "literal", "parameter", "quoted", "seconds", "written_parameter", "written_time"]
 

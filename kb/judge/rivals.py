@@ -5,11 +5,11 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import groupby, pairwise
 from typing import TYPE_CHECKING, Final
 
-from kb.contradictions import bounds
 from kb.elements import Attribute, Configuration, Element, FunctionDesign, StalePolicy
 from kb.facts import RequiredActionFact
-from kb.findings import Finding, found, listing
 from kb.inference import Network, Node
+from kb.judge.contradictions import bounds
+from kb.judge.findings import Finding, found, listing
 from kb.requirements import Interval
 
 if TYPE_CHECKING:

@@ -251,7 +251,7 @@ _PERIOD: Final = (
 _RESULT: Final = Field("result", Value.TEXT, ("result",))
 _PID: Final = Field("pid", Value.WHOLE, ("pid",))
 _MEASURED: Final = (
-    _VALUE,
+    Field("value", Value.NUMBER, ("value", "measurement")),
     Field("time", Value.TIME, ("time", "timestamp", "time-stamp", "date")),
     Field("time", Value.NUMBER, ("time-seconds",)),
     Field("latest", Value.FLAG, ("latest", "is-latest")),

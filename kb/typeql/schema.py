@@ -6,8 +6,8 @@ from typing import Final
 
 from kb.exceptions import UnknownName
 from kb.files import Place
-from kb.typeql_syntax import Define, Word
-from kb.typeql_words import ALIASES, ENTITIES, FIELDS, QUALIFIERS, RELATIONS, ROLES, Field, Kind, Role
+from kb.typeql.syntax import Define, Word
+from kb.typeql.words import ALIASES, ENTITIES, FIELDS, QUALIFIERS, RELATIONS, ROLES, Field, Kind, Role
 
 __all__ = ["Schema", "Type", "place_of"]
 

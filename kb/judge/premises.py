@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, TypeGuard
 from kb.amendments import KINDS
 from kb.elements import Action, Component, Constraint, Element, Function, FunctionDesign
 from kb.facts import ActiveFact, MeasurementFact, RequiredActionFact, RequiredFact, SelectedFact, StatusFact
-from kb.findings import Finding, found, listing
+from kb.judge.findings import Finding, found, listing
 from kb.status import Status
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ from kb.facts import (
     SelectedFact,
     StatusFact,
 )
-from kb.typeql_values import quoted, written_parameter, written_time
+from kb.typeql.values import quoted, written_parameter, written_time
 
 if TYPE_CHECKING:
     from kb.model import Model

@@ -6,8 +6,8 @@ from typing import Final
 
 from kb.exceptions import UnknownName
 from kb.files import DuplicateInFile, Place
-from kb.typeql_schema import Schema, Type, place_of
-from kb.typeql_syntax import (
+from kb.typeql.schema import Schema, Type, place_of
+from kb.typeql.syntax import (
     Clause,
     Comparison,
     Has,
@@ -20,8 +20,8 @@ from kb.typeql_syntax import (
     Unsupported,
     Word,
 )
-from kb.typeql_values import Literal, checked, literal
-from kb.typeql_words import FIELDS, Field, Kind, Role
+from kb.typeql.values import Literal, checked, literal
+from kb.typeql.words import FIELDS, Field, Kind, Role
 
 __all__ = ["ANONYMOUS", "Bindings", "Own", "Part", "Store", "Thing"]
 
@@ -123,7 +123,7 @@ class Store:
         if isinstance(query, Insert):
             _Insertion(self, file, {}).run(query.statements)
             return
-        from kb.typeql_matching import answers
+        from kb.typeql.matching import answers
 
         for bindings in answers(self, query.patterns, file):
             _Insertion(self, file, bindings).run(query.statements)

@@ -21,9 +21,9 @@ from kb.facts import (
 )
 from kb.files import Place
 from kb.status import STATUSES, Status
-from kb.typeql_store import Own, Store, Thing
-from kb.typeql_values import seconds
-from kb.typeql_words import Kind
+from kb.typeql.store import Own, Store, Thing
+from kb.typeql.values import seconds
+from kb.typeql.words import Kind
 
 __all__ = ["Elements", "facts"]
 

@@ -41,6 +41,7 @@ class Finding:
         element: kind and name, e.g. "function see"; of what is not in the model, the name that was given.
         message: what is found, and where.
         advice: what to do about it.
+        place: where the element stands, as file:line:column; empty if it comes from no file.
     """
 
     code: str
@@ -48,9 +49,15 @@ class Finding:
     element: str
     message: str
     advice: str
+    place: str = ""
+
+    @property
+    def where_and_what(self) -> str:
+        """The message after the place."""
+        return f"{self.place}: {self.message}" if self.place else self.message
 
     def __str__(self) -> str:
-        return " ".join(f"{self.severity}: {self.message} [{self.code}]; {self.advice}".split())
+        return " ".join(f"{self.severity}: {self.where_and_what} [{self.code}]; {self.advice}".split())
 
 
 _ERRORS: Final = {
