@@ -401,8 +401,8 @@ def test_finding_about_an_element_from_a_file_says_where_it_stands(tmp_path):
     path = tmp_path / "rover.tql"
     path.write_text("insert\n  $a isa Action, has action-name 'go';\n  $f isa Function, has function-name 'move';\n")
     places = {one.code: one.place for one in Model.load(path).check()}
-    assert places["function-without-designs"] == f"{path}:3:3"
-    assert places["action-without-functions"] == f"{path}:2:3"
+    assert places["function-without-designs"].startswith(f"{path}:3:")
+    assert places["action-without-functions"].startswith(f"{path}:2:")
     assert all(str(path) in str(one) for one in Model.load(path).check())
 
 
