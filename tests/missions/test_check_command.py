@@ -175,8 +175,9 @@ def test_json_carries_every_part_of_a_finding(rosa):
             "code": "unknown-action",
             "severity": "error",
             "element": "expolre",
-            "message": "behaviour 'can it?' of tree trees:of_both: unknown action 'expolre'; did you mean 'explore'?",
+            "message": "unknown action 'expolre'; did you mean 'explore'?",
             "advice": RULES["unknown-action"].advice,
+            "place": "behaviour 'can it?' of tree trees:of_both",
         }
     ]
 
