@@ -8,7 +8,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 ALLOWED = {
-    "kb": {"kb", "lark"},
+    "kb": {"kb", "lark", "ortools", "owlready2"},
     "rosa_bt": {"rosa_bt", "kb", "py_trees"},
     "rosa_pddl": {"rosa_pddl", "kb", "py_trees", "unified_planning"},
     "suave_env": {"suave_env", "mujoco", "numpy"},
@@ -25,9 +25,9 @@ ALLOWED = {
         "typer",
     },
 }
-LATE = {"unified_planning", "suave_env", "matplotlib", "lark"}
+LATE = {"unified_planning", "suave_env", "matplotlib", "lark", "ortools", "owlready2"}
 """Slow to import: only inside functions, or in the one module that is itself imported late."""
-LATE_MODULES = {"missions/plot.py", "kb/typeql/reading.py"}
+LATE_MODULES = {"missions/plot.py", "kb/typeql/reading.py", "kb/optimum.py", "kb/owl.py"}
 
 
 def imports(path):
