@@ -10,6 +10,8 @@ from figures import shown, table
 
 pytestmark = pytest.mark.benchmark
 
+PATIENCE = 240
+"""How long one size may take [s]: several times what it needs, so that what grows faster than the size is seen."""
 SIZES = (100, 1_000, 10_000, 100_000, 1_000_000)
 NAMES = {
     "measured": "measure across a threshold",
@@ -26,7 +28,8 @@ NAMES = {
 
 def measured(size):
     program = Path(__file__).with_name("one_size.py")
-    done = subprocess.run([sys.executable, str(program), str(size)], capture_output=True, text=True, check=False)
+    command = [sys.executable, str(program), str(size)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=PATIENCE)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
 
