@@ -1,10 +1,10 @@
 """How a model is amended while it is in use: what may change of an element, and what goes when one is removed."""
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import fields
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Protocol
 
-from kb.declarations import age, choice, flag, priority
+from kb.declarations import age, agreement, choice, flag, priority, span
 from kb.declarations import parameters as checked_parameters
 from kb.elements import (
     Action,
@@ -38,7 +38,23 @@ from kb.status import STATUSES
 if TYPE_CHECKING:
     from kb.model import Model
 
-__all__ = ["KINDS", "checked_changes", "checked_fact", "concerns", "description", "removal"]
+__all__ = ["KINDS", "Changeable", "Observer", "checked_changes", "checked_fact", "concerns", "description", "removal"]
+
+Changeable = Element | Constraint | Estimation
+
+
+class Observer(Protocol):
+    """What is told of every change of a model, after it."""
+
+    def model_grew(self, added: Iterable[Changeable]) -> None:
+        """Elements, with the constraints on them, were declared; all at once or not at all."""
+
+    def model_changed(self, element: Changeable) -> None:
+        """An element is not what it was."""
+
+    def model_shrank(self, removed: Iterable[Changeable]) -> None:
+        """Elements, with the constraints on them, were removed."""
+
 
 KINDS: Final[Mapping[type, str]] = {
     Action: "action",
@@ -61,6 +77,7 @@ _IMPROVE: Final[Mapping[str, Check]] = {
 _CHECKS: Final[Mapping[type, Mapping[str, Check]]] = {
     Action: {},
     Attribute: {
+        "agreement": agreement,
         "max_age": age,
         "when_stale": lambda _, value: choice("policy for stale measurements", StalePolicy, value),
     },
@@ -69,7 +86,7 @@ _CHECKS: Final[Mapping[type, Mapping[str, Check]]] = {
         "stops_to_configure": lambda name, value: flag(f"stops_to_configure of {name!r}", value),
     },
     Configuration: {**_PRIORITY, "parameters": checked_parameters},
-    Constraint: {"value": lambda _, value: finite_number(value)},
+    Constraint: {"value": lambda _, value: finite_number(value), "hysteresis": span, "dwell": span},
     Estimation: {
         "value": lambda _, value: finite_number(value),
         "kind": lambda _, value: choice("estimation kind", EstimationKind, value),
@@ -79,7 +96,7 @@ _CHECKS: Final[Mapping[type, Mapping[str, Check]]] = {
 }
 
 
-def checked_changes(element: Element | Constraint | Estimation, changes: Mapping[str, object]) -> dict[str, object]:
+def checked_changes(element: Changeable, changes: Mapping[str, object]) -> dict[str, object]:
     """Return new values of an element's fields, all of which are allowed.
 
     Raises:
@@ -94,7 +111,7 @@ def checked_changes(element: Element | Constraint | Estimation, changes: Mapping
     return {field: checks[field](name, value) for field, value in changes.items()}
 
 
-def removal(model: "Model", element: Element | Constraint | Estimation) -> list[Element | Constraint | Estimation]:
+def removal(model: "Model", element: Changeable) -> list[Changeable]:
     """Return an element and what goes with it; a constraint on other elements too is only loosened from this one.
 
     Raises:
@@ -104,7 +121,7 @@ def removal(model: "Model", element: Element | Constraint | Estimation) -> list[
         users = _users(model, element)
         if users:
             raise ModelError(f"{element.name!r} is needed by {', '.join(users)}; remove that first")
-    removed: list[Element | Constraint | Estimation] = [element]
+    removed: list[Changeable] = [element]
     for constraint in model.constraints:
         if element in constraint.constrained:
             rest = tuple(one for one in constraint.constrained if one is not element)
@@ -173,7 +190,7 @@ def _names(fact: Fact) -> list[tuple[str, str]]:
     return []
 
 
-def concerns(fact: Fact, removed: Collection[Element | Constraint | Estimation]) -> bool:
+def concerns(fact: Fact, removed: Collection[Changeable]) -> bool:
     """Tell whether a fact is about something that is removed."""
     if isinstance(fact, StatusFact | RequiredFact | SelectedFact):
         return fact.element in removed

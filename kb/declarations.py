@@ -64,6 +64,25 @@ def age(name: str, value: object) -> float:
     raise ModelError(f"max_age of {name!r} is a time in seconds above 0, not {value!r}")
 
 
+def agreement(name: str, value: object) -> tuple[int, int]:
+    """Return how many of the last measurements have to agree."""
+    if isinstance(value, tuple | list) and len(value) == 2:
+        enough, last = value
+        if type(enough) is int and type(last) is int and 0 < enough <= last < 2 * enough:
+            return enough, last
+    raise ModelError(
+        f"agreement of {name!r} is two whole numbers (n, k), n of the last k measurements and more than half of them, "
+        f"e.g. (2, 3); not {value!r}"
+    )
+
+
+def span(name: str, value: object) -> float:
+    """Return a hysteresis or dwell."""
+    if isinstance(value, int | float) and not isinstance(value, bool) and 0 <= value < math.inf:
+        return float(value)
+    raise ModelError(f"a hysteresis or dwell of {name!r} is a number from 0, not {value!r}")
+
+
 def choice(what: str, options: type[ChoiceT], given: object) -> ChoiceT:
     """Return one of a few words."""
     try:

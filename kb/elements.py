@@ -5,7 +5,7 @@ An element is one thing in one model: it equals nothing but itself.
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
@@ -84,11 +84,25 @@ class Expression:
     operator: str
     value: float
     model: "Model | None" = field(default=None, repr=False, compare=False)
+    hysteresis: float = 0.0
+    dwell: float = 0.0
 
     def __post_init__(self) -> None:
         if self.operator not in OPERATORS:
             raise ModelError(f"{self.operator!r} is no comparison; there are {', '.join(OPERATORS)}")
         finite_number(self.value)
+        for what, unit in (("hysteresis", "in the attribute's unit"), ("dwell", "in seconds")):
+            if finite_number(getattr(self, what)) < 0:
+                raise ModelError(f"the {what} of {self} is a number from 0, {unit}; not {getattr(self, what)!r}")
+
+    def steady(self, *, hysteresis: float = 0.0, dwell: float = 0.0) -> "Expression":
+        """Return the same comparison for a constraint that a value about its threshold does not make flap.
+
+        Args:
+            hysteresis: once violated, it is satisfied again only this far beyond its threshold [the attribute's unit].
+            dwell: once satisfied or violated, it stays so for at least this long [s].
+        """
+        return replace(self, hysteresis=hysteresis, dwell=dwell)
 
     def __bool__(self) -> bool:
         raise ModelError(
@@ -102,12 +116,14 @@ class Expression:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Constraint:
-    """An expression that must not be violated for the constrained elements to be possible."""
+    """An expression that must not be violated for the constrained elements to be possible; see `Expression.steady`."""
 
     attribute: str
     operator: str
     value: float
     constrained: tuple["Constrainable", ...]
+    hysteresis: float = 0.0
+    dwell: float = 0.0
 
     def __str__(self) -> str:
         return f"{self.attribute} {self.operator} {exact(self.value)}"
@@ -159,11 +175,13 @@ class Attribute(Element):
         kind: what it describes.
         max_age: how long a measurement holds [s]; for ever by default.
         when_stale: what its constraints are once the latest measurement is older than that.
+        agreement: n of the last k measurements have to say so before a constraint on it changes, as (n, k).
     """
 
     kind: AttributeKind = AttributeKind.QUALITY
     max_age: float = math.inf
     when_stale: StalePolicy = StalePolicy.NOT_EVALUATED
+    agreement: tuple[int, int] = (1, 1)
 
     def __ge__(self, value: float) -> Expression:
         return Expression(self.name, ">=", finite_number(value), self.model)

@@ -186,7 +186,10 @@ class _Explainer:
         compared = Comparison(constraint.attribute, constraint.operator, constraint.value, value, time, is_stale)
         if self._state.asserted[node.index] is not None:
             return Explanation(node.kind, node.name, status, f"{node.name} is asserted {status}", measurement=compared)
-        return Explanation(node.kind, node.name, status, _told(compared, attribute, self._now), measurement=compared)
+        fact = _told(compared, attribute, self._now)
+        if self._state.verdict[node.index] is not None and not is_stale:
+            fact = _steady(fact, constraint, status)
+        return Explanation(node.kind, node.name, status, fact, measurement=compared)
 
     def _grounds(self, node: Node, status: Status) -> tuple[str, "Reasons"]:
         """Return the fact and the reasons of a status that is inferred and not "feasible"."""
@@ -247,6 +250,11 @@ def _together(causes: Iterable[Explanation]) -> Reasons:
 
 def why_selected(state: State, chosen: Sequence[Node], now: float) -> str:
     """Say why designs and configurations are about to be selected; the state is the one before."""
+    users: dict[Node, list[Node]] = {}
+    for design in chosen:
+        if design.kind == "function design":
+            for part in design.parts:
+                users.setdefault(part, []).append(design)
     reasons = []
     for node in chosen:
         whole = node.wholes[0]
@@ -254,7 +262,7 @@ def why_selected(state: State, chosen: Sequence[Node], now: float) -> str:
         if before is node:
             continue
         if before is None:
-            reasons.append(f"{whole.kind} {whole.name} is needed by {_needed_by(state, whole, chosen)}")
+            reasons.append(f"{whole.kind} {whole.name} is needed by {_needed_by(state, whole, users.get(whole, ()))}")
         elif state.status[before.index] is Status.UNFEASIBLE:
             reasons.append(why(state, before, now))
         else:
@@ -262,11 +270,10 @@ def why_selected(state: State, chosen: Sequence[Node], now: float) -> str:
     return "; ".join(dict.fromkeys(reasons)) or "what was active or selected is no longer needed"
 
 
-def _needed_by(state: State, node: Node, chosen: Sequence[Node]) -> str:
-    """Name the required actions for which a function or component is wanted, now or with what is about to be chosen."""
+def _needed_by(state: State, node: Node, about: Iterable[Node]) -> str:
+    """Name the required actions for which a function or component is wanted, now or by designs about to be chosen."""
     functions = [node]
     if node.kind == "component":
-        about = [one for one in chosen if one.kind == "function design" and node in one.parts]
         functions = [design.wholes[0] for design in (*state.users[node.index], *about)]
     actions = (action.name for function in functions for action in state.users[function.index])
     return ", ".join(dict.fromkeys(actions)) or "something asserted"
@@ -284,6 +291,15 @@ def _told(compared: Comparison, attribute: Node, now: float) -> str:
         return f"{shown} is stale: {age}, at most {exact(attribute.element.max_age)} s"
     holds = OPERATORS[compared.operator](compared.value, compared.threshold)
     return f"{shown} {'satisfies' if holds else 'violates'} {bound}{age and f' ({age})'}"
+
+
+def _steady(fact: str, constraint: Constraint, status: Status) -> str:
+    """Say of a constraint that does not flap what it is, if the latest measurement alone says otherwise."""
+    if status is Status.NOT_EVALUATED:
+        return f"{fact.split(' satisfies ')[0].split(' violates ')[0]} is not confirmed by enough measurements"
+    if ("violates" in fact) == (status is Status.VIOLATED):
+        return fact
+    return f"{fact}, but {constraint} stays {status} until that is clear for long enough"
 
 
 def shortest(value: float, thresholds: Iterable[float]) -> str:

@@ -166,7 +166,7 @@ def infer(state: State, node: Node) -> Status:
     status, selected = state.status, state.selected
     element = node.element
     if isinstance(element, Constraint):
-        return _compared(state, element, node.parts[0])
+        return _compared(state, node, element, node.parts[0])
     constraints = [status[constraint.index] for constraint in node.constraints]
     if node.kind == "configuration":
         return configuration_status(constraints)
@@ -188,8 +188,9 @@ def infer(state: State, node: Node) -> Status:
     return action_status(constraints=constraints, functions=functions, required=state.required[node.index])
 
 
-def _compared(state: State, constraint: Constraint, attribute: Node) -> Status:
+def _compared(state: State, node: Node, constraint: Constraint, attribute: Node) -> Status:
     if not state.stale[attribute.index]:
-        return constraint_status(state.value[attribute.index], constraint.operator, constraint.value)
+        verdict = state.verdict[node.index]
+        return verdict or constraint_status(state.value[attribute.index], constraint.operator, constraint.value)
     assert isinstance(attribute.element, Attribute)
     return Status.VIOLATED if attribute.element.when_stale is StalePolicy.VIOLATED else Status.NOT_EVALUATED

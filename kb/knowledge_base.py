@@ -1,9 +1,10 @@
 """The knowledge base: facts come in, statuses follow, actions are requested and configurations selected."""
 
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import MappingProxyType
 
+from kb.amendments import Changeable
 from kb.beginning import past_plan, past_process, past_request, stated
 from kb.elements import Action, Constraint, Element, Estimation, finite_number
 from kb.events import Event, EventKind
@@ -12,8 +13,8 @@ from kb.explanation import why, why_selected
 from kb.facts import Fact, MeasurementFact, PlanFact, ProcessFact, RequiredActionFact
 from kb.growth import grown, shrunk
 from kb.inference import settle
-from kb.model import Changeable, Model
-from kb.network import Network, Node
+from kb.model import Model
+from kb.network import Network, Node, is_steady
 from kb.reconfiguration import ReconfigurationPlan, reselect
 from kb.requests import Reply, RequiredAction, check_result
 from kb.situation import Situation, assumptions
@@ -206,7 +207,11 @@ class KnowledgeBase(Telling):
         """Take in what was added to the model; the model calls this."""
         elements = [one for one in added if not isinstance(one, Estimation)]
         with self._lock:
-            self._amended("declared", elements, grown(self._known, elements))
+            touched = grown(self._known, elements)
+            for constraint in touched:
+                if constraint.kind == "constraint" and is_steady(constraint):
+                    self._measurements.renew(constraint, self._clock())
+            self._amended("declared", elements, touched)
 
     def model_changed(self, element: Changeable) -> None:
         """Take in what was changed in the model; the model calls this."""
@@ -215,11 +220,11 @@ class KnowledgeBase(Telling):
                 self._revision += 1
                 return
             node = self._network.find(element)
-            if node.kind == "constraint":
-                self._network.moved(node)
-            elif node.kind == "attribute":
-                self._renew_age(node)
-            self._amended("changed", [element], [node])
+            touched: Sequence[Node] = [node]
+            if node.kind in ("constraint", "attribute"):
+                self._network.moved(node if node.kind == "attribute" else node.parts[0])
+                touched = self._measurements.renew(node, self._clock())
+            self._amended("changed", [element], touched)
 
     def model_shrank(self, removed: Iterable[Changeable]) -> None:
         """Take in what was removed from the model; the model calls this."""
@@ -230,12 +235,12 @@ class KnowledgeBase(Telling):
                     self.cancel_action(element.name, reason="it is no longer in the model")
             self._amended("removed", elements, shrunk(self._known, elements))
 
-    def _begin_with(self, fact: Fact, now: float) -> list[Node]:
+    def _begin_with(self, fact: Fact, now: float) -> Sequence[Node]:
         """Take in a fact that the model states; returns the nodes from which to infer."""
         if isinstance(fact, MeasurementFact):
             node, time = self._network.attributes[fact.attribute], now if fact.time is None else fact.time
             if fact.latest:
-                return self._take_measurement(node, fact.value, time)
+                return self._measurements.take(node, fact.value, time)
             self._history_of(node).add(time, fact.value)
         elif isinstance(fact, RequiredActionFact):
             self._history.append(past_request(fact, now))
@@ -255,7 +260,7 @@ class KnowledgeBase(Telling):
             return [] if entered is None else [entered]
         return []
 
-    def _amended(self, how: str, elements: list[Element | Constraint], touched: list[Node]) -> None:
+    def _amended(self, how: str, elements: list[Element | Constraint], touched: Iterable[Node]) -> None:
         name = elements[0].name if elements and isinstance(elements[0], Element) else ""
         text = f"{', '.join(one.name if isinstance(one, Element) else str(one) for one in elements)} {how} in the model"
         changes = settle(self._known, touched)

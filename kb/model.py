@@ -18,11 +18,12 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType, UnionType
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar, get_args
+from typing import TYPE_CHECKING, Any, TypeVar, get_args
 from weakref import ref
 
-from kb.amendments import checked_changes, checked_fact, concerns, description, removal
+from kb.amendments import Changeable, Observer, checked_changes, checked_fact, concerns, description, removal
 from kb.declarations import age, choice, expressions, flag, identifier, listed, reference, text
+from kb.declarations import agreement as checked_agreement
 from kb.declarations import parameters as checked_parameters
 from kb.declarations import priority as checked_priority
 from kb.elements import (
@@ -51,24 +52,9 @@ from kb.facts import Fact, RequiredFact, SelectedFact, StatusFact
 if TYPE_CHECKING:
     from kb.judge.findings import Finding
 
-__all__ = ["Changeable", "Model", "Observer"]
-
-Changeable = Element | Constraint | Estimation
+__all__ = ["Model"]
 
 NamedT = TypeVar("NamedT", bound=Element)
-
-
-class Observer(Protocol):
-    """What is told of every change of a model, after it."""
-
-    def model_grew(self, added: Iterable[Changeable]) -> None:
-        """Elements, with the constraints on them, were declared; all at once or not at all."""
-
-    def model_changed(self, element: Changeable) -> None:
-        """An element is not what it was."""
-
-    def model_shrank(self, removed: Iterable[Changeable]) -> None:
-        """Elements, with the constraints on them, were removed."""
 
 
 class Model:
@@ -121,7 +107,12 @@ class Model:
         return tuple(self._facts)
 
     def quality_attribute(
-        self, name: str, *, max_age: float = math.inf, when_stale: StalePolicy | str = StalePolicy.NOT_EVALUATED
+        self,
+        name: str,
+        *,
+        max_age: float = math.inf,
+        when_stale: StalePolicy | str = StalePolicy.NOT_EVALUATED,
+        agreement: tuple[int, int] = (1, 1),
     ) -> Attribute:
         """Declare a measured property of the robot itself, e.g. its energy.
 
@@ -129,14 +120,20 @@ class Model:
             name: unique among attributes.
             max_age: how long a measurement holds [s].
             when_stale: what its constraints are after that: "not evaluated" or "violated".
+            agreement: (n, k): n of the last k measurements have to say so before a constraint on it changes.
         """
-        return self._attribute(name, AttributeKind.QUALITY, max_age, when_stale)
+        return self._attribute(name, AttributeKind.QUALITY, max_age, when_stale, agreement)
 
     def environmental_attribute(
-        self, name: str, *, max_age: float = math.inf, when_stale: StalePolicy | str = StalePolicy.NOT_EVALUATED
+        self,
+        name: str,
+        *,
+        max_age: float = math.inf,
+        when_stale: StalePolicy | str = StalePolicy.NOT_EVALUATED,
+        agreement: tuple[int, int] = (1, 1),
     ) -> Attribute:
         """Declare a measured property of the surroundings, e.g. the light; see `quality_attribute`."""
-        return self._attribute(name, AttributeKind.ENVIRONMENTAL, max_age, when_stale)
+        return self._attribute(name, AttributeKind.ENVIRONMENTAL, max_age, when_stale, agreement)
 
     def component(
         self,
@@ -281,9 +278,10 @@ class Model:
 
         Args:
             element: of this model; a constraint is one of `constraints`, or what `constrain` returned.
-            fields: new values; of a constraint or estimation its `value`, of a design its `priority`, of a
+            fields: new values; of a constraint `value`, `hysteresis` and `dwell`, of a design its `priority`, of a
                 configuration also its `parameters`, of a function or component `always_improve`, of an attribute
-                `max_age` and `when_stale`, of a component also `stops_to_configure`.
+                `max_age`, `when_stale` and `agreement`, of a component also `stops_to_configure`, of an estimation
+                `value` and `kind`.
         """
         self._owned("changed", element, Changeable)
         for name, value in checked_changes(element, fields).items():
@@ -320,9 +318,18 @@ class Model:
     def __repr__(self) -> str:
         return f"<Model {self.name!r}>"
 
-    def _attribute(self, name: str, kind: AttributeKind, max_age: float, when_stale: StalePolicy | str) -> Attribute:
+    def _attribute(
+        self,
+        name: str,
+        kind: AttributeKind,
+        max_age: float,
+        when_stale: StalePolicy | str,
+        agreement: tuple[int, int],
+    ) -> Attribute:
         policy = choice("policy for stale measurements", StalePolicy, when_stale)
-        return self._added("attribute", self._attributes, Attribute(name, self, kind, age(name, max_age), policy))
+        agreed = checked_agreement(name, agreement)
+        attribute = Attribute(name, self, kind, age(name, max_age), policy, agreed)
+        return self._added("attribute", self._attributes, attribute)
 
     def _added(
         self, kind: str, table: dict[str, NamedT], element: NamedT, constraints: Iterable[Expression] = ()
@@ -338,7 +345,9 @@ class Model:
         return element
 
     def _constrained(self, targets: tuple[Constrainable, ...], checked: Expression) -> Constraint:
-        constraint = Constraint(checked.attribute, checked.operator, checked.value, targets)
+        constraint = Constraint(
+            checked.attribute, checked.operator, checked.value, targets, checked.hysteresis, checked.dwell
+        )
         self._constraints[constraint] = None
         return constraint
 

@@ -13,7 +13,7 @@ from kb.exceptions import UnknownName
 if TYPE_CHECKING:
     from kb.model import Model
 
-__all__ = ["LEVELS", "Network", "Node", "Thresholds"]
+__all__ = ["LEVELS", "Network", "Node", "Thresholds", "is_steady"]
 
 LEVELS: Final = {
     "constraint": 0,
@@ -63,14 +63,27 @@ class Thresholds:
 
     Each of the four comparisons turns at one value t: it is one thing below t and the other from t on. For `>` and
     `<=` that is the next number above the written one.
+
+    Attributes:
+        steady: the constraints that are not in that order, for what they are depends on earlier measurements too.
     """
 
     def __init__(self, constraints: Iterable[Node]) -> None:
-        self._turns = sorted(((_turn(node), node) for node in constraints), key=_FIRST)
+        self.steady: list[Node] = []
+        self._turns: list[tuple[float, Node]] = []
+        for node in constraints:
+            if is_steady(node):
+                self.steady.append(node)
+            else:
+                self._turns.append((_turn(node), node))
+        self._turns.sort(key=_FIRST)
 
     def add(self, node: Node) -> None:
         """Add a constraint."""
-        insort(self._turns, (_turn(node), node), key=_FIRST)
+        if is_steady(node):
+            self.steady.append(node)
+        else:
+            insort(self._turns, (_turn(node), node), key=_FIRST)
 
     def crossed(self, old: float, new: float) -> list[Node]:
         """Return the constraints that are not for the new value what they were for the old one."""
@@ -85,6 +98,14 @@ class Thresholds:
 
 
 _FIRST = itemgetter(0)
+
+
+def is_steady(node: Node) -> bool:
+    """Tell whether what a constraint is depends on earlier measurements too; see `kb.steadiness`."""
+    constraint, attribute = node.element, node.parts[0].element
+    assert isinstance(constraint, Constraint)
+    assert isinstance(attribute, Attribute)
+    return constraint.hysteresis > 0 or constraint.dwell > 0 or attribute.agreement != (1, 1)
 
 
 def _turn(node: Node) -> float:
@@ -183,9 +204,9 @@ class Network:
             constraint.wholes.remove(node)
         return wholes
 
-    def moved(self, constraint: Node) -> None:
-        """Take note that the value of a constraint is another."""
-        self._thresholds.pop(constraint.parts[0], None)
+    def moved(self, attribute: Node) -> None:
+        """Take note that the constraints on an attribute turn elsewhere."""
+        self._thresholds.pop(attribute, None)
 
     def thresholds(self, attribute: Node) -> Thresholds:
         """Return the constraints on an attribute in order."""

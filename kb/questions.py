@@ -53,7 +53,6 @@ class Questions(ABC):
         self._clock = clock
         self._lock = RLock()
         self._in_force: dict[str, Parameters] = {}
-        self._histories: dict[int, History] = {}
         self.actions = Views(self, "action", network.actions, ActionView)
         self.functions = Views(self, "function", network.functions, FunctionView)
         self.components = Views(self, "component", network.components, ComponentView)
@@ -147,11 +146,9 @@ class Questions(ABC):
         with self._lock:
             return explain_choice(self._state, self._node(element, ("function", "component")), self._clock())
 
+    @abstractmethod
     def _history_of(self, attribute: Node) -> History:
-        history = self._histories.get(attribute.index)
-        if history is None:
-            history = self._histories[attribute.index] = History()
-        return history
+        """Return every measurement of an attribute."""
 
     def _best(self, whole: Node) -> Node | None:
         """Return the part of a function or component that is selectable and comes first by priority."""

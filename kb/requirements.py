@@ -75,6 +75,10 @@ class Interval:
         high, high_closed = min((self.high, not self.high_open), (other.high, not other.high_open))
         return Interval(low, high, low_open, not high_closed)
 
+    def within(self, margin: float) -> "Interval":
+        """Return the values that keep a distance from both bounds."""
+        return Interval(self.low + margin, self.high - margin, self.low_open, self.high_open)
+
     def text(self, attribute: str) -> str:
         """Write it as comparisons of an attribute, e.g. "light >= 0.2 and light <= 0.8"."""
         bounds = []
@@ -223,7 +227,7 @@ class Requirements:
         """Return what an element needs if no status of it is asserted."""
         element = node.element
         if isinstance(element, Constraint):
-            return self._bound(element, node.parts[0])
+            return self._bound(node, node.parts[0])
         needed = [self.of(constraint) for constraint in node.constraints]
         if isinstance(element, Function):
             return self._any_of(self.of(part) for part in node.parts) if node.parts else self._lacking(element)
@@ -244,13 +248,13 @@ class Requirements:
             return NOTHING
         return Alternatives((Box(repairs=frozenset((repair,))),), True)
 
-    def _bound(self, constraint: Constraint, attribute: Node) -> Alternatives:
-        interval = Interval.of(constraint)
+    def _bound(self, node: Node, attribute: Node) -> Alternatives:
+        interval = _wanted(node, None if self._state is None else self._state.verdict[node.index])
         if self._state is not None:
             if not _is_known(self._state, attribute):
                 return FREE
             if self._is_fixed(self._state, attribute):
-                return FREE if _holds(self._state, attribute, constraint) else NOTHING
+                return FREE if _holds(self._state, attribute, node) else NOTHING
         return NOTHING if interval.is_empty else Alternatives((Box({attribute.name: interval}),), True)
 
     def _is_fixed(self, state: State, attribute: Node) -> bool:
@@ -259,9 +263,7 @@ class Requirements:
         if fixed is None:
             may = self._changing is None or attribute.name in self._changing
             fixed = self._fixed[attribute.index] = not may or all(
-                _holds(state, attribute, one.element)
-                for one in attribute.constraints
-                if isinstance(one.element, Constraint)
+                _holds(state, attribute, one) for one in attribute.constraints
             )
         return fixed
 
@@ -326,13 +328,28 @@ def is_counted_violated(state: State, attribute: Node) -> bool:
 def is_outside(state: State, attribute: Node, interval: Interval) -> bool:
     """Tell whether an attribute has to be measured anew to be within an interval."""
     value = state.value[attribute.index]
-    return is_counted_violated(state, attribute) or (value is not None and value not in interval)
+    if is_counted_violated(state, attribute) or (value is not None and value not in interval):
+        return True
+    return any(
+        state.verdict[one.index] is Status.VIOLATED and _wanted(one, Status.VIOLATED).covers(interval)
+        for one in state.network.thresholds(attribute).steady
+    )
 
 
-def _holds(state: State, attribute: Node, constraint: Constraint) -> bool:
-    value = state.value[attribute.index]
+def _wanted(node: Node, verdict: Status | None) -> Interval:
+    """Return the values that satisfy a constraint, after what it was."""
+    constraint = node.element
+    assert isinstance(constraint, Constraint)
+    return Interval.of(constraint).within(constraint.hysteresis if verdict is Status.VIOLATED else 0.0)
+
+
+def _holds(state: State, attribute: Node, node: Node) -> bool:
+    value, constraint = state.value[attribute.index], node.element
     if value is None or is_counted_violated(state, attribute):
         return False
+    assert isinstance(constraint, Constraint)
+    if state.verdict[node.index] is not None:
+        return state.verdict[node.index] is not Status.VIOLATED
     return OPERATORS[constraint.operator](value, constraint.value)
 
 

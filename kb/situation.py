@@ -3,13 +3,15 @@
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
-from kb.elements import finite_number
+from kb.elements import Constraint, finite_number
 from kb.exceptions import InvalidValue
+from kb.history import History
 from kb.inference import settle
 from kb.network import Node
 from kb.questions import Questions
 from kb.state import Overlay, State
 from kb.status import Status
+from kb.steadiness import verdict
 
 if TYPE_CHECKING:
     from kb.telling import Telling
@@ -34,7 +36,7 @@ class Situation(Questions):
         super().__init__(base._network, base._clock)
         self._base = base
         self._assumptions = assumptions
-        self._lock, self._in_force, self._histories = base._lock, base._in_force, base._histories
+        self._lock, self._in_force = base._lock, base._in_force
         self._seen = -1
         self._overlay: Overlay | None = None
 
@@ -66,6 +68,9 @@ class Situation(Questions):
         more = assumptions(self, {**(measured or {}), **attributes}, failed, recovered, requested)
         return Situation(self._base, (*self._assumptions, *more))
 
+    def _history_of(self, attribute: Node) -> History:
+        return self._base._history_of(attribute)
+
     def _supposed(self, below: State) -> Overlay:
         state, now = Overlay(below), self._clock()
         for what, node, value in self._assumptions:
@@ -75,6 +80,8 @@ class Situation(Questions):
                 state.value[node.index] = value
                 state.time[node.index] = None if value is None else now
                 state.stale[node.index] = False
+                for one in self._network.thresholds(node).steady:
+                    state.verdict[one.index] = _settled(state, one, value)
             elif what == "requested":
                 state.requested[node.index] = True
             else:
@@ -102,6 +109,13 @@ def assumptions(
         listed = (names,) if isinstance(names, str) else names
         supposed += [_Assumption(what, views.node(name), value) for name in listed]
     return supposed
+
+
+def _settled(state: State, node: Node, value: float | None) -> Status | None:
+    """Return what a constraint that does not flap is once a value has been measured for long enough."""
+    assert isinstance(node.element, Constraint)
+    before = state.verdict[node.index]
+    return None if value is None else verdict(node.element, [value], 1, before)
 
 
 def _value(name: str, value: object) -> float | None:

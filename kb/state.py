@@ -81,6 +81,7 @@ class State:
         value: latest measurement of an attribute, or None.
         time: when that was measured [s].
         stale: the latest measurement of an attribute is older than it may be.
+        verdict: what a constraint that does not flap is after all that was measured; None for any other.
         failed: a component is reported failed.
         active: a component is running.
         selected: a design or configuration is chosen.
@@ -103,6 +104,7 @@ class State:
         self.value: Array[float | None] = self._column(None)
         self.time: Array[float | None] = self._column(None)
         self.stale: Array[bool] = self._column(False)
+        self.verdict: Array[Status | None] = self._column(None)
         self.failed: Array[bool] = self._column(False)
         self.active: Array[bool] = self._column(False)
         self.selected: Array[bool] = self._column(False)
@@ -144,6 +146,7 @@ class Overlay(State):
         self.value = _Layer(below.value)
         self.time = _Layer(below.time)
         self.stale = _Layer(below.stale)
+        self.verdict = _Layer(below.verdict)
         self.failed = _Layer(below.failed)
         self.active = _Layer(below.active)
         self.selected = _Layer(below.selected)

@@ -1,18 +1,18 @@
 """Facts in: what monitors and others tell, and what follows from it, told to those who listen."""
 
-import heapq
 import logging
 import math
 from collections.abc import Callable, Iterable
 
 from kb.declarations import parameters as checked_parameters
 from kb.diagnostics import DiagnosticProblem, Measurement, read_diagnostics
-from kb.elements import Attribute, Element, Parameters, finite_number
+from kb.elements import Element, Parameters, finite_number
 from kb.events import Event, EventKind, Publisher, StatusChange
 from kb.exceptions import InvalidValue, KnowledgeBaseError
 from kb.explanation import shortest
-from kb.history import Process
+from kb.history import History, Process
 from kb.inference import Change, initial_state, settle
+from kb.measuring import Measurements
 from kb.network import Network, Node
 from kb.questions import ELEMENTS, Questions
 from kb.state import State
@@ -36,9 +36,7 @@ class Telling(Questions):
         super().__init__(network, clock)
         self._known = initial_state(network)
         self._publisher = Publisher()
-        self._deadline = math.inf
-        self._deadlines: list[tuple[float, int]] = []
-        self._aging: set[int] = set()
+        self._measurements = Measurements(self._known)
         self._processes: list[Process] = []
         self._rejected = 0
         self._revision = 0
@@ -60,7 +58,9 @@ class Telling(Questions):
         number = value if type(value) is float and math.isfinite(value) else _measured(attribute, value)
         with self._lock:
             now = self._clock()
-            touched = self._take_measurement(node, number, now)
+            if now >= self._measurements.next_change:
+                self._look_at_the_clock()
+            touched = self._measurements.take(node, number, now)
             self._tell(EventKind.MONITORING_DATA, now, node, lambda: self._reading(node, number), touched, plain=True)
 
     def component_failed(self, component: str) -> None:
@@ -189,63 +189,17 @@ class Telling(Questions):
         """
         return self._publisher.subscribe(callback)
 
-    def _take_measurement(self, node: Node, value: float, time: float) -> list[Node]:
-        """Set the latest measurement of an attribute; returns the constraints whose status it may change."""
-        state, index = self._known, node.index
-        before, was_stale = state.value[index], state.stale[index]
-        state.value[index], state.time[index], state.stale[index] = value, time, False
-        self._history_of(node).add(time, value)
-        element = node.element
-        assert isinstance(element, Attribute)
-        if element.max_age != math.inf:
-            self._watch_age(node, time + element.max_age)
-        if before is None or was_stale:
-            return node.constraints
-        return [] if value == before else self._network.thresholds(node).crossed(before, value)
-
-    def _watch_age(self, node: Node, deadline: float) -> None:
-        if node.index not in self._aging:
-            self._aging.add(node.index)
-            heapq.heappush(self._deadlines, (deadline, node.index))
-            self._deadline = self._deadlines[0][0]
-
-    def _renew_age(self, node: Node) -> None:
-        """Take note that an attribute's maximum age is another, or what its measurement counts as after that."""
-        time, element = self._known.time[node.index], node.element
-        assert isinstance(element, Attribute)
-        self._known.stale[node.index] = False
-        if node.index in self._aging:
-            self._aging.remove(node.index)
-            self._deadlines = [one for one in self._deadlines if one[1] != node.index]
-            heapq.heapify(self._deadlines)
-            self._deadline = self._deadlines[0][0] if self._deadlines else math.inf
-        if time is not None and element.max_age != math.inf:
-            self._watch_age(node, time + element.max_age)
-        settle(self._known, node.constraints)
+    def _history_of(self, attribute: Node) -> History:
+        return self._measurements.history_of(attribute)
 
     def _look_at_the_clock(self) -> None:
-        """Take note of the measurements that have grown too old since somebody last looked."""
-        if self._deadline == math.inf or self._clock() <= self._deadline:
+        """Take note of what has become so with time since somebody last looked."""
+        if self._measurements.next_change == math.inf or self._clock() < self._measurements.next_change:
             return
         with self._lock:
             now = self._clock()
-            while now > self._deadline:
-                _, index = heapq.heappop(self._deadlines)
-                self._aging.remove(index)
-                self._deadline = self._deadlines[0][0] if self._deadlines else math.inf
-                self._grow_old(self._network.nodes[index], now)
-
-    def _grow_old(self, node: Node, now: float) -> None:
-        time, element = self._known.time[node.index], node.element
-        assert isinstance(element, Attribute)
-        if time is None or element.max_age == math.inf:
-            return
-        if now <= time + element.max_age:  # measured again since, or allowed to be older
-            self._watch_age(node, time + element.max_age)
-            return
-        self._known.stale[node.index] = True
-        text = f"{node.name} is stale: measured {now - time:.1f} s ago, at most {element.max_age:g} s"
-        self._tell(EventKind.MONITORING_DATA, now, node, lambda: text, node.constraints, plain=True)
+            for node, text, touched in self._measurements.due(now):
+                self._tell(EventKind.MONITORING_DATA, now, node, lambda told=text: told, touched, plain=True)  # type: ignore[misc]  # a default binds it now
 
     def _report(self, component: str, failed: bool) -> None:
         node = self.components.node(component)

@@ -1,0 +1,36 @@
+"""Constraints that do not flap: by hysteresis, by dwell, and by n of the last k measurements.
+
+All are without effect by default, as in ROSA. What such a constraint is depends on what was measured before, so its
+verdict is remembered with the facts; inference reads it there.
+"""
+
+from collections.abc import Iterable
+
+from kb.elements import Constraint
+from kb.status import OPERATORS, Status
+
+__all__ = ["verdict"]
+
+
+def verdict(constraint: Constraint, values: Iterable[float], enough: int, before: Status | None) -> Status | None:
+    """Return what measurements say of a constraint, whatever its dwell.
+
+    Args:
+        constraint: with its hysteresis.
+        values: the latest measurements that count, in the attribute's unit.
+        enough: how many of them have to agree.
+        before: what it was; None if it was neither satisfied nor violated.
+
+    Returns:
+        What it was, unless enough of the measurements say otherwise.
+    """
+    votes = [_side(constraint, value, before) for value in values]
+    agreed = [status for status in (Status.SATISFIED, Status.VIOLATED) if votes.count(status) >= enough]
+    return agreed[0] if agreed else before
+
+
+def _side(constraint: Constraint, value: float, before: Status | None) -> Status:
+    """Return on which side of the threshold a value is; for one that was violated it lies further off."""
+    margin = constraint.hysteresis if before is Status.VIOLATED else 0.0
+    threshold = constraint.value + (margin if constraint.operator in (">=", ">") else -margin)
+    return Status.SATISFIED if OPERATORS[constraint.operator](value, threshold) else Status.VIOLATED
