@@ -1,5 +1,6 @@
 """From what files tell to a model: elements in the order in which they are told, then what is so from the start."""
 
+import re
 from collections.abc import Callable, Container
 from itertools import count
 from typing import TYPE_CHECKING, Final
@@ -102,6 +103,7 @@ class _Building:
             thing.name,
             max_age=_number(thing, "max_age", float("inf")),
             when_stale=StalePolicy.NOT_EVALUATED if policy is None else str(policy),
+            agreement=_agreement(thing),
         )
 
     def _component(self, thing: Thing) -> Element:
@@ -152,7 +154,9 @@ class _Building:
         constrained = [self.elements[one] for one in thing.players("constrained")]
         place = (thing.own("operator") or thing).place
         with place.blamed():
-            expression = Expression(attributes[0], sign, value, self.model)
+            expression = Expression(attributes[0], sign, value, self.model).steady(
+                hysteresis=_number(thing, "hysteresis", 0.0), dwell=_number(thing, "dwell", 0.0)
+            )
         return self.model.constrain(constrained, expression)  # type: ignore[arg-type]  # the role lets no other in
 
     def _stand_in(self, thing: Thing) -> str:
@@ -181,6 +185,17 @@ def _number(thing: Thing, name: str, default: float | None = None) -> float:
     if default is None and thing.kind:
         raise thing.place.error(f"this {thing.type.label} has no {name}; write `has {thing.kind.label}-{name} 0.5`")
     return default or 0.0
+
+
+def _agreement(thing: Thing) -> tuple[int, int]:
+    """Return (n, k) of "n of k"."""
+    own = thing.own("agreement")
+    if own is None:
+        return (1, 1)
+    found = re.fullmatch(r"\s*(\d+)\s+of\s+(\d+)\s*", str(own.value))
+    if found is None:
+        raise own.place.error(f"{own.value!r} is no agreement; write e.g. '2 of 3'")
+    return int(found[1]), int(found[2])
 
 
 def _priority(thing: Thing) -> int | None:

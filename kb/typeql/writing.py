@@ -30,6 +30,9 @@ _OWN: Final = {
     "model-name": "string;\nRobotModel sub entity, owns model-name @key",
     "max-age": "double;\nAttribute owns max-age",
     "when-stale": "string;\nAttribute owns when-stale",
+    "agreement": "string;\nAttribute owns agreement",
+    "hysteresis": "double;\nconstraint owns hysteresis",
+    "dwell": "double;\nconstraint owns dwell",
     "stops-to-configure": "boolean;\nComponent owns stops-to-configure",
     "preference-weights": "string;\nrequired-action owns preference-weights",
     "time-seconds": "double;\nmeasurement owns time-seconds",
@@ -87,6 +90,7 @@ class _Writer:
                 ("attribute-name", quoted(one.name)),
                 ("max-age", _number(one.max_age) if one.max_age != float("inf") else None),
                 ("when-stale", quoted(one.when_stale) if one.when_stale is not StalePolicy.NOT_EVALUATED else None),
+                ("agreement", quoted("{} of {}".format(*one.agreement)) if one.agreement != (1, 1) else None),
             )
 
     def _components(self) -> Iterator[str]:
@@ -153,6 +157,8 @@ class _Writer:
                 f"{self._variable('constraint', one)} {_players(players)} isa constraint",
                 ("constraint-operator", quoted(one.operator)),
                 ("constraint-value", _number(one.value)),
+                ("hysteresis", _number(one.hysteresis) if one.hysteresis else None),
+                ("dwell", _number(one.dwell) if one.dwell else None),
             )
 
     def _estimations(self) -> Iterator[str]:

@@ -48,7 +48,12 @@ def odd_models(draw):
     for name in unique(draw):
         declare = draw(st.sampled_from((model.quality_attribute, model.environmental_attribute)))
         age = draw(st.just(float("inf")) | st.floats(0.001, 1e9))
-        declare(name, max_age=age, when_stale=draw(st.sampled_from(("not evaluated", "violated"))))
+        declare(
+            name,
+            max_age=age,
+            when_stale=draw(st.sampled_from(("not evaluated", "violated"))),
+            agreement=draw(st.sampled_from(((1, 1), (2, 3), (5, 5)))),
+        )
     for name in unique(draw):
         model.component(
             name,
@@ -83,7 +88,9 @@ def relate(draw, model):
         if attributes and targets:
             attribute, value = model.attributes[attributes[0]], draw(FLOATS)
             compare = {">=": attribute.__ge__, ">": attribute.__gt__, "<=": attribute.__le__, "<": attribute.__lt__}
-            model.constrain(targets, compare[draw(st.sampled_from(OPERATORS))](value))
+            bound = compare[draw(st.sampled_from(OPERATORS))](value)
+            spans = st.just(0.0) | st.floats(0.0, 1e9)
+            model.constrain(targets, bound.steady(hysteresis=draw(spans), dwell=draw(spans)))
         for causer in some(draw, causers, max_size=1) if attributes else []:
             model.add_estimation(
                 causer, attributes[0], draw(FLOATS), draw(st.sampled_from(("positive", "negative", "absolute")))
