@@ -1,155 +1,231 @@
 """Carrying out a reconfiguration plan on the managed system, a bounded slice at each turn."""
 
 import logging
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping
 
+from kb.attempts import Attempt, Command, Patience, Step
+from kb.condemned import Condemnation, Condemned
 from kb.elements import ComponentKind
+from kb.exceptions import InvalidValue, UnknownName
 from kb.knowledge_base import KnowledgeBase
-from kb.managed import ManagedSystem, Operation
+from kb.managed import ManagedSystem
 from kb.reconfiguration import ReconfigurationPlan
+from kb.status import Status
 
 __all__ = ["StagedExecutor"]
 
 _log = logging.getLogger(__name__)
 
 
-@dataclass(slots=True)
-class _Step:
-    """One command to one component: how it is given, and what the knowledge base is told once it is carried out."""
-
-    text: str
-    component: str
-    command: Callable[[], Operation | None]
-    report: Callable[[], None]
-    give_up: Callable[[], None] = lambda: None
-    attempts: int = 0
-    operation: Operation | None = field(default=None)
-
-
 class StagedExecutor:
     """Carries out plans in three stages: deactivate, set parameters, activate.
 
     The commands of a stage are given together, and the next stage begins when all have ended, so a component gets its
-    parameters before it starts. A command that fails is given again; when it fails for good, its component is
-    reported failed, so that the next best design is chosen, and the plan ends as failed after the other components
-    got what was meant for them.
+    parameters before it starts. A command that fails, or takes too long, is given again later; so is one that was
+    said to be done when the managed system can tell that it is not. When it fails for good, the plan ends as failed
+    after the other components got what was meant for them, and the next best is chosen: parameters that cannot be set
+    rule out their configuration for a while, a component that cannot be switched is reported failed. What the plan
+    started for a function that cannot be had any more is stopped again.
 
     Args:
-        managed: what is commanded; plain components are never commanded, only booked.
+        managed: what is commanded; plain components are never switched, only booked.
         attempts: how often a command is given before it counts as failed.
+        timeout: how long an attempt may take, in the time of the knowledge base's clock [s].
+        timeout_by_kind: the same for all components of a kind.
+        timeout_by_component: the same for single components; goes before that of their kind.
+        back_off: how long after a failure the command is given again [s]; twice as long after each further one.
+        hold: how long a configuration that could not be set counts as unfeasible [s].
     """
 
-    def __init__(self, managed: ManagedSystem, *, attempts: int = 3) -> None:
+    def __init__(
+        self,
+        managed: ManagedSystem,
+        *,
+        attempts: int = 3,
+        timeout: float = 60.0,
+        timeout_by_kind: Mapping[str, float] | None = None,
+        timeout_by_component: Mapping[str, float] | None = None,
+        back_off: float = 0.5,
+        hold: float = 300.0,
+    ) -> None:
         self._managed = managed
-        self._attempts = attempts
+        self._patience = Patience(attempts, timeout, back_off)
+        self._of_kind = {
+            _kind(kind): Patience(attempts, lasts, back_off) for kind, lasts in (timeout_by_kind or {}).items()
+        }
+        self._of_component = {
+            name: Patience(attempts, lasts, back_off) for name, lasts in (timeout_by_component or {}).items()
+        }
+        self._unchecked = set(self._of_component)
+        self._condemned = Condemned(hold)
+        self._attempts: list[Attempt] = []
         self._plan: ReconfigurationPlan | None = None
-        self._stages: Iterator[list[_Step]] = iter(())
-        self._stage: list[_Step] = []
+        self._stages: Iterator[list[Step]] = iter(())
+        self._stage: list[Step] = []
         self._failed: set[str] = set()
 
+    @property
+    def attempts(self) -> tuple[Attempt, ...]:
+        """Every command that was given, in order, with what came of it."""
+        return tuple(self._attempts)
+
+    @property
+    def condemnations(self) -> tuple[Condemnation, ...]:
+        """Every configuration that could not be set, in order; those without an end count as unfeasible now."""
+        return self._condemned.records
+
     def execute(self, kb: KnowledgeBase) -> None:
-        """Do what can be done of the pending plan without waiting."""
+        """Do what can be done of the pending plan without waiting.
+
+        Raises:
+            UnknownName: a time-out was given for a component that the model does not have; at the first turn only.
+        """
+        self._check_names(kb)
+        now = kb._clock()
+        self._condemned.review(kb, now)
         if self._plan is None:
             self._plan = kb.pending_plan
             if self._plan is None:
                 return
-            self._stages, self._stage, self._failed = _stages(kb, self._managed, self._plan), [], set()
+            self._stages, self._stage, self._failed = self._staged(kb, self._plan), [], set()
         while True:
-            self._stage = [step for step in self._stage if not self._progress(kb, step)]
+            self._stage = [step for step in self._stage if not self._has_ended(kb, step, now)]
             if self._stage:
                 return
             following = None if self._plan.end is not None else next(self._stages, None)
             if following is None:
                 break
-            self._stage = [step for step in following if step.component not in self._failed]
+            self._stage = following
             for step in self._stage:
-                self._command(step)
+                step.begin(now)
         kb.finish_plan(self._plan, "failed" if self._failed else "completed")
         self._plan = None
 
-    def _command(self, step: _Step) -> None:
-        step.attempts += 1
+    def _check_names(self, kb: KnowledgeBase) -> None:
+        unchecked, self._unchecked = self._unchecked, set()
+        for name in sorted(unchecked):
+            if name not in kb.components:
+                raise UnknownName("component", name, kb.components)
+
+    def _has_ended(self, kb: KnowledgeBase, step: Step, now: float) -> bool:
+        """Go on with a step and tell whether it has ended, one way or the other; the knowledge base is told how."""
+        result = step.advance(now)
+        if result is None:
+            return False
+        command = step.command
+        if command.component not in kb.components:  # removed from the model meanwhile
+            return True
+        if result == "failed":
+            self._give_up(kb, step, now)
+        elif command.operation == "configure":
+            kb.component_configured(command.component, command.parameters)
+        else:
+            kb.component_active(command.component, command.operation == "activate")
+        return True
+
+    def _give_up(self, kb: KnowledgeBase, step: Step, now: float) -> None:
+        command = step.command
+        _log.warning("%s %s failed %d times: %s", command.operation, command.component, step.count, step.reason)
+        self._failed.add(command.component)
+        if command.configuration is None:
+            is_active = self._is_active(command.component)
+            if is_active is not None:
+                kb.component_active(command.component, is_active)
+            kb.component_failed(command.component)
+        elif command.configuration in kb.configurations:
+            reason = f"its parameters could not be set, tried {step.count} times: {step.reason}"
+            self._condemned.condemn(kb, command.configuration, reason, now)
+
+    def _is_active(self, component: str) -> bool | None:
+        """Return what the managed system says of a component, None if it cannot tell."""
         try:
-            step.operation = step.command()
-        except Exception as error:
-            step.operation = _Refused(error)
-
-    def _progress(self, kb: KnowledgeBase, step: _Step) -> bool:
-        """Tell whether a step has ended, one way or the other; one that failed is commanded once more at most."""
-        if step.operation is not None:
-            ended, error = _outcome(step.operation)
-            if not ended:
-                return False
-            if error is not None and step.attempts < self._attempts:
-                self._command(step)
-                return False
-            if error is not None:
-                _log.warning("%s failed %d times: %s", step.text, step.attempts, error)
-                self._failed.add(step.component)
-                step.give_up()
-                kb.component_failed(step.component)
-                return True
-        step.report()
-        return True
-
-
-def _outcome(operation: Operation) -> tuple[bool, BaseException | None]:
-    """Return whether an operation has ended, and with which error; asking may raise, e.g. of a cancelled future."""
-    try:
-        return (True, operation.exception()) if operation.done() else (False, None)
-    except Exception as error:
-        return True, error
-
-
-class _Refused:
-    """A command that raised at once, as an operation that has ended."""
-
-    def __init__(self, error: Exception) -> None:
-        self._error = error
-
-    def done(self) -> bool:
-        return True
-
-    def exception(self) -> Exception:
-        return self._error
-
-
-def _stages(kb: KnowledgeBase, managed: ManagedSystem, plan: ReconfigurationPlan) -> Iterator[list[_Step]]:
-    """Yield the stages of a plan, each decided when it begins."""
-    configured = [kb.configurations[name].component for name in plan.parameters]
-    paused = [name for name in configured if kb.components[name].stops_to_configure and kb.components[name].is_active]
-    paused = [name for name in paused if name not in plan.deactivate]
-    yield [_switch(kb, managed, name, active=False) for name in dict.fromkeys([*plan.deactivate, *paused])]
-    started = list(dict.fromkeys([*plan.activate, *paused]))
-    running = [name for name in configured if kb.components[name].is_active]
-    steps = []
-    for name in dict.fromkeys([*running, *started]):
-        chosen = kb.components[name].selected_configuration
-        if chosen is not None:
-            steps.append(_configure(kb, managed, name, chosen))
-    yield steps
-    yield [_switch(kb, managed, name, active=True) for name in started]
-
-
-def _switch(kb: KnowledgeBase, managed: ManagedSystem, name: str, *, active: bool) -> _Step:
-    def command() -> Operation | None:
-        if kb.components[name].kind is ComponentKind.PLAIN:
+            return _teller(self._managed, component)()
+        except Exception:
             return None
-        return managed.activate(name) if active else managed.deactivate(name)
 
-    verb = "activate" if active else "deactivate"
-    return _Step(f"{verb} {name}", name, command, lambda: kb.component_active(name, active))
+    def _staged(self, kb: KnowledgeBase, plan: ReconfigurationPlan) -> Iterator[list[Step]]:
+        """Yield the stages of a plan, each decided when it begins."""
+        configured = [kb.configurations[name].component for name in plan.parameters if name in kb.configurations]
+        paused = [name for name in configured if kb.components[name].stops_to_configure]
+        paused = [name for name in paused if kb.components[name].is_active and name not in plan.deactivate]
+        yield self._switched(kb, plan, [*plan.deactivate, *paused], active=False)
+        started = list(dict.fromkeys([*plan.activate, *paused]))
+        running = [name for name in configured if name in kb.components and kb.components[name].is_active]
+        yield self._configured(kb, plan, [*running, *started])
+        yield self._switched(kb, plan, started, active=True)
+        if self._failed:
+            yield self._rolled_back(kb, plan, started)
+
+    def _switched(self, kb: KnowledgeBase, plan: ReconfigurationPlan, names: list[str], *, active: bool) -> list[Step]:
+        return [
+            self._step(kb, plan, _switch(kb, self._managed, name, active=active))
+            for name in dict.fromkeys(names)
+            if name in kb.components and name not in self._failed
+        ]
+
+    def _configured(self, kb: KnowledgeBase, plan: ReconfigurationPlan, names: list[str]) -> list[Step]:
+        known = [name for name in dict.fromkeys(names) if name in kb.components and name not in self._failed]
+        chosen = {name: kb.components[name].selected_configuration for name in known}
+        return [
+            self._step(kb, plan, _configure(kb, self._managed, name, configuration))
+            for name, configuration in chosen.items()
+            if configuration is not None
+        ]
+
+    def _rolled_back(self, kb: KnowledgeBase, plan: ReconfigurationPlan, started: list[str]) -> list[Step]:
+        """Undo what was begun for functions that cannot be had: else it would run on, and be started at each plan."""
+        names = [name for name in started if name in kb.components]
+        tried = {one.component for one in self._attempts if one.plan is plan and one.operation == "activate"}
+        unsure = [name for name in names if name in self._failed & tried and self._is_active(name) is not False]
+        for design in kb.designs.values():
+            is_in_vain = kb.functions[design.function].status is Status.UNFEASIBLE and design.is_selected
+            if is_in_vain and not set(names).isdisjoint(design.components):
+                kb.assert_selected(design, False)
+        needed = {part for design in kb.designs.values() if design.is_selected for part in design.components}
+        idle = [name for name in names if kb.components[name].is_active and name not in needed]
+        return [
+            self._step(kb, plan, _switch(kb, self._managed, name, active=False))
+            for name in dict.fromkeys([*unsure, *idle])
+        ]
+
+    def _step(self, kb: KnowledgeBase, plan: ReconfigurationPlan, command: Command) -> Step:
+        of_kind = self._of_kind.get(kb.components[command.component].kind, self._patience)
+        return Step(plan, command, self._of_component.get(command.component, of_kind), self._attempts)
 
 
-def _configure(kb: KnowledgeBase, managed: ManagedSystem, name: str, chosen: str) -> _Step:
+def _kind(kind: str) -> ComponentKind:
+    try:
+        return ComponentKind(kind)
+    except ValueError:
+        known = ", ".join(ComponentKind)
+        raise InvalidValue(f"{kind!r} is no kind of component to give a time-out to; kinds are {known}") from None
+
+
+def _teller(managed: ManagedSystem, component: str) -> Callable[[], bool | None]:
+    """Return what tells whether a component runs; `is_active` is an optional part of a managed system."""
+    tell = getattr(managed, "is_active", None)
+
+    def is_active() -> bool | None:
+        answer = tell(component) if callable(tell) else None
+        return answer if isinstance(answer, bool) else None
+
+    return is_active
+
+
+def _switch(kb: KnowledgeBase, managed: ManagedSystem, name: str, *, active: bool) -> Command:
+    operation = "activate" if active else "deactivate"
+    if kb.components[name].kind is ComponentKind.PLAIN:
+        return Command(name, operation, None)
+    is_active = _teller(managed, name)
+
+    def is_reached() -> bool | None:
+        answer = is_active()
+        return None if answer is None else answer is active
+
+    return Command(name, operation, lambda: getattr(managed, operation)(name), is_reached)
+
+
+def _configure(kb: KnowledgeBase, managed: ManagedSystem, name: str, chosen: str) -> Command:
     parameters = kb.configurations[chosen].parameters
-
-    def give_up() -> None:
-        """Unselect what is not in force, so that it is chosen again when the component has recovered."""
-        kb.assert_selected(kb.configurations[chosen], False)
-
-    def command() -> Operation | None:
-        return managed.set_parameters(name, parameters)
-
-    return _Step(f"configure {name}", name, command, lambda: kb.component_configured(name, parameters), give_up)
+    give = lambda: managed.set_parameters(name, parameters)  # noqa: E731  # a def would say no more
+    return Command(name, "configure", give, configuration=chosen, parameters=parameters)

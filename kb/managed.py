@@ -24,6 +24,10 @@ class ManagedSystem(Protocol):
 
     Each call returns at once: None if it is done already, an operation if it takes time. What cannot be done raises,
     now or as the operation's exception.
+
+    A system that can tell whether a component is running has a method `is_active(component)` too, which returns at once
+    True, False, or None where it cannot tell; what is said to be done is then believed only when that agrees. An
+    operation may have a method `cancel()`, which is called when nobody waits for it any longer.
     """
 
     def activate(self, component: str, /) -> Operation | None:
@@ -37,7 +41,7 @@ class ManagedSystem(Protocol):
 
 
 class ManagedObject(Protocol):
-    """A component that lives in this process."""
+    """A component that lives in this process; it may have a method `is_active()` too, see `ManagedSystem`."""
 
     def activate(self) -> Operation | None:
         """Start working."""
@@ -70,6 +74,12 @@ class ManagedObjects:
     def set_parameters(self, component: str, parameters: Parameters) -> Operation | None:
         """Give the object of that name its parameters."""
         return self._object(component).set_parameters(parameters)
+
+    def is_active(self, component: str) -> bool | None:
+        """Ask the object of that name whether it works; None if it cannot tell."""
+        tell = getattr(self._object(component), "is_active", None)
+        answer = tell() if callable(tell) else tell
+        return answer if isinstance(answer, bool) else None
 
     def _object(self, component: str) -> ManagedObject:
         if component not in self._objects:

@@ -5,12 +5,15 @@ your own monitor, planner or executor and the rest stays as it is.
 """
 
 from collections.abc import Iterable
-from typing import Protocol
+from typing import Protocol, cast
 
+from kb.attempts import Attempt
 from kb.execution import StagedExecutor
+from kb.gate import Gate, Veto, VetoAnswer
 from kb.knowledge_base import KnowledgeBase
 from kb.managed import ManagedSystem
 from kb.reconfiguration import ReconfigurationPlan
+from kb.rehearsal import Rehearsal
 from kb.selection import first_by_priority
 
 __all__ = ["ConfigurationManager", "Executor", "Monitor", "Planner", "PriorityPlanner"]
@@ -66,6 +69,8 @@ class ConfigurationManager:
         planner: decides what to select; by priority when none is given.
         executor: carries out plans; in three stages on `managed` when none is given.
         monitors: asked first at each turn.
+        veto: is shown each plan, with its reason, before it is executed, whoever made it. It answers None or True to
+            let it pass; False, or the reason in words, to forbid it. What it raises forbids too.
     """
 
     def __init__(
@@ -76,30 +81,56 @@ class ConfigurationManager:
         planner: Planner | None = None,
         executor: Executor | None = None,
         monitors: Iterable[Monitor] = (),
+        veto: Veto | None = None,
     ) -> None:
         self._kb = kb
         self._planner = planner or PriorityPlanner()
         self._executor = executor or StagedExecutor(managed)
         self._monitors = tuple(monitors)
+        self._gate = None if veto is None else Gate(kb, veto)
         self._planned_at = -1
+
+    @property
+    def attempts(self) -> tuple[Attempt, ...]:
+        """Every command that was given, in order, with what came of it; empty if the executor keeps no record."""
+        return tuple(getattr(self._executor, "attempts", ()))
+
+    @property
+    def veto_answers(self) -> tuple[VetoAnswer, ...]:
+        """What the veto function answered to each plan, in order."""
+        return () if self._gate is None else self._gate.answers
+
+    def dry_run(self) -> ReconfigurationPlan | None:
+        """Return the plan that the planner would make now, None for none; nothing is selected, told or executed.
+
+        A planner that remembers what it was asked remembers this, too.
+        """
+        return self._planner.plan(cast("KnowledgeBase", Rehearsal(self._kb)))
 
     def update(self) -> ReconfigurationPlan | None:
         """Take one turn of the loop, without waiting.
 
         A new plan is made only when something changed since the last one, and not before that one has ended: a plan
-        leads from the state the components are in, which is known for sure only then. One that fails is made again
-        when there is news.
+        leads from the state the components are in, which is known for sure only then. One that fails or is vetoed is
+        made again when there is news.
 
         Returns:
-            The plan that was made in this turn, if any.
+            The plan that was made in this turn, if any; a vetoed one has ended already.
         """
-        kb = self._kb
+        kb, gate = self._kb, self._gate
         for monitor in self._monitors:
             monitor.observe(kb)
+        if gate is not None:  # somebody else may have made a plan
+            gate.check()
+            gate.remember()
         plan = None
         revision = kb.revision
-        if revision != self._planned_at and kb.pending_plan is None:
+        is_due = revision != self._planned_at and kb.pending_plan is None
+        if is_due:
             plan = self._planner.plan(kb)
-            self._planned_at = revision
+            is_vetoed = gate is not None and gate.check()
+            self._planned_at = kb.revision if is_vetoed else revision
         self._executor.execute(kb)
+        if gate is not None:
+            gate.remember(anew=is_due)
         return plan

@@ -79,14 +79,28 @@ def test_a_command_that_fails_twice_and_then_succeeds_completes_the_plan(failure
 
 
 @pytest.mark.parametrize("failure", [Broken("no"), (0.0, Broken("no")), (3.0, Broken("no"))])
-@pytest.mark.parametrize("verb", ["activate", "configure"])
-def test_a_command_that_fails_for_good_fails_the_plan_and_the_next_best_is_chosen(failure, verb):
-    kb, clock, managed, manager = start(script={f"{verb} camera": [failure]})
+def test_a_start_that_fails_for_good_fails_the_plan_and_the_next_best_design_is_chosen(failure):
+    kb, clock, managed, manager = start(script={"activate camera": [failure]})
     kb.request_action("explore")
     come_to_rest(manager, kb, clock)
     assert [plan.result for plan in kb.plans] == ["failed", "completed"]
     assert kb.components["camera"].status is Status.FAILURE
     assert kb.designs["by lidar"].status is Status.SOLVED
+    assert kb.actions["explore"].status is Status.SOLVED
+    assert managed.running == {"lidar"}
+
+
+@pytest.mark.parametrize("failure", [Broken("no"), (0.0, Broken("no")), (3.0, Broken("no"))])
+def test_parameters_that_fail_for_good_rule_out_their_configuration_and_at_last_the_component(failure):
+    kb, clock, managed, manager = start(script={"configure camera": [failure]})
+    kb.request_action("explore")
+    come_to_rest(manager, kb, clock)
+    assert [(plan.parameters, plan.result) for plan in kb.plans] == [
+        (("day",), "failed"),
+        (("night",), "failed"),
+        ((), "completed"),
+    ]
+    assert kb.components["camera"].status is Status.UNFEASIBLE
     assert kb.actions["explore"].status is Status.SOLVED
     assert managed.running == {"lidar"}
 
@@ -294,7 +308,7 @@ def test_parameters_chosen_in_a_plan_that_failed_elsewhere_still_reach_the_runni
     assert managed.parameters == {"camera": {"exposure": 0.2}}
 
 
-def test_parameters_that_could_not_be_set_are_set_once_the_component_has_recovered():
+def test_parameters_that_could_not_be_set_are_set_once_they_are_forgiven():
     model = Model("one way")
     light = model.environmental_attribute("light")
     node = model.component("camera", kind="lifecycle")
@@ -307,8 +321,8 @@ def test_parameters_that_could_not_be_set_are_set_once_the_component_has_recover
     come_to_rest(manager, kb, clock)
     kb.measure("light", 0.1)
     come_to_rest(manager, kb, clock)
-    assert kb.components["camera"].status is Status.FAILURE
-    kb.component_recovered("camera")
+    assert kb.components["camera"].status is Status.UNFEASIBLE
+    kb.retract_status("night")
     come_to_rest(manager, kb, clock)
     assert kb.components["camera"].status is Status.SOLVED
     assert managed.parameters == {"camera": {"exposure": 0.2}}
@@ -485,12 +499,12 @@ def test_objects_of_this_process_are_managed_by_name():
     assert nodes["lidar"].log == ["on"]
 
 
-def test_a_missing_object_is_a_component_that_fails_and_never_an_exception(caplog):
+def test_a_missing_object_is_a_component_that_cannot_be_used_and_never_an_exception(caplog):
     kb, clock = base(rover())
     manager = ConfigurationManager(kb, ManagedObjects({"lidar": Node()}))
     kb.request_action("explore")
     come_to_rest(manager, kb, clock)
-    assert kb.components["camera"].status is Status.FAILURE
+    assert kb.components["camera"].status is Status.UNFEASIBLE
     assert kb.designs["by lidar"].status is Status.SOLVED
     assert "unknown managed object 'camera'" in caplog.text
 

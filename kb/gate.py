@@ -1,0 +1,118 @@
+"""A gate before execution: somebody else is shown every plan and may forbid it."""
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from kb.exceptions import InvalidValue
+from kb.knowledge_base import KnowledgeBase
+from kb.reconfiguration import ReconfigurationPlan
+
+__all__ = ["Gate", "Veto", "VetoAnswer"]
+
+_log = logging.getLogger(__name__)
+
+Veto = Callable[[ReconfigurationPlan], bool | str | None]
+"""Is shown a plan, with its reason; answers None or True to let it pass, False or the reason to forbid it."""
+
+
+@dataclass(frozen=True, slots=True)
+class VetoAnswer:
+    """What was answered about a plan.
+
+    Attributes:
+        plan: what was asked about.
+        time: when [s].
+        is_vetoed: it was not to be executed.
+        reason: why not, in words.
+    """
+
+    plan: ReconfigurationPlan
+    time: float
+    is_vetoed: bool
+    reason: str = ""
+
+
+class Gate:
+    """Asks about every plan before it is executed, and takes back what a forbidden one had selected.
+
+    Args:
+        kb: whose plans are asked about.
+        veto: the function that is asked.
+    """
+
+    def __init__(self, kb: KnowledgeBase, veto: Veto) -> None:
+        if not callable(veto):
+            raise InvalidValue(f"a veto is a function that is called with each plan; {veto!r} cannot be called")
+        self._kb = kb
+        self._veto = veto
+        self._answers: list[VetoAnswer] = []
+        self._passed: list[ReconfigurationPlan] = []
+        self._seen: tuple[int, ReconfigurationPlan | None] = (-1, None)
+        self._selected: frozenset[tuple[str, str]] = frozenset()
+        self.remember()
+
+    @property
+    def answers(self) -> tuple[VetoAnswer, ...]:
+        """Every answer so far, in order."""
+        return tuple(self._answers)
+
+    def remember(self, *, anew: bool = False) -> None:
+        """Take note of what is selected, so that a plan that is forbidden can be taken back to this.
+
+        Args:
+            anew: even if no fact and no plan tells that it is different; a selection may need no plan.
+        """
+        now = (self._kb.revision, self._kb.latest_plan)
+        if anew or now != self._seen:
+            self._seen, self._selected = now, self._selection()
+
+    def check(self) -> bool:
+        """Ask about the plans that were not asked about yet; a forbidden one ends as abandoned.
+
+        Returns:
+            Whether one was forbidden.
+        """
+        self._passed = [plan for plan in self._passed if plan.end is None]
+        is_vetoed = False
+        while (plan := self._kb.pending_plan) is not None and plan not in self._passed:
+            answer = self._ask(plan)
+            self._answers.append(answer)
+            if not answer.is_vetoed:
+                self._passed.append(plan)
+                break
+            _log.info("vetoed: %s, because %s", plan, answer.reason)
+            self._kb.finish_plan(plan, "abandoned")
+            is_vetoed = True
+        if is_vetoed:
+            self._take_back()
+        return is_vetoed
+
+    def _ask(self, plan: ReconfigurationPlan) -> VetoAnswer:
+        try:
+            answer: object = self._veto(plan)
+        except Exception as error:
+            answer = str(error) or type(error).__name__
+        now = self._kb._clock()
+        if answer is None or answer is True:
+            return VetoAnswer(plan, now, False)
+        if answer is False:
+            return VetoAnswer(plan, now, True, "no reason was given")
+        if isinstance(answer, str):
+            return VetoAnswer(plan, now, True, answer or "no reason was given")
+        text = f"the veto function answered {answer!r}; it is to answer None or True to let a plan pass, else a reason"
+        return VetoAnswer(plan, now, True, text)
+
+    def _selection(self) -> frozenset[tuple[str, str]]:
+        kb = self._kb
+        designs = (("design", one.name) for one in kb.designs.values() if one.is_selected)
+        configurations = (("configuration", one.name) for one in kb.configurations.values() if one.is_selected)
+        return frozenset((*designs, *configurations))
+
+    def _take_back(self) -> None:
+        """Select again what was selected before, and nothing else: what is not executed is not in force."""
+        designs, configurations = self._kb.designs, self._kb.configurations
+        for what, name in sorted(self._selection() ^ self._selected):
+            views = designs if what == "design" else configurations
+            if name in views:
+                self._kb.assert_selected(views[name], (what, name) in self._selected)
