@@ -1,9 +1,13 @@
 """Which of several possibilities to choose; pure, so that it can be replaced and tried by itself."""
 
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
-__all__ = ["Candidate", "Choice", "first_by_priority"]
+from kb.elements import finite_number
+from kb.exceptions import InvalidValue
+
+__all__ = ["Candidate", "Choice", "Criterion", "Optimum", "by_priority", "first_by_priority", "summed_weights"]
 
 
 class Candidate(Protocol):
@@ -25,9 +29,78 @@ class Choice(NamedTuple):
     configurations: Mapping[str, str]
 
 
+@dataclass(frozen=True, slots=True)
+class Criterion:
+    """What makes one choice better than another, and what no choice may exceed.
+
+    Attributes:
+        weights: how much a unit of each attribute is worth, by name; less than 0 if less of it is better.
+        switching_cost: what it costs to activate or deactivate a component or to change its configuration, the same
+            for all or by name of the component; in the unit of what is gained.
+        budgets: the most that all estimations of what is chosen or active may sum up to, by name of attribute.
+    """
+
+    weights: Mapping[str, float]
+    switching_cost: float | Mapping[str, float] = 0.0
+    budgets: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        costs = self.switching_cost
+        for number in (*self.weights.values(), *self.budgets.values()):
+            finite_number(number)
+        for cost in costs.values() if isinstance(costs, Mapping) else (costs,):
+            if finite_number(cost) < 0.0:
+                raise InvalidValue(f"a switching cost is 0 or more, not {cost!r}")
+
+    def cost_of(self, component: str) -> float:
+        """Return what it costs to switch a component."""
+        costs = self.switching_cost
+        return costs.get(component, 0.0) if isinstance(costs, Mapping) else costs
+
+
+@dataclass(frozen=True, slots=True)
+class Optimum:
+    """The best joint choice, or the best that was found with the effort allowed.
+
+    Attributes:
+        choice: what to select; None if no choice keeps within the budgets, or none was found.
+        value: what the choice is worth by its criterion, switching costs taken off; None without a choice.
+        bound: what no choice can be worth more than; None without a choice.
+        resolution: two choices that differ by no more than this were taken for equally good; 0 where all was exact.
+        is_proven: no choice is better, and none that is as good comes first.
+        reason: how sure that is, or why there is no choice, in words.
+    """
+
+    choice: Choice | None
+    value: float | None
+    bound: float | None
+    resolution: float
+    is_proven: bool
+    reason: str
+
+    @property
+    def gap(self) -> float | None:
+        """How much better an unknown choice can be at most; None without a choice."""
+        return None if self.value is None or self.bound is None else self.bound - self.value
+
+
+def by_priority(candidate: Candidate) -> tuple[bool, int, str]:
+    """Return the key that sorts: the lowest priority number first, no priority last, ties by name."""
+    priority = candidate.priority
+    return priority is None, 0 if priority is None else priority, candidate.name
+
+
 def first_by_priority(candidates: Iterable[Candidate]) -> str | None:
     """Name of the candidate with the lowest priority number; no priority comes last, ties go by name; None for none."""
-    ranked = sorted(
-        candidates, key=lambda one: (one.priority is None, 0 if one.priority is None else one.priority, one.name)
-    )
+    ranked = sorted(candidates, key=by_priority)
     return ranked[0].name if ranked else None
+
+
+def summed_weights(preferences: Iterable[str | Mapping[str, float] | None]) -> dict[str, float]:
+    """Return how much a unit of each attribute is worth to all who prefer one, or weigh several."""
+    weights: dict[str, float] = {}
+    for preference in preferences:
+        weighed = {preference: 1.0} if isinstance(preference, str) else preference or {}
+        for attribute, weight in weighed.items():
+            weights[attribute] = weights.get(attribute, 0.0) + weight
+    return weights

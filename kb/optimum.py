@@ -1,0 +1,308 @@
+"""The best joint choice of designs and configurations, proven by CP-SAT.
+
+The only file that imports OR-tools; import it late, as that takes a while. One worker, a fixed seed and an effort that
+is counted in work done instead of seconds make the answer the same on every machine.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from decimal import Decimal
+from itertools import chain
+from typing import Any, Final
+
+from ortools.sat.python import cp_model
+
+from kb.network import Node
+from kb.optimum_posing import pose
+from kb.optimum_problem import Effect, Option, Picks, Problem
+from kb.selection import Criterion, Optimum
+from kb.state import State
+from kb.status import Status
+
+__all__ = ["EFFORT", "best_choice", "solve", "verdicts"]
+
+EFFORT: Final = 1.0
+"""How much work is done by default at most, in CP-SAT's deterministic time: a second or so of a processor."""
+
+LARGEST_RANK: Final = 2**40
+"""Ranks of several choices are weighed into one number below this, so that the first of all is found at once."""
+
+_SETTINGS: Final = {
+    "num_workers": 1,
+    "random_seed": 0,
+    "linearization_level": 2,  # the relaxation proves these problems almost alone
+    "cp_model_probing_level": 0,
+    "max_presolve_iterations": 1,
+    "symmetry_level": 0,
+    "catch_sigint_signal": False,
+}
+
+Literals = Sequence[Any]
+
+
+def best_choice(
+    state: State, criterion: Criterion, functions: Iterable[Node] | None = None, effort: float = EFFORT
+) -> Optimum:
+    """Return the best choice for a state; see `pose` for the arguments, and `solve`."""
+    return solve(pose(state, criterion, functions), effort)
+
+
+def solve(problem: Problem, effort: float = EFFORT) -> Optimum:
+    """Return the best choice, and of those that are equally good the first.
+
+    That is the one with the first design by priority and name for the function declared first, and so on, and then the
+    same for the configurations of its components.
+
+    Args:
+        problem: what is to be chosen.
+        effort: how much work may be done, in CP-SAT's deterministic time.
+    """
+    return _Search(problem, effort).optimum()
+
+
+def verdicts(
+    state: State, criterion: Criterion, node: Node, optimum: Optimum, effort: float = EFFORT
+) -> Mapping[str, str]:
+    """Return what the criterion says of each design or configuration that can be chosen for a function or component.
+
+    Args:
+        state: the facts and statuses.
+        criterion: what makes a choice better.
+        node: the function or component.
+        optimum: the best choice in this state.
+        effort: how much work may be done for each of them.
+
+    Returns:
+        A clause for each, by name; nothing for what has no place in the best choice.
+    """
+    if optimum.choice is None or optimum.value is None:
+        return {}
+    chosen = optimum.choice[node.kind == "component"].get(node.name)
+    if chosen is None:
+        return {}
+    said = {}
+    for part in node.parts:
+        if part.name == chosen:
+            said[part.name] = f"it is part of {optimum.reason}"
+        elif state.status[part.index] is not Status.UNFEASIBLE:
+            rival = solve(pose(state, criterion, forced=part), effort)
+            said[part.name] = _compared(rival, optimum.value, optimum.resolution)
+    return said
+
+
+def _compared(rival: Optimum, value: float, resolution: float) -> str:
+    if rival.value is None:
+        return f"with it, {rival.reason}"
+    if abs(rival.value - value) <= resolution:
+        return f"with it a choice is worth {rival.value:g} too, and comes later by priority and name"
+    known = "the best choice" if rival.is_proven else "the best choice that was found"
+    return f"with it {known} is worth {rival.value:g}, less than {value:g}"
+
+
+class _Encoding:
+    """A problem in the solver's words, with a literal for each option.
+
+    Attributes:
+        picks: the literals of the options of each function and then of each component; none if it does not matter
+            which of these is chosen.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        self.model: Any = cp_model.CpModel()
+        self._problem = problem
+        self._effects: list[tuple[Any, Effect]] = [(1, problem.fixed)]
+        self._functions = [self._literals(one.options) for one in problem.functions]
+        for literals in self._functions:
+            self.model.add_exactly_one(literals)
+        self._components = [self._component(place) for place in range(len(problem.components))]
+        self.picks: list[Literals] = [*self._functions, *self._components]
+        self.gain = cp_model.LinearExpr.sum([*self._sum(lambda effect: effect.gain), *self._levels()])
+
+    def load(self, place: int) -> Any:  # noqa: ANN401  # an expression of an untyped library
+        """Return how much of a budget is used."""
+        return cp_model.LinearExpr.sum(self._sum(lambda effect: effect.loads[place]))
+
+    def rank(self, places: Iterable[int]) -> Any:  # noqa: ANN401  # an expression of an untyped library
+        """Return a number that is lower if what is picked at these places comes earlier, the first place first."""
+        weight, terms = 1, []
+        for place in reversed(list(places)):
+            terms += [literal * (weight * rank) for rank, literal in enumerate(self.picks[place]) if rank]
+            weight *= max(1, len(self.picks[place]))
+        return cp_model.LinearExpr.sum(terms)
+
+    def limit(self) -> None:
+        """Keep within the budgets."""
+        for place, limit in enumerate(self._problem.limits):
+            self.model.add(self.load(place) <= int(limit))
+
+    def hint(self, picks: Picks) -> None:
+        """Say where a good choice may be found."""
+        self.model.clear_hints()
+        needed = self._problem.needed(picks)
+        is_chosen = [*(True for _ in picks.functions), *(place in needed for place in range(len(picks.components)))]
+        for literals, pick, chosen in zip(self.picks, chain(*picks), is_chosen, strict=True):
+            for place, literal in enumerate(literals):
+                self.model.add_hint(literal, chosen and place == pick)
+
+    def read(self, solver: Any) -> Picks:  # noqa: ANN401  # of an untyped library
+        """Return what the solver found."""
+        found = [
+            next((place for place, literal in enumerate(literals) if solver.value(literal)), 0)
+            for literals in self.picks
+        ]
+        count = len(self._functions)
+        return Picks(tuple(found[:count]), tuple(found[count:]))
+
+    def _literals(self, options: Iterable[Option]) -> Literals:
+        literals = []
+        for option in options:
+            literals.append(self.model.new_bool_var(""))
+            self._effects.append((literals[-1], option.effect))
+        return literals
+
+    def _component(self, place: int) -> Literals:
+        """Encode that one option is chosen exactly if the component is needed."""
+        component = self._problem.components[place]
+        if component.is_silent:
+            return ()
+        needed = self.model.new_bool_var("")
+        users = []
+        for one, literals in zip(self._problem.functions, self._functions, strict=True):
+            using = [literal for option, literal in zip(one.options, literals, strict=True) if place in option.needs]
+            if using:
+                self.model.add(cp_model.LinearExpr.sum(using) <= needed)
+                users += using
+        if component.is_needed:
+            self.model.add(needed == 1)
+        else:
+            self.model.add_bool_or([*users, ~needed])
+        literals = self._literals(component.options)
+        self.model.add(cp_model.LinearExpr.sum(literals) == needed)
+        self._effects.append((1 - needed, component.idle))
+        return literals
+
+    def _sum(self, amount: Callable[[Effect], Decimal]) -> list[Any]:
+        amounts = ((literal, int(amount(effect))) for literal, effect in self._effects)
+        return [literal * number for literal, number in amounts if number]
+
+    def _levels(self) -> list[Any]:
+        """Return a number for each attribute that is no better than any level of it that is chosen."""
+        levels: dict[str, list[tuple[Any, int]]] = {}
+        for literal, effect in self._effects:
+            for name, level in effect.levels:
+                levels.setdefault(name, []).append((literal, int(level)))
+        return [self._worst(chosen) for chosen in levels.values()]
+
+    def _worst(self, levels: Sequence[tuple[Any, int]]) -> Any:  # noqa: ANN401  # a variable of an untyped library
+        low, high = min(0, *(level for _, level in levels)), max(0, *(level for _, level in levels))
+        worst, unset = self.model.new_int_var(low, high, ""), self.model.new_bool_var("")
+        for literal, level in levels:
+            self.model.add(worst <= high - (high - level) * literal)
+        self.model.add(worst <= high - high * unset)
+        self.model.add(cp_model.LinearExpr.sum([literal for literal, _ in levels]) + unset >= 1)
+        return worst
+
+
+class _Search:
+    """Searches for the best choice, with an effort that is used up."""
+
+    def __init__(self, problem: Problem, effort: float) -> None:
+        self._problem = problem
+        self._effort = effort
+        self._left = effort
+        self._solver: Any = cp_model.CpSolver()
+        for name, value in _SETTINGS.items():
+            setattr(self._solver.parameters, name, value)
+
+    def optimum(self) -> Optimum:
+        """Return the best choice."""
+        encoding, problem = _Encoding(self._problem), self._problem
+        encoding.limit()
+        encoding.model.maximize(encoding.gain)
+        known = self._known()
+        status = self._run(encoding, known or problem.first)
+        if status == cp_model.INFEASIBLE:
+            return Optimum(None, None, None, 0.0, True, self._why_nothing_fits())
+        bound, is_best = problem.bound, status == cp_model.OPTIMAL
+        if is_best or status == cp_model.FEASIBLE:
+            known = encoding.read(self._solver)
+            bound = min(bound, Decimal(round(self._solver.best_objective_bound)))
+        if known is None:
+            reason = f"no choice that keeps within {self._limits()} was found with an effort of {self._effort:g}"
+            return Optimum(None, None, None, problem.resolution, False, reason)
+        value = problem.effect(known).gain
+        is_first = False
+        if is_best:
+            bound = value
+            known, is_first = self._first_of_the_best(encoding, known, value)
+        return self._told(known, value, bound, is_first)
+
+    def _told(self, picks: Picks, value: Decimal, bound: Decimal, is_proven: bool) -> Optimum:
+        worth, most = float(value * self._problem.unit), float(bound * self._problem.unit)
+        if is_proven:
+            reason = f"the best choice of all, worth {worth:g}"
+        elif value == bound:
+            reason = f"a best choice, worth {worth:g}; an effort of {self._effort:g} did not prove that it comes first"
+        else:
+            reason = f"the best choice that an effort of {self._effort:g} found, worth {worth:g} of {most:g} at most"
+        return Optimum(self._problem.choice(picks), worth, most, self._problem.resolution, is_proven, reason)
+
+    def _known(self) -> Picks | None:
+        """Return the better of what is selected now and what is first by priority, if one keeps within the budgets."""
+        known = [(self._problem.effect(picks), picks) for picks in (self._problem.now, self._problem.first)]
+        fitting = [(effect.gain, picks) for effect, picks in known if self._problem.fits(effect)]
+        return max(fitting, key=lambda one: one[0])[1] if fitting else None
+
+    def _run(self, encoding: _Encoding, hint: Picks | None = None) -> Any:  # noqa: ANN401  # of an untyped library
+        """Solve with the effort that is left."""
+        if hint is not None:
+            encoding.hint(hint)
+        self._solver.parameters.max_deterministic_time = max(self._left, 0.0)
+        status = self._solver.solve(encoding.model)
+        self._left -= self._solver.response_proto.deterministic_time
+        return status
+
+    def _first_of_the_best(self, encoding: _Encoding, picks: Picks, value: Decimal) -> tuple[Picks, bool]:
+        """Return the first choice of this value, and whether it is proven to be the first."""
+        encoding.model.add(encoding.gain >= int(value))
+        kept = done = 0
+        while True:
+            ranks = list(chain(*picks))
+            later = next((place for place in range(done, len(ranks)) if ranks[place]), None)
+            if later is None:
+                return picks, True
+            for place in range(kept, later):
+                encoding.model.add(encoding.rank([place]) == ranks[place])
+            kept, done = later, _chunk_end(encoding.picks, later)
+            encoding.model.clear_objective()
+            encoding.model.minimize(encoding.rank(range(kept, done)))
+            status = self._run(encoding, picks)
+            if status in (cp_model.OPTIMAL, cp_model.FEASIBLE):
+                picks = encoding.read(self._solver)
+            if status != cp_model.OPTIMAL:
+                return picks, False
+
+    def _why_nothing_fits(self) -> str:
+        """Say which budget is too small for any choice, as far as the effort that is left allows."""
+        problem, encoding, told = self._problem, _Encoding(self._problem), []
+        for place, (name, limit) in enumerate(zip(problem.budgets, problem.limits, strict=True)):
+            encoding.model.minimize(encoding.load(place))
+            if self._run(encoding) != cp_model.OPTIMAL:
+                continue
+            unit, least = problem.load_units[place], round(self._solver.objective_value)
+            if least > limit:
+                told.append(f"{name} would be {float(least * unit):g} at least, more than {float(limit * unit):g}")
+        return " and ".join(told) or f"no choice keeps within {self._limits()}"
+
+    def _limits(self) -> str:
+        problem = self._problem
+        limits = zip(problem.budgets, problem.limits, problem.load_units, strict=True)
+        return " and ".join(f"{name} {float(limit * unit):g}" for name, limit, unit in limits)
+
+
+def _chunk_end(picks: Sequence[Literals], start: int) -> int:
+    """Return where the choices end whose ranks fit into one number."""
+    size, end = 1, start
+    while end < len(picks) and size * max(1, len(picks[end])) <= LARGEST_RANK:
+        size *= max(1, len(picks[end]))
+        end += 1
+    return end

@@ -1,0 +1,84 @@
+"""The planner that chooses for all that is required at once, by what is estimated and preferred."""
+
+from collections.abc import Mapping
+
+from kb.choice import ChoiceExplanation, explain_choice
+from kb.elements import Element
+from kb.exceptions import InvalidValue
+from kb.knowledge_base import KnowledgeBase
+from kb.manager import PriorityPlanner
+from kb.optimum_posing import pose
+from kb.reconfiguration import ReconfigurationPlan
+from kb.selection import Criterion, Optimum, summed_weights
+from kb.views import ElementView
+
+__all__ = ["OptimalPlanner"]
+
+
+class OptimalPlanner:
+    """Chooses the best joint configuration of all that is required, or says how far from the best it may be.
+
+    When something is adaptable, everything required is chosen for again. Without a preference that an estimation bears
+    on, and without budgets, it chooses as `PriorityPlanner` does.
+
+    Args:
+        switching_cost: what it costs to activate or deactivate a component or to change its configuration, the same
+            for all or by name of the component; a gain smaller than that does not switch.
+        budgets: the most that all estimations of what is chosen or active may sum up to, by name of attribute.
+        effort: how much work may be done at most for one choice, in CP-SAT's deterministic time (about a second of a
+            processor each); by default 1.
+
+    Attributes:
+        latest: what was found last; None before, and when the choice was by priority.
+    """
+
+    def __init__(
+        self,
+        *,
+        switching_cost: float | Mapping[str, float] = 0.0,
+        budgets: Mapping[str, float] | None = None,
+        effort: float = 1.0,
+    ) -> None:
+        import kb.optimum as solver  # the solver takes a while to import: not in a tick, nor for those without it
+
+        if not effort > 0.0:
+            raise InvalidValue(f"an effort is more than 0, not {effort!r}")
+        self._solver = solver
+        self._by_priority = PriorityPlanner()
+        self._given = Criterion({}, switching_cost, dict(budgets or {}))
+        self._effort = effort
+        self.latest: Optimum | None = None
+
+    def criterion(self, kb: KnowledgeBase) -> Criterion:
+        """Return what makes one choice better than another, given what is preferred now."""
+        weights = summed_weights(required.preference for required in kb.required_actions)
+        return Criterion(weights, self._given.switching_cost, self._given.budgets)
+
+    def plan(self, kb: KnowledgeBase) -> ReconfigurationPlan | None:
+        """Choose for all that is required if something is adaptable; see `Planner`."""
+        if not kb.adaptable_functions() and not kb.adaptable_components():
+            return self._by_priority.plan(kb)
+        self.latest = self.optimum(kb)
+        if self.latest is None:
+            return self._by_priority.plan(kb)
+        return kb.select(*self.latest.choice) if self.latest.choice else None
+
+    def optimum(self, kb: KnowledgeBase) -> Optimum | None:
+        """Return the best choice for a knowledge base as it is; None if it is to be chosen by priority."""
+        criterion = self.criterion(kb)
+        with kb._lock:
+            problem = pose(kb._state, criterion)
+        if not problem.is_touched and not criterion.budgets:
+            return None
+        return self._solver.solve(problem, self._effort)
+
+    def explain_choice(self, kb: KnowledgeBase, element: ElementView | Element | str) -> ChoiceExplanation:
+        """Say why a function or component has what it has, by this planner's criterion; see `kb.explain_choice`."""
+        optimum, criterion = self.optimum(kb), self.criterion(kb)
+        with kb._lock:
+            node = kb._node(element, ("function", "component"))
+            if optimum is None or optimum.choice is None:
+                return explain_choice(kb._state, node, kb._clock())
+            preferred = optimum.choice[node.kind == "component"].get(node.name)
+            said = self._solver.verdicts(kb._state, criterion, node, optimum, self._effort)
+            return explain_choice(kb._state, node, kb._clock(), preferred, said)

@@ -1,0 +1,82 @@
+"""The slow twin of the optimiser: it carries out every choice on an overlay and sums up what is estimated then."""
+
+from fractions import Fraction
+from itertools import product
+
+from kb.reconfiguration import reselect
+from kb.selection import by_priority
+from kb.state import Overlay
+from kb.status import Status
+
+
+def exact(number):
+    return Fraction(repr(float(number)))
+
+
+def ranked(state, node):
+    possible = [part for part in node.parts if state.status[part.index] is not Status.UNFEASIBLE]
+    return sorted(possible, key=lambda part: by_priority(part.element))
+
+
+def every_choice(state):
+    """Yield rank and nodes of every joint choice: designs by function, configurations by component."""
+    network = state.network
+    required = [node for node in network.functions.values() if state.required[node.index]]
+    free = [node for node in required if ranked(state, node)]
+    kept = [part for node in required if node not in free for part in node.parts if state.selected[part.index]]
+    served = [part for node in required for design in node.parts for part in design.parts]
+    for ranks in product(*(range(len(ranked(state, node))) for node in free)):
+        designs = [ranked(state, node)[rank] for node, rank in zip(free, ranks, strict=True)]
+        needed = [part for design in (*designs, *kept) for part in design.parts]
+        needed += [part for part in served if state.asserted_required[part.index]]
+        components = [node for node in network.components.values() if node in needed and ranked(state, node)]
+        for more in product(*(range(len(ranked(state, node))) for node in components)):
+            chosen = [ranked(state, node)[rank] for node, rank in zip(components, more, strict=True)]
+            yield (ranks, more), designs, chosen
+
+
+def outcome(state, designs, configurations, criterion):
+    """Return what a choice is worth, and the load of each budget, once it is carried out."""
+    after = Overlay(state)
+    selection = reselect(after, designs, configurations)
+    network = state.network
+    for names, active in ((selection.activate, True), (selection.deactivate, False)):
+        for name in names:
+            after.active[network.components[name].index] = active
+    running = [node for node in network.components.values() if after.active[node.index]]
+    causers = [node for node in network.designs.values() if after.selected[node.index]]
+    causers += running
+    causers += [part for node in running for part in node.parts if after.selected[part.index]]
+    causing = {node.element for node in causers}
+    estimations = [one for one in network.model.estimations if one.causer in causing]
+    worth = Fraction(0)
+    for attribute, weight in criterion.weights.items():
+        mine = [one for one in estimations if one.attribute == attribute]
+        levels = [exact(weight) * exact(one.value) for one in mine if one.kind == "absolute"]
+        worth += min(levels, default=Fraction(0))
+        worth += exact(weight) * sum(signed(one) for one in mine if one.kind != "absolute")
+    switched = [*selection.activate, *selection.deactivate]
+    switched += [network.configurations[name].element.component for name in selection.parameters]
+    worth -= sum(exact(criterion.cost_of(name)) for name in switched)
+    loads = {name: sum(signed(one) for one in estimations if one.attribute == name) for name in criterion.budgets}
+    return worth, loads
+
+
+def signed(estimation):
+    return exact(estimation.value) * (-1 if estimation.kind == "negative" else 1)
+
+
+def best_by_trying(state, criterion):
+    """Return value, designs and configurations of the best choice; None if nothing keeps within the budgets."""
+    best = None
+    for rank, designs, configurations in every_choice(state):
+        worth, loads = outcome(state, designs, configurations, criterion)
+        if any(loads[name] > exact(limit) for name, limit in criterion.budgets.items()):
+            continue
+        if best is None or (-worth, rank) < best[0]:
+            best = (-worth, rank), designs, configurations
+    return best and (-best[0][0], names(best[1]), names(best[2]))
+
+
+def names(chosen):
+    return {node.wholes[0].name: node.name for node in chosen}
