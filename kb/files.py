@@ -71,6 +71,14 @@ def load_model(cls: "type[Model]", paths: str | Path | Iterable[str | Path], nam
     for file in files:
         if not _is_folder(file):
             _known_suffix(file)
+    owl = [file for file in files if file.suffix.lower() == ".owl"]
+    if owl and len(owl) < len(files):
+        others = ", ".join(str(file) for file in files if file not in owl)
+        raise ModelFileError(f"files of one model are all in one format; {others} is in another", str(owl[0]))
+    if owl:
+        from kb.owl import load_owl
+
+        return load_owl(cls, files, name)
     from kb.typeql import load_typeql
 
     return load_typeql(cls, files, name)
@@ -116,7 +124,13 @@ def _typeql(model: "Model") -> str:
     return typeql_text(model)
 
 
-_WRITERS: Final[Mapping[str, Callable[["Model"], str]]] = {".tql": _typeql}
+def _owl(model: "Model") -> str:
+    from kb.rdfxml import owl_text
+
+    return owl_text(model)
+
+
+_WRITERS: Final[Mapping[str, Callable[["Model"], str]]] = {".tql": _typeql, ".owl": _owl}
 
 
 def _is_folder(file: Path) -> bool:

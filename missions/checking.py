@@ -14,7 +14,7 @@ from kb.judge.findings import RULES, Finding, Severity
 from missions.mission import Mission, MissionError
 from missions.names import Names, names_in_pddl, names_in_tree, tree_builder
 
-__all__ = ["Judgement", "judge", "print_judgement"]
+__all__ = ["Judgement", "inconsistencies", "judge", "print_judgement"]
 
 COLOURS = {Severity.ERROR: "red", Severity.WARNING: "yellow"}
 
@@ -67,6 +67,25 @@ def judge(files: Sequence[Path], mission: Mission | None, trees: Iterable[str], 
     for more in used[1:]:
         names |= more
     return Judgement(model.name, tuple(_placed(model.check(names.places), names)))
+
+
+def inconsistencies(files: Sequence[Path], mission: Mission | None) -> list[str]:
+    """Have a reasoner of OWL judge a model: OWL files as they stand, anything else as the ontology that it makes.
+
+    Returns:
+        What is wrong, each with the file or model that it is in.
+
+    Raises:
+        KnowledgeBaseError: there is no Java for the reasoner; the message says so.
+    """
+    from kb.files import read_text
+    from kb.owl import inconsistency
+    from kb.rdfxml import owl_text
+
+    model = _model(files, mission)
+    texts = {str(file): read_text(file) for file in files if file.suffix.lower() == ".owl"}
+    found = {where: inconsistency(text) for where, text in (texts or {model.name: owl_text(model)}).items()}
+    return [f"{where}: {what}" for where, what in found.items() if what]
 
 
 def _model(files: Sequence[Path], mission: Mission | None) -> Model:

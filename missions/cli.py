@@ -18,7 +18,7 @@ from rich.table import Table
 
 from kb import KnowledgeBaseError
 from kb.judge.findings import Severity
-from missions.checking import judge, print_judgement
+from missions.checking import inconsistencies, judge, print_judgement
 from missions.live import Narrator, Pace, Recorder
 from missions.mission import Mission, MissionError, Verdict
 from missions.output import OutputFile
@@ -133,14 +133,21 @@ def check(
     pddl: Annotated[list[Path] | None, typer.Option(help="A PDDL domain or problem that uses it.")] = None,
     strict: Annotated[bool, typer.Option("--strict", help="Exit with 1 for warnings too.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Print the findings as JSON.")] = False,
+    reason: Annotated[bool, typer.Option("--reason", help="Have HermiT look for contradictions; needs Java.")] = False,
 ) -> None:
     """Judge a model, say what to do about each finding, and exit with 0 if nothing in it can never work."""
-    found = judge(files or [], find_mission(mission) if mission else None, tree or [], pddl or [])
+    of = find_mission(mission) if mission else None
+    found = judge(files or [], of, tree or [], pddl or [])
+    contradictions = inconsistencies(files or [], of) if reason else []
+    for one in contradictions:
+        _complain(one)
     if json:
         typer.echo(found.as_json())
     else:
         print_judgement(_console(), found)
-    if found.of(Severity.ERROR) or (strict and found.findings):
+        if reason and not contradictions:
+            _console().print("HermiT finds no contradiction", highlight=False)
+    if found.of(Severity.ERROR) or contradictions or (strict and found.findings):
         raise typer.Exit(FAILED)
 
 

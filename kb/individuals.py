@@ -1,0 +1,303 @@
+"""A model as individuals: plain values that can be written anywhere, and read back as the same model.
+
+An individual has a kind, an id and the values of its properties. Kinds and properties are those of
+`ontologies/rosa.owl`. What a class of element or fact makes of its fields is one table below; nested values, such as
+the parameters of a configuration, are individuals too.
+"""
+
+import json
+import math
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import fields
+from enum import StrEnum
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from urllib.parse import quote
+
+from kb.amendments import Changeable
+from kb.elements import (
+    Action,
+    Attribute,
+    Component,
+    Configuration,
+    Constraint,
+    Element,
+    Estimation,
+    Function,
+    FunctionDesign,
+)
+from kb.facts import (
+    ActiveFact,
+    Fact,
+    MeasurementFact,
+    PlanFact,
+    ProcessFact,
+    RequiredActionFact,
+    RequiredFact,
+    SelectedFact,
+    StatusFact,
+)
+
+if TYPE_CHECKING:
+    from kb.model import Model
+
+__all__ = [
+    "CLASSES",
+    "GENERAL",
+    "MODEL",
+    "PARAMETER",
+    "PREFERENCE",
+    "Individual",
+    "Ref",
+    "Value",
+    "element_id",
+    "facts_of",
+    "individual",
+    "individuals",
+    "kind_of",
+    "nested",
+    "parameter_values",
+    "property_of",
+]
+
+
+class Ref(NamedTuple):
+    """The id of another individual."""
+
+    id: str
+
+
+Value = str | bool | int | float | Ref
+
+
+class Individual(NamedTuple):
+    """Something in a model.
+
+    Attributes:
+        kind: its class.
+        id: unique in the model.
+        values: by property; in order.
+    """
+
+    kind: str
+    id: str
+    values: Mapping[str, tuple[Value, ...]]
+
+
+PARAMETER, PREFERENCE, MODEL = "Parameter", "Preference", "RobotModel"
+
+CLASSES: Final[Mapping[type, str]] = {
+    Attribute: "Attribute",
+    Component: "Component",
+    Configuration: "ComponentConfiguration",
+    Function: "Function",
+    FunctionDesign: "FunctionDesign",
+    Action: "Action",
+    Constraint: "Constraint",
+    Estimation: "Estimation",
+    MeasurementFact: "Measurement",
+    StatusFact: "AssertedStatus",
+    RequiredFact: "AssertedRequirement",
+    SelectedFact: "Selection",
+    ActiveFact: "Activity",
+    RequiredActionFact: "RequiredAction",
+    ProcessFact: "ComponentProcess",
+    PlanFact: "ReconfigurationPlan",
+}
+"""The kind of each class of element and fact, in the order in which they can be declared."""
+
+GENERAL: Final[Mapping[str, str]] = {
+    "QualityAttribute": "Attribute",
+    "EnvironmentalAttribute": "Attribute",
+    "ProcessComponent": "Component",
+    "LifecycleComponent": "Component",
+}
+"""The kind of which another is a special one."""
+
+_SPECIAL: Final[Mapping[tuple[type, str], str]] = {
+    (Attribute, "quality"): "QualityAttribute",
+    (Attribute, "environmental"): "EnvironmentalAttribute",
+    (Component, "process"): "ProcessComponent",
+    (Component, "lifecycle"): "LifecycleComponent",
+}
+
+_PROPERTIES: Final[Mapping[tuple[type, str], str]] = {
+    (Action, "functions"): "requires",
+    (FunctionDesign, "function"): "realises",
+    (FunctionDesign, "components"): "uses",
+    (Configuration, "component"): "configures",
+    (Configuration, "parameters"): "hasParameter",
+    (Constraint, "attribute"): "compares",
+    (Constraint, "constrained"): "constrains",
+    (Estimation, "attribute"): "affects",
+    (Estimation, "causer"): "causedBy",
+    (Estimation, "kind"): "effect",
+    (MeasurementFact, "attribute"): "measures",
+    (StatusFact, "element"): "about",
+    (RequiredFact, "element"): "about",
+    (SelectedFact, "element"): "about",
+    (ActiveFact, "component"): "about",
+    (ProcessFact, "component"): "about",
+    (RequiredActionFact, "action"): "about",
+    (RequiredActionFact, "preference"): "hasPreference",
+    (PlanFact, "activate"): "activates",
+    (PlanFact, "deactivate"): "deactivates",
+    (PlanFact, "parameters"): "setsParametersOf",
+}
+"""What a field is called, where that is not its own name."""
+
+NAMED: Final[Mapping[str, type]] = {
+    "functions": Function,
+    "function": Function,
+    "components": Component,
+    "component": Component,
+    "attribute": Attribute,
+    "action": Action,
+    "activate": Component,
+    "deactivate": Component,
+    "parameters": Configuration,
+}
+"""The fields that name an element, and of which class that is."""
+
+_NUMBERS: Final = frozenset({"value", "time", "start", "end", "max_age", "hysteresis", "dwell"})
+_UNSAFE: Final = re.compile(r"[^A-Za-z0-9_-]")
+
+
+def property_of(cls: type, field: str) -> str:
+    """Return what a field of a class of elements or facts is called."""
+    found = _PROPERTIES.get((cls, field))
+    if found is None:
+        first, *others = field.split("_")
+        found = first + "".join(other.capitalize() for other in others)
+    return found
+
+
+def kind_of(one: Changeable | Fact) -> str:
+    """Return the most special kind of an element or fact."""
+    kind = CLASSES[type(one)]
+    return _SPECIAL.get((type(one), str(getattr(one, "kind", ""))), kind)
+
+
+def element_id(model: "Model", element: Element | Constraint) -> str:
+    """Return the id of an element; constraints are numbered."""
+    if isinstance(element, Constraint):
+        return _id(Constraint, str(model.constraints.index(element)))
+    return _id(type(element), element.name)
+
+
+def individuals(model: "Model") -> Iterator[Individual]:
+    """Yield all that a model says, in an order in which it can be declared."""
+    yield Individual(MODEL, f"{MODEL}.{_escaped(model.name)}", {"name": (model.name,)})
+    tables = (
+        model.attributes,
+        model.components,
+        model.configurations,
+        model.functions,
+        model.designs,
+        model.actions,
+    )
+    numbers = {constraint: number for number, constraint in enumerate(model.constraints)}
+    for table in tables:
+        for position, element in enumerate(table.values()):
+            yield from _described(element, _id(type(element), element.name), position, numbers)
+    for number, constraint in enumerate(model.constraints):
+        yield from _described(constraint, _id(Constraint, str(number)), number, numbers)
+    for number, estimation in enumerate(model.estimations):
+        yield from _described(estimation, _id(Estimation, str(number)), number, numbers)
+    yield from facts_of(model, numbers)
+
+
+def facts_of(model: "Model", numbers: Mapping[Constraint, int]) -> Iterator[Individual]:
+    """Yield what a model states to be so from the start."""
+    for position, fact in enumerate(model.facts):
+        yield from _described(fact, f"Fact.{position}", position, numbers)
+
+
+def individual(model: "Model", element: Changeable) -> tuple[Individual, ...]:
+    """Return one element of a model, with what is nested in it; the element comes last."""
+    listed: tuple[Any, ...] = ()
+    if isinstance(element, Element):
+        name = element.name
+    else:
+        listed = model.constraints if isinstance(element, Constraint) else model.estimations
+        name = str(listed.index(element)) if element in listed else str(len(listed))
+    numbers = {one: number for number, one in enumerate(model.constraints)} if isinstance(element, Estimation) else {}
+    return tuple(_described(element, _id(type(element), name), 0, numbers))
+
+
+def nested(kind: str, owner: str, values: Mapping[str, Any]) -> Iterator[Individual]:
+    """Yield the individuals for parameters, or for weights by name of attribute."""
+    for key, value in values.items():
+        inner = f"{kind}.{owner}.{_escaped(key)}"
+        if kind == PREFERENCE:
+            yield Individual(kind, inner, {"prefers": (Ref(_id(Attribute, key)),), "weight": (value,)})
+        else:
+            written = json.dumps(value)
+            sort = _sort(value)
+            yield Individual(kind, inner, {"key": (key,), "parameterValue": (written,), "parameterType": (sort,)})
+
+
+def parameter_values(parameters: Iterable[Individual]) -> dict[str, Any]:
+    """Return what `nested` was given, of parameters.
+
+    Raises:
+        ValueError: the value of one is not written as JSON.
+    """
+    return {str(one.values["key"][0]): json.loads(str(one.values["parameterValue"][0])) for one in parameters}
+
+
+def _described(
+    one: Changeable | Fact, own: str, position: int, numbers: Mapping[Constraint, int]
+) -> Iterator[Individual]:
+    values: dict[str, tuple[Value, ...]] = {"position": (position,)}
+    for field in fields(one):
+        value = getattr(one, field.name)
+        if field.name == "model" or (field.name == "kind" and not isinstance(one, Estimation)):
+            continue
+        if isinstance(value, Mapping):
+            inner = list(nested(PARAMETER if isinstance(one, Configuration) else PREFERENCE, own, value))
+            yield from inner
+            if not inner and isinstance(one, RequiredActionFact):
+                values["prefersNothing"] = (True,)
+            plain: tuple[Value, ...] = tuple(Ref(each.id) for each in inner)
+        else:
+            plain = tuple(_plain(type(one), field.name, value, numbers))
+        if plain:
+            values[property_of(type(one), field.name)] = plain
+    yield Individual(kind_of(one), own, values)
+
+
+def _plain(cls: type, field: str, value: object, numbers: Mapping[Constraint, int]) -> Iterator[Value]:
+    if value is None or value == "" or value == math.inf:
+        return
+    if isinstance(value, Constraint):
+        yield Ref(_id(Constraint, str(numbers[value])))
+    elif isinstance(value, Element):
+        yield Ref(_id(type(value), value.name))
+    elif field == "agreement":
+        yield json.dumps(value)
+    elif isinstance(value, tuple):
+        for one in value:
+            yield from _plain(cls, field, one, numbers)
+    elif isinstance(value, str) and field in NAMED:
+        yield Ref(_id(NAMED[field], value))
+    elif isinstance(value, StrEnum):
+        yield str(value)
+    elif isinstance(value, str | bool | int | float):
+        yield float(value) if field in _NUMBERS else value
+
+
+def _id(cls: type, name: str) -> str:
+    return f"{CLASSES[cls]}.{_escaped(name)}"
+
+
+def _escaped(name: str) -> str:
+    """Write a name so that no two names look the same, with nothing in it that means something elsewhere."""
+    return _UNSAFE.sub(lambda found: quote(found[0], safe="", errors="surrogatepass").replace(".", "%2E"), name)
+
+
+def _sort(value: object) -> str:
+    """Return ROSA's word for the type of a parameter."""
+    if isinstance(value, list):
+        return f"{_sort(value[0])}_array" if value else "string_array"
+    return {bool: "boolean", int: "long", float: "double"}.get(type(value), "string")
