@@ -125,7 +125,7 @@ class StagedExecutor:
 
     def _give_up(self, kb: KnowledgeBase, step: Step, now: float) -> None:
         command = step.command
-        _log.warning("%s %s failed %d times: %s", command.operation, command.component, step.count, step.reason)
+        _log.warning("%s %s failed, attempts: %d: %s", command.operation, command.component, step.count, step.reason)
         self._failed.add(command.component)
         if command.configuration is None:
             is_active = self._is_active(command.component)
@@ -133,7 +133,8 @@ class StagedExecutor:
                 kb.component_active(command.component, is_active)
             kb.component_failed(command.component)
         elif command.configuration in kb.configurations:
-            reason = f"its parameters could not be set, tried {step.count} times: {step.reason}"
+            tried = "once" if step.count == 1 else f"{step.count} times"
+            reason = f"its parameters could not be set, tried {tried}: {step.reason}"
             self._condemned.condemn(kb, command.configuration, reason, now)
 
     def _is_active(self, component: str) -> bool | None:

@@ -9,6 +9,10 @@ class Broken(Exception):
     pass
 
 
+LIE = object()
+"""In a script: said to be done at once, and not done."""
+
+
 class Operation:
     """Ends at a time of the clock, well or badly."""
 
@@ -32,7 +36,8 @@ class Scripted:
     """A managed system.
 
     `script` holds, by "verb component", what its next commands do, the last again and again: None is done at once, a
-    number takes that long [s], an exception is raised, a pair of a number and an exception fails after that time.
+    number takes that long [s], an exception is raised, a pair of a number and an exception fails after that time, a
+    LIE does nothing.
     """
 
     def __init__(self, clock, script=None, default=None):
@@ -50,6 +55,8 @@ class Scripted:
         step = steps.pop(0) if len(steps) > 1 else steps[0]
         if isinstance(step, Exception):
             raise step
+        if step is LIE:
+            return None
         if step is None:
             effect()
             return None
@@ -70,6 +77,13 @@ class Scripted:
         return self._do(
             "configure", component, lambda: self.parameters.__setitem__(component, dict(parameters)), parameters
         )
+
+
+class Candid(Scripted):
+    """One that can tell what is running, whatever it said of its commands."""
+
+    def is_active(self, component):
+        return component in self.running
 
 
 def rover(**camera):

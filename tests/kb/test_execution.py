@@ -1,0 +1,482 @@
+"""Execution that copes with systems that are slow, refuse, or say what is not so; every attempt is on record."""
+
+import math
+from itertools import pairwise
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from managed_stand_ins import LIE, Broken, Candid, Operation, Scripted, base, come_to_rest, rover, turn
+from models import Twins, events, models
+
+from kb import ConfigurationManager, ManagedObjects, Model, StagedExecutor, Status, UnknownName
+from kb.exceptions import InvalidValue
+
+
+def start(model=None, script=None, default=None, system=Scripted, veto=None, **options):
+    kb, clock = base(model or rover())
+    managed = system(clock, script, default)
+    executor = StagedExecutor(managed, **options)
+    return kb, clock, managed, ConfigurationManager(kb, managed, executor=executor, veto=veto)
+
+
+def told(attempts):
+    return [(one.operation, one.component, one.number, one.result) for one in attempts]
+
+
+# time-outs and back-off
+
+
+def test_a_command_that_never_ends_is_given_up_after_its_time_out_and_the_next_best_is_chosen():
+    kb, clock, managed, manager = start(script={"activate camera": [math.inf]}, timeout=5.0, attempts=2, back_off=0.0)
+    kb.request_action("explore")
+    come_to_rest(manager, kb, clock)
+    assert managed.log.count("activate camera") == 2
+    assert managed.running == {"lidar"}
+    tries = [one for one in manager.attempts if one.component == "camera" and one.operation == "activate"]
+    assert [(one.start, one.end) for one in tries] == [(100.0, 105.0), (105.0, 110.0)]
+    assert {one.reason for one in tries} == {"it was not done within 5 s"}
+    assert kb.components["camera"].status is Status.FAILURE
+
+
+def test_a_time_out_can_be_that_of_a_kind_and_goes_by_the_component_first():
+    patience = {"timeout": 50.0, "timeout_by_kind": {"lifecycle": 8.0}, "attempts": 1}
+    for of_component, lasts in ((None, 8.0), ({"camera": 3.0}, 3.0), ({"lidar": 3.0}, 8.0)):
+        kb, clock, _, manager = start(
+            script={"activate camera": [math.inf]}, timeout_by_component=of_component, **patience
+        )
+        kb.request_action("explore")
+        come_to_rest(manager, kb, clock)
+        (one,) = [one for one in manager.attempts if (one.operation, one.component) == ("activate", "camera")]
+        assert one.end - one.start == lasts
+
+
+@given(st.integers(1, 6), st.sampled_from((0.0, 0.5, 2.0, 3.0)))
+def test_each_further_attempt_waits_twice_as_long_and_there_are_as_many_as_allowed(attempts, back_off):
+    kb, clock, _, manager = start(script={"activate camera": [Broken("no")]}, attempts=attempts, back_off=back_off)
+    kb.request_action("explore")
+    for _ in range(1000):
+        manager.update()
+        clock.now += 0.25
+    tries = [one for one in manager.attempts if (one.operation, one.component) == ("activate", "camera")]
+    assert [one.number for one in tries] == list(range(1, attempts + 1))
+    gaps = [later.start - earlier.end for earlier, later in pairwise(tries)]
+    assert gaps == [back_off * 2**number for number in range(attempts - 1)]
+
+
+def test_an_operation_that_nobody_waits_for_any_longer_is_cancelled():
+    cancelled = []
+
+    class Cancellable(Operation):
+        def cancel(self):
+            cancelled.append(self.clock.now)
+            raise Broken("and it complains")
+
+    class Slow(Scripted):
+        def activate(self, component):
+            return Cancellable(self.clock, math.inf, None, None)
+
+    kb, clock, _, manager = start(system=Slow, timeout=4.0, attempts=1)
+    kb.request_action("explore")
+    turn(manager, clock, 6)
+    assert cancelled[0] == 104.0
+
+
+# systems that say what is not so
+
+
+@pytest.mark.parametrize("lie", [LIE, math.inf])
+def test_a_system_that_says_done_when_it_is_not_or_never_answers_is_found_out(lie):
+    kb, clock, managed, manager = start(
+        script={"activate camera": [lie]}, system=Candid, timeout=3.0, attempts=2, back_off=0.0
+    )
+    kb.request_action("explore")
+    come_to_rest(manager, kb, clock)
+    assert managed.running == {"lidar"}
+    assert not kb.components["camera"].is_active
+    assert kb.components["camera"].status is Status.FAILURE
+    reason = "it was said to be done, but camera was not found so within 3 s" if lie is LIE else "not done within 3 s"
+    assert reason in manager.attempts[1].reason
+
+
+def test_a_system_that_cannot_tell_is_believed():
+    kb, clock, _, manager = start(script={"activate camera": [LIE]})
+    kb.request_action("explore")
+    come_to_rest(manager, kb, clock)
+    assert kb.actions["explore"].status is Status.SOLVED
+
+
+def test_what_is_done_counts_though_the_system_never_says_so():
+    class Mute(Candid):
+        def activate(self, component):
+            super().activate(component)
+            return Operation(self.clock, math.inf, None, None)
+
+    kb, clock, _, manager = start(system=Mute, timeout=3.0)
+    kb.request_action("explore")
+    come_to_rest(manager, kb, clock)
+    assert kb.actions["explore"].status is Status.SOLVED
+    (switched,) = [one for one in manager.attempts if one.operation == "activate"]
+    assert (switched.result, switched.reason) == ("completed", "it never said so, but it is done")
+
+
+@pytest.mark.parametrize("answer", [Broken("no idea"), "perhaps", None])
+def test_a_look_that_fails_never_raises(answer):
+    class Blind(Scripted):
+        def is_active(self, component):
+            if isinstance(answer, Exception):
+                raise answer
+            return answer
+
+    kb, clock, managed, manager = start(system=Blind, timeout=2.0)
+    kb.request_action("explore")
+    come_to_rest(manager, kb, clock)
+    if isinstance(answer, Exception):
+        assert "nobody could tell (no idea)" in manager.attempts[1].reason
+        assert kb.actions["explore"].status is Status.UNFEASIBLE
+    else:
+        assert managed.running == {"camera"}
+
+
+def test_an_object_that_can_tell_is_asked():
+    class Liar:
+        is_active = False
+
+        def activate(self):
+            pass
+
+        deactivate = activate
+
+        def set_parameters(self, parameters):
+            pass
+
+    class Honest(Liar):
+        def is_active(self):
+            return True
+
+    kb, clock = base(rover())
+    managed = ManagedObjects({"camera": Liar(), "lidar": Honest()})
+    manager = ConfigurationManager(kb, managed, executor=StagedExecutor(managed, timeout=2.0))
+    kb.request_action("explore")
+    come_to_rest(manager, kb, clock)
+    assert kb.components["lidar"].is_active
+    assert not kb.components["camera"].is_active
+
+
+# configurations are ruled out before components
+
+
+def test_parameters_that_are_refused_rule_out_their_configuration_and_the_next_best_is_set():
+    kb, clock, managed, manager = start(
+        script={"configure camera": [Broken("rate too high"), None]}, attempts=1, hold=1000.0
+    )
+    kb.request_action("explore")
+    come_to_rest(manager, kb, clock)
+    assert kb.components["camera"].status is Status.SOLVED
+    assert kb.components["camera"].selected_configuration == "night"
+    assert managed.parameters == {"camera": {"exposure": 0.2}}
+    assert kb.configurations["day"].status is Status.UNFEASIBLE
+    assert str(kb.explain(kb.configurations["day"])).startswith("day is unfeasible because it is asserted so")
+
+
+def ruled_out(hold=50.0, always_improve=True):
+    """A camera whose better configuration was refused at 100 s and would be accepted now."""
+    kb, clock, managed, manager = start(
+        rover(always_improve=always_improve),
+        {"configure camera": [Broken("rate too high"), None]},
+        attempts=1,
+        hold=hold,
+    )
+    kb.request_action("explore")
+    turn(manager, clock, 3)
+    assert kb.components["camera"].selected_configuration == "night"
+    (record,) = manager._executor.condemnations
+    assert (record.configuration, record.component, record.start, record.end) == ("day", "camera", 100.0, None)
+    assert record.until == 100.0 + hold
+    assert (
+        str(record) == "day is not used for camera because its parameters could not be set, tried once: rate too high"
+    )
+    return kb, clock, managed, manager, record
+
+
+def test_a_configuration_is_forgiven_after_its_time_and_not_earlier():
+    kb, clock, managed, manager, record = ruled_out(hold=50.0)
+    clock.now = 149.9
+    assert turn(manager, clock, 1, 0.1) == []
+    turn(manager, clock, 2)
+    assert record.end == 150.0
+    assert kb.components["camera"].selected_configuration == "day"
+    assert managed.parameters == {"camera": {"exposure": 0.01}}
+
+
+def test_a_configuration_is_forgiven_when_its_component_has_recovered_from_a_failure():
+    kb, clock, _, manager, record = ruled_out(hold=math.inf)
+    kb.component_recovered("camera")
+    turn(manager, clock, 3)
+    assert record.end is None  # a component that was not in failure tells nothing new by being well
+    kb.component_failed("camera")
+    turn(manager, clock, 3)
+    kb.component_recovered("camera")
+    turn(manager, clock, 3)
+    assert record.end is not None
+    assert kb.configurations["day"].status is Status.FEASIBLE
+
+
+def test_a_configuration_can_be_forgiven_by_hand():
+    kb, clock, _, manager, record = ruled_out(hold=math.inf)
+    kb.retract_status("day")
+    turn(manager, clock, 3)
+    assert record.end is not None
+    assert kb.components["camera"].selected_configuration == "day"
+
+
+def test_a_configuration_that_left_the_model_is_forgotten():
+    kb, clock, _, manager, record = ruled_out(hold=math.inf)
+    kb.model.remove(kb.model.configurations["day"])
+    turn(manager, clock, 3)
+    assert record.end is not None
+
+
+def test_a_configuration_that_was_ruled_out_is_set_again_before_it_counts_as_in_force():
+    kb, clock, managed, manager, _ = ruled_out(hold=50.0, always_improve=False)
+    clock.now = 200.0
+    turn(manager, clock, 3)
+    assert kb.components["camera"].selected_configuration == "night"
+    assert managed.parameters == {"camera": {"exposure": 0.2}}
+
+
+# roll-back
+
+
+def trio(others=True):
+    """One action, a function by two or three components together, and perhaps a second design with one of them."""
+    model = Model("trio")
+    for name in ("first", "second", "third"):
+        model.component(name, kind="process")
+    see = model.function("see")
+    see.design("both", ["first", "second"], priority=1)
+    if others:
+        see.design("other", ["first", "third"], priority=2)
+    model.function("hear").design("ear", ["third"])
+    model.action("explore", requires=[see])
+    model.action("listen", requires=["hear"])
+    return model
+
+
+def test_what_was_started_for_a_function_that_cannot_be_had_is_stopped_again():
+    kb, clock, managed, manager = start(trio(others=False), {"activate second": [Broken("no")]})
+    kb.request_action("explore")
+    come_to_rest(manager, kb, clock)
+    assert managed.running == set()
+    assert not kb.components["first"].is_active
+    assert not kb.designs["both"].is_selected
+    assert kb.latest_plan.result == "failed"
+    managed.log.clear()
+    kb.request_action("listen")
+    come_to_rest(manager, kb, clock)
+    assert managed.log == ["activate third"]  # and nothing of the design that cannot be had
+    kb.component_recovered("second")
+    managed.script.clear()
+    come_to_rest(manager, kb, clock)
+    assert managed.running == {"first", "second", "third"}
+    assert kb.actions["explore"].status is Status.SOLVED
+
+
+def test_what_the_next_best_needs_too_keeps_running():
+    kb, clock, managed, manager = start(trio(), {"activate second": [Broken("no")]})
+    kb.request_action("explore")
+    come_to_rest(manager, kb, clock)
+    assert managed.running == {"first", "third"}
+    assert managed.log.count("activate first") == 1
+    assert "deactivate first" not in managed.log
+
+
+def test_a_start_that_came_true_too_late_is_undone():
+    class Late(Scripted):
+        def activate(self, component):
+            super().activate(component)
+            return Operation(self.clock, math.inf, None, None)
+
+    kb, clock, managed, manager = start(trio(others=False), system=Late, timeout=2.0, attempts=1)
+    kb.request_action("explore")
+    come_to_rest(manager, kb, clock)
+    assert managed.running == set()
+
+
+def test_what_somebody_else_needs_is_not_stopped():
+    model = trio(others=False)
+    model.function("feel").design("by first", ["first"])
+    model.action("touch", requires=["feel"])
+    kb, clock, managed, manager = start(model, {"activate second": [Broken("no")]})
+    kb.request_action("explore")
+    kb.request_action("touch")
+    come_to_rest(manager, kb, clock)
+    assert managed.running == {"first"}
+    assert kb.actions["touch"].status is Status.SOLVED
+
+
+# the record
+
+
+def test_every_attempt_is_on_record_with_what_when_and_why():
+    kb, clock, _, manager = start(
+        script={"activate camera": [(2.0, Broken("no light")), 1.0]}, attempts=2, back_off=3.0
+    )
+    kb.request_action("explore")
+    (plan,) = turn(manager, clock, 12)
+    assert told(manager.attempts) == [
+        ("configure", "camera", 1, "completed"),
+        ("activate", "camera", 1, "failed"),
+        ("activate", "camera", 2, "completed"),
+    ]
+    assert all(one.plan is plan for one in manager.attempts)
+    configure, first, second = manager.attempts
+    assert (configure.configuration, dict(configure.parameters)) == ("day", {"exposure": 0.01})
+    assert (first.configuration, dict(first.parameters)) == (None, {})
+    assert (first.start, first.end, first.reason) == (100.0, 102.0, "no light")
+    assert (second.start, second.end, second.reason) == (105.0, 106.0, "")
+    assert str(first) == "activate camera, attempt 1: failed: no light"
+    with pytest.raises(AttributeError):
+        first.result = "completed"
+
+
+def test_an_attempt_under_way_is_on_record_too():
+    kb, clock, _, manager = start(script={"activate camera": [math.inf]})
+    kb.request_action("explore")
+    turn(manager, clock)
+    one = manager.attempts[-1]
+    assert (one.end, one.result) == (None, None)
+    assert str(one) == "activate camera, attempt 1: under way"
+
+
+def test_plain_components_leave_no_record_since_nothing_is_commanded():
+    kb, clock, _, manager = start()
+    kb.request_action("explore")
+    come_to_rest(manager, kb, clock)
+    assert kb.components["lamp"].is_active
+    assert {one.component for one in manager.attempts} == {"camera"}
+
+
+def test_an_executor_without_a_record_has_none():
+    class Silent:
+        def execute(self, kb):
+            pass
+
+    kb, clock = base(rover())
+    assert ConfigurationManager(kb, Scripted(clock), executor=Silent()).attempts == ()
+
+
+# bad input
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"attempts": 0},
+        {"attempts": 1.5},
+        {"attempts": True},
+        {"timeout": 0.0},
+        {"timeout": math.nan},
+        {"timeout": "5"},
+        {"timeout_by_kind": {"lifecycle": -1.0}},
+        {"timeout_by_kind": {"life": 1.0}},
+        {"timeout_by_component": {"camera": 0}},
+        {"back_off": -1.0},
+        {"back_off": math.inf},
+        {"hold": -1.0},
+        {"hold": math.nan},
+    ],
+    ids=str,
+)
+def test_figures_without_meaning_are_refused(options):
+    with pytest.raises(InvalidValue, match=r"not|is no kind"):
+        StagedExecutor(Scripted(None), **options)
+
+
+def test_a_time_out_for_a_component_that_is_not_there_is_refused_at_the_first_turn():
+    _, _, _, manager = start(timeout_by_component={"camra": 1.0})
+    with pytest.raises(UnknownName, match="did you mean 'camera'"):
+        manager.update()
+    assert manager.update() is None
+
+
+def test_a_component_that_leaves_the_model_in_the_middle_of_its_plan_troubles_nobody():
+    kb, clock, _, manager = start(default=2.0)
+    kb.request_action("explore")
+    turn(manager, clock)
+    model = kb.model
+    kb.cancel_action("explore")
+    model.remove(model.designs["by camera"])
+    for name in ("day", "night"):
+        model.remove(model.configurations[name])
+    model.remove(model.components["camera"])
+    come_to_rest(manager, kb, clock)
+    assert kb.plans[0].end is not None
+
+
+# laws
+
+OUTCOMES = st.sampled_from((None, 0.0, 1.0, math.inf, LIE, Broken("at once"), (1.0, Broken("later"))))
+in_life = settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large], max_examples=80)
+
+
+def lived(model, data):
+    """Let random things happen to a random robot on a system that is scripted at random and honest in the end."""
+    twins = Twins(model)
+    kb, clock = twins.kb, twins.clock
+    lines = [f"{verb} {name}" for verb in ("activate", "deactivate", "configure") for name in model.components]
+    script = {line: [*data.draw(st.lists(OUTCOMES, max_size=3)), None] for line in lines}
+    managed = Candid(clock, script)
+    executor = StagedExecutor(managed, attempts=2, timeout=3.0, back_off=1.0, hold=15.0)
+    manager = ConfigurationManager(kb, managed, executor=executor)
+    things = events(model, asserting=False, selecting=False).filter(lambda one: one[0] != "active")
+    for event in data.draw(st.lists(things, min_size=5, max_size=15)):
+        twins.happen(event)
+        manager.update()
+    return kb, clock, managed, manager
+
+
+def commanded(kb):
+    return {one.name for one in kb.components.values() if one.is_active and one.kind != "plain"}
+
+
+@in_life
+@given(models(), st.data())
+def test_the_facts_tell_the_truth_whatever_the_system_does(model, data):
+    kb, clock, managed, manager = lived(model, data)
+    come_to_rest(manager, kb, clock, most=400, quiet=20)
+    assert commanded(kb) == managed.running
+    for one in kb.components.values():
+        if one.is_active and one.selected_configuration is not None and one.status is Status.SOLVED:
+            assert one.parameters_in_force == kb.configurations[one.selected_configuration].parameters
+
+
+@in_life
+@given(models(), st.data())
+def test_the_plan_after_the_trouble_leads_to_the_state_that_is_selected(model, data):
+    kb, clock, managed, manager = lived(model, data)
+    managed.script.clear()
+    come_to_rest(manager, kb, clock, most=400, quiet=20)
+    for name in model.components:
+        kb.component_recovered(name)
+    come_to_rest(manager, kb, clock, most=400, quiet=20)
+    for design in kb.designs.values():
+        if design.is_selected and kb.functions[design.function].status is Status.SOLVED:
+            for name in design.components:
+                assert kb.components[name].is_active
+                assert name in managed.running or kb.components[name].kind == "plain"
+    assert not kb.obsolete().components
+
+
+@in_life
+@given(models(), st.data())
+def test_the_record_is_whole(model, data):
+    kb, clock, managed, manager = lived(model, data)
+    come_to_rest(manager, kb, clock, most=400, quiet=20)
+    assert len(manager.attempts) == len(managed.log)
+    for one in manager.attempts:
+        assert one.plan in kb.plans
+        assert one.plan.start <= one.start <= one.end
+        assert one.result in ("completed", "failed")
+        assert (one.reason != "") >= (one.result == "failed")
+        assert 1 <= one.number <= 2
