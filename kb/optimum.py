@@ -20,8 +20,8 @@ from kb.status import Status
 
 __all__ = ["EFFORT", "best_choice", "solve", "verdicts"]
 
-EFFORT: Final = 1.0
-"""How much work is done by default at most, in CP-SAT's deterministic time: a second or so of a processor."""
+EFFORT: Final = 0.3
+"""How much work is done by default at most, in CP-SAT's deterministic time: about a second of a processor."""
 
 LARGEST_RANK: Final = 2**40
 """Ranks of several choices are weighed into one number below this, so that the first of all is found at once."""
@@ -163,6 +163,7 @@ class _Encoding:
         """Encode that one option is chosen exactly if the component is needed."""
         component = self._problem.components[place]
         if component.is_silent:
+            self._effects.append((1, component.idle))
             return ()
         needed = self.model.new_bool_var("")
         users = []

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 
 from kb.choice import ChoiceExplanation, explain_choice
-from kb.elements import Element
+from kb.elements import Element, finite_number
 from kb.exceptions import InvalidValue
 from kb.knowledge_base import KnowledgeBase
 from kb.manager import PriorityPlanner
@@ -25,8 +25,8 @@ class OptimalPlanner:
         switching_cost: what it costs to activate or deactivate a component or to change its configuration, the same
             for all or by name of the component; a gain smaller than that does not switch.
         budgets: the most that all estimations of what is chosen or active may sum up to, by name of attribute.
-        effort: how much work may be done at most for one choice, in CP-SAT's deterministic time (about a second of a
-            processor each); by default 1.
+        effort: how much work may be done at most for one choice, in CP-SAT's deterministic time; 0.3 is about a
+            second of a processor.
 
     Attributes:
         latest: what was found last; None before, and when the choice was by priority.
@@ -37,11 +37,11 @@ class OptimalPlanner:
         *,
         switching_cost: float | Mapping[str, float] = 0.0,
         budgets: Mapping[str, float] | None = None,
-        effort: float = 1.0,
+        effort: float = 0.3,
     ) -> None:
         import kb.optimum as solver  # the solver takes a while to import: not in a tick, nor for those without it
 
-        if not effort > 0.0:
+        if finite_number(effort) <= 0.0:
             raise InvalidValue(f"an effort is more than 0, not {effort!r}")
         self._solver = solver
         self._by_priority = PriorityPlanner()
