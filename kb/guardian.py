@@ -17,6 +17,8 @@ __all__ = ["main"]
 
 _PERIOD_S = 0.2
 _PERIOD_OF_ENDING_S = 0.02
+_SURE_S = 2.0
+"""Who was killed may have been about to start something: how long nothing must have turned up to be sure."""
 
 
 def main(mark: str, grace: str, parent: str) -> None:
@@ -27,13 +29,16 @@ def main(mark: str, grace: str, parent: str) -> None:
         readable, _, _ = select.select([0], [], [], _PERIOD_S)
         if readable and not os.read(0, 1):
             break
-    _end(mark.encode(), float(grace))
+    _end(mark.encode(), float(grace), 0.0 if os.getppid() == int(parent) else _SURE_S)
 
 
-def _end(mark: bytes, grace: float) -> None:
+def _end(mark: bytes, grace: float, sure: float) -> None:
     deadline = time.monotonic() + grace
     _send(signal.SIGTERM, _carriers(mark))
-    while carriers := _carriers(mark):
+    last_seen = time.monotonic()
+    while (carriers := _carriers(mark)) or time.monotonic() < last_seen + sure:
+        if carriers:
+            last_seen = time.monotonic()
         if time.monotonic() >= deadline:
             _send(signal.SIGKILL, carriers)
         time.sleep(_PERIOD_OF_ENDING_S)

@@ -107,6 +107,13 @@ def base(model, now=100.0):
     return KnowledgeBase(model, clock=clock), clock
 
 
+def happen(kb, event):
+    """Let something happen to a base that a manager tells things too, of which a naive twin would not know."""
+    what, *arguments = event
+    names = {"request": "request_action", "cancel": "cancel_action", "measure": "measure"}
+    getattr(kb, names.get(what, f"component_{what}"))(*arguments)
+
+
 def turn(manager, clock, times=1, seconds=1.0):
     """Take turns of the loop, with time passing between; return the plans made."""
     plans = []

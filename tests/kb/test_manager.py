@@ -6,7 +6,7 @@ from concurrent.futures import Future
 import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
-from managed_stand_ins import Broken, Scripted, base, come_to_rest, rover, turn
+from managed_stand_ins import Broken, Scripted, base, come_to_rest, happen, rover, turn
 from models import Twins, events, models
 
 from kb import ConfigurationManager, EventKind, ManagedObjects, Model, PriorityPlanner, StagedExecutor, Status
@@ -516,8 +516,7 @@ OUTCOMES = st.sampled_from((None, 0.0, 1.0, 3.0, Broken("at once"), (1.0, Broken
 
 def live_through(model, data, ending):
     """Let random things happen to a random robot under the loop; each command ends as `ending` says at last."""
-    twins = Twins(model)
-    kb, clock = twins.kb, twins.clock
+    kb, clock = base(model)
     lines = [f"{verb} {name}" for verb in ("activate", "deactivate", "configure") for name in model.components]
     script = {line: [*data.draw(st.lists(OUTCOMES, max_size=4)), data.draw(ending)] for line in lines}
     managed = Scripted(clock, script)
@@ -532,7 +531,8 @@ def live_through(model, data, ending):
 
     kb.subscribe(watch)
     for event in data.draw(st.lists(events(model, asserting=False, selecting=False), min_size=5, max_size=15)):
-        twins.happen(event)
+        clock.now += 1.0
+        happen(kb, event)
         pending = kb.pending_plan
         selected = {one.name for one in kb.designs.values() if one.is_selected}
         plan = manager.update()
