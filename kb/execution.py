@@ -133,7 +133,7 @@ class StagedExecutor:
                 kb.component_active(command.component, is_active)
             kb.component_failed(command.component)
         elif command.configuration in kb.configurations:
-            tried = "once" if step.count == 1 else f"{step.count} times"
+            tried = {1: "once", 2: "twice"}.get(step.count, f"{step.count} times")
             reason = f"its parameters could not be set, tried {tried}: {step.reason}"
             self._condemned.condemn(kb, command.configuration, reason, now)
 
