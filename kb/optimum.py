@@ -13,7 +13,7 @@ from ortools.sat.python import cp_model
 
 from kb.network import Node
 from kb.optimum_posing import pose
-from kb.optimum_problem import Effect, Option, Picks, Problem
+from kb.optimum_problem import ComponentOptions, Effect, Option, Picks, Problem
 from kb.selection import Criterion, Optimum
 from kb.state import State
 from kb.status import Status
@@ -32,6 +32,7 @@ _SETTINGS: Final = {
     "linearization_level": 2,  # the relaxation proves these problems almost alone
     "cp_model_probing_level": 0,
     "max_presolve_iterations": 1,
+    "cut_level": 0,  # cuts cost more than they save here
     "symmetry_level": 0,
     "catch_sigint_signal": False,
 }
@@ -94,6 +95,8 @@ def _compared(rival: Optimum, value: float, resolution: float) -> str:
         return f"with it, {rival.reason}"
     if abs(rival.value - value) <= resolution:
         return f"with it a choice is worth {rival.value:g} too, and comes later by priority and name"
+    if rival.value > value:
+        return f"with it a choice is worth {rival.value:g}, as more effort has found only now"
     known = "the best choice" if rival.is_proven else "the best choice that was found"
     return f"with it {known} is worth {rival.value:g}, less than {value:g}"
 
@@ -113,7 +116,7 @@ class _Encoding:
         self._functions = [self._literals(one.options) for one in problem.functions]
         for literals in self._functions:
             self.model.add_exactly_one(literals)
-        self._components = [self._component(place) for place in range(len(problem.components))]
+        self._components = [self._component(*one) for one in zip(problem.components, self._users(), strict=True)]
         self.picks: list[Literals] = [*self._functions, *self._components]
         self.gain = cp_model.LinearExpr.sum([*self._sum(lambda effect: effect.gain), *self._levels()])
 
@@ -159,23 +162,30 @@ class _Encoding:
             self._effects.append((literals[-1], option.effect))
         return literals
 
-    def _component(self, place: int) -> Literals:
+    def _users(self) -> list[list[Literals]]:
+        """Return the literals that need each component, by function."""
+        users: list[list[Literals]] = [[] for _ in self._problem.components]
+        for one, literals in zip(self._problem.functions, self._functions, strict=True):
+            using: dict[int, list[Any]] = {}
+            for option, literal in zip(one.options, literals, strict=True):
+                for place in option.needs:
+                    using.setdefault(place, []).append(literal)
+            for place, needing in using.items():
+                users[place].append(needing)
+        return users
+
+    def _component(self, component: ComponentOptions, users: Sequence[Literals]) -> Literals:
         """Encode that one option is chosen exactly if the component is needed."""
-        component = self._problem.components[place]
         if component.is_silent:
             self._effects.append((1, component.idle))
             return ()
         needed = self.model.new_bool_var("")
-        users = []
-        for one, literals in zip(self._problem.functions, self._functions, strict=True):
-            using = [literal for option, literal in zip(one.options, literals, strict=True) if place in option.needs]
-            if using:
-                self.model.add(cp_model.LinearExpr.sum(using) <= needed)
-                users += using
+        for literals in users:  # of one function at most one option is chosen
+            self.model.add(cp_model.LinearExpr.sum(literals) <= needed)
         if component.is_needed:
             self.model.add(needed == 1)
         else:
-            self.model.add_bool_or([*users, ~needed])
+            self.model.add_bool_or([*chain(*users), ~needed])
         literals = self._literals(component.options)
         self.model.add(cp_model.LinearExpr.sum(literals) == needed)
         self._effects.append((1 - needed, component.idle))
@@ -225,7 +235,9 @@ class _Search:
             return Optimum(None, None, None, 0.0, True, self._why_nothing_fits())
         bound, is_best = problem.bound, status == cp_model.OPTIMAL
         if is_best or status == cp_model.FEASIBLE:
-            known = encoding.read(self._solver)
+            found = encoding.read(self._solver)
+            if known is None or is_best or problem.effect(found).gain > problem.effect(known).gain:
+                known = found
             bound = min(bound, Decimal(round(self._solver.best_objective_bound)))
         if known is None:
             reason = f"no choice that keeps within {self._limits()} was found with an effort of {self._effort:g}"

@@ -1,0 +1,51 @@
+"""Robots whose best configuration is to be found; the same for the same seed.
+
+20 required functions with 5 designs of 1 to 3 components each, 30 components that the designs share, with 3
+configurations each. Every design, component and configuration is estimated to affect three attributes, in steps of
+0.01, which are weighed against one another. Components and configurations use power too.
+"""
+
+from random import Random
+
+from kb import KnowledgeBase, Model
+
+__all__ = ["PREFERENCE", "power", "robot"]
+
+PREFERENCE = {"accuracy": 1.0, "speed": 0.5, "wear": -0.8}
+
+
+def robot(seed: int) -> KnowledgeBase:
+    """Return a knowledge base of a robot at rest, of which an action requires everything."""
+    draw, model = Random(seed), Model(f"robot {seed}")
+    for attribute in (*PREFERENCE, "power"):
+        model.quality_attribute(attribute)
+    components = [model.component(f"component {one}") for one in range(30)]
+    for component in components:
+        _estimate(component, draw, worst=-1.0)
+        component.estimate("power", draw.randint(0, 500) / 100)
+        for number in range(3):
+            configuration = component.configuration(f"configuration {number} of {component.name}", priority=number)
+            _estimate(configuration, draw, worst=-0.3)
+            configuration.estimate("power", draw.randint(0, 500) / 100)
+    functions = [model.function(f"function {one}", always_improve=True) for one in range(20)]
+    for function in functions:
+        for number in range(5):
+            parts = draw.sample(components, draw.choice((1, 2, 3)))
+            _estimate(function.design(f"design {number} of {function.name}", parts, priority=number), draw, worst=-1.0)
+    model.action("work", requires=functions)
+    kb = KnowledgeBase(model, clock=lambda: 0.0)
+    assert kb.request_action("work", PREFERENCE)
+    return kb
+
+
+def power(kb: KnowledgeBase) -> float:
+    """Return how much power is used by what is active and selected."""
+    used = {one.element for one in kb.components.values() if one.is_active}
+    used |= {one.element for one in kb.configurations.values() if one.is_selected}
+    return sum(one.value for one in kb.model.estimations if one.attribute == "power" and one.causer in used)
+
+
+def _estimate(causer, draw: Random, worst: float) -> None:
+    for attribute, weight in PREFERENCE.items():
+        value = draw.randint(round(100 * worst), 100) / 100
+        causer.estimate(attribute, abs(value), "positive" if value * weight > 0 else "negative")

@@ -1,0 +1,85 @@
+"""How long it takes to find, and to prove, the best configuration."""
+
+import time
+from statistics import quantiles
+from typing import NamedTuple
+
+import pytest
+from estimated import power, robot
+from figures import table
+
+from kb.optimum_planner import OptimalPlanner
+
+pytestmark = pytest.mark.benchmark
+
+SEEDS = range(100)
+
+
+class Asked(NamedTuple):
+    wall_s: float
+    processor_s: float
+    is_proven: bool
+
+
+def asked(planner, kb):
+    """Choose once, from the facts to the proof."""
+    wall, processor = time.perf_counter(), time.process_time()
+    found = planner.optimum(kb)
+    return Asked(time.perf_counter() - wall, time.process_time() - processor, found.is_proven)
+
+
+def carry_out(kb, planner):
+    plan = planner.plan(kb)
+    for name in plan.deactivate:
+        kb.component_active(name, False)
+    for name in plan.activate:
+        kb.component_active(name, True)
+    kb.finish_plan(plan, "completed")
+
+
+def free(seed):
+    return OptimalPlanner(), robot(seed)
+
+
+def switching(seed):
+    """Return a robot that did well before everything was estimated anew."""
+    kb, other = robot(seed), robot(seed + len(SEEDS))
+    carry_out(kb, OptimalPlanner())
+    for old, new in zip(kb.model.estimations, other.model.estimations, strict=True):
+        kb.model.change(old, value=(old.value + new.value) / 2)
+    return OptimalPlanner(switching_cost=0.2), kb
+
+
+def limited(seed, share):
+    """Return a robot that may use a share of the power that the best choice without a limit would use."""
+    kb = robot(seed)
+    carry_out(kb, OptimalPlanner())
+    return OptimalPlanner(budgets={"power": round(share * power(kb), 2)}), robot(seed)
+
+
+KINDS = {
+    "no budget, robot at rest": free,
+    "switching cost, robot at work": switching,
+    "budget of 90 % of the power": lambda seed: limited(seed, 0.9),
+    "budget of 60 % of the power": lambda seed: limited(seed, 0.6),
+}
+
+
+def test_best_configuration_of_100_robots_is_proven(tables):
+    found = {kind: [asked(*make(seed)) for seed in SEEDS] for kind, make in KINDS.items()}
+    tables["5"] = lambda: written(found)
+    for times in found.values():
+        assert all(one.is_proven for one in times)
+
+
+def written(found):
+    head = ("20 functions, 30 components, 100 robots", "p50", "p95", "most", "processor, p50", "p95", "most")
+    rows = []
+    for kind, times in found.items():
+        row = [kind]
+        for field in ("wall_s", "processor_s"):
+            taken = [getattr(one, field) for one in times]
+            cuts = quantiles(taken, n=100, method="inclusive")
+            row += [f"{1e3 * one:.0f} ms" for one in (cuts[49], cuts[94], max(taken))]
+        rows.append(row)
+    return table("Finding and proving the best configuration", head, rows)
