@@ -1,14 +1,14 @@
 """Carrying out a reconfiguration plan on the managed system, a bounded slice at each turn."""
 
 import logging
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 
 from kb.attempts import Attempt, Command, Patience, Step
 from kb.condemned import Condemnation, Condemned
 from kb.elements import ComponentKind
 from kb.exceptions import InvalidValue, UnknownName
 from kb.knowledge_base import KnowledgeBase
-from kb.managed import ManagedSystem
+from kb.managed import ManagedSystem, Operation
 from kb.reconfiguration import ReconfigurationPlan
 from kb.status import Status
 
@@ -128,7 +128,7 @@ class StagedExecutor:
         _log.warning("%s %s failed, attempts: %d: %s", command.operation, command.component, step.count, step.reason)
         self._failed.add(command.component)
         if command.configuration is None:
-            is_active = self._is_active(command.component)
+            is_active = self._look(command.component)
             if is_active is not None:
                 kb.component_active(command.component, is_active)
             kb.component_failed(command.component)
@@ -137,10 +137,10 @@ class StagedExecutor:
             reason = f"its parameters could not be set, tried {tried}: {step.reason}"
             self._condemned.condemn(kb, command.configuration, reason, now)
 
-    def _is_active(self, component: str) -> bool | None:
-        """Return what the managed system says of a component, None if it cannot tell."""
+    def _look(self, component: str) -> bool | None:
+        """Return whether a component is active, None if nobody can tell."""
         try:
-            return _teller(self._managed, component)()
+            return _is_active(self._managed, component)
         except Exception:
             return None
 
@@ -177,7 +177,7 @@ class StagedExecutor:
         """Undo what was begun for functions that cannot be had: else it would run on, and be started at each plan."""
         names = [name for name in started if name in kb.components]
         tried = {one.component for one in self._attempts if one.plan is plan and one.operation == "activate"}
-        unsure = [name for name in names if name in self._failed & tried and self._is_active(name) is not False]
+        unsure = [name for name in names if name in self._failed & tried and self._look(name) is not False]
         for design in kb.designs.values():
             is_in_vain = kb.functions[design.function].status is Status.UNFEASIBLE and design.is_selected
             if is_in_vain and not set(names).isdisjoint(design.components):
@@ -202,25 +202,20 @@ def _kind(kind: str) -> ComponentKind:
         raise InvalidValue(f"{kind!r} is no kind of component to give a time-out to; kinds are {known}") from None
 
 
-def _teller(managed: ManagedSystem, component: str) -> Callable[[], bool | None]:
-    """Return what tells whether a component runs; `is_active` is an optional part of a managed system."""
+def _is_active(managed: ManagedSystem, component: str) -> bool | None:
+    """Return what a managed system says of a component, None if it cannot tell: `is_active` is an optional part."""
     tell = getattr(managed, "is_active", None)
-
-    def is_active() -> bool | None:
-        answer = tell(component) if callable(tell) else None
-        return answer if isinstance(answer, bool) else None
-
-    return is_active
+    answer = tell(component) if callable(tell) else None
+    return answer if isinstance(answer, bool) else None
 
 
 def _switch(kb: KnowledgeBase, managed: ManagedSystem, name: str, *, active: bool) -> Command:
     operation = "activate" if active else "deactivate"
     if kb.components[name].kind is ComponentKind.PLAIN:
         return Command(name, operation, None)
-    is_active = _teller(managed, name)
 
     def is_reached() -> bool | None:
-        answer = is_active()
+        answer = _is_active(managed, name)
         return None if answer is None else answer is active
 
     return Command(name, operation, lambda: getattr(managed, operation)(name), is_reached)
@@ -228,5 +223,8 @@ def _switch(kb: KnowledgeBase, managed: ManagedSystem, name: str, *, active: boo
 
 def _configure(kb: KnowledgeBase, managed: ManagedSystem, name: str, chosen: str) -> Command:
     parameters = kb.configurations[chosen].parameters
-    give = lambda: managed.set_parameters(name, parameters)  # noqa: E731  # a def would say no more
+
+    def give() -> Operation | None:
+        return managed.set_parameters(name, parameters)
+
     return Command(name, "configure", give, configuration=chosen, parameters=parameters)
