@@ -1,10 +1,11 @@
 """How a model is amended while it is in use: what may change of an element, and what goes when one is removed."""
 
 from collections.abc import Callable, Collection, Iterable, Mapping
-from dataclasses import fields
-from typing import TYPE_CHECKING, Final, Protocol
+from dataclasses import fields, replace
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Final, Protocol, runtime_checkable
 
-from kb.declarations import age, agreement, choice, flag, priority, span
+from kb.declarations import age, agreement, choice, flag, listed, pid, priority, span
 from kb.declarations import parameters as checked_parameters
 from kb.elements import (
     Action,
@@ -33,7 +34,7 @@ from kb.facts import (
     StatusFact,
 )
 from kb.requests import check_result
-from kb.status import STATUSES
+from kb.status import STATUSES, Status
 
 if TYPE_CHECKING:
     from kb.model import Model
@@ -43,6 +44,7 @@ __all__ = ["KINDS", "Changeable", "Observer", "checked_changes", "checked_fact",
 Changeable = Element | Constraint | Estimation
 
 
+@runtime_checkable
 class Observer(Protocol):
     """What is told of every change of a model, after it."""
 
@@ -155,6 +157,14 @@ def checked_fact(model: "Model", fact: object) -> Fact:
     """Return a fact that speaks of elements of the model only, and says what such elements can be."""
     if not isinstance(fact, Fact):
         raise ModelError(f"a fact is one of those in kb.facts, not {fact!r}")
+    if isinstance(fact, StatusFact):
+        return replace(fact, status=_status(KINDS[type(fact.element)], fact.status))
+    if isinstance(fact, RequiredFact | SelectedFact):
+        kinds = _REQUIRABLE if isinstance(fact, RequiredFact) else _SELECTABLE
+        if not isinstance(fact.element, kinds):
+            what = "required" if isinstance(fact, RequiredFact) else "selected"
+            raise ModelError(f"{KINDS[type(fact.element)]} cannot be stated to be {what}: {fact.element!r}")
+        return fact
     tables = {
         "attribute": model.attributes,
         "action": model.actions,
@@ -162,18 +172,37 @@ def checked_fact(model: "Model", fact: object) -> Fact:
         "configuration": model.configurations,
     }
     for kind, name in _names(fact):
-        if name not in tables[kind]:
+        if not isinstance(name, str) or name not in tables[kind]:
             raise UnknownName(kind, name, tables[kind])
-    for number in (getattr(fact, "value", None), *(getattr(fact, name, None) for name in ("time", "start", "end"))):
-        if number is not None:
-            finite_number(number)
-    if isinstance(fact, RequiredActionFact | PlanFact) and fact.result is not None:
+    if isinstance(fact, MeasurementFact):
+        flag(f"latest of the measurement of {fact.attribute!r}", fact.latest)
+        return replace(fact, value=finite_number(fact.value), time=_time(fact.time))
+    if isinstance(fact, ActiveFact):
+        return fact
+    if isinstance(fact, ProcessFact):
+        return replace(fact, pid=pid(fact.pid), start=_time(fact.start), end=_time(fact.end))
+    if fact.result is not None:
         check_result(fact.result)
-    if isinstance(fact, StatusFact):
-        kind = KINDS[type(fact.element)]
-        if fact.status not in STATUSES.get(kind, ()):
-            raise InvalidValue(f"a {kind} is never {fact.status!s}; it can be {', '.join(STATUSES.get(kind, ()))}")
-    return fact
+    if isinstance(fact, RequiredActionFact) and fact.preference is not None:
+        weights = {name: finite_number(weight) for name, weight in fact.preference.items()}
+        fact = replace(fact, preference=MappingProxyType(weights) if weights else None)
+    return replace(fact, start=_time(fact.start), end=_time(fact.end))
+
+
+_REQUIRABLE: Final = (Action, Function, Component)
+_SELECTABLE: Final = (FunctionDesign, Configuration)
+
+
+def _status(kind: str, given: object) -> Status:
+    known = STATUSES.get(kind, ())
+    found = next((status for status in known if status == given), None)
+    if found is None:
+        raise InvalidValue(f"a {kind} is never {given!s}; it can be {', '.join(known)}")
+    return found
+
+
+def _time(time: float | None) -> float | None:
+    return None if time is None else finite_number(time)
 
 
 def _names(fact: Fact) -> list[tuple[str, str]]:
@@ -183,10 +212,13 @@ def _names(fact: Fact) -> list[tuple[str, str]]:
     if isinstance(fact, ActiveFact | ProcessFact):
         return [("component", fact.component)]
     if isinstance(fact, RequiredActionFact):
+        if not isinstance(fact.preference, Mapping | None):
+            raise ModelError(f"a preference is given as weights by name of attribute, not as {fact.preference!r}")
         return [("action", fact.action), *(("attribute", name) for name in fact.preference or {})]
     if isinstance(fact, PlanFact):
-        components = [("component", name) for name in (*fact.activate, *fact.deactivate)]
-        return components + [("configuration", name) for name in fact.parameters]
+        switched = [*listed("activate", fact.activate), *listed("deactivate", fact.deactivate)]
+        configured = listed("parameters", fact.parameters)
+        return [("component", name) for name in switched] + [("configuration", name) for name in configured]
     return []
 
 

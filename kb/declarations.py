@@ -1,13 +1,14 @@
 """What is accepted in the declaration of a model; anything else is refused before it changes anything."""
 
 import math
+import sys
 from collections.abc import Iterable, Mapping
 from enum import StrEnum
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from kb.elements import Attribute, Element, Expression, Parameter, Parameters
-from kb.exceptions import ModelError, UnknownName
+from kb.exceptions import InvalidValue, ModelError, UnknownName
 
 if TYPE_CHECKING:
     from kb.model import Model
@@ -25,6 +26,7 @@ __all__ = [
     "text",
 ]
 
+_FAR = sys.float_info.max
 ChoiceT = TypeVar("ChoiceT", bound=StrEnum)
 ElementT = TypeVar("ElementT", bound=Element)
 
@@ -32,7 +34,8 @@ ElementT = TypeVar("ElementT", bound=Element)
 def identifier(kind: str, name: object) -> str:
     """Return the name of a new element."""
     if not isinstance(name, str) or not name.strip():
-        raise ModelError(f"the name of a {kind} is a non-empty text, not {name!r}")
+        article = "an" if kind[:1] in "aeiou" else "a"
+        raise ModelError(f"the name of {article} {kind} is a non-empty text, not {name!r}")
     return name
 
 
@@ -59,8 +62,10 @@ def priority(name: str, value: object) -> int | None:
 
 def age(name: str, value: object) -> float:
     """Return a maximum age [s]."""
-    if isinstance(value, int | float) and not isinstance(value, bool) and value > 0:
+    if isinstance(value, int | float) and not isinstance(value, bool) and 0 < value <= _FAR:
         return float(value)
+    if value == math.inf:
+        return math.inf
     raise ModelError(f"max_age of {name!r} is a time in seconds above 0, not {value!r}")
 
 
@@ -78,9 +83,16 @@ def agreement(name: str, value: object) -> tuple[int, int]:
 
 def span(name: str, value: object) -> float:
     """Return a hysteresis or dwell."""
-    if isinstance(value, int | float) and not isinstance(value, bool) and 0 <= value < math.inf:
+    if isinstance(value, int | float) and not isinstance(value, bool) and 0 <= value <= _FAR:
         return float(value)
     raise ModelError(f"a hysteresis or dwell of {name!r} is a number from 0, not {value!r}")
+
+
+def pid(value: object) -> int:
+    """Return the number of a process."""
+    if type(value) is int and value >= 0:
+        return value
+    raise InvalidValue(f"a process number is a whole number from 0, not {value!r}")
 
 
 def choice(what: str, options: type[ChoiceT], given: object) -> ChoiceT:

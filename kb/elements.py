@@ -88,7 +88,7 @@ class Expression:
     dwell: float = 0.0
 
     def __post_init__(self) -> None:
-        if self.operator not in OPERATORS:
+        if not isinstance(self.operator, str) or self.operator not in OPERATORS:
             raise ModelError(f"{self.operator!r} is no comparison; there are {', '.join(OPERATORS)}")
         finite_number(self.value)
         for what, unit in (("hysteresis", "in the attribute's unit"), ("dwell", "in seconds")):

@@ -80,9 +80,14 @@ class Publisher:
         if len(self._events) > 1:
             return
         while self._events:
-            for subscriber in tuple(self._subscribers):
-                try:
-                    subscriber(self._events[0])
-                except Exception:
-                    _log.exception("a subscriber failed on %r", self._events[0].text)
-            self._events.popleft()
+            try:
+                self._tell(self._events[0])
+            finally:  # a subscriber may be interrupted; the next event is told all the same
+                self._events.popleft()
+
+    def _tell(self, event: Event) -> None:
+        for subscriber in tuple(self._subscribers):
+            try:
+                subscriber(event)
+            except Exception:
+                _log.exception("a subscriber failed on %r", event.text)

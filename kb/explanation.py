@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from typing import Final
 
 from kb.elements import Attribute, Constraint, exact
@@ -115,14 +116,14 @@ class Explanation:
         left = _MOST if count <= _MOST else _MOST - 1
         told = []
         for reason in self.reasons:
-            texts = [cause._sentence(f"{cause.kind} {cause.name}") for cause in reason[:left]]
+            texts = list(dict.fromkeys(cause._sentence(f"{cause.kind} {cause.name}") for cause in reason[:left]))
             left -= len(texts)
             if texts:
                 told.append(" and ".join(texts))
         if count > _MOST:
             rest = f"{count - _MOST + 1} more"
             told = [f"{told[0]} and {rest}"] if len(self.reasons) == 1 else [*told, rest]
-        return "; also ".join(told)
+        return "; also ".join(dict.fromkeys(told))
 
 
 def explain(state: State, node: Node, now: float) -> Explanation:
@@ -272,11 +273,16 @@ def why_selected(state: State, chosen: Sequence[Node], now: float) -> str:
 
 def _needed_by(state: State, node: Node, about: Iterable[Node]) -> str:
     """Name the required actions for which a function or component is wanted, now or by designs about to be chosen."""
-    functions = [node]
+    functions: Iterable[Node] = (node,)
     if node.kind == "component":
-        functions = [design.wholes[0] for design in (*state.users[node.index], *about)]
-    actions = (action.name for function in functions for action in state.users[function.index])
-    return ", ".join(dict.fromkeys(actions)) or "something asserted"
+        functions = (design.wholes[0] for design in chain(state.users[node.index], about))
+    named: dict[str, None] = {}
+    for function in functions:
+        for action in state.users[function.index]:
+            named["others" if len(named) == _MOST and action.name not in named else action.name] = None
+            if len(named) > _MOST:
+                return ", ".join(named)
+    return ", ".join(named) or "something asserted"
 
 
 def _told(compared: Comparison, attribute: Node, now: float) -> str:

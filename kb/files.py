@@ -13,6 +13,8 @@ if TYPE_CHECKING:
 
 __all__ = ["DuplicateInFile", "ModelFileError", "Place", "load_model", "read_text", "save_model", "write_text"]
 
+MOST: Final = 256 << 20
+"""The largest file that is read [bytes]."""
 _MARK: Final = "\ufeff"
 """What some editors put before everything else."""
 
@@ -93,6 +95,10 @@ def save_model(model: "Model", path: str | Path) -> None:
 def read_text(file: Path) -> str:
     """Return what a file says."""
     try:
+        if file.stat().st_size > MOST:
+            raise ModelFileError(
+                f"this is larger than {MOST >> 20} MB, more than any model; give it in parts", str(file)
+            )
         content = file.read_bytes()
     except FileNotFoundError:
         raise ModelFileError(_missing(file), str(file)) from None

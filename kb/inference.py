@@ -5,7 +5,7 @@ flows up, in levels: constraint, configuration, component, design, function, act
 depends only on whether that is possible at all, so a status that stays on one side of that is told to few.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Final, NamedTuple
 
 from kb.elements import Attribute, Component, Constraint, Function, StalePolicy
@@ -74,7 +74,7 @@ def settle(state: State, touched: Iterable[Node]) -> list[Change]:
     return changes
 
 
-def _concerned(state: State, node: Node, old: Status, new: Status) -> Sequence[Node]:
+def _concerned(state: State, node: Node, old: Status, new: Status) -> Iterable[Node]:
     """Return what may have to change because a status did."""
     if (old in _IMPOSSIBLE) == (new in _IMPOSSIBLE):
         if node.kind == "constraint":
@@ -110,9 +110,7 @@ def _touch(state: State, node: Node, agenda: Agenda) -> None:
 
 def _use(state: State, part: Node, user: Node, uses: bool, agenda: Agenda) -> None:
     """Have an action use a function, or a selected design a component; or no longer."""
-    users = state.users[part.index]
-    if uses != (user in users):
-        state.users[part.index] = (*users, user) if uses else tuple(one for one in users if one is not user)
+    state.users.mark(part.index, user, uses)
     _touch(state, part, agenda)
 
 

@@ -115,10 +115,15 @@ def _turn(node: Node) -> float:
 
 
 class Network:
-    """One node per element of a model, by name within its kind; constraints by themselves."""
+    """One node per element of a model, by name within its kind; constraints by themselves.
+
+    Attributes:
+        revision: grows with every node that is added or removed.
+    """
 
     def __init__(self, model: "Model") -> None:
         self.model = model
+        self.revision = 0
         self.nodes: list[Node] = []
         self.attributes: dict[str, Node] = {}
         self.components: dict[str, Node] = {}
@@ -164,6 +169,7 @@ class Network:
 
     def add(self, element: Element | Constraint) -> Node:
         """Add the node of an element whose parts are there already."""
+        self.revision += 1
         node = Node(len(self.nodes), KINDS[type(element)], element)
         self.nodes.append(node)
         if isinstance(element, Constraint):
@@ -192,6 +198,7 @@ class Network:
 
     def remove(self, node: Node) -> list[Node]:
         """Take out a node; returns what depended on it. Its place in the arrays stays empty."""
+        self.revision += 1
         element = node.element
         del self._tables[type(element)][element if isinstance(element, Constraint) else element.name]
         wholes = list(node.wholes)

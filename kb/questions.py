@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from kb.choice import ChoiceExplanation, explain_choice
 from kb.declarations import listed
-from kb.elements import Configuration, Element, FunctionDesign, Parameters
+from kb.elements import Configuration, Constraint, Element, FunctionDesign, Parameters
 from kb.exceptions import AmbiguousName, InvalidValue, UnknownName
 from kb.explanation import Explanation, explain
 from kb.history import History
@@ -67,11 +67,8 @@ class Questions(ABC):
 
     def is_feasible(self, action: str) -> bool:
         """Tell whether an action can be done now: its status is not "unfeasible"."""
-        try:
-            node = self._network.actions[action]
-        except (KeyError, TypeError):
-            node = self.actions.node(action)
-        return self._state.status[node.index] is not Status.UNFEASIBLE
+        with self._lock:
+            return self._state.status[self.actions.node(action).index] is not Status.UNFEASIBLE
 
     def selectable_actions(self) -> tuple[str, ...]:
         """Names of the actions that can be done now."""
@@ -127,7 +124,7 @@ class Questions(ABC):
         with self._lock:
             return obsolete(self._state)
 
-    def explain(self, element: ElementView | Element | str) -> Explanation:
+    def explain(self, element: ElementView | Element | Constraint | str) -> Explanation:
         """Say why an element has the status that it has, and what would make it feasible if it is not.
 
         Args:
@@ -137,7 +134,7 @@ class Questions(ABC):
         with self._lock:
             return explain(self._state, self._node(element, ELEMENTS), self._clock())
 
-    def explain_choice(self, element: ElementView | Element | str) -> ChoiceExplanation:
+    def explain_choice(self, element: ElementView | Element | Constraint | str) -> ChoiceExplanation:
         """Say why a function has the design, or a component the configuration, that it has, and not another one.
 
         Args:
@@ -162,15 +159,17 @@ class Questions(ABC):
         status = self._state.status
         return tuple(node.name for node in nodes if status[node.index] is not Status.UNFEASIBLE)
 
-    def _node(self, element: ElementView | Element | str, kinds: Iterable[str], unique: bool = False) -> Node:
+    def _node(
+        self, element: ElementView | Element | Constraint | str, kinds: Iterable[str], unique: bool = False
+    ) -> Node:
         """Return the node that is meant; a bare name is looked for in the given kinds, in this order."""
         if isinstance(element, ElementView):
             if element._base is not self:
                 raise InvalidValue(f"{element!r} is a view of another knowledge base; take it from this one")
-            return _allowed(element._node, kinds)
-        if isinstance(element, Element):
-            if self._network.model is not element.model:
-                raise InvalidValue(f"{element.name!r} belongs to another model, {element.model.name!r}")
+            element = element.element
+        if isinstance(element, Element) and self._network.model is not element.model:
+            raise InvalidValue(f"{element.name!r} belongs to another model, {element.model.name!r}")
+        if isinstance(element, Element | Constraint):
             return _allowed(self._network.find(element), kinds)
         views: dict[str, Views[Any]] = {
             "action": self.actions,

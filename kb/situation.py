@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
+from kb.declarations import listed
 from kb.elements import Constraint, finite_number
 from kb.exceptions import InvalidValue
 from kb.history import History
@@ -37,16 +38,17 @@ class Situation(Questions):
         self._base = base
         self._assumptions = assumptions
         self._lock, self._in_force = base._lock, base._in_force
-        self._seen = -1
+        self._seen = (-1, -1)
         self._overlay: Overlay | None = None
 
     @property
     def _state(self) -> State:
         with self._lock:
             below = self._base._state
-            if self._overlay is None or self._seen != below.visited:
+            seen = (below.visited, self._network.revision)
+            if self._overlay is None or self._seen != seen:
                 self._overlay = self._supposed(below)
-                self._seen = below.visited
+                self._seen = seen
             return self._overlay
 
     def is_feasible(self, action: str) -> bool:
@@ -65,7 +67,7 @@ class Situation(Questions):
         **attributes: float | None,
     ) -> "Situation":
         """Return the situation in which more is different; what is said here goes before what was said there."""
-        more = assumptions(self, {**(measured or {}), **attributes}, failed, recovered, requested)
+        more = assumptions(self, measured, attributes, failed, recovered, requested)
         return Situation(self._base, (*self._assumptions, *more))
 
     def _history_of(self, attribute: Node) -> History:
@@ -73,41 +75,56 @@ class Situation(Questions):
 
     def _supposed(self, below: State) -> Overlay:
         state, now = Overlay(below), self._clock()
+        touched: list[Node] = []
         for what, node, value in self._assumptions:
             self._network.find(node.element)
             if what == "measured":
                 assert value is None or isinstance(value, float)
-                state.value[node.index] = value
-                state.time[node.index] = None if value is None else now
-                state.stale[node.index] = False
-                for one in self._network.thresholds(node).steady:
-                    state.verdict[one.index] = _settled(state, one, value)
-            elif what == "requested":
+                touched += _suppose_measured(state, node, value, now)
+                continue
+            touched.append(node)
+            if what == "requested":
                 state.requested[node.index] = True
             else:
                 state.failed[node.index] = bool(value)
                 if not value and state.asserted[node.index] is Status.FAILURE:
                     state.asserted[node.index] = None
-        settle(state, (node for _, node, _ in self._assumptions))
+        settle(state, touched)
         return state
+
+
+def _suppose_measured(state: State, attribute: Node, value: float | None, now: float) -> list[Node]:
+    """Enter a measurement; returns the constraints whose status it may change."""
+    index, thresholds = attribute.index, state.network.thresholds(attribute)
+    before, was_stale = state.value[index], state.stale[index]
+    state.value[index], state.time[index], state.stale[index] = value, None if value is None else now, False
+    for one in thresholds.steady:
+        state.verdict[one.index] = _settled(state, one, value)
+    if before is None or value is None or was_stale:
+        return attribute.constraints
+    return [*thresholds.steady, *thresholds.crossed(before, value)]
 
 
 def assumptions(
     asked: Questions,
-    measured: Mapping[str, float | None],
+    measured: Mapping[str, float | None] | None,
+    attributes: Mapping[str, float | None],
     failed: Iterable[str],
     recovered: Iterable[str],
     requested: Iterable[str],
 ) -> list[_Assumption]:
     """Return what is to be supposed, with names and values checked."""
-    supposed = [_Assumption("measured", asked.attributes.node(name), _value(name, measured[name])) for name in measured]
+    if not isinstance(measured, Mapping | None):
+        raise InvalidValue(f"what is supposed to be measured is given as values by name, not as {measured!r}")
+    values = {**(measured or {}), **attributes}
+    supposed = [_Assumption("measured", asked.attributes.node(name), _value(name, values[name])) for name in values]
     for what, value, names, views in (
         ("failed", True, failed, asked.components),
         ("failed", False, recovered, asked.components),
         ("requested", True, requested, asked.actions),
     ):
-        listed = (names,) if isinstance(names, str) else names
-        supposed += [_Assumption(what, views.node(name), value) for name in listed]
+        wanted = (names,) if isinstance(names, str) else listed(f"what is supposed to be {what}", names)
+        supposed += [_Assumption(what, views.node(name), value) for name in wanted]
     return supposed
 
 

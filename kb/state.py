@@ -4,14 +4,14 @@ A layer answers from its own changes first and from the state below otherwise, s
 copies nothing.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterator
 from operator import attrgetter
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Final, Generic, Protocol, TypeVar
 
 from kb.network import Network, Node
 from kb.status import Status
 
-__all__ = ["Array", "Marked", "Overlay", "State"]
+__all__ = ["Array", "Marked", "Overlay", "State", "Users"]
 
 T = TypeVar("T")
 
@@ -43,35 +43,73 @@ class _Layer(dict[int, T], Generic[T]):
 class Marked:
     """A set of nodes; one on top of another answers from its own changes first."""
 
-    __slots__ = ("_below", "_most", "_own")
+    __slots__ = ("_below", "_count", "_most", "_own")
 
     def __init__(self, below: "Marked | None" = None) -> None:
         self._below = below
         self._own: dict[Node, bool] = {}
+        self._count = 0 if below is None else len(below)
         self._most = 0
 
     def mark(self, node: Node, yes: bool) -> None:
         """Have a node in the set, or not."""
-        if yes or self._below is not None:
+        if yes == (node in self):
+            return
+        self._count += 1 if yes else -1
+        if self._below is not None:
             self._own[node] = yes
+        elif yes:
+            self._own[node] = True
+            self._most = max(self._most, self._count)
         else:
-            self._own.pop(node, None)
-        count = len(self._own)
-        if count > self._most:
-            self._most = count
-        elif count < self._most // 8:  # a dict keeps the room that it once took, and would be walked through in full
-            self._own = dict(self._own.items())
-            self._most = count
+            del self._own[node]
+            if self._count < self._most // 8:  # a dict keeps the room that it once took, and is walked through in full
+                self._own = dict(self._own.items())
+                self._most = self._count
 
     def nodes(self) -> list[Node]:
         """Return the nodes in order of declaration."""
-        return sorted(self._members(), key=_INDEX)
+        return sorted(self, key=_INDEX)
 
-    def _members(self) -> Iterable[Node]:
-        if self._below is None:
-            return self._own
-        members = dict.fromkeys(self._below._members(), True) | self._own
-        return [node for node, yes in members.items() if yes]
+    def __contains__(self, node: Node) -> bool:
+        yes = self._own.get(node)
+        return yes if yes is not None else self._below is not None and node in self._below
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __iter__(self) -> Iterator[Node]:
+        yield from self._own if self._below is None else self._merged(self._below)
+
+    def _merged(self, below: "Marked") -> Iterator[Node]:
+        yield from (node for node in below if node not in self._own)
+        yield from (node for node, yes in self._own.items() if yes)
+
+
+_NOBODY: Final = Marked()
+
+
+class Users:
+    """Who uses each node: of a function its required actions, of a component its selected designs."""
+
+    __slots__ = ("_below", "_own")
+
+    def __init__(self, below: "Users | None" = None) -> None:
+        self._below = below
+        self._own: dict[int, Marked] = {}
+
+    def __getitem__(self, index: int) -> Marked:
+        found = self._own.get(index)
+        if found is None:
+            return _NOBODY if self._below is None else self._below[index]
+        return found
+
+    def mark(self, index: int, user: Node, uses: bool) -> None:
+        """Have a node use another one, or no longer."""
+        users = self._own.get(index)
+        if users is None:
+            users = self._own[index] = Marked(None if self._below is None else self._below[index])
+        users.mark(user, uses)
 
 
 class State:
@@ -111,7 +149,7 @@ class State:
         self.requested: Array[bool] = self._column(False)
         self.asserted: Array[Status | None] = self._column(None)
         self.asserted_required: Array[bool] = self._column(False)
-        self.users: Array[tuple[Node, ...]] = self._column(())
+        self.users = Users()
         self.required: Array[bool] = self._column(False)
         self.served: Array[int] = self._column(0)
         self.status: Array[Status] = self._column(Status.FEASIBLE)
@@ -153,7 +191,7 @@ class Overlay(State):
         self.requested = _Layer(below.requested)
         self.asserted = _Layer(below.asserted)
         self.asserted_required = _Layer(below.asserted_required)
-        self.users = _Layer(below.users)
+        self.users = Users(below.users)
         self.required = _Layer(below.required)
         self.served = _Layer(below.served)
         self.status = _Layer(below.status)

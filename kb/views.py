@@ -3,7 +3,7 @@
 A view answers from the base it was taken from each time it is asked; nothing can be changed through it.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import ItemsView, Iterator, Mapping, ValuesView
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Generic, TypeVar
 
@@ -17,6 +17,7 @@ from kb.elements import (
     Function,
     FunctionDesign,
     Parameters,
+    finite_number,
 )
 from kb.exceptions import UnknownName
 from kb.inference import Node
@@ -294,6 +295,7 @@ class AttributeView(ElementView):
 
     def at(self, time: float) -> float | None:
         """Return what the latest measurement was at a time [s]; None before the first."""
+        finite_number(time)
         with self._base._lock:
             return self._base._history_of(self._node).at(time)
 
@@ -317,7 +319,20 @@ class Views(Mapping[str, ViewT], Generic[ViewT]):
         return isinstance(name, str) and name in self._nodes
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._nodes)
+        with self._base._lock:
+            return iter(tuple(self._nodes))
+
+    def values(self) -> ValuesView[ViewT]:
+        """Return the views, as of now."""
+        return self._now().values()
+
+    def items(self) -> ItemsView[str, ViewT]:
+        """Return the names and views, as of now."""
+        return self._now().items()
+
+    def _now(self) -> dict[str, ViewT]:
+        with self._base._lock:
+            return {name: self._view(self._base, node) for name, node in self._nodes.items()}
 
     def __len__(self) -> int:
         return len(self._nodes)

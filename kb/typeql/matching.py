@@ -3,7 +3,8 @@
 import operator
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Final
+from itertools import islice
+from typing import Final, TypeVar
 
 from kb.exceptions import UnknownName
 from kb.files import ModelFileError, Place
@@ -14,6 +15,11 @@ from kb.typeql.values import Literal, literal
 from kb.typeql.words import Kind
 
 __all__ = ["answers"]
+
+T = TypeVar("T")
+
+MOST: Final = 100_000
+"""How many answers a `match` may have on the way; more are a slip, and would multiply without limit."""
 
 _COMPARE: Final[Mapping[str, Callable[[Literal, Literal], bool]]] = {
     "=": operator.eq,
@@ -113,7 +119,8 @@ class _Question:
         while rest:
             node = min(rest, key=lambda one: self._effort(one, found[0]))
             rest.remove(node)
-            found = [more for bindings in found for more in self._extended(bindings, node)]
+            every = (more for bindings in found for more in self._extended(bindings, node))
+            found = self._bounded(every, node.place)
             if not found:
                 raise self._nothing(node)
         kept = [bindings for bindings in found if self._holds(bindings)]
@@ -209,15 +216,22 @@ class _Question:
         """Let each pattern of a player stand for another part of the relation."""
         states: list[tuple[dict[str, Thing | Literal], frozenset[int]]] = [(one, frozenset()) for one in found]
         for role, name, place in node.players:
-            states = [
+            every = (
                 ({**bindings, name: part.thing} if name != ANONYMOUS else bindings, used | {number})
                 for bindings, used in states
                 for number, part in enumerate(thing.parts)
                 if number not in used
                 and bindings.get(name, part.thing) is part.thing
                 and self._plays(thing, role, part, place)
-            ]
+            )
+            states = self._bounded(every, place)
         return [bindings for bindings, _ in states]
+
+    def _bounded(self, every: Iterator[T], place: Place) -> list[T]:
+        found = list(islice(every, MOST + 1))
+        if len(found) > MOST:
+            raise place.error(f"`match` finds more than {MOST} answers; say which things are meant, by their names")
+        return found
 
     def _plays(self, relation: Thing, role: Word | None, part: Part, place: Place) -> bool:
         if role is None or relation.kind is None:

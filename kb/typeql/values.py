@@ -1,9 +1,11 @@
 """Values in TypeQL files, both ways: texts with escapes, numbers, dates, and the typed parameters of components."""
 
+import ast
 import json
 import math
 import re
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 from typing import Final
 
@@ -162,12 +164,11 @@ def _items(value: Literal, base: str) -> list[object]:
     if not (text.startswith("[") and text.endswith("]")):
         raise ValueError
     if base in ("string", "str"):
-        try:
-            items = json.loads(text)
-        except (ValueError, RecursionError):
-            items = None
-        if items is not None and all(isinstance(item, str) for item in items):
-            return list(items)
+        for read in (json.loads, ast.literal_eval):
+            with suppress(ValueError, SyntaxError, RecursionError, MemoryError):
+                items = read(text)
+                if isinstance(items, list) and all(isinstance(item, str) for item in items):
+                    return list(items)
     inner = text[1:-1].strip()
     return [_unquoted(item.strip()) for item in inner.split(",")] if inner else []
 

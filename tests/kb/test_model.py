@@ -92,7 +92,7 @@ def test_a_name_may_hold_anything_and_is_found_again(model, kind, name):
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", ["", "  ", "\n", None, 5, ("a",), b"a", ["a"]])
 def test_a_name_is_a_text_that_is_not_blank(model, kind, name):
-    refuses(model, lambda: declare(model, kind, name), ModelError, match=rf"the name of a {kind} is a non-empty text")
+    refuses(model, lambda: declare(model, kind, name), ModelError, match=rf"the name of an? {kind} is a non-empty text")
 
 
 @pytest.mark.parametrize("name", ["", None, 7])
