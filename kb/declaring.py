@@ -29,7 +29,7 @@ from kb.status import Status
 if TYPE_CHECKING:
     from kb.model import Model
 
-__all__ = ["Declarer", "kind_in_general"]
+__all__ = ["Declarer", "class_of"]
 
 _KINDS: Final[Mapping[str, type]] = {kind: cls for cls, kind in CLASSES.items()}
 _RANKS: Final = {kind: rank for rank, kind in enumerate(CLASSES.values())}
@@ -38,9 +38,9 @@ _UNSAID: Final = frozenset({"position", "prefersNothing"})
 _COMPONENTS: Final = {"ProcessComponent": ComponentKind.PROCESS, "LifecycleComponent": ComponentKind.LIFECYCLE}
 
 
-def kind_in_general(kind: str) -> str:
-    """Return what kind a special one is of; any other is its own."""
-    return GENERAL.get(kind, kind)
+def class_of(kind: str) -> type | None:
+    """Return the class of the elements or facts of a kind; None if that is nested, or the model."""
+    return _KINDS.get(GENERAL.get(kind, kind))
 
 
 class Declarer:
@@ -64,7 +64,7 @@ class Declarer:
         """
         listed = list(given)
         self.nested = {one.id: one for one in listed}
-        own = [one for one in listed if kind_in_general(one.kind) in _KINDS]
+        own = [one for one in listed if class_of(one.kind)]
         elements = [one for one in own if self._rank(one) <= _RANKS["Estimation"]]
         facts = [one for one in own if self._rank(one) > _RANKS["Estimation"]]
         for one in (
@@ -72,7 +72,7 @@ class Declarer:
             *sorted(facts, key=_position),
         ):
             with _blamed(one.id):
-                made = self._make(_KINDS[kind_in_general(one.kind)], one)
+                made = self._make(one)
                 if made is not None:
                     self.known[one.id] = made
 
@@ -95,7 +95,7 @@ class Declarer:
         return found
 
     def _rank(self, one: Individual) -> int:
-        return _RANKS[kind_in_general(one.kind)]
+        return _RANKS[GENERAL.get(one.kind, one.kind)]
 
     def _value(self, cls: type, field: str, given: tuple[Value, ...]) -> Any:  # noqa: ANN401  # what the field holds
         if cls is Configuration and field == "parameters":
@@ -132,7 +132,8 @@ class Declarer:
             raise UnknownName(kind, _shown(value), known)
         return found
 
-    def _make(self, cls: type, one: Individual) -> Changeable | None:
+    def _make(self, one: Individual) -> Changeable | None:
+        cls = _KINDS[GENERAL.get(one.kind, one.kind)]
         values = self.values(cls, one)
         maker = _MAKERS.get(cls)
         if maker is None:

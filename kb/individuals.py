@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import fields
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
-from urllib.parse import quote
+from urllib.parse import quote, unquote
 
 from kb.amendments import Changeable
 from kb.elements import (
@@ -44,19 +44,25 @@ if TYPE_CHECKING:
 __all__ = [
     "CLASSES",
     "GENERAL",
+    "Individual",
     "MODEL",
+    "NAMED",
     "PARAMETER",
     "PREFERENCE",
-    "Individual",
     "Ref",
+    "STATED",
+    "Serials",
     "Value",
     "element_id",
-    "facts_of",
+    "from_json",
     "individual",
     "individuals",
     "kind_of",
+    "name_of",
+    "named_id",
     "nested",
     "parameter_values",
+    "plain_json",
     "property_of",
 ]
 
@@ -84,7 +90,7 @@ class Individual(NamedTuple):
     values: Mapping[str, tuple[Value, ...]]
 
 
-PARAMETER, PREFERENCE, MODEL = "Parameter", "Preference", "RobotModel"
+PARAMETER, PREFERENCE, MODEL, STATED = "Parameter", "Preference", "RobotModel", "Fact"
 
 CLASSES: Final[Mapping[type, str]] = {
     Attribute: "Attribute",
@@ -178,17 +184,44 @@ def kind_of(one: Changeable | Fact) -> str:
     return _SPECIAL.get((type(one), str(getattr(one, "kind", ""))), kind)
 
 
-def element_id(model: "Model", element: Element | Constraint) -> str:
-    """Return the id of an element; constraints are numbered."""
-    if isinstance(element, Constraint):
-        return _id(Constraint, str(model.constraints.index(element)))
-    return _id(type(element), element.name)
+class Serials:
+    """Numbers for what has no name; one that was given stays, whatever else is removed from the model."""
+
+    def __init__(self, model: "Model") -> None:
+        self._given: dict[Changeable, int] = {}
+        self._next = 0
+        listed: tuple[Constraint | Estimation, ...] = (*model.constraints, *model.estimations)
+        for one in listed:
+            self.of(one)
+
+    def of(self, one: Constraint | Estimation) -> int:
+        """Return the number of a constraint or estimation."""
+        if one not in self._given:
+            self.give(one, self._next)
+        return self._given[one]
+
+    def give(self, one: Changeable, number: int) -> None:
+        """Give something the number that it had before."""
+        self._given[one] = number
+        self._next = max(self._next, number + 1)
 
 
-def individuals(model: "Model") -> Iterator[Individual]:
-    """Yield all that a model says, in an order in which it can be declared."""
+def element_id(element: Changeable, serials: Serials) -> str:
+    """Return the id of an element."""
+    name = element.name if isinstance(element, Element) else str(serials.of(element))
+    return named_id(type(element), name)
+
+
+def name_of(own: str) -> str:
+    """Return the name in the id of an element."""
+    return unquote(own.partition(".")[2], errors="surrogatepass")
+
+
+def individuals(model: "Model", serials: Serials | None = None) -> Iterator[Individual]:
+    """Yield all that a model says, in an order in which it can be declared; what it states to be so comes last."""
+    serials = serials or Serials(model)
     yield Individual(MODEL, f"{MODEL}.{_escaped(model.name)}", {"name": (model.name,)})
-    tables = (
+    tables: tuple[Mapping[str, Element], ...] = (
         model.attributes,
         model.components,
         model.configurations,
@@ -196,33 +229,17 @@ def individuals(model: "Model") -> Iterator[Individual]:
         model.designs,
         model.actions,
     )
-    numbers = {constraint: number for number, constraint in enumerate(model.constraints)}
-    for table in tables:
-        for position, element in enumerate(table.values()):
-            yield from _described(element, _id(type(element), element.name), position, numbers)
-    for number, constraint in enumerate(model.constraints):
-        yield from _described(constraint, _id(Constraint, str(number)), number, numbers)
-    for number, estimation in enumerate(model.estimations):
-        yield from _described(estimation, _id(Estimation, str(number)), number, numbers)
-    yield from facts_of(model, numbers)
-
-
-def facts_of(model: "Model", numbers: Mapping[Constraint, int]) -> Iterator[Individual]:
-    """Yield what a model states to be so from the start."""
+    kinds: list[Iterable[Changeable]] = [*(table.values() for table in tables), model.constraints, model.estimations]
+    for elements in kinds:
+        for position, element in enumerate(elements):
+            yield from _described(element, element_id(element, serials), position, serials)
     for position, fact in enumerate(model.facts):
-        yield from _described(fact, f"Fact.{position}", position, numbers)
+        yield from _described(fact, f"{STATED}.{position}", position, serials)
 
 
-def individual(model: "Model", element: Changeable) -> tuple[Individual, ...]:
+def individual(element: Changeable, serials: Serials) -> tuple[Individual, ...]:
     """Return one element of a model, with what is nested in it; the element comes last."""
-    listed: tuple[Any, ...] = ()
-    if isinstance(element, Element):
-        name = element.name
-    else:
-        listed = model.constraints if isinstance(element, Constraint) else model.estimations
-        name = str(listed.index(element)) if element in listed else str(len(listed))
-    numbers = {one: number for number, one in enumerate(model.constraints)} if isinstance(element, Estimation) else {}
-    return tuple(_described(element, _id(type(element), name), 0, numbers))
+    return tuple(_described(element, element_id(element, serials), 0, serials))
 
 
 def nested(kind: str, owner: str, values: Mapping[str, Any]) -> Iterator[Individual]:
@@ -230,11 +247,35 @@ def nested(kind: str, owner: str, values: Mapping[str, Any]) -> Iterator[Individ
     for key, value in values.items():
         inner = f"{kind}.{owner}.{_escaped(key)}"
         if kind == PREFERENCE:
-            yield Individual(kind, inner, {"prefers": (Ref(_id(Attribute, key)),), "weight": (value,)})
+            yield Individual(kind, inner, {"prefers": (Ref(named_id(Attribute, key)),), "weight": (value,)})
         else:
             written = json.dumps(value)
             sort = _sort(value)
             yield Individual(kind, inner, {"key": (key,), "parameterValue": (written,), "parameterType": (sort,)})
+
+
+def plain_json(given: Iterable[Individual]) -> list[Any]:
+    """Return individuals as values that JSON can hold."""
+    return [
+        [one.kind, one.id, {name: [_written(value) for value in values] for name, values in one.values.items()}]
+        for one in given
+    ]
+
+
+def from_json(given: Iterable[Any]) -> list[Individual]:
+    """Return the individuals that `plain_json` was given."""
+    return [
+        Individual(kind, own, {name: tuple(_read(value) for value in each) for name, each in values.items()})
+        for kind, own, values in given
+    ]
+
+
+def _written(value: Value) -> object:
+    return {"ref": value.id} if isinstance(value, Ref) else value
+
+
+def _read(value: Any) -> Value:  # noqa: ANN401  # what JSON holds
+    return Ref(value["ref"]) if isinstance(value, dict) else value
 
 
 def parameter_values(parameters: Iterable[Individual]) -> dict[str, Any]:
@@ -246,9 +287,7 @@ def parameter_values(parameters: Iterable[Individual]) -> dict[str, Any]:
     return {str(one.values["key"][0]): json.loads(str(one.values["parameterValue"][0])) for one in parameters}
 
 
-def _described(
-    one: Changeable | Fact, own: str, position: int, numbers: Mapping[Constraint, int]
-) -> Iterator[Individual]:
+def _described(one: Changeable | Fact, own: str, position: int, serials: Serials) -> Iterator[Individual]:
     values: dict[str, tuple[Value, ...]] = {"position": (position,)}
     for field in fields(one):
         value = getattr(one, field.name)
@@ -261,33 +300,34 @@ def _described(
                 values["prefersNothing"] = (True,)
             plain: tuple[Value, ...] = tuple(Ref(each.id) for each in inner)
         else:
-            plain = tuple(_plain(type(one), field.name, value, numbers))
+            plain = tuple(_plain(type(one), field.name, value, serials))
         if plain:
             values[property_of(type(one), field.name)] = plain
     yield Individual(kind_of(one), own, values)
 
 
-def _plain(cls: type, field: str, value: object, numbers: Mapping[Constraint, int]) -> Iterator[Value]:
+def _plain(cls: type, field: str, value: object, serials: Serials) -> Iterator[Value]:
     if value is None or value == "" or value == math.inf:
         return
     if isinstance(value, Constraint):
-        yield Ref(_id(Constraint, str(numbers[value])))
+        yield Ref(element_id(value, serials))
     elif isinstance(value, Element):
-        yield Ref(_id(type(value), value.name))
+        yield Ref(named_id(type(value), value.name))
     elif field == "agreement":
         yield json.dumps(value)
     elif isinstance(value, tuple):
         for one in value:
-            yield from _plain(cls, field, one, numbers)
+            yield from _plain(cls, field, one, serials)
     elif isinstance(value, str) and field in NAMED:
-        yield Ref(_id(NAMED[field], value))
+        yield Ref(named_id(NAMED[field], value))
     elif isinstance(value, StrEnum):
         yield str(value)
     elif isinstance(value, str | bool | int | float):
         yield float(value) if field in _NUMBERS else value
 
 
-def _id(cls: type, name: str) -> str:
+def named_id(cls: type, name: str) -> str:
+    """Return the id of the element of a class that has a name."""
     return f"{CLASSES[cls]}.{_escaped(name)}"
 
 

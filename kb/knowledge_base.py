@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
 from types import MappingProxyType
 
 from kb.amendments import Changeable
@@ -13,41 +14,57 @@ from kb.explanation import why, why_selected
 from kb.facts import Fact, MeasurementFact, PlanFact, ProcessFact, RequiredActionFact
 from kb.growth import grown, shrunk
 from kb.inference import settle
+from kb.keeping import KEPT, Keeping
 from kb.model import Model
 from kb.network import Network, Node, is_steady
 from kb.reconfiguration import ReconfigurationPlan, reselect
+from kb.recovery import open_store, resume
 from kb.requests import Reply, RequiredAction, check_result
 from kb.situation import Situation, assumptions
 from kb.status import Status
-from kb.telling import Telling, status_changes
+from kb.telling import status_changes
 
 __all__ = ["KnowledgeBase"]
 
 
-class KnowledgeBase(Telling):
+class KnowledgeBase(Keeping):
     """What is known about a robot now, and what follows from it.
 
     Args:
         model: what the robot is made of and can do. It may be amended later: the next question sees it.
         clock: gives the time [s]; times of facts, requests and plans are its.
+        store: a file that keeps what is told; the base continues from what is in it. See `flush` and `close`.
+        keep: how many measurements of each attribute the store keeps; the newest.
 
     Facts may be told from any thread; each call holds the base until what follows from it is inferred.
     """
 
-    def __init__(self, model: Model, *, clock: Callable[[], float] = time.time) -> None:
+    def __init__(
+        self,
+        model: Model,
+        *,
+        clock: Callable[[], float] = time.time,
+        store: str | Path | None = None,
+        keep: int = KEPT,
+    ) -> None:
         if not isinstance(model, Model):
             raise InvalidValue(f"a knowledge base is made of a kb.Model, not of {model!r}")
         if not callable(clock):
             raise InvalidValue(f"the clock is a function that returns the time in seconds, not {clock!r}")
-        super().__init__(Network(model), clock)
+        if type(keep) is not int or keep < 1:
+            raise InvalidValue(f"keep is a whole number of measurements from 1, not {keep!r}")
+        past = None if store is None else open_store(model, store, keep)
+        super().__init__(Network(model), clock, past, keep)
         self.model = model
         self._open: dict[str, RequiredAction] = {}
         self._history: list[RequiredAction] = []
         self._plans: list[ReconfigurationPlan] = []
         self._open_plans: list[ReconfigurationPlan] = []
-        if model.facts:
-            now = clock()
-            settle(self._known, [node for fact in model.facts for node in self._begin_with(fact, now)])
+        if past and not past.store.is_new:
+            resume(self, past.facts, clock())
+        elif model.facts:
+            self._begin(clock())
+        self._begin_to_save()
         model.watch(self)
 
     def request_action(self, action: str, preference: str | Mapping[str, float] | None = None) -> Reply:
@@ -69,6 +86,7 @@ class KnowledgeBase(Telling):
                 return Reply(False, why(self._state, node, now))
             self._open[action] = RequiredAction(action, preference, now)
             self._history.append(self._open[action])
+            self._journal.enter(now, self._known, (), [self._open[action]])
             self._known.requested[node.index] = True
             self._tell(EventKind.ACTION_UPDATE, now, node, lambda: f"{action} is requested")
             return Reply(True, f"{action} is required")
@@ -90,6 +108,7 @@ class KnowledgeBase(Telling):
             if required is None:
                 return
             required._finish(result, now, reason)
+            self._journal.enter(now, self._known, (), [required])
             self._known.requested[node.index] = False
             words = f"{action} is {result}: {reason}" if reason else f"{action} is {result}"
             self._tell(EventKind.ACTION_UPDATE, now, node, lambda: words)
@@ -149,11 +168,13 @@ class KnowledgeBase(Telling):
             reason = why_selected(self._state, [*chosen, *given], now)
             selection = reselect(self._state, chosen, given)
             if not selection:
+                self._journal.selected(now, self._known, [*chosen, *given])
                 return None
             activate, deactivate, parameters, changes = selection
             plan = ReconfigurationPlan(activate, deactivate, parameters, reason, now)
             self._plans.append(plan)
             self._open_plans.append(plan)
+            self._journal.selected(now, self._known, [*chosen, *given], plan)
             self._publisher.publish(
                 Event(EventKind.RECONFIGURATION_PLAN, now, "", str(plan), status_changes(changes), plan)
             )
@@ -197,16 +218,19 @@ class KnowledgeBase(Telling):
             self._open_plans.remove(plan)
             if result != "failed":  # to make the same plan again at once would be of no use
                 self._revision += 1
-            if result == "completed":
-                for other in self._open_plans:
-                    other._finish("abandoned", now)
-                self._open_plans.clear()
+            others = self._open_plans[:] if result == "completed" else []
+            for other in others:
+                other._finish("abandoned", now)
+                self._open_plans.remove(other)
+            self._journal.enter(now, self._known, (), [plan, *others])
             return True
 
     def model_grew(self, added: Iterable[Changeable]) -> None:
         """Take in what was added to the model; the model calls this."""
+        added = tuple(added)
         elements = [one for one in added if not isinstance(one, Estimation)]
         with self._lock:
+            self._journal.amended(self._clock(), "declared", added, self._known)
             touched = grown(self._known, elements)
             for constraint in touched:
                 if constraint.kind == "constraint" and is_steady(constraint):
@@ -216,6 +240,7 @@ class KnowledgeBase(Telling):
     def model_changed(self, element: Changeable) -> None:
         """Take in what was changed in the model; the model calls this."""
         with self._lock:
+            self._journal.amended(self._clock(), "changed", [element], self._known)
             if isinstance(element, Estimation):
                 self._revision += 1
                 return
@@ -228,12 +253,25 @@ class KnowledgeBase(Telling):
 
     def model_shrank(self, removed: Iterable[Changeable]) -> None:
         """Take in what was removed from the model; the model calls this."""
+        removed = tuple(removed)
         elements = [one for one in removed if not isinstance(one, Estimation)]
         with self._lock:
             for element in elements:
                 if isinstance(element, Action):
                     self.cancel_action(element.name, reason="it is no longer in the model")
-            self._amended("removed", elements, shrunk(self._known, elements))
+            touched = shrunk(self._known, elements)
+            self._journal.amended(self._clock(), "removed", removed, self._known)
+            self._amended("removed", elements, touched)
+
+    def _begin(self, now: float) -> None:
+        """Begin with what the model states."""
+        facts = self.model.facts
+        settle(self._known, [node for fact in facts for node in self._begin_with(fact, now)])
+        if self._journal.keeps_measurements:
+            measured = [fact for fact in facts if isinstance(fact, MeasurementFact)]
+            for fact in sorted(measured, key=lambda one: one.latest):
+                self._journal.measured(fact.attribute, fact.value, now if fact.time is None else fact.time, fact.latest)
+        self._journal.enter(now, self._known, self._elements(), [*self._history, *self._plans, *self._processes])
 
     def _begin_with(self, fact: Fact, now: float) -> Sequence[Node]:
         """Take in a fact that the model states; returns the nodes from which to infer."""

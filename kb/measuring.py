@@ -109,6 +109,12 @@ class Measurements:
             self._begin(constraint, now)
         return node.constraints
 
+    def resume(self, constraint: Node, verdict: Status, since: float) -> None:
+        """Take up what a steady constraint was after all that was measured before, and since when [s]."""
+        self._state.verdict[constraint.index], self._since[constraint.index] = verdict, since
+        time = self._state.time[constraint.parts[0].index]
+        self._judge(constraint, since if time is None else time)
+
     def _begin(self, constraint: Node, now: float) -> None:
         """Judge a constraint as if nothing had been known of it before."""
         self._alarms.clear(constraint.index)

@@ -2,6 +2,8 @@
 
 import re
 import shutil
+import sqlite3
+import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from io import BytesIO
 from pathlib import Path
@@ -9,22 +11,32 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import owlready2
 from owlready2 import rdfxml_2_ntriples
+from owlready2.sparql.main import PreparedSelectQuery, Translator
 
 from kb.declaring import Declarer
-from kb.exceptions import KnowledgeBaseError, ModelError, UnknownName
+from kb.exceptions import InvalidValue, KnowledgeBaseError, ModelError, UnknownName
 from kb.files import ModelFileError, read_text
-from kb.individuals import CLASSES, GENERAL, MODEL, PARAMETER, PREFERENCE, Individual, Ref, Value
-from kb.rdfxml import ROSA, plain_text
+from kb.individuals import CLASSES, GENERAL, MODEL, PARAMETER, PREFERENCE, STATED, Individual, Ref, Value
+from kb.rdfxml import ROSA, order, plain_text
 
 if TYPE_CHECKING:
     from kb.model import Model
 
-__all__ = ["inconsistency", "load_owl"]
+__all__ = ["Answer", "Book", "inconsistency", "load_owl"]
 
 _TYPE: Final = "http://www.w3.org/1999/02/22-rdf-syntax-ns#type"
 _KINDS: Final = frozenset({*CLASSES.values(), *GENERAL, MODEL, PARAMETER, PREFERENCE})
 _ABSTRACT: Final = frozenset({"Element", "Relation", "Fact", "Period"})
+_FIRST: Final = 1 << 40
+"""What stands for fact 0 in the tables; what stands for anything else is less."""
+
+_MOST_ROWS: Final = 1_000_000
+_AT_ONCE: Final = 200
+_VERB: Final = re.compile(r"(?:\s|#[^\n]*\n|(?:prefix\s+[^\s:]*:|base)\s*<[^>]*>)*(\w+)", re.IGNORECASE)
 _WHERE: Final = re.compile(r"line (\d+), column (\d+)")
+
+
+Answer = str | bool | int | float | None
 
 
 class _Triple(NamedTuple):
@@ -45,6 +57,9 @@ def load_owl(cls: "type[Model]", paths: Sequence[Path], name: str | None) -> "Mo
     try:
         found = [_individual(subject, values) for subject, values in told.items()]
         given = [one for one in found if one is not None]
+        for one in given:
+            if one.kind not in _KINDS:
+                raise ModelError(f"{one.id}: {UnknownName('class', one.kind, sorted(_KINDS))}")
         model = cls(name or _model_name(given) or paths[0].stem)
         Declarer(model).declare(given)
     except KnowledgeBaseError as error:
@@ -108,9 +123,6 @@ def _individual(subject: str, told: Mapping[str, Sequence[Value]]) -> Individual
     ours = [one for one in types if one and one not in _ABSTRACT]
     if not ours:
         return None
-    for one in ours:
-        if one not in _KINDS:
-            raise ModelError(f"{subject}: {UnknownName('class', one, sorted(_KINDS))}")
     kinds = [one for one in dict.fromkeys(ours) if one not in {GENERAL.get(other) for other in ours}]
     if len(kinds) > 1:
         raise ModelError(f"{subject} is {' and '.join(kinds)}; it can be one of them")
@@ -141,3 +153,212 @@ def _local(value: Value) -> str:
 def _model_name(given: Iterable[Individual]) -> str | None:
     names: list[Any] = [name for one in given if one.kind == MODEL for name in one.values.get("name", ())]
     return names[0] if names else None
+
+
+class Book:
+    """A world of individuals: the words of ROSA, a model, what was told, and what is inferred.
+
+    Args:
+        base: the IRI of the model.
+        path: the file of the world, which is there; without it the world is in memory.
+        connection: to the file, which stays locked.
+    """
+
+    def __init__(self, base: str, path: Path | None = None, connection: sqlite3.Connection | None = None) -> None:
+        self.base = base
+        if path is None:
+            self.world = owlready2.World()
+        else:
+            self.world = owlready2.World(filename=str(path), connection=connection)
+        self._db = self.world.graph.db
+        self._contexts = {
+            name: self.world.get_ontology(f"{base}/{name}#").graph.c for name in ("model", "told", "inferred")
+        }
+        self._words: dict[str, int] = {}
+
+    @property
+    def connection(self) -> sqlite3.Connection:
+        """The database of the world."""
+        connection: sqlite3.Connection = self._db
+        return connection
+
+    def describe(self, words: str, given: Iterable[Individual]) -> None:
+        """Begin with the words of ROSA and a model."""
+        self.world.get_ontology(ROSA).load(only_local=True, fileobj=BytesIO(words.encode()))
+        self.write_model(given)
+
+    def write_model(self, given: Iterable[Individual]) -> None:
+        """Replace the model; what it states to be so is told, and is no part of it."""
+        self._clear("model")
+        self._write("model", (one for one in given if not one.id.startswith(f"{STATED}.")))
+
+    def write(self, entries: Iterable[Individual]) -> None:
+        """Add what was told; an individual that has no kind is there already and has more values now."""
+        self._write("told", entries)
+
+    def write_inferred(self, given: Iterable[Individual]) -> None:
+        """Replace what is inferred of the model."""
+        self._clear("inferred")
+        self._write("inferred", given)
+
+    def forget(self, numbers: Iterable[int]) -> None:
+        """Remove facts."""
+        text = str([_FIRST + number for number in numbers])
+        for table, column in (("objs", "s"), ("datas", "s"), ("resources", "storid")):
+            self._db.execute(f"DELETE FROM {table} WHERE {column} IN (SELECT value FROM json_each(?))", (text,))
+
+    def ask(self, query: str, timeout: float) -> list[tuple[Answer, ...]]:
+        """Answer a SPARQL query.
+
+        Raises:
+            InvalidValue: it is no query, or would change something.
+            KnowledgeBaseError: it takes longer than the time-out [s], or its answer is too long.
+        """
+        prepared = self._prepared(query)
+        deadline = time.monotonic() + timeout
+        self._db.set_progress_handler(lambda: time.monotonic() > deadline, 10_000)
+        rows: list[tuple[Answer, ...]] = []
+        try:
+            cursor = prepared.execute_raw()
+            while some := cursor.fetchmany(10_000):
+                rows += (tuple(self._answers(row, prepared.column_types)) for row in some)
+                if len(rows) > _MOST_ROWS:
+                    raise KnowledgeBaseError(f"the answer has more than {_MOST_ROWS} rows; ask for less, or add LIMIT")
+        except sqlite3.OperationalError as error:
+            if time.monotonic() <= deadline:
+                raise InvalidValue(f"the query cannot be answered: {error}") from None
+            raise KnowledgeBaseError(
+                f"the query was stopped after {timeout:g} s; ask for less, or allow it a longer timeout"
+            ) from None
+        finally:
+            self._db.set_progress_handler(None, 0)
+        return rows
+
+    def _prepared(self, query: str) -> Any:  # noqa: ANN401  # of owlready2
+        verb = _VERB.match(query)
+        if verb is None or verb[1].upper() != "SELECT":
+            given = f"{verb[1]} is none" if verb else "there is none"
+            raise InvalidValue(f"a query begins with SELECT, after its prefixes; {given}. Queries change nothing")
+        try:
+            prepared = Translator(self.world).parse(f"PREFIX : <{ROSA}>\nPREFIX rosa: <{ROSA}>\n{query}")
+        except Exception as error:
+            unknown = re.search(f"'{ROSA}(.*?)'", str(error))
+            if unknown:
+                raise UnknownName("word of ROSA", unknown[1], self._vocabulary()) from None
+            raise InvalidValue(f"this is no SPARQL that can be answered: {type(error).__name__} {error}") from None
+        if not isinstance(prepared, PreparedSelectQuery):
+            raise InvalidValue("a query only asks; this one would change something")
+        return prepared
+
+    def _vocabulary(self) -> list[str]:
+        found = self._db.execute("SELECT iri FROM resources WHERE iri LIKE ? ORDER BY iri", (f"{ROSA}_%",)).fetchall()
+        return [iri.removeprefix(ROSA) for (iri,) in found]
+
+    def _answers(self, row: Sequence[Any], types: Sequence[str]) -> Iterator[Answer]:
+        cells = iter(zip(row, types, strict=True))
+        for cell, sort in cells:
+            datatype = "o" if sort == "objs" else next(cells)[0]
+            if cell is None:
+                yield None
+            elif datatype != "o":
+                yield self.world._to_python(cell, datatype)
+            else:
+                yield f"_:{-cell}" if cell < 0 else self.world._unabbreviate(cell)
+
+    def forget_measurements(self) -> None:
+        """Remove all measurements."""
+        kind = (self._word(_TYPE), self._word(f"{ROSA}Measurement"))
+        found = self._db.execute("SELECT s FROM objs WHERE p=? AND o=?", kind).fetchall()
+        self.forget(one - _FIRST for (one,) in found)
+
+    def set_number(self, number: int) -> None:
+        """Set how many facts were told."""
+        self._db.execute(
+            "UPDATE datas SET o=? WHERE p=? AND c=?", (number, self._word(f"{ROSA}told"), self._contexts["told"])
+        )
+
+    def facts(self) -> list[Individual]:
+        """Return what was told, in order, and what is nested in it first."""
+        c = (self._contexts["told"],)
+        iris = dict(self._db.execute("SELECT storid, iri FROM resources").fetchall())
+        values: dict[int, dict[str, list[Value]]] = {}
+        for subject, word, value in self._db.execute("SELECT s, p, o FROM objs WHERE c=? ORDER BY rowid", c):
+            named = Ref(iris[value].removeprefix(f"{self.base}#"))
+            values.setdefault(subject, {}).setdefault(iris[word], []).append(named)
+        for subject, word, value, datatype in self._db.execute(
+            "SELECT s, p, o, d FROM datas WHERE c=? ORDER BY rowid", c
+        ):
+            read = value == "true" if iris.get(datatype, "").endswith("#boolean") else value
+            values.setdefault(subject, {}).setdefault(iris[word], []).append(read)
+        found = (_individual(iris[subject], values[subject]) for subject in sorted(values))
+        return [one._replace(id=one.id.removeprefix(f"{self.base}#")) for one in found if one is not None]
+
+    def commit(self) -> None:
+        """Have everything that was written last."""
+        self._db.commit()
+
+    def copy_to(self, other: "Book") -> None:
+        """Make another book the same as this one."""
+        other._db.commit()
+        self._db.backup(other._db)
+        other._words.clear()
+
+    def close(self) -> None:
+        """Give the file back."""
+        self.world.close()
+
+    def _clear(self, context: str) -> None:
+        for table in ("objs", "datas"):
+            self._db.execute(f"DELETE FROM {table} WHERE c=?", (self._contexts[context],))
+
+    def _write(self, context: str, given: Iterable[Individual]) -> None:
+        c = self._contexts[context]
+        names, relations, values = [], [], []
+        for one in given:
+            subject = self._node(one.id)
+            if subject >= _FIRST:
+                names.append((subject, f"{self.base}#{one.id}"))
+            for kind in dict.fromkeys((GENERAL.get(one.kind, one.kind), one.kind)) if one.kind else ():
+                relations.append((c, subject, self._word(_TYPE), self._word(f"{ROSA}{kind}")))
+            for name, value in _said(one):
+                word = self._word(f"{ROSA}{name}")
+                if isinstance(value, Ref):
+                    relations.append((c, subject, word, self._node(value.id)))
+                else:
+                    values.append((c, subject, word, *self.world._to_rdf(_storable(value))))
+        self._insert("resources", names)
+        self._insert("objs", relations)
+        self._insert("datas", values)
+
+    def _insert(self, table: str, rows: Sequence[tuple[object, ...]]) -> None:
+        """Insert many rows in few steps, for each step may have to wait until a busy thread takes a rest."""
+        for first in range(0, len(rows), _AT_ONCE):
+            some = rows[first : first + _AT_ONCE]
+            marks = ",".join(["(" + ",".join("?" * len(some[0])) + ")"] * len(some))
+            self._db.execute(f"INSERT OR IGNORE INTO {table} VALUES {marks}", [one for row in some for one in row])
+
+    def _node(self, own: str) -> int:
+        """Return what stands for an individual in the tables."""
+        stated, _, number = own.partition(".")
+        return _FIRST + int(number) if stated == STATED else self._word(f"{self.base}#{own}")
+
+    def _word(self, iri: str) -> int:
+        found = self._words.get(iri)
+        if found is None:
+            found = self._words[iri] = self.world._abbreviate(iri)
+        return found
+
+
+def _said(one: Individual) -> Iterator[tuple[str, Value]]:
+    for name, values in one.values.items():
+        for value in values:
+            yield name, value
+    if ordered := order(one):
+        yield "order", ordered
+
+
+def _storable(value: Value) -> object:
+    """Return a value that the tables can hold: no number of more than 64 bits, and no half of a character."""
+    if isinstance(value, str):
+        return value.encode("utf-8", "backslashreplace").decode()
+    return str(value) if type(value) is int and abs(value) >= 1 << 63 else value

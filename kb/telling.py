@@ -2,7 +2,7 @@
 
 import logging
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 
 from kb.declarations import parameters as checked_parameters
 from kb.diagnostics import DiagnosticProblem, Measurement, read_diagnostics
@@ -12,6 +12,7 @@ from kb.exceptions import InvalidValue, KnowledgeBaseError
 from kb.explanation import shortest
 from kb.history import History, Process
 from kb.inference import Change, initial_state, settle
+from kb.journal import Journal
 from kb.measuring import Measurements
 from kb.network import Network, Node
 from kb.questions import ELEMENTS, Questions
@@ -38,6 +39,7 @@ class Telling(Questions):
         self._publisher = Publisher()
         self._measurements = Measurements(self._known)
         self._processes: list[Process] = []
+        self._journal = Journal(network.model)
         self._rejected = 0
         self._revision = 0
 
@@ -61,6 +63,8 @@ class Telling(Questions):
             if now >= self._measurements.next_change:
                 self._look_at_the_clock()
             touched = self._measurements.take(node, number, now)
+            if self._journal.keeps_measurements:
+                self._journal.measured(node.name, number, now)
             self._tell(EventKind.MONITORING_DATA, now, node, lambda: self._reading(node, number), touched, plain=True)
 
     def component_failed(self, component: str) -> None:
@@ -88,6 +92,7 @@ class Telling(Questions):
         node = self.components.node(component)
         with self._lock:
             self._in_force[node.name] = dict(checked_parameters(node.name, parameters))
+            self._journal.configured(self._clock(), node, self._in_force[node.name])
 
     def component_started(self, component: str, pid: int) -> Process:
         """Tell that a component runs as a process of the operating system, whether it is active already or not."""
@@ -97,6 +102,7 @@ class Telling(Questions):
         with self._lock:
             process = Process(node.name, pid, self._clock())
             self._processes.append(process)
+            self._journal.enter(process.start, self._known, (), [process])
             return process
 
     def component_ended(self, component: str, pid: int | None = None) -> None:
@@ -107,6 +113,7 @@ class Telling(Questions):
             for process in self._processes:
                 if process.component == node.name and process.end is None and pid in (None, process.pid):
                     process._finish(now)
+                    self._journal.enter(now, self._known, (), [process])
 
     @property
     def processes(self) -> tuple[Process, ...]:
@@ -231,7 +238,7 @@ class Telling(Questions):
         now: float,
         node: Node,
         text: Callable[[], str],
-        touched: Iterable[Node] | None = None,
+        touched: Collection[Node] | None = None,
         plain: bool = False,
     ) -> None:
         """Infer what follows from changed facts and publish it.
@@ -244,7 +251,9 @@ class Telling(Questions):
             touched: the nodes whose facts changed, if not the one that the event is about.
             plain: it matters only if a status changed by it.
         """
-        changes = settle(self._known, [node] if touched is None else touched)
+        nodes = [node] if touched is None else touched
+        changes = settle(self._known, nodes)
+        self._journal.enter(now, self._known, nodes)
         if changes or not plain:
             self._revision += 1
         if self._publisher:
