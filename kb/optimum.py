@@ -16,7 +16,6 @@ from kb.optimum_posing import pose
 from kb.optimum_problem import ComponentOptions, Effect, Option, Picks, Problem
 from kb.selection import Criterion, Optimum
 from kb.state import State
-from kb.status import Status
 
 __all__ = ["EFFORT", "best_choice", "solve", "verdicts"]
 
@@ -60,33 +59,19 @@ def solve(problem: Problem, effort: float = EFFORT) -> Optimum:
     return _Search(problem, effort).optimum()
 
 
-def verdicts(
-    state: State, criterion: Criterion, node: Node, optimum: Optimum, effort: float = EFFORT
-) -> Mapping[str, str]:
-    """Return what the criterion says of each design or configuration that can be chosen for a function or component.
+def verdicts(optimum: Optimum, chosen: str, rivals: Mapping[str, Problem], effort: float = EFFORT) -> dict[str, str]:
+    """Return what is to be said of each design or configuration that can be chosen for a function or component.
 
     Args:
-        state: the facts and statuses.
-        criterion: what makes a choice better.
-        node: the function or component.
-        optimum: the best choice in this state.
+        optimum: the best choice.
+        chosen: name of the one that is in it.
+        rivals: the same problem with each of the others forced into the choice, by name.
         effort: how much work may be done for each of them.
-
-    Returns:
-        A clause for each, by name; nothing for what has no place in the best choice.
     """
-    if optimum.choice is None or optimum.value is None:
-        return {}
-    chosen = optimum.choice[node.kind == "component"].get(node.name)
-    if chosen is None:
-        return {}
-    said = {}
-    for part in node.parts:
-        if part.name == chosen:
-            said[part.name] = f"it is part of {optimum.reason}"
-        elif state.status[part.index] is not Status.UNFEASIBLE:
-            rival = solve(pose(state, criterion, forced=part), effort)
-            said[part.name] = _compared(rival, optimum.value, optimum.resolution)
+    assert optimum.value is not None  # something is chosen
+    said = {chosen: f"it is part of {optimum.reason}"}
+    for name, problem in rivals.items():
+        said[name] = _compared(solve(problem, effort), optimum.value, optimum.resolution)
     return said
 
 

@@ -10,6 +10,7 @@ from kb.manager import PriorityPlanner
 from kb.optimum_posing import pose
 from kb.reconfiguration import ReconfigurationPlan
 from kb.selection import Criterion, Optimum, summed_weights
+from kb.status import Status
 from kb.views import ElementView
 
 __all__ = ["OptimalPlanner"]
@@ -74,11 +75,15 @@ class OptimalPlanner:
 
     def explain_choice(self, kb: KnowledgeBase, element: ElementView | Element | str) -> ChoiceExplanation:
         """Say why a function or component has what it has, by this planner's criterion; see `kb.explain_choice`."""
-        optimum, criterion = self.optimum(kb), self.criterion(kb)
-        with kb._lock:
-            node = kb._node(element, ("function", "component"))
-            if optimum is None or optimum.choice is None:
-                return explain_choice(kb._state, node, kb._clock())
+        node, optimum, criterion = kb._node(element, ("function", "component")), self.optimum(kb), self.criterion(kb)
+        preferred, said = None, {}
+        if optimum is not None and optimum.choice is not None:
             preferred = optimum.choice[node.kind == "component"].get(node.name)
-            said = self._solver.verdicts(kb._state, criterion, node, optimum, self._effort)
+        if optimum is not None and preferred is not None:
+            with kb._lock:  # to pose them is quick; others need not wait for the answers
+                possible = [part for part in node.parts if kb._state.status[part.index] is not Status.UNFEASIBLE]
+                rivals = {part.name: pose(kb._state, criterion, forced=part) for part in possible}
+            rivals.pop(preferred, None)
+            said = self._solver.verdicts(optimum, preferred, rivals, self._effort)
+        with kb._lock:
             return explain_choice(kb._state, node, kb._clock(), preferred, said)

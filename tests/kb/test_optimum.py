@@ -390,19 +390,21 @@ def test_choice_by_priority_is_explained_by_priority(model):
 
 @SLOW
 @given(robots(), criteria())
-def test_everything_that_can_be_chosen_for_a_function_has_a_verdict(kb, criterion):
+def test_every_rival_is_told_to_be_worth_less_or_later_or_not_to_fit(kb, criterion):
     best = best_choice(kb._state, criterion)
     assume(best.choice and best.choice.designs)
-    for name in best.choice.designs:
-        node = kb._network.functions[name]
-        said = verdicts(kb._state, criterion, node, best)
-        assert set(said) == {part.name for part in ranked(kb._state, node)}
-        for part in ranked(kb._state, node):
-            forced = solve(pose(kb._state, criterion, forced=part))
-            assert (forced.value is None) is (said[part.name].startswith("with it, "))
-            if forced.value is not None:
+    for name, chosen in best.choice.designs.items():
+        possible = ranked(kb._state, kb._network.functions[name])
+        rivals = {part.name: pose(kb._state, criterion, forced=part) for part in possible if part.name != chosen}
+        said = verdicts(best, chosen, rivals)
+        assert set(said) == {*rivals, chosen}
+        for rival, problem in rivals.items():
+            forced = solve(problem)
+            assert said[rival].startswith("with it, ") is (forced.value is None)
+            assert ("less than" in said[rival]) is (forced.value is not None and forced.value < best.value)
+            if forced.choice is not None:
                 assert forced.value <= best.value
-                assert forced.choice.designs[name] == part.name
+                assert forced.choice.designs[name] == rival
 
 
 def test_what_is_not_in_the_model_is_an_error_that_names_what_is(model):
