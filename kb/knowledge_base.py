@@ -7,7 +7,8 @@ from types import MappingProxyType
 
 from kb.amendments import Changeable
 from kb.beginning import past_plan, past_process, past_request, stated
-from kb.elements import Action, Constraint, Element, Estimation, finite_number
+from kb.declarations import text
+from kb.elements import Action, Attribute, Component, Constraint, Element, Estimation, finite_number
 from kb.events import Event, EventKind
 from kb.exceptions import InvalidValue, KnowledgeBaseError
 from kb.explanation import why, why_selected
@@ -102,6 +103,7 @@ class KnowledgeBase(Keeping):
         node = self.actions.node(action)
         action = node.name
         check_result(result)
+        text("the reason why an action ends", reason)
         with self._lock:
             now = self._clock()
             required = self._open.pop(action, None)
@@ -132,7 +134,7 @@ class KnowledgeBase(Keeping):
             requested: names of actions supposed to be required, even if they are unfeasible.
             attributes: values by name of attribute, e.g. `light=0.3`.
         """
-        supposed = assumptions(self, {**(measured or {}), **attributes}, failed, recovered, requested)
+        supposed = assumptions(self, measured, attributes, failed, recovered, requested)
         return Situation(self, tuple(supposed))
 
     @property
@@ -259,6 +261,10 @@ class KnowledgeBase(Keeping):
             for element in elements:
                 if isinstance(element, Action):
                     self.cancel_action(element.name, reason="it is no longer in the model")
+                elif isinstance(element, Component):
+                    self._in_force.pop(element.name, None)
+                elif isinstance(element, Attribute | Constraint):
+                    self._measurements.forget(self._network.find(element))
             touched = shrunk(self._known, elements)
             self._journal.amended(self._clock(), "removed", removed, self._known)
             self._amended("removed", elements, touched)

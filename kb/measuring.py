@@ -115,6 +115,10 @@ class Measurements:
         time = self._state.time[constraint.parts[0].index]
         self._judge(constraint, since if time is None else time)
 
+    def forget(self, node: Node) -> None:
+        """Take note that an attribute or constraint is no longer in the model."""
+        self._alarms.clear(node.index)
+
     def _begin(self, constraint: Node, now: float) -> None:
         """Judge a constraint as if nothing had been known of it before."""
         self._alarms.clear(constraint.index)

@@ -118,12 +118,12 @@ def assumptions(
         raise InvalidValue(f"what is supposed to be measured is given as values by name, not as {measured!r}")
     values = {**(measured or {}), **attributes}
     supposed = [_Assumption("measured", asked.attributes.node(name), _value(name, values[name])) for name in values]
-    for what, value, names, views in (
-        ("failed", True, failed, asked.components),
-        ("failed", False, recovered, asked.components),
-        ("requested", True, requested, asked.actions),
+    for word, what, value, names, views in (
+        ("failed", "failed", True, failed, asked.components),
+        ("recovered", "failed", False, recovered, asked.components),
+        ("requested", "requested", True, requested, asked.actions),
     ):
-        wanted = (names,) if isinstance(names, str) else listed(f"what is supposed to be {what}", names)
+        wanted = (names,) if isinstance(names, str) else listed(f"names supposed to be {word}", names)
         supposed += [_Assumption(what, views.node(name), value) for name in wanted]
     return supposed
 

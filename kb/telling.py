@@ -5,8 +5,9 @@ import math
 from collections.abc import Callable, Collection, Iterable
 
 from kb.declarations import parameters as checked_parameters
+from kb.declarations import pid as checked_pid
 from kb.diagnostics import DiagnosticProblem, Measurement, read_diagnostics
-from kb.elements import Element, Parameters, finite_number
+from kb.elements import Constraint, Element, Parameters, finite_number
 from kb.events import Event, EventKind, Publisher, StatusChange
 from kb.exceptions import InvalidValue, KnowledgeBaseError
 from kb.explanation import shortest
@@ -97,8 +98,7 @@ class Telling(Questions):
     def component_started(self, component: str, pid: int) -> Process:
         """Tell that a component runs as a process of the operating system, whether it is active already or not."""
         node = self.components.node(component)
-        if not isinstance(pid, int) or isinstance(pid, bool) or pid < 0:
-            raise InvalidValue(f"a process number is a whole number from 0, not {pid!r}")
+        checked_pid(pid)
         with self._lock:
             process = Process(node.name, pid, self._clock())
             self._processes.append(process)
@@ -108,6 +108,8 @@ class Telling(Questions):
     def component_ended(self, component: str, pid: int | None = None) -> None:
         """Tell that the process of a component has ended: that of a number, or all of them."""
         node = self.components.node(component)
+        if pid is not None:
+            checked_pid(pid)
         with self._lock:
             now = self._clock()
             for process in self._processes:
@@ -146,7 +148,7 @@ class Telling(Questions):
             self._rejected += len(problems)
         return tuple(problems)
 
-    def assert_status(self, element: ElementView | Element | str, status: Status | str) -> None:
+    def assert_status(self, element: ElementView | Element | Constraint | str, status: Status | str) -> None:
         """State an element's status outright; it stands in place of the inferred one until it is retracted."""
         try:
             wanted = Status(status)
@@ -155,11 +157,11 @@ class Telling(Questions):
             raise InvalidValue(f"{status!r} is no status; a status is one of {known}") from None
         self._assert_status(element, wanted)
 
-    def retract_status(self, element: ElementView | Element | str) -> None:
+    def retract_status(self, element: ElementView | Element | Constraint | str) -> None:
         """Take back an asserted status; the inferred one holds again."""
         self._assert_status(element, None)
 
-    def assert_required(self, element: ElementView | Element | str, required: bool | None) -> None:
+    def assert_required(self, element: ElementView | Element | Constraint | str, required: bool | None) -> None:
         """State that an element is required; False or None takes that back and hides no inferred requirement."""
         with self._lock:
             node = self._node(element, ("action", "function", "component"), unique=True)
@@ -168,7 +170,7 @@ class Telling(Questions):
             words = "asserted required" if required else "no longer asserted required"
             self._tell(EventKind.MONITORING_DATA, now, node, lambda: f"{node.name} is {words}")
 
-    def assert_selected(self, element: ElementView | Element | str, selected: bool | None) -> None:
+    def assert_selected(self, element: ElementView | Element | Constraint | str, selected: bool | None) -> None:
         """State that a design or configuration is the selected one, or is not."""
         with self._lock:
             node = self._node(element, ("function design", "configuration"), unique=True)
@@ -221,7 +223,7 @@ class Telling(Questions):
             words = "has failed" if failed else "is recovered"
             self._tell(EventKind.MONITORING_DATA, now, node, lambda: f"{node.name} {words}")
 
-    def _assert_status(self, element: ElementView | Element | str, status: Status | None) -> None:
+    def _assert_status(self, element: ElementView | Element | Constraint | str, status: Status | None) -> None:
         with self._lock:
             node = self._node(element, ELEMENTS, unique=True)
             if status is not None and status not in STATUSES[node.kind]:

@@ -315,3 +315,34 @@ def test_models_are_equal_if_they_say_the_same():
     one.action("rest")
     assert one != other
     assert one != "rover"
+
+
+def test_a_component_declared_again_knows_nothing_of_the_one_that_was_removed(kb):
+    model = kb.model
+    lamp = model.component("lamp")
+    kb.component_configured("lamp", {"power": 3})
+    model.remove(lamp)
+    model.component("lamp")
+    assert dict(kb.components["lamp"].parameters_in_force) == {}
+
+
+def test_a_constraint_can_be_asked_about_and_asserted_itself(kb):
+    (bound,) = kb.model.actions["explore"].constrain(kb.model.attributes["light"] >= 0.2)
+    kb.measure("light", 0.15)
+    assert str(kb.explain(bound)).startswith("light 0.15 violates >= 0.2")
+    kb.assert_status(bound, "satisfied")
+    assert kb.is_feasible("explore")
+    kb.retract_status(bound)
+    assert not kb.is_feasible("explore")
+
+
+def test_a_view_of_what_is_removed_cannot_be_asserted(kb):
+    view = kb.actions["explore"]
+    kb.model.remove(kb.model.actions["explore"])
+    with pytest.raises(UnknownName, match="explore"):
+        kb.assert_status(view, "unfeasible")
+
+
+def test_what_watches_a_model_can_be_told():
+    with pytest.raises(ModelError, match="model_grew"):
+        rover().watch(print)

@@ -3,7 +3,7 @@
 import pytest
 from models import Clock
 
-from kb import InvalidValue, KnowledgeBase, Model, ModelError, Status, UnknownName
+from kb import InvalidValue, KnowledgeBase, KnowledgeBaseError, Model, ModelError, Status, UnknownName
 from kb.facts import (
     ActiveFact,
     MeasurementFact,
@@ -122,6 +122,41 @@ def test_facts_about_what_is_not_there_are_refused(model, fact, error, words):
     with pytest.raises(error, match=words):
         model.add_fact(fact)
     assert model.facts == ()
+
+
+@pytest.mark.parametrize(
+    "state",
+    [
+        lambda model: SelectedFact(model.actions["explore"]),
+        lambda model: SelectedFact(model.components["camera"]),
+        lambda model: RequiredFact(model.designs["by camera"]),
+        lambda model: RequiredFact(model.configurations["day"]),
+        lambda model: StatusFact(model.actions["explore"], "odd"),
+        lambda model: ProcessFact("camera", None),
+        lambda model: ProcessFact("camera", -4),
+        lambda model: ProcessFact("camera", 4, start=float("inf")),
+        lambda model: RequiredActionFact("explore", {"light": float("nan")}),
+        lambda model: RequiredActionFact("explore", {"light": None}),
+        lambda model: RequiredActionFact("explore", ["light"]),
+        lambda model: RequiredActionFact("explore", result="done"),
+        lambda model: MeasurementFact([], 1.0),
+        lambda model: MeasurementFact("light", None),
+        lambda model: MeasurementFact("light", 1.0, latest="yes"),
+        lambda model: ActiveFact([]),
+        lambda model: PlanFact(None),
+        lambda model: PlanFact(activate="camera"),
+    ],
+)
+def test_facts_that_make_no_sense_are_refused_where_they_are_stated(model, state):
+    with pytest.raises(KnowledgeBaseError):
+        model.add_fact(state(model))
+    assert model.facts == ()
+
+
+def test_a_status_stated_as_a_text_counts_as_that_status(model):
+    kb = begun(model, StatusFact(model.actions["explore"], "unfeasible"))
+    assert kb.actions["explore"].status is Status.UNFEASIBLE
+    assert not kb.is_feasible("explore")
 
 
 def test_facts_about_elements_of_another_model_are_refused(model):

@@ -7,7 +7,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from models import NUMBERS, Clock, Twins, events, stories, subsets
 
-from kb import InvalidValue, KnowledgeBase, Model, Status, UnknownName
+from kb import InvalidValue, KnowledgeBase, KnowledgeBaseError, Model, Status, UnknownName
 
 SLOW = [HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much]
 
@@ -163,4 +163,39 @@ def test_a_situation_about_something_removed_from_the_model_says_so(kb):
     situation = kb.situation(requested=["rest"])
     kb.model.remove(kb.model.actions["rest"])
     with pytest.raises(UnknownName, match="rest"):
+        situation.selectable_actions()
+
+
+def test_a_situation_looks_only_at_the_constraints_that_turn():
+    model = Model("hub")
+    charge = model.quality_attribute("charge")
+    for number in range(500):
+        model.action(f"a{number}", constraints=[charge >= number])
+    kb = KnowledgeBase(model, clock=Clock())
+    kb.measure("charge", 500.0)
+    situation = kb.situation(charge=498.5)
+    assert len(situation.selectable_actions()) == 499
+    assert situation._state.visited == 2  # one constraint and its action
+
+
+@pytest.mark.parametrize("wrong", [5, ["light"], "light"])
+def test_what_is_measured_is_supposed_by_name(kb, wrong):
+    with pytest.raises(InvalidValue, match="values by name"):
+        kb.situation(wrong)
+
+
+@pytest.mark.parametrize("what", ["failed", "recovered", "requested"])
+def test_names_are_supposed_in_a_list(kb, what):
+    for wrong in (None, 5):
+        with pytest.raises(KnowledgeBaseError, match=f"supposed to be {what}"):
+            kb.situation(**{what: wrong})
+
+
+def test_a_situation_about_a_removed_attribute_says_so_at_once(kb):
+    model = kb.model
+    wind = model.quality_attribute("wind")
+    situation = kb.situation(wind=1.0)
+    assert situation.attributes["wind"].value == 1.0
+    model.remove(wind)
+    with pytest.raises(UnknownName, match="wind"):
         situation.selectable_actions()

@@ -2,12 +2,12 @@
 
 import sys
 import threading
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 import pytest
 from models import Clock
 
-from kb import EventKind, KnowledgeBase, Model, PriorityPlanner, Status
+from kb import EventKind, KnowledgeBase, Model, PriorityPlanner, Status, UnknownName
 
 
 @contextmanager
@@ -137,6 +137,30 @@ def test_a_model_may_grow_on_one_thread_while_others_tell_and_ask(kb):
     assert len(kb.actions) == 151
     assert len(kb.functions["see"].designs) == 2 + 75
     assert len(kb.selectable_actions()) == 151
+
+
+def test_an_action_that_is_never_possible_is_never_answered_to_be_possible_while_it_comes_and_goes():
+    model = Model("growing")
+    model.function("never")  # without a design
+    kb = KnowledgeBase(model, clock=Clock(1.0))
+    done = threading.Event()
+
+    def author():
+        for _ in range(400):
+            model.action("try", requires=["never"])
+            assert len(list(kb.actions.values())) == 1
+            model.remove(model.actions["try"])
+        done.set()
+
+    def tree():
+        while not done.is_set():
+            with suppress(UnknownName):  # it is not there at the moment
+                assert not kb.is_feasible("try")
+            assert kb.selectable_actions() == ()
+            assert all(view.status is Status.UNFEASIBLE for view in kb.actions.values())
+            assert sorted(kb.actions) in ([], ["try"])
+
+    run_together(author, tree, tree)
 
 
 def test_a_measurement_grows_old_for_all_threads_at_once():
