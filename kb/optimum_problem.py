@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 from kb.network import Node
 from kb.selection import Choice
 
-__all__ = ["EXACTLY", "ComponentOptions", "Effect", "FunctionOptions", "Option", "Picks", "Problem", "decimal", "whole"]
+__all__ = ["ComponentOptions", "EXACTLY", "Effect", "FunctionOptions", "Option", "Picks", "Problem", "decimal", "whole"]
 
 DIGITS: Final = 12
 """All effects of a kind together have no more digits than this as whole numbers; else they are rounded."""
