@@ -1,6 +1,8 @@
 """What a robot knows: which actions are feasible now, why, and how it has to be configured for what it does."""
 
+from kb.attempts import Attempt
 from kb.choice import ChoiceExplanation
+from kb.condemned import Condemnation
 from kb.diagnostics import DiagnosticProblem
 from kb.elements import AttributeKind, ComponentKind, EstimationKind, Expression, StalePolicy
 from kb.events import Event, EventKind, StatusChange
@@ -8,12 +10,15 @@ from kb.exceptions import AmbiguousName, DuplicateName, InvalidValue, KnowledgeB
 from kb.execution import StagedExecutor
 from kb.explanation import Explanation
 from kb.files import ModelFileError
+from kb.gate import VetoAnswer
 from kb.history import Process
 from kb.judge import Finding, Severity
 from kb.knowledge_base import KnowledgeBase
 from kb.managed import ManagedObject, ManagedObjects, ManagedSystem, Operation
 from kb.manager import ConfigurationManager, Executor, Monitor, Planner, PriorityPlanner
 from kb.model import Model
+from kb.processes import ProcessComponents
+from kb.programs import Program
 from kb.reconfiguration import Obsolete, ReconfigurationPlan
 from kb.requests import Reply, RequiredAction
 from kb.selection import Choice
@@ -22,10 +27,12 @@ from kb.status import Status
 
 __all__ = [
     "AmbiguousName",
+    "Attempt",
     "AttributeKind",
     "Choice",
     "ChoiceExplanation",
     "ComponentKind",
+    "Condemnation",
     "ConfigurationManager",
     "DiagnosticProblem",
     "DuplicateName",
@@ -51,6 +58,8 @@ __all__ = [
     "Planner",
     "PriorityPlanner",
     "Process",
+    "ProcessComponents",
+    "Program",
     "ReconfigurationPlan",
     "Reply",
     "RequiredAction",
@@ -61,4 +70,5 @@ __all__ = [
     "Status",
     "StatusChange",
     "UnknownName",
+    "VetoAnswer",
 ]

@@ -146,11 +146,12 @@ class StagedExecutor:
 
     def _staged(self, kb: KnowledgeBase, plan: ReconfigurationPlan) -> Iterator[list[Step]]:
         """Yield the stages of a plan, each decided when it begins."""
-        configured = [kb.configurations[name].component for name in plan.parameters if name in kb.configurations]
+        activated, deactivated, parameters = _steps(kb, plan)
+        configured = [kb.configurations[name].component for name in parameters if name in kb.configurations]
         paused = [name for name in configured if kb.components[name].stops_to_configure]
-        paused = [name for name in paused if kb.components[name].is_active and name not in plan.deactivate]
-        yield self._switched(kb, plan, [*plan.deactivate, *paused], active=False)
-        started = list(dict.fromkeys([*plan.activate, *paused]))
+        paused = [name for name in paused if kb.components[name].is_active and name not in deactivated]
+        yield self._switched(kb, plan, [*deactivated, *paused], active=False)
+        started = list(dict.fromkeys([*activated, *paused]))
         running = [name for name in configured if name in kb.components and kb.components[name].is_active]
         yield self._configured(kb, plan, [*running, *started])
         yield self._switched(kb, plan, started, active=True)
@@ -192,6 +193,23 @@ class StagedExecutor:
     def _step(self, kb: KnowledgeBase, plan: ReconfigurationPlan, command: Command) -> Step:
         of_kind = self._of_kind.get(kb.components[command.component].kind, self._patience)
         return Step(plan, command, self._of_component.get(command.component, of_kind), self._attempts)
+
+
+def _steps(kb: KnowledgeBase, plan: ReconfigurationPlan) -> tuple[list[str], list[str], list[str]]:
+    """Return what to activate, deactivate and configure: the plan's own, and what older open plans still have to do.
+
+    Those are abandoned when this one completes, so what of them is still wanted is done with it.
+    """
+    activated, deactivated, parameters = list(plan.activate), list(plan.deactivate), list(plan.parameters)
+    for older in kb.open_plans:
+        if older is plan:
+            continue
+        switched = [kb.components[name] for name in (*older.activate, *older.deactivate) if name in kb.components]
+        activated += [one.name for one in switched if one.is_required and not one.is_active]
+        deactivated += [one.name for one in switched if not one.is_required and one.is_active]
+        chosen = [kb.configurations[name] for name in older.parameters if name in kb.configurations]
+        parameters += [one.name for one in chosen if one.is_selected]
+    return activated, deactivated, parameters
 
 
 def _kind(kind: str) -> ComponentKind:

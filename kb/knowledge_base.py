@@ -199,6 +199,12 @@ class KnowledgeBase(Keeping):
         with self._lock:
             return self._open_plans[-1] if self._open_plans else None
 
+    @property
+    def open_plans(self) -> tuple[ReconfigurationPlan, ...]:
+        """The plans that have not ended, in the order in which they were made."""
+        with self._lock:
+            return tuple(self._open_plans)
+
     def finish_plan(self, plan: ReconfigurationPlan, result: str) -> bool:
         """Close a plan; one that completes abandons every other plan that is open.
 

@@ -7,9 +7,18 @@ import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 from managed_stand_ins import Broken, Scripted, base, come_to_rest, happen, rover, turn
-from models import Twins, events, models
+from models import Clock, Twins, events, models
 
-from kb import ConfigurationManager, EventKind, ManagedObjects, Model, PriorityPlanner, StagedExecutor, Status
+from kb import (
+    ConfigurationManager,
+    EventKind,
+    KnowledgeBase,
+    ManagedObjects,
+    Model,
+    PriorityPlanner,
+    StagedExecutor,
+    Status,
+)
 
 
 def start(model=None, script=None, default=None, **options):
@@ -689,3 +698,39 @@ def test_the_planner_is_not_asked_while_nothing_that_matters_to_it_has_changed()
     kb.measure("light", 0.1)
     turn(manager, clock)
     assert planner.asked > asked
+
+
+def test_a_later_plan_that_completes_loses_nothing_of_an_earlier_one_that_is_still_wanted():
+    model = Model("two plans")
+    lamp = model.component("lamp", kind="lifecycle")
+    for number in (1, 2):
+        lamp.configuration(f"k{number}", {"power": number})
+    horn = model.component("horn", kind="lifecycle")
+    light, sound = model.function("light"), model.function("sound")
+    light.design("by lamp", [lamp])
+    sound.design("by horn", [horn])
+    model.action("shine", requires=[light])
+    model.action("honk", requires=[sound])
+    kb = KnowledgeBase(model, clock=Clock(0.0))
+
+    class Robot:
+        def activate(self, component):
+            pass
+
+        deactivate = activate
+
+        def set_parameters(self, component, parameters):
+            pass
+
+    manager = ConfigurationManager(kb, Robot())
+    kb.request_action("shine")
+    manager.update()
+    assert kb.components["lamp"].parameters_in_force == {"power": 1}
+    first = kb.select({}, {"lamp": "k2"})
+    kb.request_action("honk")
+    second = kb.select({"sound": "by horn"})
+    assert kb.open_plans == (first, second)
+    manager.update()
+    assert (first.result, second.result) == ("abandoned", "completed")
+    assert kb.components["horn"].is_active
+    assert kb.components["lamp"].parameters_in_force == {"power": 2}
