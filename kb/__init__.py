@@ -17,11 +17,12 @@ from kb.knowledge_base import KnowledgeBase
 from kb.managed import ManagedObject, ManagedObjects, ManagedSystem, Operation
 from kb.manager import ConfigurationManager, Executor, Monitor, Planner, PriorityPlanner
 from kb.model import Model
+from kb.optimum_planner import OptimalPlanner
 from kb.processes import ProcessComponents
 from kb.programs import Program
 from kb.reconfiguration import Obsolete, ReconfigurationPlan
 from kb.requests import Reply, RequiredAction
-from kb.selection import Choice
+from kb.selection import Choice, Criterion, Optimum
 from kb.situation import Situation
 from kb.status import Status
 
@@ -34,6 +35,7 @@ __all__ = [
     "ComponentKind",
     "Condemnation",
     "ConfigurationManager",
+    "Criterion",
     "DiagnosticProblem",
     "DuplicateName",
     "EstimationKind",
@@ -55,6 +57,8 @@ __all__ = [
     "Monitor",
     "Obsolete",
     "Operation",
+    "OptimalPlanner",
+    "Optimum",
     "Planner",
     "PriorityPlanner",
     "Process",

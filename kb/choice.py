@@ -1,6 +1,6 @@
 """Why this design or configuration and not that one."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -8,8 +8,9 @@ from kb.elements import Configuration, FunctionDesign
 from kb.explanation import why
 from kb.inference import is_adaptable
 from kb.network import Node
+from kb.reconfiguration import reselect
 from kb.selection import first_by_priority
-from kb.state import State
+from kb.state import Overlay, State
 from kb.status import Status
 
 __all__ = ["Alternative", "ChoiceExplanation", "explain_choice"]
@@ -64,7 +65,12 @@ class ChoiceExplanation:
 
 
 def explain_choice(
-    state: State, node: Node, now: float, preferred: str | None = None, verdicts: Mapping[str, str] | None = None
+    state: State,
+    node: Node,
+    now: float,
+    preferred: str | None = None,
+    verdicts: Mapping[str, str] | None = None,
+    designs: Iterable[Node] | None = None,
 ) -> ChoiceExplanation:
     """Explain what is selected for a function or component, or would be, and why no other one is.
 
@@ -74,17 +80,41 @@ def explain_choice(
         now: the present time [s], for the age of measurements.
         preferred: name of the possible part that a criterion prefers; by default the first by priority.
         verdicts: what that criterion says of each possible part, in words, by name; by default what its priority says.
+        designs: the designs that are chosen next, for components are chosen for after that; by default the first by
+            priority of each adaptable function.
     """
-    return _Chooser(state, node, now, preferred, verdicts or {}).explanation()
+    following = state
+    if node.kind == "component":
+        following = Overlay(state)
+        reselect(following, _first_designs(state) if designs is None else designs, ())
+    return _Chooser(state, following, node, now, preferred, verdicts or {}).explanation()
+
+
+def _first_designs(state: State) -> list[Node]:
+    """Return the design that comes first by priority for each adaptable function."""
+    chosen = []
+    for function in state.adaptable.nodes():
+        if function.kind == "function":
+            possible = [part for part in function.parts if state.status[part.index] is not Status.UNFEASIBLE]
+            name = first_by_priority(_element(part) for part in possible)
+            chosen += [part for part in possible if part.name == name]
+    return chosen
 
 
 class _Chooser:
-    """Explains one choice."""
+    """Explains one choice; the following state is the one in which it is made anew."""
 
     def __init__(
-        self, state: State, node: Node, now: float, preferred: str | None, verdicts: Mapping[str, str]
+        self,
+        state: State,
+        following: State,
+        node: Node,
+        now: float,
+        preferred: str | None,
+        verdicts: Mapping[str, str],
     ) -> None:
         self._state = state
+        self._following = following
         self._node = node
         self._now = now
         self._verdicts = verdicts
@@ -115,9 +145,20 @@ class _Chooser:
             return f"each {what} of it is unfeasible" if self._node.parts else f"it has no {what}"
         if chosen not in self._possible:
             return f"it was possible before; now {why(self._state, chosen, self._now)}"
-        if not self._state.required[self._node.index]:
-            return f"{self._advantage(chosen)}; nothing requires the {self._node.kind} now"
+        if not self._following.required[self._node.index]:
+            return f"{self._advantage(chosen)}; {self._idle()}"
+        if self._selected is None and self._is_useless():
+            return f"{self._advantage(chosen)}; it is not, for no required function could use the component"
         return self._advantage(chosen)
+
+    def _idle(self) -> str:
+        if self._state.required[self._node.index]:
+            return f"the {self._node.kind} is about to be given up"
+        return f"nothing requires the {self._node.kind} now"
+
+    def _is_useless(self) -> bool:
+        """Tell whether a configuration that were selected would be obsolete at once."""
+        return self._node.kind == "component" and not self._following.served[self._node.index]
 
     def _advantage(self, chosen: Node) -> str:
         what, priority = _PARTS[self._node.kind], _element(chosen).priority
@@ -146,10 +187,10 @@ class _Chooser:
 
     def _why_not_yet(self) -> str:
         """Say why the one that is preferred is not the one selected."""
-        node, status = self._node, self._state.status[self._node.index]
-        if not self._state.required[node.index]:
+        node, status = self._node, self._following.status[self._node.index]
+        if not self._following.required[node.index] or self._is_useless():
             return f"nothing is selected anew while nothing requires the {node.kind}"
-        if is_adaptable(self._state, node):
+        if is_adaptable(self._following, node):
             return "it is to be selected next"
         if status is Status.SOLVED:
             return f"the {node.kind} works, and is not to be improved while it does"

@@ -145,19 +145,26 @@ class Journal:
         self._in_force[component.name] = self.told
         self._put(entries)
 
-    def amended(self, now: float, how: str, elements: Iterable[Changeable], state: State) -> None:
-        """Enter that the model was changed: elements were declared, changed, or removed."""
-        listed = list(elements)
-        if not listed:
+    def amended(self, now: float, how: str, elements: Sequence[Changeable], state: State, nodes: Iterable[Node]) -> None:
+        """Enter that the model was changed.
+
+        Args:
+            now: when [s].
+            how: "declared", "changed" or "removed".
+            elements: of the model; with the first one that was removed went the others.
+            state: the facts, as they are after that.
+            nodes: what may be different by it.
+        """
+        if not elements:
             return
         if how == "removed":
-            written: object = element_id(listed[0], self.serials)
+            written: object = element_id(elements[0], self.serials)
         else:
-            written = plain_json(one for element in listed for one in individual(element, self.serials))
+            written = plain_json(one for element in elements for one in individual(element, self.serials))
         entries = [self._begun("Amendment", {"time": (float(now),), "change": (json.dumps({how: written}),)})]
-        gone = [key for key in self._open if not _is_there(state, key[1])]
-        for key in gone:
+        for key in [key for key in self._open if not _is_there(state, key[1])]:
             entries += self._ended(self._open.pop(key)[0], now)
+        entries += [entry for node in nodes for entry in self._differences(now, state, node)]
         self._put(entries)
 
     def adopt(self, number: int, what: str | Record, node: Node | None = None, value: object = None) -> None:
@@ -232,7 +239,7 @@ class Journal:
         if record is not None:
             self._records.pop(record, None)
         if isinstance(record, RequiredAction | ReconfigurationPlan):
-            values["result"] = (str(record.result),)
+            values["result"] = (str(record.result),) if record.result else ()
         if isinstance(record, RequiredAction) and record.reason:
             values["reason"] = (record.reason,)
         return [Individual("", f"{STATED}.{number}", values)]

@@ -110,7 +110,7 @@ class Keeping(Telling):
         if self._store is not None:
             trouble = WeakMethod(self._not_saved)
             self._journal.heard = self._store.wake
-            self._store.start(self._journal, lambda text: called(text) if (called := trouble()) else None)
+            self._store.start(self._journal, self._lock, lambda text: called(text) if (called := trouble()) else None)
             finalize(self, self._store.close)
 
     def _not_saved(self, text: str) -> None:

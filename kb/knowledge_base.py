@@ -238,18 +238,17 @@ class KnowledgeBase(Keeping):
         added = tuple(added)
         elements = [one for one in added if not isinstance(one, Estimation)]
         with self._lock:
-            self._journal.amended(self._clock(), "declared", added, self._known)
             touched = grown(self._known, elements)
             for constraint in touched:
                 if constraint.kind == "constraint" and is_steady(constraint):
                     self._measurements.renew(constraint, self._clock())
-            self._amended("declared", elements, touched)
+            self._amended("declared", added, touched)
 
     def model_changed(self, element: Changeable) -> None:
         """Take in what was changed in the model; the model calls this."""
         with self._lock:
-            self._journal.amended(self._clock(), "changed", [element], self._known)
             if isinstance(element, Estimation):
+                self._journal.amended(self._clock(), "changed", [element], self._known, ())
                 self._revision += 1
                 return
             node = self._network.find(element)
@@ -271,9 +270,7 @@ class KnowledgeBase(Keeping):
                     self._in_force.pop(element.name, None)
                 elif isinstance(element, Attribute | Constraint):
                     self._measurements.forget(self._network.find(element))
-            touched = shrunk(self._known, elements)
-            self._journal.amended(self._clock(), "removed", removed, self._known)
-            self._amended("removed", elements, touched)
+            self._amended("removed", removed, shrunk(self._known, elements))
 
     def _begin(self, now: float) -> None:
         """Begin with what the model states."""

@@ -76,8 +76,9 @@ class OptimalPlanner:
     def explain_choice(self, kb: KnowledgeBase, element: ElementView | Element | str) -> ChoiceExplanation:
         """Say why a function or component has what it has, by this planner's criterion; see `kb.explain_choice`."""
         node, optimum, criterion = kb._node(element, ("function", "component")), self.optimum(kb), self.criterion(kb)
-        preferred, said = None, {}
+        preferred, said, designs = None, {}, None
         if optimum is not None and optimum.choice is not None:
+            designs = [kb.designs.node(name) for name in optimum.choice.designs.values()]
             preferred = optimum.choice[node.kind == "component"].get(node.name)
         if optimum is not None and preferred is not None:
             with kb._lock:  # to pose them is quick; others need not wait for the answers
@@ -86,4 +87,4 @@ class OptimalPlanner:
             rivals.pop(preferred, None)
             said = self._solver.verdicts(optimum, preferred, rivals, self._effort)
         with kb._lock:
-            return explain_choice(kb._state, node, kb._clock(), preferred, said)
+            return explain_choice(kb._state, node, kb._clock(), preferred, said, designs)

@@ -17,7 +17,7 @@ from kb.explanation import Explanation, explain
 from kb.history import History
 from kb.network import Network, Node
 from kb.reconfiguration import Obsolete, obsolete, reselect
-from kb.selection import Choice, first_by_priority
+from kb.selection import Choice, Criterion, first_by_priority, summed_weights
 from kb.state import Overlay, State
 from kb.status import Status
 from kb.views import (
@@ -85,16 +85,22 @@ class Questions(ABC):
         with self._lock:
             return self._selectable(self.components.node(component).parts)
 
-    def best_configuration(self, action: str) -> Choice | None:
-        """Return how the robot is best configured for an action by itself, by priority; None while it is unfeasible.
+    def best_configuration(self, action: str, preference: str | Mapping[str, float] | None = None) -> Choice | None:
+        """Return how the robot is best configured for an action by itself; None while it is unfeasible.
 
         Args:
             action: its name; it need not be required.
+            preference: name of the attribute to favour, or the weight of each of several; without one, and where no
+                estimation bears on it, the choice is by priority.
         """
         node = self.actions.node(action)
         with self._lock:
             if self._state.status[node.index] is Status.UNFEASIBLE:
                 return None
+            if preference is not None:
+                from kb.optimum import best_choice  # the solver takes a while to import
+
+                return best_choice(self._state, Criterion(summed_weights([preference])), node.parts).choice
             designs = {function: self._best(function) for function in node.parts}
             components = dict.fromkeys(part for design in designs.values() if design for part in design.parts)
             configurations = {component: self._best(component) for component in components}

@@ -12,14 +12,14 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from kb.elements import Attribute
 from kb.exceptions import KnowledgeBaseError
 from kb.individuals import MODEL, STATED, Individual, Ref, named_id
-from kb.journal import Journal, Measured
+from kb.journal import Group, Journal, Measured
 from kb.rdfxml import ROSA
 
 if TYPE_CHECKING:
@@ -87,13 +87,14 @@ class Store:
             _make(path, base, declared, given)
         self._guard = _guarded(path)
         try:
-            _check_format(path, os.pread(self._guard, 100, 0))
+            _check_format(path, self._guard)
             self._connection = _locked(path)
         except StoreError:
             os.close(self._guard)
             raise
         self.book: Book
         self._journal: Journal
+        self._base: AbstractContextManager[object]
         self._measured: dict[str, deque[int]] = {}
         self._excess: list[int] = []
         self._using = threading.Lock()
@@ -131,9 +132,15 @@ class Store:
                 self._count(one.values["measures"][0].id, int(one.id.rpartition(".")[2]))
         return facts
 
-    def start(self, journal: Journal, on_error: Callable[[str], None]) -> None:
-        """Write from now on; if that fails, say so once and stop."""
-        self._journal, self._on_error = journal, on_error
+    def start(self, journal: Journal, base: AbstractContextManager[object], on_error: Callable[[str], None]) -> None:
+        """Write from now on; if that fails, say so once and stop.
+
+        Args:
+            journal: what is told to it.
+            base: the lock that whoever tells holds.
+            on_error: called with what is wrong.
+        """
+        self._journal, self._base, self._on_error = journal, base, on_error
         self._thread = threading.Thread(target=self._run, name=f"store {self.path.name}", daemon=True)
         self._thread.start()
 
@@ -187,19 +194,28 @@ class Store:
                 return
 
     def _write_all(self) -> None:
-        waiting = self._journal.waiting
-        while waiting:
-            entries: list[Individual] = []
+        while batch := self._taken():
+            entries: dict[int, Individual] = {}
+            others: list[Individual] = []
             last = 0
-            while waiting:
-                one = waiting.popleft()
-                last = one.number if isinstance(one, Measured) else one.last
+            for one in batch:
                 if isinstance(one, Measured):
-                    entries.append(measurement(one))
-                    self._count(named_id(Attribute, one.attribute), one.number)
+                    last = one.number
+                    entries[last] = measurement(one)
+                    self._count(named_id(Attribute, one.attribute), last)
                 else:
-                    entries += one.entries
-            self._commit(entries, last)
+                    last = one.last
+                    others += one.entries
+            written = [number for number in self._excess if entries.pop(number, None) is None]
+            self._excess = written
+            self._commit([*entries.values(), *others], last)
+
+    def _taken(self) -> list[Measured | Group]:
+        """Take what waits; whoever tells holds the base, so that this is whole calls."""
+        with self._base:
+            batch = list(self._journal.waiting)
+            self._journal.waiting.clear()
+        return batch
 
     def _commit(self, entries: Sequence[Individual], last: int) -> None:
         with self._using:
@@ -284,7 +300,11 @@ def _in_use(path: Path) -> StoreError:
     return StoreError(f"{path}: the store is in use by another knowledge base or process; close that, or name another")
 
 
-def _check_format(path: Path, head: bytes) -> None:
+def _check_format(path: Path, descriptor: int) -> None:
+    try:
+        head = os.pread(descriptor, 100, 0)
+    except OSError as error:
+        raise StoreError(f"{path}: the store cannot be read: {error.strerror}") from None
     if not head.startswith(_MAGIC) or len(head) < 100:
         raise StoreError(f"{path}: this is no store but another file; it is left as it is. Name another one")
     if int.from_bytes(head[68:72], "big") != _OWNER:

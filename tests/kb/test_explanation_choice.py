@@ -5,9 +5,10 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from models import Clock, Twins, stories
 
-from kb import KnowledgeBase, Model, Status
+from kb import KnowledgeBase, Model, PriorityPlanner, Status
 from kb.choice import explain_choice
 from kb.selection import first_by_priority
+from kb.views import FunctionView
 
 SLOW = settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
 
@@ -44,6 +45,55 @@ def test_every_choice_is_the_one_selected_or_else_the_first_by_priority(story):
         text = str(explained)
         assert "  " not in text
         assert all(name in text for name in names)
+
+
+@SLOW
+@given(stories(max_size=20, asserting=False))
+def test_what_is_said_to_be_selected_next_is_what_the_planner_selects(story):
+    model, happenings = story
+    twins = Twins(model)
+    for event in happenings:
+        twins.happen(event)
+    kb = twins.kb
+    whole = [*kb.functions.values(), *kb.components.values()]
+    said = {(one.element.__class__, one.name): kb.explain_choice(one) for one in whole}
+    PriorityPlanner().plan(kb)
+    for one in whole:
+        is_function = isinstance(one, FunctionView)
+        options = kb.designs if is_function else kb.configurations
+        names = [
+            option for option in (one.designs if is_function else one.configurations) if options[option].is_selected
+        ]
+        promised = [
+            part.name
+            for part in said[one.element.__class__, one.name].alternatives
+            if part.reason == "it is to be selected next"
+        ]
+        assert all(name in names for name in promised)
+
+
+def test_a_component_is_chosen_for_after_the_designs_are():
+    model = Model("two ways")
+    charge = model.quality_attribute("charge")
+    arm, tool, hook = model.component("arm"), model.component("tool"), model.component("hook")
+    arm.configuration("fine", priority=1, constraints=[charge >= 1])
+    arm.configuration("coarse", priority=2)
+    grasp = model.function("grasp")
+    grasp.design("by arm", [arm, tool], priority=1)
+    grasp.design("by hook", [hook], priority=2)
+    model.action("fetch", requires=[grasp])
+    kb = KnowledgeBase(model, clock=Clock())
+    before = kb.request_action("fetch") and kb.explain_choice(kb.components["arm"])
+    assert str(before).startswith("fine would be selected for component arm because priority number 1 is the lowest")
+    plan = PriorityPlanner().plan(kb)
+    assert plan.parameters == ("fine",)
+    kb.component_failed("tool")
+    kb.measure("charge", 0)
+    told = kb.explain_choice(kb.components["arm"])
+    assert "the component is about to be given up" in str(told) or "it was possible before" in told.reason
+    assert reasons(told) == {"coarse": "nothing is selected anew while nothing requires the component"}
+    PriorityPlanner().plan(kb)
+    assert kb.components["arm"].selected_configuration != "coarse"
 
 
 @pytest.fixture
