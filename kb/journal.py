@@ -145,7 +145,9 @@ class Journal:
         self._in_force[component.name] = self.told
         self._put(entries)
 
-    def amended(self, now: float, how: str, elements: Sequence[Changeable], state: State, nodes: Iterable[Node]) -> None:
+    def amended(
+        self, now: float, how: str, elements: Sequence[Changeable], state: State, nodes: Iterable[Node]
+    ) -> None:
         """Enter that the model was changed.
 
         Args:

@@ -307,10 +307,12 @@ class KnowledgeBase(Keeping):
             return [] if entered is None else [entered]
         return []
 
-    def _amended(self, how: str, elements: list[Element | Constraint], touched: Iterable[Node]) -> None:
+    def _amended(self, how: str, changed: Sequence[Changeable], touched: Sequence[Node]) -> None:
+        elements = [one for one in changed if not isinstance(one, Estimation)]
         name = elements[0].name if elements and isinstance(elements[0], Element) else ""
         text = f"{', '.join(one.name if isinstance(one, Element) else str(one) for one in elements)} {how} in the model"
         changes = settle(self._known, touched)
+        self._journal.amended(self._clock(), how, changed, self._known, touched)
         self._revision += 1
         if self._publisher and elements:
             now = self._clock()

@@ -1,0 +1,143 @@
+"""All that a knowledge base answers, as a value; and a life of one, the same each time, told to a store."""
+
+import random
+import sys
+
+from models import Clock
+
+from kb import KnowledgeBase, Model, PriorityPlanner
+
+KEPT = 50
+
+
+def answers(kb, *, ended=False):
+    """Return everything that can be asked; with `ended`, as if open plans had been abandoned."""
+    elements = [
+        *kb.actions.values(),
+        *kb.functions.values(),
+        *kb.components.values(),
+        *kb.designs.values(),
+        *kb.configurations.values(),
+    ]
+    constraints = [one for element in elements for one in getattr(element, "constraints", ())]
+    return {
+        "statuses": [(repr(one), one.status) for one in (*elements, *constraints)],
+        "required": [(repr(one), one.is_required) for one in elements if hasattr(one, "is_required")],
+        "active": [(one.name, one.is_active, dict(one.parameters_in_force)) for one in kb.components.values()],
+        "selected": [repr(one) for one in elements if getattr(one, "is_selected", False)],
+        "measured": [
+            (one.name, one.value, one.time, one.is_stale, one.history[-KEPT:]) for one in kb.attributes.values()
+        ],
+        "plans": [plan(one, ended) for one in kb.plans],
+        "requests": [request(one) for one in kb.action_history],
+        "open": [one.action for one in kb.required_actions],
+        "processes": [(one.component, one.pid, one.start, one.end) for one in kb.processes],
+        "adaptable": (kb.adaptable_functions(), kb.adaptable_components(), kb.obsolete()),
+    }
+
+
+def plan(one, ended):
+    result = "abandoned" if ended and one.end is None else one.result
+    return (one.activate, one.deactivate, one.parameters, one.reason, one.start, result)
+
+
+def request(one):
+    return (one.action, one.preference, one.start, one.end, one.result, one.reason)
+
+
+def robot():
+    """Return a model with something of everything."""
+    model = Model("robot")
+    light = model.environmental_attribute("light", max_age=40.0, when_stale="violated")
+    energy = model.quality_attribute("energy", agreement=(2, 3))
+    model.quality_attribute("load")
+    camera = model.component("camera", kind="lifecycle", always_improve=True)
+    camera.configuration("day", {"exposure": 0.01}, priority=1, constraints=[light >= 0.5])
+    camera.configuration("night", {"exposure": 0.2}, priority=2, constraints=[light >= 0.1])
+    lidar = model.component("lidar", kind="process", constraints=[(energy >= 0.2).steady(hysteresis=0.1, dwell=3.0)])
+    see = model.function("see", always_improve=True)
+    see.design("by camera", [camera], priority=1)
+    see.design("by lidar", [lidar], priority=2)
+    model.action("explore", requires=[see], constraints=[(energy >= 0.1).steady(hysteresis=0.2)])
+    model.action("rest")
+    camera.estimate(energy, 0.3, "negative")
+    return model
+
+
+class Life:
+    """Steps of a life, decided by a seed and by what the base answers."""
+
+    def __init__(self, path, seed, model=None):
+        self.clock, self.chance = Clock(0.0), random.Random(seed)
+        self.kb = KnowledgeBase(model or robot(), clock=self.clock, store=path, keep=KEPT)
+
+    def moves(self):
+        """Yield after each call that may tell something."""
+        while True:
+            self.clock.now += self.chance.choice((0.1, 0.5, 2.0))
+            yield self.kb.revision  # what follows from time alone is told by itself
+            for call, *arguments in self.calls(self.chance.randrange(12)):
+                yield call(*arguments)
+
+    def calls(self, what):
+        kb, chance = self.kb, self.chance
+        if what < 5:
+            yield kb.measure, chance.choice(("light", "energy", "load")), chance.random()
+        elif what == 5:
+            yield chance.choice((kb.component_failed, kb.component_recovered)), chance.choice(("camera", "lidar"))
+        elif what == 6:
+            preference = chance.choice((None, "energy", {"energy": 2.0}))
+            yield kb.request_action, chance.choice(("explore", "rest")), preference
+        elif what == 7:
+            yield (
+                kb.cancel_action,
+                chance.choice(("explore", "rest")),
+                "failed",
+                chance.choice(("", "no 'luck'\n\u00e9")),
+            )
+        elif what == 8:
+            yield PriorityPlanner().plan, kb
+        elif what == 9 and kb.pending_plan:
+            yield from self.carrying_out(kb.pending_plan)
+        elif what == 10:
+            given = {"exposure": chance.random(), "topics": ["a", "b"], "on": True, "n": 3}
+            yield kb.component_configured, "camera", given
+            yield (
+                (kb.component_started, "lidar", chance.randrange(1000))
+                if chance.random() < 0.5
+                else (
+                    kb.component_ended,
+                    "lidar",
+                )
+            )
+        elif what == 11:
+            status = chance.choice(("failure", "solved", None))
+            yield (
+                (kb.assert_status, kb.components["lidar"], status)
+                if status
+                else (
+                    kb.retract_status,
+                    kb.components["lidar"],
+                )
+            )
+            yield kb.assert_required, kb.functions["see"], chance.choice((True, None))
+            yield kb.assert_selected, kb.designs["by lidar"], chance.choice((True, False))
+
+    def carrying_out(self, plan):
+        for name in (*plan.deactivate, *plan.activate):
+            yield self.kb.component_active, name, name in plan.activate
+        yield self.kb.finish_plan, plan, self.chance.choice(("completed", "failed"))
+
+
+def live(path, seed):
+    """Live for ever, and print the number of each fact that is acknowledged."""
+    life, acknowledged = Life(path, seed), 0
+    print("begun", flush=True)
+    for _ in life.moves():
+        if life.kb.saved > acknowledged:
+            acknowledged = life.kb.saved
+            print(acknowledged, flush=True)
+
+
+if __name__ == "__main__":
+    live(sys.argv[1], int(sys.argv[2]))

@@ -1,0 +1,457 @@
+"""What is told is in the store, and a base that is made of it goes on; whatever else a file is, it stays as it is."""
+
+import gc
+import itertools
+import logging
+import os
+import resource
+import shutil
+import sqlite3
+import subprocess
+import sys
+import threading
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from kept import Life, answers, robot
+from models import Clock, Twins, stories
+from test_files import odd_models
+
+from kb import InvalidValue, KnowledgeBase, KnowledgeBaseError, Model, PriorityPlanner
+from kb.store import FORMAT, StoreError
+
+FEW = settings(max_examples=40, suppress_health_check=[HealthCheck.too_slow])
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("stores")
+
+
+HERE = str(Path(__file__).parent)
+numbers = itertools.count()
+
+
+def fresh(folder):
+    return folder / f"{next(numbers)}.sqlite3"
+
+
+@contextmanager
+def kept(model, path, **settings):
+    kb = KnowledgeBase(model, store=path, **{"clock": Clock(5.0), **settings})
+    try:
+        yield kb
+    finally:
+        kb.close()
+
+
+def dead(path, folder):
+    """Return a copy of what a process that is killed now would leave."""
+    copy = fresh(folder)
+    for end in ("", "-wal"):
+        shutil.copy(f"{path}{end}", f"{copy}{end}")
+    return copy
+
+
+@given(story=stories(aging=True))
+@FEW
+def test_reopened_base_answers_as_before(story, folder):
+    model, events = story
+    path, twins = fresh(folder), Twins(model)
+    twins.kb = KnowledgeBase(model, clock=twins.clock, store=path)
+    for event in events:
+        twins.happen(event)
+    before = answers(twins.kb, ended=True)
+    twins.kb.close()
+    twins.kb = KnowledgeBase(model, clock=twins.clock, store=path)
+    assert answers(twins.kb) == before
+    twins.agree()
+    twins.kb.close()
+
+
+@given(story=stories(aging=True))
+@FEW
+def test_base_goes_on_from_what_a_kill_leaves(story, folder):
+    model, events = story
+    path, twins = fresh(folder), Twins(model)
+    twins.kb = KnowledgeBase(model, clock=twins.clock, store=path)
+    for event in events[: len(events) // 2]:
+        twins.happen(event)
+    assert twins.kb.flush(10.0)
+    assert twins.kb.saved == twins.kb.told
+    before = answers(twins.kb, ended=True)
+    copy = dead(path, folder)
+    twins.kb.close()
+    twins.kb = KnowledgeBase(model, clock=twins.clock, store=copy)
+    assert answers(twins.kb) == before
+    for event in events[len(events) // 2 :]:
+        twins.happen(event)
+    twins.agree()
+    twins.kb.close()
+
+
+@given(model=odd_models())
+@settings(max_examples=30, suppress_health_check=[HealthCheck.too_slow])
+def test_whatever_a_model_states_is_there_again(model, folder):
+    path = fresh(folder)
+    with kept(model, path) as kb:
+        before = answers(kb, ended=True)
+    with kept(model, path) as kb:
+        again = answers(kb)
+        assert again == before
+    with kept(model, path) as kb:
+        assert answers(kb) == before
+
+
+def test_open_plans_are_abandoned_when_the_base_goes_on(tmp_path):
+    path, clock = tmp_path / "m.sqlite3", Clock(1.0)
+    with kept(robot(), path, clock=clock) as kb:
+        kb.request_action("explore")
+        plan = PriorityPlanner().plan(kb)
+        assert plan.end is None
+    clock.now = 9.0
+    with kept(robot(), path, clock=clock) as kb:
+        (plan,) = kb.plans
+        assert (plan.result, plan.end, kb.pending_plan) == ("abandoned", 9.0, None)
+        assert [one.action for one in kb.required_actions] == ["explore"]
+        plan = PriorityPlanner().plan(kb)
+        assert plan.activate == ("camera",)
+        kb.finish_plan(plan, "completed")
+    with kept(robot(), path, clock=clock) as kb:
+        assert [one.result for one in kb.plans] == ["abandoned", "completed"]
+
+
+def test_what_changes_nothing_writes_nothing(tmp_path):
+    with kept(robot(), tmp_path / "m.sqlite3") as kb:
+        kb.component_active("camera", True)
+        assert kb.flush(10.0)
+        saved, size = kb.told, (tmp_path / "m.sqlite3-wal").stat()
+        kb.component_active("camera", True)
+        kb.component_recovered("camera")
+        kb.cancel_action("rest")
+        kb.is_feasible("explore")
+        assert kb.flush(10.0)
+        assert (kb.saved, kb.told) == (saved, saved)
+        assert (tmp_path / "m.sqlite3-wal").stat().st_mtime_ns == size.st_mtime_ns
+
+
+def test_store_holds_the_newest_measurements_and_does_not_grow_beyond_them(tmp_path):
+    path = tmp_path / "m.sqlite3"
+    clock = Clock(0.0)
+
+    def measure(kb, times):
+        for _ in range(times):
+            clock.now += 0.1
+            kb.measure("load", clock.now)
+        assert kb.flush(30.0)
+
+    with kept(robot(), path, clock=clock, keep=100) as kb:
+        measure(kb, 2000)
+        (count,) = kb.query("SELECT (COUNT(?m) AS ?n) { ?m a :Measurement }")
+        assert 100 <= count[0] <= 100 + 256 + 1
+        kb.close()
+        size = path.stat().st_size
+    with kept(robot(), path, clock=clock, keep=100) as kb:
+        measure(kb, 6000)
+        history = kb.attributes["load"].history
+    assert path.stat().st_size <= 1.2 * size
+    with kept(robot(), path, clock=clock, keep=100) as kb:
+        assert kb.attributes["load"].history[-100:] == history[-100:]
+
+
+@pytest.mark.parametrize("keep", [0, -1, 2.5, True, "many"])
+def test_limit_of_measurements_is_a_number(keep, tmp_path):
+    with pytest.raises(InvalidValue, match="keep is a whole number"):
+        KnowledgeBase(robot(), store=tmp_path / "m.sqlite3", keep=keep)
+    assert not list(tmp_path.iterdir())
+
+
+def amend(model):
+    bright = model.attributes["light"] >= 0.9
+    model.action("film", requires=["see"], constraints=[bright, bright.steady(dwell=2.0)])
+    model.change(model.constraints[-2], value=0.8, hysteresis=0.05)
+    model.change(model.attributes["light"], max_age=float("inf"), when_stale="not evaluated")
+    model.change(model.configurations["day"], parameters={"exposure": 1, "mode": ["x", "\u00e9"]}, priority=None)
+    model.remove(model.constraints[0])
+    model.remove(model.actions["rest"])
+    model.components["lidar"].estimate("energy", 2.0)
+    model.change(model.estimations[-1], value=3.0)
+    model.remove(model.estimations[0])
+    model.constrain([model.actions["film"], model.components["lidar"]], model.attributes["load"] <= 3.0)
+    model.remove(model.actions["film"])
+
+
+def test_amendments_are_made_again(tmp_path):
+    path, model = tmp_path / "m.sqlite3", robot()
+    with kept(model, path) as kb:
+        kb.request_action("rest")
+        kb.measure("light", 0.4)
+        amend(model)
+        kb.assert_status(kb.components["lidar"].constraints[-1], "violated")
+        kb.component_failed("camera")
+        before = answers(kb, ended=True)
+    again = robot()
+    with kept(again, path) as kb:
+        assert again == model
+        assert answers(kb) == before
+    with kept(again, path) as kb:  # given as it is by now
+        assert answers(kb) == before
+        again.remove(again.constraints[-1])
+        kb.component_active("lidar", True)
+        before = answers(kb)
+    last = robot()
+    with kept(last, path) as kb:
+        assert last == again
+        assert answers(kb) == before
+
+
+def test_store_of_another_model_is_refused_with_what_differs(tmp_path):
+    path = tmp_path / "m.sqlite3"
+    with kept(robot(), path):
+        pass
+    content = path.read_bytes()
+    other = robot()
+    other.change(other.configurations["night"], priority=7)
+    other.action("sing")
+    with pytest.raises(StoreError) as caught:
+        KnowledgeBase(other, store=path)
+    assert "ComponentConfiguration.night has priority 7, in the store 2" in str(caught.value)
+    assert "Action.sing is not in the store" in str(caught.value)
+    with pytest.raises(StoreError, match="is in the store only"):
+        KnowledgeBase(Model("robot"), store=path)
+    assert path.read_bytes() == content
+    with kept(robot(), path):
+        pass
+
+
+def sqlite_of_something_else(path):
+    with sqlite3.connect(path) as database:
+        database.execute("CREATE TABLE notes (text)")
+    database.close()
+
+
+def newer(path):
+    with kept(robot(), path):
+        pass
+    database = sqlite3.connect(path)
+    database.execute(f"PRAGMA user_version={FORMAT + 1}")
+    database.close()
+
+
+def damaged(path):
+    with kept(robot(), path):
+        pass
+    content = path.read_bytes()
+    path.write_bytes(content[:100] + bytes(len(content) - 100))
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda path: path.write_text("my diary, no database at all" * 9), "this is no store but another file"),
+        (lambda path: path.write_bytes(b"SQLite format 3\0"), "this is no store but another file"),
+        (sqlite_of_something_else, "a database of something else"),
+        (newer, f"has format {FORMAT + 1}, of a newer version"),
+        (damaged, "damaged|malformed|no such|opened"),
+        (lambda path: path.mkdir(), "cannot be read|another file"),
+    ],
+)
+def test_other_file_is_refused_and_untouched(make, message, tmp_path):
+    path = tmp_path / "m.sqlite3"
+    make(path)
+    before = {one: one.read_bytes() for one in tmp_path.iterdir() if one.is_file()}
+    with pytest.raises(StoreError, match=message) as caught:
+        KnowledgeBase(robot(), store=path)
+    assert str(path) in str(caught.value)
+    assert {one: one.read_bytes() for one in tmp_path.iterdir() if one.is_file()} == before
+
+
+def test_folder_that_is_not_there_is_an_error(tmp_path):
+    with pytest.raises(StoreError, match="cannot be made"):
+        KnowledgeBase(robot(), store=tmp_path / "nowhere" / "m.sqlite3")
+
+
+def test_empty_file_becomes_a_store(tmp_path):
+    (tmp_path / "m.sqlite3").touch()
+    with kept(robot(), tmp_path / "m.sqlite3") as kb:
+        kb.measure("load", 1.0)
+        assert kb.flush(10.0)
+
+
+def test_store_has_one_user_at_a_time(tmp_path):
+    path = tmp_path / "m.sqlite3"
+    with kept(robot(), path) as kb:
+        with pytest.raises(StoreError, match="in use by another"):
+            KnowledgeBase(robot(), store=path)
+        code = f"""
+import sys; sys.path.insert(0, {HERE!r})
+from kept import robot
+from kb import KnowledgeBase
+KnowledgeBase(robot(), store={str(path)!r})"""
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+        assert "StoreError" in done.stderr
+        assert "in use by another knowledge base or process" in done.stderr
+        kb.measure("load", 2.0)
+        assert kb.flush(10.0)
+    with kept(robot(), path) as kb:
+        assert kb.attributes["load"].value == 2.0
+
+
+def test_store_that_others_lock_is_left_alone(tmp_path):
+    path = tmp_path / "m.sqlite3"
+    with kept(robot(), path):
+        pass
+    other = sqlite3.connect(path, isolation_level=None)
+    other.execute("BEGIN EXCLUSIVE")
+    with pytest.raises(StoreError, match="in use by another"):
+        KnowledgeBase(robot(), store=path)
+    other.close()
+
+
+def test_closed_base_goes_on_in_memory(tmp_path):
+    path = tmp_path / "m.sqlite3"
+    with kept(robot(), path) as kb:
+        kb.measure("load", 1.0)
+        kb.close()
+        kb.measure("load", 2.0)
+        kb.component_failed("camera")
+        assert kb.attributes["load"].value == 2.0
+        assert kb.query("SELECT ?s { ?f a :Failure ; :start ?s }") == [(5.0,)]
+        assert not kb.flush(0.1)
+        kb.close()
+    assert [one.name for one in tmp_path.iterdir()] == ["m.sqlite3"]
+    with kept(robot(), path) as kb:
+        assert kb.attributes["load"].value == 1.0
+
+
+def test_base_that_is_dropped_gives_its_store_back(tmp_path):
+    path = tmp_path / "m.sqlite3"
+    kb = KnowledgeBase(robot(), store=path)
+    kb.measure("load", 4.0)
+    del kb
+    gc.collect()
+    with kept(robot(), path) as kb:
+        assert kb.attributes["load"].value == 4.0
+
+
+def test_end_of_the_program_saves_what_was_told(tmp_path):
+    path = tmp_path / "m.sqlite3"
+    code = f"""
+import sys; sys.path.insert(0, {HERE!r})
+from kept import robot
+from kb import KnowledgeBase
+kb = KnowledgeBase(robot(), store={str(path)!r})
+for number in range(500): kb.measure("load", float(number))"""
+    subprocess.run([sys.executable, "-c", code], check=True)
+    with kept(robot(), path) as kb:
+        assert kb.attributes["load"].value == 499.0
+
+
+@contextmanager
+def files_no_longer_than(size):
+    """Have every write beyond a size fail, as on a full disk."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def test_full_disk_is_said_and_the_mission_goes_on(tmp_path, caplog):
+    path, told = tmp_path / "m.sqlite3", []
+    with caplog.at_level(logging.ERROR), kept(robot(), path) as kb:
+        kb.subscribe(lambda event: told.append(event.text))
+        kb.component_failed("camera")
+        assert kb.flush(10.0)
+        saved = kb.saved
+        with files_no_longer_than(100_000):
+            for number in range(3000):
+                kb.measure("load", float(number))
+            assert not kb.flush(10.0)
+        assert "nothing is saved any more" in kb.store_error
+        assert any("nothing is saved any more" in text for text in told)
+        assert "nothing is saved any more" in caplog.text
+        kb.component_recovered("camera")
+        assert kb.request_action("explore")
+        assert PriorityPlanner().plan(kb).activate == ("camera",)
+        assert kb.query("SELECT (MAX(?v) AS ?most) { ?m a :Measurement ; :value ?v }") == [(2999.0,)]
+        assert kb.query("SELECT ?end { ?f a :Failure ; :end ?end }") == [(5.0,)]
+        reached = kb.saved
+    with kept(robot(), path) as kb:
+        assert reached >= saved
+        assert kb.told == reached
+        assert kb.components["camera"].status == "failure"
+
+
+def test_disk_that_is_full_from_the_start_is_an_error(tmp_path):
+    with files_no_longer_than(10_000), pytest.raises(StoreError, match="cannot be made"):
+        KnowledgeBase(robot(), store=tmp_path / "m.sqlite3")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="the superuser may write anywhere")
+def test_file_that_may_not_be_written_is_an_error(tmp_path):
+    path = tmp_path / "m.sqlite3"
+    with kept(robot(), path):
+        pass
+    path.chmod(0o400)
+    with pytest.raises(StoreError, match="cannot be opened for writing"):
+        KnowledgeBase(robot(), store=path)
+
+
+def test_facts_of_many_threads_are_all_saved(tmp_path):
+    path, each = tmp_path / "m.sqlite3", 300
+    asked = []
+    with kept(robot(), path, clock=time.time) as kb:
+        done = threading.Event()
+
+        def tell(number):
+            for turn in range(each):
+                kb.measure(("light", "energy", "load")[number % 3], turn / each)
+                if turn % 50 == number:
+                    kb.component_failed("lidar")
+                    kb.component_recovered("lidar")
+
+        def ask():
+            while not done.is_set():
+                asked.append(kb.query("SELECT (COUNT(?m) AS ?n) { ?m a :Measurement }")[0][0])
+
+        tellers = [threading.Thread(target=tell, args=(number,)) for number in range(8)]
+        askers = [threading.Thread(target=ask) for _ in range(2)]
+        for thread in (*tellers, *askers):
+            thread.start()
+        for thread in tellers:
+            thread.join()
+        done.set()
+        for thread in askers:
+            thread.join()
+        assert kb.flush(30.0)
+        before = answers(kb)
+    assert asked
+    assert asked[-1] <= 8 * each
+    with kept(robot(), path, clock=time.time) as kb:
+        assert sum(len(one.history) for one in kb.attributes.values()) == 8 * each
+        after = answers(kb)
+    assert {key: after[key] for key in ("selected", "active", "plans")} == {
+        key: before[key] for key in ("selected", "active", "plans")
+    }
+
+
+def test_base_without_a_store_saves_nothing():
+    kb = KnowledgeBase(robot())
+    kb.measure("load", 1.0)
+    assert (kb.saved, kb.store_error, kb.flush(0.1)) == (0, None, False)
+    kb.close()
+    assert issubclass(StoreError, KnowledgeBaseError)
+
+
+def test_life_in_a_store_is_the_life_in_memory(tmp_path):
+    life, memory = Life(tmp_path / "m.sqlite3", 3), Life(None, 3)
+    for _ in zip(range(400), life.moves(), memory.moves(), strict=False):
+        pass
+    assert answers(life.kb) == answers(memory.kb)
+    life.kb.close()
