@@ -1,25 +1,24 @@
 """What a robot knows: which actions are feasible now, why, and how it has to be configured for what it does."""
 
-from kb.attempts import Attempt
 from kb.choice import ChoiceExplanation
-from kb.condemned import Condemnation
 from kb.diagnostics import DiagnosticProblem
 from kb.elements import AttributeKind, ComponentKind, EstimationKind, Expression, StalePolicy
 from kb.events import Event, EventKind, StatusChange
 from kb.exceptions import AmbiguousName, DuplicateName, InvalidValue, KnowledgeBaseError, ModelError, UnknownName
-from kb.execution import StagedExecutor
+from kb.execution.attempts import Attempt
+from kb.execution.condemned import Condemnation
+from kb.execution.executor import StagedExecutor
+from kb.execution.gate import VetoAnswer
 from kb.explanation import Explanation
 from kb.files import ModelFileError
-from kb.gate import VetoAnswer
 from kb.history import Process
 from kb.judge import Finding, Severity
 from kb.knowledge_base import KnowledgeBase
 from kb.managed import ManagedObject, ManagedObjects, ManagedSystem, Operation
 from kb.manager import ConfigurationManager, Executor, Monitor, Planner, PriorityPlanner
 from kb.model import Model
-from kb.optimum_planner import OptimalPlanner
-from kb.processes import ProcessComponents
-from kb.programs import Program
+from kb.optimum.planner import OptimalPlanner
+from kb.processes import ProcessComponents, Program
 from kb.reconfiguration import Obsolete, ReconfigurationPlan
 from kb.requests import Reply, RequiredAction
 from kb.selection import Choice, Criterion, Optimum

@@ -39,7 +39,7 @@ from kb.status import STATUSES, Status
 if TYPE_CHECKING:
     from kb.model import Model
 
-__all__ = ["KINDS", "Changeable", "Observer", "checked_changes", "checked_fact", "concerns", "description", "removal"]
+__all__ = ["Changeable", "KINDS", "Observer", "checked_changes", "checked_fact", "concerns", "description", "removal"]
 
 Changeable = Element | Constraint | Estimation
 

@@ -7,13 +7,13 @@ your own monitor, planner or executor and the rest stays as it is.
 from collections.abc import Iterable
 from typing import Protocol, cast
 
-from kb.attempts import Attempt
-from kb.execution import StagedExecutor
-from kb.gate import Gate, Veto, VetoAnswer
+from kb.execution.attempts import Attempt
+from kb.execution.executor import StagedExecutor
+from kb.execution.gate import Gate, Veto, VetoAnswer
+from kb.execution.rehearsal import Rehearsal
 from kb.knowledge_base import KnowledgeBase
 from kb.managed import ManagedSystem
 from kb.reconfiguration import ReconfigurationPlan
-from kb.rehearsal import Rehearsal
 from kb.selection import first_by_priority
 
 __all__ = ["ConfigurationManager", "Executor", "Monitor", "Planner", "PriorityPlanner"]

@@ -8,7 +8,7 @@ import pytest
 from estimated import power, robot
 from figures import table
 
-from kb.optimum_planner import OptimalPlanner
+from kb.optimum.planner import OptimalPlanner
 
 pytestmark = pytest.mark.benchmark
 

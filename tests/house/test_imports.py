@@ -27,7 +27,7 @@ ALLOWED = {
 }
 LATE = {"unified_planning", "suave_env", "matplotlib", "lark", "ortools", "owlready2"}
 """Slow to import: only inside functions, or in the one module that is itself imported late."""
-LATE_MODULES = {"missions/plot.py", "kb/typeql/reading.py", "kb/optimum.py", "kb/owl.py"}
+LATE_MODULES = {"missions/plot.py", "kb/typeql/reading.py", "kb/optimum/solver.py", "kb/owl.py"}
 
 
 def imports(path):

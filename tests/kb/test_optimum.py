@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from models import Clock, Twins, events, mostly_some, stories
 
 from kb import InvalidValue, KnowledgeBase, Model, PriorityPlanner, UnknownName
-from kb.optimum import best_choice, solve, verdicts
-from kb.optimum_planner import OptimalPlanner
-from kb.optimum_posing import pose
+from kb.optimum.planner import OptimalPlanner
+from kb.optimum.posing import pose
+from kb.optimum.solver import best_choice, solve, verdicts
 from kb.selection import Criterion, summed_weights
 
 SLOW = settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])

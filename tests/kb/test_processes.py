@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from kb import ConfigurationManager, KnowledgeBase, Model, StagedExecutor, Status, UnknownName
 from kb.exceptions import InvalidValue, KnowledgeBaseError
 from kb.processes import ProcessComponents
-from kb.programs import PARAMETERS, Program
+from kb.processes.programs import PARAMETERS, Program
 
 ROOT = Path(__file__).parents[2]
 PATIENCE_S = 30.0
@@ -275,7 +275,7 @@ def test_an_argument_without_its_parameter_is_refused_before_the_start():
 SCRIPT = """
 import os, sys, time
 from kb.processes import ProcessComponents
-from kb.programs import Program
+from kb.processes import Program
 
 note, ending = sys.argv[1:]
 code = '''

@@ -3,10 +3,10 @@
 import logging
 from collections.abc import Iterator, Mapping
 
-from kb.attempts import Attempt, Command, Patience, Step
-from kb.condemned import Condemnation, Condemned
 from kb.elements import ComponentKind
 from kb.exceptions import InvalidValue, UnknownName
+from kb.execution.attempts import Attempt, Command, Patience, Step
+from kb.execution.condemned import Condemnation, Condemned
 from kb.knowledge_base import KnowledgeBase
 from kb.managed import ManagedSystem, Operation
 from kb.reconfiguration import ReconfigurationPlan

@@ -7,7 +7,7 @@ from kb.elements import Element, finite_number
 from kb.exceptions import InvalidValue
 from kb.knowledge_base import KnowledgeBase
 from kb.manager import PriorityPlanner
-from kb.optimum_posing import pose
+from kb.optimum.posing import pose
 from kb.reconfiguration import ReconfigurationPlan
 from kb.selection import Criterion, Optimum, summed_weights
 from kb.status import Status
@@ -40,7 +40,7 @@ class OptimalPlanner:
         budgets: Mapping[str, float] | None = None,
         effort: float = 0.3,
     ) -> None:
-        import kb.optimum as solver  # the solver takes a while to import: not in a tick, nor for those without it
+        import kb.optimum.solver as solver  # it takes a while: not in a tick, nor for those without it
 
         if finite_number(effort) <= 0.0:
             raise InvalidValue(f"an effort is more than 0, not {effort!r}")

@@ -6,7 +6,7 @@ from decimal import Decimal, localcontext
 from kb.elements import Configuration, EstimationKind, FunctionDesign
 from kb.exceptions import UnknownName
 from kb.network import Network, Node
-from kb.optimum_problem import (
+from kb.optimum.problem import (
     EXACTLY,
     ComponentOptions,
     Effect,

@@ -12,8 +12,8 @@ from typing import Any, Final
 from ortools.sat.python import cp_model
 
 from kb.network import Node
-from kb.optimum_posing import pose
-from kb.optimum_problem import ComponentOptions, Effect, Option, Picks, Problem
+from kb.optimum.posing import pose
+from kb.optimum.problem import ComponentOptions, Effect, Option, Picks, Problem
 from kb.selection import Criterion, Optimum
 from kb.state import State
 

@@ -15,11 +15,11 @@ from threading import RLock
 from types import MappingProxyType, TracebackType
 from typing import Final, NamedTuple, TypeVar
 
-from kb import guardian
 from kb.elements import Parameters
 from kb.exceptions import InvalidValue, KnowledgeBaseError, UnknownName
 from kb.knowledge_base import KnowledgeBase
-from kb.programs import Program
+from kb.processes import guardian
+from kb.processes.programs import Program
 
 __all__ = ["ProcessComponents"]
 
