@@ -209,6 +209,37 @@ def test_reasons_that_suffice_by_themselves_are_told_apart_from_those_that_only_
     )
 
 
+def test_configurations_are_no_reason_while_one_of_them_is_possible():
+    model = Model("reasons")
+    light = model.environmental_attribute("light")
+    camera = model.component("camera", constraints=[light >= 0.1])
+    camera.configuration("day", constraints=[light >= 0.5])
+    camera.configuration("night")
+    kb = KnowledgeBase(model, clock=Clock())
+    kb.measure("light", 0.0)
+    assert [cause.name for cause in kb.explain("camera").causes] == ["light >= 0.1"]
+
+
+def test_only_the_selected_design_explains_an_error_of_its_function():
+    model = Model("error")
+    light = model.environmental_attribute("light")
+    camera = model.component("camera")
+    camera.configuration("day", constraints=[light >= 0.5])
+    camera.configuration("night")
+    see = model.function("see")
+    see.design("by camera", [camera])
+    see.design("by lidar", [])
+    model.action("look", requires=[see])
+    kb = KnowledgeBase(model, clock=Clock())
+    kb.request_action("look")
+    kb.select({"see": "by camera"}, {"camera": "day"})
+    kb.measure("light", 0.1)
+    kb.assert_status(kb.designs["by lidar"], "implicit configuration error")
+    explanation = kb.explain("see")
+    assert explanation.status is Status.IMPLICIT_CONFIGURATION_ERROR
+    assert [cause.name for cause in explanation.causes] == ["by camera"]
+
+
 def test_a_stale_measurement_is_told_with_its_age(kb):
     kb.measure("light", 0.95)
     assert "light 0.95 violates <= 0.9" in kb.explain("look").sentence

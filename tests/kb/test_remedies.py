@@ -291,24 +291,13 @@ def test_more_remedies_than_can_be_told_are_counted(model):
 
 def test_where_there_are_too_many_ways_to_look_at_a_remedy_still_has_no_idle_fact():
     model = Model("many")
-    light = model.environmental_attribute("light")
-    for number in range(12):
-        function = model.function(f"f{number}")
-        for sense in range(2):
-            function.design(f"d{number}.{sense}", [model.component(f"c{number}.{sense}")])
-        function.design(f"dark {number}", [], constraints=[light < 0.5])
-    model.action("all", requires=list(model.functions))
+    see = model.function("see")
+    for number in range(70):
+        see.design(f"by eye {number}", [model.component(f"eye {number}")])
+    model.function("look ahead").design("by the last eye", ["eye 69"])
+    model.action("go", requires=list(model.functions))
     kb = KnowledgeBase(model)
-    kb.measure("light", 0.7)
     for name in model.components:
         kb.component_failed(name)
-    state, node = kb._state, kb._network.actions["all"]
-    found, complete = remedies(state, node)
-    assert not complete
-    assert str(found[0]) == "light < 0.5"
-    for remedy in found:
-        for changes in ways(remedy):
-            assert changed(state, changes).status[node.index] not in IMPOSSIBLE
-            for dropped in changes:
-                rest = {what: value for what, value in changes.items() if what != dropped}
-                assert changed(state, rest).status[node.index] in IMPOSSIBLE
+    assert not remedies(kb._state, kb._network.actions["go"]).complete
+    assert told(kb, "go") == ["eye 69 recovered"]
