@@ -3,7 +3,6 @@
 import sqlite3
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from threading import Lock
 from typing import TYPE_CHECKING, Final
 from weakref import WeakMethod, finalize
@@ -126,8 +125,6 @@ class Keeping(Telling):
 
     def _current_book(self, timeout: float) -> "Book":
         """Return a book in memory in which all is written that is known now."""
-        from kb.owl import Book
-
         if self._journal.keeps_measurements:
             self.flush(timeout)
         with self._lock:
@@ -141,14 +138,8 @@ class Keeping(Telling):
             waiting = [] if saving else [one for one in self._journal.waiting if isinstance(one, Group)]
             if not saving:
                 self._journal.waiting.clear()
-        if self._book is None:
-            self._book = Book(base_of(self._network.model))
-            self._book.describe(metamodel(), model)
-            if self._store is not None and not saving:
-                with suppress(sqlite3.Error):
-                    self._store.copy_to(self._book)
-        if self._store is not None and saving:
-            self._store.copy_to(self._book)
+        if self._book is None or saving:
+            self._book = self._new_book(model)
         self._book.write_model(model)
         self._book.write(entry for group in waiting for entry in group.entries)
         if not saving:
@@ -158,6 +149,24 @@ class Keeping(Telling):
         self._book.commit()
         self._book_of = now
         return self._book
+
+    def _new_book(self, model: list[Individual]) -> "Book":
+        """Return a book in memory with what the store holds, if there is one that can be read."""
+        from kb.owl import Book
+
+        if self._book is not None:
+            self._book.close()
+            self._book = None
+        book = Book(base_of(self._network.model))
+        try:
+            if self._store is not None:
+                self._store.copy_to(book)
+                return book
+        except sqlite3.Error:
+            book.close()
+            book = Book(base_of(self._network.model))
+        book.describe(metamodel(), model)
+        return book
 
     def _samples(self) -> Iterator[Measured]:
         number = _APART

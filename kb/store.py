@@ -125,6 +125,7 @@ class Store:
             self._connection.execute("PRAGMA journal_mode=WAL")
             self._connection.execute("PRAGMA synchronous=NORMAL")
             self.book = Book(base, self.path, self._connection)
+            self.book.commit()  # what owlready2 notes at each opening; an open transaction would keep copies waiting
             facts = self.book.facts()
             self.saved = int(str(_said(self._connection, "told")))
         for one in facts:
