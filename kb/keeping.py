@@ -71,7 +71,7 @@ class Keeping(Telling):
         return self._store.error if self._store else None
 
     def flush(self, timeout: float | None = None) -> bool:
-        """Wait until all that was told by now is on disk; returns whether it is.
+        """Wait until all that was told by now is on disk; returns whether it is. Not for subscribers, who hold the base.
 
         Args:
             timeout: how long to wait at most [s].

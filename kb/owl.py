@@ -22,7 +22,7 @@ from kb.rdfxml import ROSA, order, plain_text
 if TYPE_CHECKING:
     from kb.model import Model
 
-__all__ = ["Answer", "Book", "inconsistency", "load_owl"]
+__all__ = ["Answer", "Book", "database", "inconsistency", "load_owl"]
 
 _TYPE: Final = "http://www.w3.org/1999/02/22-rdf-syntax-ns#type"
 _KINDS: Final = frozenset({*CLASSES.values(), *GENERAL, MODEL, PARAMETER, PREFERENCE})
@@ -166,10 +166,8 @@ class Book:
 
     def __init__(self, base: str, path: Path | None = None, connection: sqlite3.Connection | None = None) -> None:
         self.base = base
-        if path is None:
-            self.world = owlready2.World()
-        else:
-            self.world = owlready2.World(filename=str(path), connection=connection)
+        connection = connection or database(":memory:")
+        self.world = owlready2.World(filename=str(path or ":memory:"), connection=connection)
         self._db = self.world.graph.db
         self._contexts = {
             name: self.world.get_ontology(f"{base}/{name}#").graph.c for name in ("model", "told", "inferred")
@@ -347,6 +345,15 @@ class Book:
         if found is None:
             found = self._words[iri] = self.world._abbreviate(iri)
         return found
+
+
+def database(path: Path | str) -> sqlite3.Connection:
+    """Open a new database with small pages: a commit writes each page that it touches."""
+    connection = sqlite3.connect(path, isolation_level="EXCLUSIVE", check_same_thread=False)
+    connection.execute("PRAGMA page_size=4096")
+    connection.execute("BEGIN EXCLUSIVE")
+    connection.execute("PRAGMA user_version=0")  # from here on owlready2 cannot have larger pages
+    return connection
 
 
 def _said(one: Individual) -> Iterator[tuple[str, Value]]:

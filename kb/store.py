@@ -259,12 +259,12 @@ def _has_content(path: Path) -> bool:
 
 def _make(path: Path, base: str, declared: str, given: Iterable[Individual]) -> None:
     """Make the file of a store beside its place, so that it is there as a whole or not at all."""
-    from kb.owl import Book
+    from kb.owl import Book, database
     from kb.rdfxml import metamodel
 
     part = path.with_name(f".{path.name}.{os.getpid()}.{threading.get_ident()}.part")
     try:
-        connection = sqlite3.connect(part, isolation_level="EXCLUSIVE", check_same_thread=False)
+        connection = database(part)
         book = Book(base, part, connection)
         book.describe(metamodel(), given)
         book.write([Individual("", MODEL, {"told": (0,), "declared": (declared,)})])
