@@ -48,7 +48,7 @@ class Keeping(Telling):
         self._keep = keep
         self._store = past.store if past else None
         self._book: Book | None = None
-        self._book_of: object = None
+        self._book_of = (0, 0, 0, False)
         self._asking = Lock()
         self._journal = Journal(network.model, most=_UNSAVED)
         if past:
@@ -71,7 +71,9 @@ class Keeping(Telling):
         return self._store.error if self._store else None
 
     def flush(self, timeout: float | None = None) -> bool:
-        """Wait until all that was told by now is on disk; returns whether it is. Not for subscribers, who hold the base.
+        """Wait until all that was told by now is on disk; returns whether it is.
+
+        A subscriber must not wait so: it holds the base, and the writer needs that.
 
         Args:
             timeout: how long to wait at most [s].
@@ -138,7 +140,7 @@ class Keeping(Telling):
             waiting = [] if saving else [one for one in self._journal.waiting if isinstance(one, Group)]
             if not saving:
                 self._journal.waiting.clear()
-        if self._book is None or saving:
+        if self._book is None or saving or self._book_of[-1]:
             self._book = self._new_book(model)
         self._book.write_model(model)
         self._book.write(entry for group in waiting for entry in group.entries)

@@ -82,9 +82,7 @@ class Store:
         self.path, self.keep = path, keep
         self.saved = 0
         self.error: str | None = None
-        self.is_new = not _has_content(path)
-        if self.is_new:
-            _make(path, base, declared, given)
+        self.is_new = not _has_content(path) and _make(path, base, declared, given)
         self._guard = _guarded(path)
         try:
             _check_format(path, self._guard)
@@ -188,28 +186,27 @@ class Store:
         while not (self._closing and not self._journal.waiting):
             self._wake.acquire()
             time.sleep(_PAUSE)
-            try:
-                self._write_all()
-            except Exception as error:
-                self._fail(error)
-                return
+            while batch := self._taken():
+                try:
+                    self._write(batch)
+                except Exception as error:
+                    self._fail(error, batch)
+                    return
 
-    def _write_all(self) -> None:
-        while batch := self._taken():
-            entries: dict[int, Individual] = {}
-            others: list[Individual] = []
-            last = 0
-            for one in batch:
-                if isinstance(one, Measured):
-                    last = one.number
-                    entries[last] = measurement(one)
-                    self._count(named_id(Attribute, one.attribute), last)
-                else:
-                    last = one.last
-                    others += one.entries
-            written = [number for number in self._excess if entries.pop(number, None) is None]
-            self._excess = written
-            self._commit([*entries.values(), *others], last)
+    def _write(self, batch: Iterable[Measured | Group]) -> None:
+        measured: dict[int, Individual] = {}
+        entries: list[Individual] = []
+        last = 0
+        for one in batch:
+            if isinstance(one, Measured):
+                last = one.number
+                measured[last] = measurement(one)
+                self._count(named_id(Attribute, one.attribute), last)
+            else:
+                last = one.last
+                entries += one.entries
+        self._excess = [number for number in self._excess if measured.pop(number, None) is None]
+        self._commit([*measured.values(), *entries], last)
 
     def _taken(self) -> list[Measured | Group]:
         """Take what waits; whoever tells holds the base, so that this is whole calls."""
@@ -236,10 +233,12 @@ class Store:
         if len(numbers) > self.keep:
             self._excess.append(numbers.popleft())
 
-    def _fail(self, error: Exception) -> None:
+    def _fail(self, error: Exception, batch: Sequence[Measured | Group]) -> None:
         text = f"{self.path}: nothing is saved any more since fact {self.saved}: {error}"
         with suppress(sqlite3.Error):
             self._connection.rollback()
+        with self._base:
+            self._journal.waiting.extendleft(reversed(batch))
         with self._progress:
             self.error = text
             self._progress.notify_all()
@@ -257,8 +256,12 @@ def _has_content(path: Path) -> bool:
         raise StoreError(f"{path}: the store cannot be read: {error.strerror}") from None
 
 
-def _make(path: Path, base: str, declared: str, given: Iterable[Individual]) -> None:
-    """Make the file of a store beside its place, so that it is there as a whole or not at all."""
+def _make(path: Path, base: str, declared: str, given: Iterable[Individual]) -> bool:
+    """Make the file of a store beside its place, so that it is there as a whole or not at all.
+
+    Returns:
+        False if another process has made one meanwhile.
+    """
     from kb.owl import Book, database
     from kb.rdfxml import metamodel
 
@@ -272,12 +275,24 @@ def _make(path: Path, base: str, declared: str, given: Iterable[Individual]) -> 
         connection.execute(f"PRAGMA application_id={_OWNER}")
         connection.execute(f"PRAGMA user_version={FORMAT}")
         book.close()
-        part.replace(path)
+        return _put_in_place(part, path)
     except (OSError, sqlite3.Error) as error:
         raise StoreError(f"{path}: the store cannot be made: {error}") from None
     finally:
         with suppress(OSError):
             part.unlink(missing_ok=True)
+
+
+def _put_in_place(part: Path, path: Path) -> bool:
+    try:
+        path.hardlink_to(part)
+    except FileExistsError:
+        if path.stat().st_size > 0:
+            return False
+        part.replace(path)
+    except OSError:  # a file system without links
+        part.replace(path)
+    return True
 
 
 def _guarded(path: Path) -> int:

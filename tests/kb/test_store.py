@@ -369,10 +369,17 @@ def test_full_disk_is_said_and_the_mission_goes_on(tmp_path, caplog):
         kb.component_failed("camera")
         assert kb.flush(10.0)
         saved = kb.saved
+        failures = "SELECT ?start { ?f a :Failure ; :start ?start }"
+        assert kb.query(failures) == [(5.0,)]
+        kb.component_failed("lidar")
+        assert kb.flush(10.0)
         with files_no_longer_than(100_000):
             for number in range(3000):
                 kb.measure("load", float(number))
+            kb.assert_required("see", True)
             assert not kb.flush(10.0)
+        assert kb.query(failures) == [(5.0,), (5.0,)]
+        assert kb.query("SELECT ?n { ?x a :AssertedRequirement ; :about ?f . ?f :name ?n }") == [("see",)]
         assert "nothing is saved any more" in kb.store_error
         assert any("nothing is saved any more" in text for text in told)
         assert "nothing is saved any more" in caplog.text
