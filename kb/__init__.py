@@ -24,6 +24,7 @@ from kb.requests import Reply, RequiredAction
 from kb.selection import Choice, Criterion, Optimum
 from kb.situation import Situation
 from kb.status import Status
+from kb.store import StoreError
 
 __all__ = [
     "AmbiguousName",
@@ -72,6 +73,7 @@ __all__ = [
     "StalePolicy",
     "Status",
     "StatusChange",
+    "StoreError",
     "UnknownName",
     "VetoAnswer",
 ]

@@ -127,14 +127,6 @@ class Journal:
         if entries:
             self._put(entries)
 
-    def selected(
-        self, now: float, state: State, chosen: Iterable[Node], plan: ReconfigurationPlan | None = None
-    ) -> None:
-        """Enter what is selected now, after a choice, and the plan that comes of it."""
-        rivals = [rival for node in chosen for rival in node.wholes[0].parts]
-        before = [state.network.nodes[index] for column, index in self._open if column == "selected"]
-        self.enter(now, state, dict.fromkeys([*rivals, *before]), [plan] if plan else [])
-
     def configured(self, now: float, component: Node, parameters: Parameters) -> None:
         """Enter that a component was given parameters."""
         entries = self._ended(self._in_force.pop(component.name, None), now)

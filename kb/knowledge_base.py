@@ -169,14 +169,15 @@ class KnowledgeBase(Keeping):
             now = self._clock()
             reason = why_selected(self._state, [*chosen, *given], now)
             selection = reselect(self._state, chosen, given)
+            reselected = dict.fromkeys(selection.reselected)
             if not selection:
-                self._journal.selected(now, self._known, [*chosen, *given])
+                self._journal.enter(now, self._known, reselected)
                 return None
-            activate, deactivate, parameters, changes = selection
+            activate, deactivate, parameters, changes, _ = selection
             plan = ReconfigurationPlan(activate, deactivate, parameters, reason, now)
             self._plans.append(plan)
             self._open_plans.append(plan)
-            self._journal.selected(now, self._known, [*chosen, *given], plan)
+            self._journal.enter(now, self._known, reselected, [plan])
             self._publisher.publish(
                 Event(EventKind.RECONFIGURATION_PLAN, now, "", str(plan), status_changes(changes), plan)
             )

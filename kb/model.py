@@ -251,7 +251,7 @@ class Model:
         """Read a model from one file or several, each of which may add to those before it.
 
         Args:
-            paths: files of ROSA's TypeQL (`.tql`).
+            paths: files of ROSA's TypeQL (`.tql`), or of OWL (`.owl`).
             name: what the model is called; by default what the files say, else the first file's name.
 
         Raises:
@@ -262,7 +262,7 @@ class Model:
         return load_model(cls, paths, name)
 
     def save(self, path: str | Path) -> None:
-        """Write the model to a file (`.tql`) that `load` reads back as the same model; nothing half-written stays."""
+        """Write the model to a file (`.tql`, `.owl`) that `load` reads back as the same model; nothing half-written stays."""
         from kb.files import save_model
 
         save_model(self, path)

@@ -21,12 +21,13 @@ class Obsolete(NamedTuple):
 
 
 class Selection(NamedTuple):
-    """What has to be done to the managed system after a selection, by name."""
+    """What has to be done to the managed system after a selection, by name; and what is selected now or no longer."""
 
     activate: tuple[str, ...]
     deactivate: tuple[str, ...]
     parameters: tuple[str, ...]
     changes: tuple[Change, ...]
+    reselected: tuple[Node, ...]
 
     def __bool__(self) -> bool:
         return bool(self.activate or self.deactivate or self.parameters)
@@ -96,6 +97,7 @@ def reselect(state: State, designs: Iterable[Node], configurations: Iterable[Nod
         deactivate=_names(node for node in dict.fromkeys([*given_up, *idle]) if state.active[node.index]),
         parameters=_names(node for node in newly_configured if state.selected[node.index]),
         changes=tuple(changes),
+        reselected=(*changed, *newly_configured, *unselected),
     )
 
 
