@@ -262,7 +262,7 @@ class Model:
         return load_model(cls, paths, name)
 
     def save(self, path: str | Path) -> None:
-        """Write the model to a file (`.tql`, `.owl`) that `load` reads back as the same model; nothing half-written stays."""
+        """Write the model to a file (`.tql`, `.owl`) that `load` reads back as it is; nothing half-written stays."""
         from kb.files import save_model
 
         save_model(self, path)

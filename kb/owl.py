@@ -297,7 +297,8 @@ class Book:
 
     def copy_to(self, other: "Book") -> None:
         """Make another book the same as this one."""
-        other._db.commit()
+        for book in (self, other):  # a transaction left open by a look into the file would be waited for, for ever
+            book._db.commit()
         self._db.backup(other._db)
         other._words.clear()
 

@@ -174,3 +174,12 @@ def test_two_bases_do_not_see_each_other():
     assert one.query("SELECT ?f { ?f a :Failure }")
     assert not other.query("SELECT ?x { ?x a :Action }")
     assert not other.query("SELECT ?f { ?f a :Failure }")
+
+
+def test_a_store_is_asked_as_soon_as_it_is_opened(tmp_path):
+    path = tmp_path / "m.sqlite3"
+    for expected in (0, 1, 1):
+        kb = KnowledgeBase(robot(), store=path)
+        assert kb.query("SELECT (COUNT(?f) AS ?n) { ?f a :Failure }", timeout=20.0) == [(expected,)]
+        kb.component_failed("camera")
+        kb.close()
