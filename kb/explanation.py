@@ -187,9 +187,7 @@ class _Explainer:
         compared = Comparison(constraint.attribute, constraint.operator, constraint.value, value, time, is_stale)
         if self._state.asserted[node.index] is not None:
             return Explanation(node.kind, node.name, status, f"{node.name} is asserted {status}", measurement=compared)
-        fact = _told(compared, attribute, self._now)
-        if self._state.verdict[node.index] is not None and not is_stale:
-            fact = _steady(fact, constraint, status)
+        fact = _told(compared, attribute, self._now, self._state.verdict[node.index])
         return Explanation(node.kind, node.name, status, fact, measurement=compared)
 
     def _grounds(self, node: Node, status: Status) -> tuple[str, "Reasons"]:
@@ -285,8 +283,8 @@ def _needed_by(state: State, node: Node, about: Iterable[Node]) -> str:
     return ", ".join(named) or "something asserted"
 
 
-def _told(compared: Comparison, attribute: Node, now: float) -> str:
-    """Write a comparison, with the age of the measurement."""
+def _told(compared: Comparison, attribute: Node, now: float, verdict: Status | None) -> str:
+    """Write a comparison, with the age of the measurement, and what a constraint that does not flap makes of it."""
     bound = f"{compared.operator} {exact(compared.threshold)}"
     if compared.value is None:
         return f"{compared.attribute} is not measured (wanted {bound})"
@@ -296,16 +294,12 @@ def _told(compared: Comparison, attribute: Node, now: float) -> str:
         assert isinstance(attribute.element, Attribute)
         return f"{shown} is stale: {age}, at most {exact(attribute.element.max_age)} s"
     holds = OPERATORS[compared.operator](compared.value, compared.threshold)
-    return f"{shown} {'satisfies' if holds else 'violates'} {bound}{age and f' ({age})'}"
-
-
-def _steady(fact: str, constraint: Constraint, status: Status) -> str:
-    """Say of a constraint that does not flap what it is, if the latest measurement alone says otherwise."""
-    if status is Status.NOT_EVALUATED:
-        return f"{fact.split(' satisfies ')[0].split(' violates ')[0]} is not confirmed by enough measurements"
-    if ("violates" in fact) == (status is Status.VIOLATED):
+    if verdict is Status.NOT_EVALUATED:
+        return f"{shown} is not confirmed by enough measurements"
+    fact = f"{shown} {'satisfies' if holds else 'violates'} {bound}{age and f' ({age})'}"
+    if verdict is None or holds == (verdict is Status.SATISFIED):
         return fact
-    return f"{fact}, but {constraint} stays {status} until that is clear for long enough"
+    return f"{fact}, but {compared.attribute} {bound} stays {verdict} until that is clear for long enough"
 
 
 def shortest(value: float, thresholds: Iterable[float]) -> str:

@@ -13,7 +13,7 @@ from kb.choice import ChoiceExplanation, explain_choice
 from kb.declarations import listed
 from kb.elements import Configuration, Constraint, Element, FunctionDesign, Parameters
 from kb.exceptions import AmbiguousName, InvalidValue, UnknownName
-from kb.explanation import Explanation, explain
+from kb.explanation import Explanation, explain, why
 from kb.history import History
 from kb.network import Network, Node
 from kb.reconfiguration import Obsolete, obsolete, reselect
@@ -139,6 +139,11 @@ class Questions(ABC):
         """
         with self._lock:
             return explain(self._state, self._node(element, ELEMENTS), self._clock())
+
+    def why(self, element: ElementView | Element | Constraint | str) -> str:
+        """Say in a sentence why an element has its status; quicker than `explain`, for it looks for no remedies."""
+        with self._lock:
+            return why(self._state, self._node(element, ELEMENTS), self._clock())
 
     def explain_choice(self, element: ElementView | Element | Constraint | str) -> ChoiceExplanation:
         """Say why a function has the design, or a component the configuration, that it has, and not another one.

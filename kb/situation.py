@@ -23,7 +23,7 @@ __all__ = ["Situation"]
 class _Assumption(NamedTuple):
     what: str
     node: Node
-    value: float | bool | None
+    value: float | None = None
 
 
 class Situation(Questions):
@@ -79,15 +79,14 @@ class Situation(Questions):
         for what, node, value in self._assumptions:
             self._network.find(node.element)
             if what == "measured":
-                assert value is None or isinstance(value, float)
                 touched += _suppose_measured(state, node, value, now)
                 continue
             touched.append(node)
             if what == "requested":
                 state.requested[node.index] = True
             else:
-                state.failed[node.index] = bool(value)
-                if not value and state.asserted[node.index] is Status.FAILURE:
+                state.failed[node.index] = what == "failed"
+                if what == "recovered" and state.asserted[node.index] is Status.FAILURE:
                     state.asserted[node.index] = None
         settle(state, touched)
         return state
@@ -118,13 +117,13 @@ def assumptions(
         raise InvalidValue(f"what is supposed to be measured is given as values by name, not as {measured!r}")
     values = {**(measured or {}), **attributes}
     supposed = [_Assumption("measured", asked.attributes.node(name), _value(name, values[name])) for name in values]
-    for word, what, value, names, views in (
-        ("failed", "failed", True, failed, asked.components),
-        ("recovered", "failed", False, recovered, asked.components),
-        ("requested", "requested", True, requested, asked.actions),
+    for what, names, views in (
+        ("failed", failed, asked.components),
+        ("recovered", recovered, asked.components),
+        ("requested", requested, asked.actions),
     ):
-        wanted = (names,) if isinstance(names, str) else listed(f"names supposed to be {word}", names)
-        supposed += [_Assumption(what, views.node(name), value) for name in wanted]
+        wanted = (names,) if isinstance(names, str) else listed(f"names supposed to be {what}", names)
+        supposed += [_Assumption(what, views.node(name)) for name in wanted]
     return supposed
 
 

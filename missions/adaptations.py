@@ -121,7 +121,7 @@ class AdaptationLog:
             if change.kind != "action":
                 continue
             if change.new is Status.UNFEASIBLE:
-                why = self._kb.explain(self._kb.actions[change.name]).sentence
+                why = self._kb.why(self._kb.actions[change.name])
                 self._lost[change.name] = _News(self._stamp, event.text, why)
             elif change.old is Status.UNFEASIBLE:
                 self._regained[change.name] = _News(self._stamp, event.text, f"{change.name} is feasible again")

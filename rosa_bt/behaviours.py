@@ -69,7 +69,7 @@ class IsActionFeasible(_ActionBehaviour):
         if self.kb.is_feasible(action):
             self.feedback_message = ""
             return Status.SUCCESS
-        self.feedback_message = self.kb.explain(self.kb.actions[action]).sentence
+        self.feedback_message = self.kb.why(self.kb.actions[action])
         return Status.FAILURE
 
 

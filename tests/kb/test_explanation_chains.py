@@ -286,3 +286,15 @@ def test_what_many_elements_share_is_explained_once():
     drivers = {id(design.causes[0]) for function in explanation.causes for design in function.causes}
     assert len(drivers) == 1
     assert [str(remedy) for remedy in explanation.remedies] == ["driver recovered"]
+
+
+@SLOW
+@given(stories(max_size=10))
+def test_why_is_the_sentence_of_the_explanation(story):
+    model, happenings = story
+    twins = Twins(model)
+    for event in happenings:
+        twins.happen(event)
+    for kind, name in twins.elements():
+        view = twins.view(kind, name)
+        assert twins.kb.why(view) == twins.kb.explain(view).sentence
