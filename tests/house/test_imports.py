@@ -9,7 +9,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 ALLOWED = {
     "kb": {"kb", "lark", "ortools", "owlready2"},
-    "rosa_bt": {"rosa_bt", "kb", "py_trees"},
+    "rosa_bt": {"rosa_bt", "kb", "py_trees", "defusedxml"},
     "rosa_pddl": {"rosa_pddl", "kb", "py_trees", "unified_planning"},
     "suave_env": {"suave_env", "mujoco", "numpy"},
     "missions": {
@@ -23,9 +23,31 @@ ALLOWED = {
         "matplotlib",
         "rich",
         "typer",
+        "scipy",
+        "joblib",
+        "dask",
+        "distributed",
+        "pyarrow",
+        "gymnasium",
+        "mujoco",
+        "owlready2",
     },
 }
-LATE = {"unified_planning", "suave_env", "matplotlib", "lark", "ortools", "owlready2"}
+LATE = {
+    "unified_planning",
+    "suave_env",
+    "matplotlib",
+    "lark",
+    "ortools",
+    "owlready2",
+    "scipy",
+    "joblib",
+    "dask",
+    "distributed",
+    "pyarrow",
+    "gymnasium",
+    "defusedxml",
+}
 """Slow to import: only inside functions, or in the one module that is itself imported late."""
 LATE_MODULES = {"missions/plot.py", "kb/typeql/reading.py", "kb/optimum/solver.py", "kb/owl.py"}
 
