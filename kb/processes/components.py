@@ -3,8 +3,6 @@
 import atexit
 import logging
 import os
-import secrets
-import signal
 import subprocess
 import sys
 import time
@@ -13,31 +11,25 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from threading import RLock
 from types import MappingProxyType, TracebackType
-from typing import Final, NamedTuple, TypeVar
+from typing import Final, TypeVar
 
 from kb.elements import Parameters
 from kb.exceptions import InvalidValue, KnowledgeBaseError, UnknownName
 from kb.knowledge_base import KnowledgeBase
 from kb.processes import guardian
+from kb.processes.proc import MARK, left_over, new_mark
 from kb.processes.programs import Program
+from kb.processes.run import News, Run
 
 __all__ = ["ProcessComponents"]
 
 _log = logging.getLogger(__name__)
 
-_MARK: Final = "KB_STARTED_BY"
 _TO_DIE_S: Final = 5.0
 """How long what was killed may take to be gone, before one does without."""
 _PERIOD_OF_CLOSING_S: Final = 0.01
-_MOST_DOUBLINGS: Final = 60
-
-
-class _News(NamedTuple):
-    """Something that the knowledge base is to be told: a process "started", "ended" or "crashed", or "failed"."""
-
-    component: str
-    what: str
-    pid: int
+_NOBODY: Final = 0
+"""No process has this number, so a guardian that is given it as a parent begins to end things at once."""
 
 
 class ProcessComponents:
@@ -45,8 +37,9 @@ class ProcessComponents:
 
     Each runs in a process group of its own, without a shell. It is told to end with SIGTERM; after its grace the whole
     group is killed. Have the manager ask it at each turn (`monitors=[processes]`): so the knowledge base gets to know
-    what was started, has ended, or ended by itself. Close it, or use it in a `with` statement; nothing is left behind
-    either way, even if this process is killed.
+    what was started, has ended, or ended by itself; and, at the first time, that nothing runs that was started before
+    this was made. Close it, or use it in a `with` statement; nothing is left behind either way, even if this process is
+    killed.
 
     Args:
         programs: what to run, by name of the component.
@@ -66,15 +59,16 @@ class ProcessComponents:
                 program.check()
             except InvalidValue as error:
                 raise InvalidValue(f"component {name!r} cannot be run: {error}") from None
-        self._mark = secrets.token_hex(16)  # an identity; nothing is decided by it
+        self._mark = new_mark()
         self._grace = max((program.grace for program in programs.values()), default=0.0)
-        self._news: deque[_News] = deque()
-        self._runs = {name: _Run(name, program, clock, self._news) for name, program in programs.items()}
+        self._news: deque[News] = deque()
+        self._runs = {name: Run(name, program, clock, self._news) for name, program in programs.items()}
         self._lock = RLock()
         self._guardian: subprocess.Popen[bytes] | None = None
+        self._tidiers: dict[str, subprocess.Popen[bytes]] = {}
+        self._told: KnowledgeBase | None = None
         self._owner = os.getpid()
         self._is_open = True
-        self._is_checked = False
         atexit.register(self.close)
 
     def activate(self, component: str) -> "_Start":
@@ -104,22 +98,26 @@ class ProcessComponents:
             return run.process is not None
 
     def observe(self, kb: KnowledgeBase) -> None:
-        """Tell the knowledge base what started and ended since the last time."""
-        with self._lock:
-            for run in self._runs.values():
-                run.look()
-            news = tuple(self._news)
-            self._news.clear()
-        if not self._is_checked:
-            self._is_checked = True
+        """Tell the knowledge base what started and ended since the last time.
+
+        One that is seen for the first time may have another past, e.g. of a program that was killed. It is told which
+        of its processes are no more, and what of them is there all the same is ended.
+
+        Raises:
+            UnknownName: a program was given for a component that the model does not have; at the first time only.
+        """
+        if kb is not self._told:
+            self._told = kb
             for name in self._runs:
                 kb.components.node(name)
-        for one in news:
-            if one.component in kb.components:
-                _tell(kb, one)
+            self._meet(kb)
+        self._tell(kb)
 
     def close(self) -> None:
-        """End everything and wait for that, as long as the longest grace at most; nothing can be started any more."""
+        """End everything and wait for that, as long as the longest grace at most; nothing can be started any more.
+
+        The knowledge base that was observed last is told.
+        """
         with self._lock:
             if not self._is_open or os.getpid() != self._owner:  # a fork of this process owns none of the processes
                 return
@@ -133,6 +131,8 @@ class ProcessComponents:
                 if left:
                     time.sleep(_PERIOD_OF_CLOSING_S)
             self._dismiss_guardian()
+        if self._told is not None:
+            self._tell_the_end(self._told)
 
     def __enter__(self) -> "ProcessComponents":
         return self
@@ -142,149 +142,93 @@ class ProcessComponents:
     ) -> None:
         self.close()
 
-    def _run(self, component: str) -> "_Run":
+    def _run(self, component: str) -> Run:
         if component not in self._runs:
             raise UnknownName("process component", component, self._runs)
         return self._runs[component]
+
+    def _meet(self, kb: KnowledgeBase) -> None:
+        """Tell a knowledge base what is true of what it believes to run."""
+        with self._lock:
+            for run in self._runs.values():
+                run.look()
+            mine = {name: run.process.pid for name, run in self._runs.items() if run.process is not None}
+        for one in kb.processes:
+            if one.component in self._runs and one.end is None and mine.get(one.component) != one.pid:
+                self._tidy_up(one.component, one.pid)
+                kb.component_ended(one.component, one.pid)
+        for name in self._runs:
+            kb.component_active(name, name in mine)
+
+    def _tidy_up(self, component: str, pid: int) -> None:
+        """Have what was started in another life ended, if it lives on, and nothing started in its place before that."""
+        mark = left_over(pid)
+        if mark is None:
+            return
+        with self._lock:
+            self._runs[component].wait_for(pid)
+            if self._is_open and mark not in self._tidiers:
+                _log.warning("the process of %s, %d, was left over and is ended", component, pid)
+                self._tidiers[mark] = _guard(mark, self._grace, _NOBODY)
+
+    def _tell(self, kb: KnowledgeBase) -> None:
+        with self._lock:
+            for run in self._runs.values():
+                run.look()
+            news = tuple(self._news)
+            self._news.clear()
+        for one in news:
+            if one.component in kb.components:
+                _told(kb, one)
+
+    def _tell_the_end(self, kb: KnowledgeBase) -> None:
+        """Tell what has become of everything; an end is never an error, also if it cannot be told any more."""
+        try:
+            self._tell(kb)
+            for name in self._runs:
+                if name in kb.components:
+                    kb.component_active(name, False)
+        except KnowledgeBaseError as error:
+            _log.warning("the knowledge base was not told that the processes have ended: %s", error)
 
     def _have_guardian(self) -> None:
         """See that somebody ends the processes if this one is killed."""
         if self._guardian is not None:
             if self._guardian.poll() is None:
                 return
-            self._dismiss_guardian()
-        environment = {name: value for name, value in os.environ.items() if name != _MARK}
-        told = [f"{_MARK}={self._mark}", str(self._grace), str(os.getpid())]
-        self._guardian = subprocess.Popen(
-            [sys.executable, "-I", "-S", guardian.__file__, *told],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            env=environment,
-            start_new_session=True,
-        )
+            self._guardian.wait()
+        self._guardian = _guard(self._mark, self._grace, os.getpid())
 
     def _dismiss_guardian(self) -> None:
         """Have the guardian end what has left its process group, and end itself."""
-        if self._guardian is None:
-            return
-        assert self._guardian.stdin is not None
-        self._guardian.stdin.close()
-        try:
-            self._guardian.wait(self._grace + _TO_DIE_S)
-        except subprocess.TimeoutExpired:
-            self._guardian.kill()
-            self._guardian.wait()
+        for one in (self._guardian, *self._tidiers.values()):
+            if one is None:
+                continue
+            assert one.stdin is not None
+            one.stdin.close()
+            try:
+                one.wait(self._grace + _TO_DIE_S)
+            except subprocess.TimeoutExpired:
+                one.kill()
+                one.wait()
 
 
-class _Run:
-    """One component: the process as which it runs, if it does, and how often it has ended by itself."""
-
-    def __init__(self, name: str, program: Program, clock: Callable[[], float], news: deque[_News]) -> None:
-        self.name = name
-        self.program = program
-        self.parameters: Parameters = MappingProxyType({})
-        self.process: subprocess.Popen[bytes] | None = None
-        self.crash = (-1, "")
-        self._clock = clock
-        self._news = news
-        self._started = 0.0
-        self._kill_at: float | None = None
-        self._crashes = 0
-        self._not_before = 0.0
-        self._in_force: Parameters = self.parameters
-
-    def set_parameters(self, parameters: Parameters) -> None:
-        self.look()
-        pid = None if self.process is None else self.process.pid
-        if self.program.configure is not None:
-            self.program.configure(parameters, pid)
-        elif pid is not None and parameters != self._in_force:
-            raise KnowledgeBaseError(
-                f"{self.name!r} takes no parameters while it runs; declare the component with stops_to_configure=True, "
-                f"or give its Program a function configure"
-            )
-        else:
-            self.program.command(parameters)
-        self.parameters = parameters
-
-    def start(self, mark: str) -> int | None:
-        """Go on towards running; returns the process number once it does."""
-        self.look()
-        if self.process is None and self._clock() >= self._not_before:
-            self._spawn(mark)
-        return None if self.process is None or self._kill_at is not None else self.process.pid
-
-    def stop(self, *, kill: bool = False) -> bool:
-        """Go on towards an end; returns whether nothing is left."""
-        self.look()
-        if self.process is None:
-            self._crashes, self._not_before = 0, 0.0
-            return True
-        if self._kill_at is None:
-            self._kill_at = self._clock() + self.program.grace
-            _signal_group(self.process.pid, signal.SIGTERM)
-        if kill:
-            _signal_group(self.process.pid, signal.SIGKILL)
-        self.look()
-        return self.process is None
-
-    def look(self) -> None:
-        """Take note of an end."""
-        process = self.process
-        if process is None:
-            return
-        has_ended = _has_ended(process.pid)
-        if self._kill_at is None:
-            if has_ended:
-                self._take_crash(process)
-            return
-        if not (has_ended and _is_alone(process.pid)):
-            if self._clock() >= self._kill_at:
-                _signal_group(process.pid, signal.SIGKILL)
-            return
-        self._bury(process)
-        self._news.append(_News(self.name, "ended", process.pid))
-
-    def _spawn(self, mark: str) -> None:
-        program = self.program
-        program.check()
-        self.process = subprocess.Popen(
-            program.command(self.parameters),
-            cwd=program.directory,
-            env={**os.environ, **program.variables(self.parameters), _MARK: mark},
-            stdin=subprocess.DEVNULL,
-            start_new_session=True,
-        )
-        self._started, self._in_force, self.crash = self._clock(), self.parameters, (-1, "")
-        self._news.append(_News(self.name, "started", self.process.pid))
-
-    def _take_crash(self, process: subprocess.Popen[bytes]) -> None:
-        _signal_group(process.pid, signal.SIGKILL)  # what it leaves behind
-        self._bury(process)
-        now, text = self._clock(), f"{self.name!r} ended by itself {_manner(process.returncode)}"
-        self.crash = (process.pid, text)
-        _log.warning("%s", text)
-        self._news.append(_News(self.name, "crashed", process.pid))
-        if now - self._started >= self.program.steady:
-            self._crashes = 0
-        self._crashes += 1
-        if self._crashes > self.program.restarts:
-            self._crashes, self._not_before = 0, 0.0
-            self._news.append(_News(self.name, "failed", process.pid))
-        else:
-            doublings = min(self._crashes - 1, _MOST_DOUBLINGS)
-            self._not_before = now + self.program.back_off * 2.0**doublings
-
-    def _bury(self, process: subprocess.Popen[bytes]) -> None:
-        process.wait()
-        self.process, self._kill_at = None, None
+def _guard(mark: str, grace: float, parent: int) -> subprocess.Popen[bytes]:
+    """Start a guardian; see its module."""
+    return subprocess.Popen(
+        [sys.executable, "-I", "-S", guardian.__file__, f"{MARK}={mark}", str(grace), str(parent)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        env={name: value for name, value in os.environ.items() if name != MARK},
+        start_new_session=True,
+    )
 
 
 class _Start:
     """A component on its way to running; failed if its process ends by itself while somebody still asks."""
 
-    def __init__(self, run: _Run, mark: str, lock: RLock) -> None:
+    def __init__(self, run: Run, mark: str, lock: RLock) -> None:
         self._run = run
         self._mark = mark
         self._lock = lock
@@ -306,7 +250,7 @@ class _Start:
 class _Stop:
     """A component on its way to an end."""
 
-    def __init__(self, run: _Run, lock: RLock) -> None:
+    def __init__(self, run: Run, lock: RLock) -> None:
         self._run = run
         self._lock = lock
 
@@ -326,7 +270,7 @@ def _begun(operation: _Begun) -> _Begun:
     return operation
 
 
-def _tell(kb: KnowledgeBase, news: _News) -> None:
+def _told(kb: KnowledgeBase, news: News) -> None:
     if news.what == "started":
         kb.component_started(news.component, news.pid)
     elif news.what == "failed":
@@ -335,42 +279,3 @@ def _tell(kb: KnowledgeBase, news: _News) -> None:
         kb.component_ended(news.component, news.pid)
         if news.what == "crashed":
             kb.component_active(news.component, False)
-
-
-def _has_ended(pid: int) -> bool:
-    """Tell whether a child has ended, and leave it unburied, so that its number stays its own."""
-    try:
-        return os.waitid(os.P_PID, pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
-    except ChildProcessError:
-        return True
-
-
-def _is_alone(leader: int) -> bool:
-    """Tell whether nothing else lives in the process group of a process."""
-    for folder in Path("/proc").iterdir():
-        if folder.name.isdigit() and folder.name != str(leader):
-            try:
-                state, _, group = (folder / "stat").read_bytes().rpartition(b")")[2].split()[:3]
-            except (OSError, ValueError):
-                continue
-            if int(group) == leader and state not in (b"Z", b"X"):
-                return False
-    return True
-
-
-def _signal_group(leader: int, number: signal.Signals) -> None:
-    try:
-        os.killpg(leader, number)
-    except ProcessLookupError:
-        return
-    except PermissionError as error:
-        _log.warning("process group %d could not be sent %s: %s", leader, number.name, error)
-
-
-def _manner(code: int) -> str:
-    if code >= 0:
-        return f"with status {code}"
-    try:
-        return f"of {signal.Signals(-code).name}"
-    except ValueError:
-        return f"of signal {-code}"
