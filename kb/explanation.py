@@ -64,6 +64,8 @@ class Explanation:
         remedies: of an element that is unfeasible or in failure, the smallest sets of facts that would make it
             feasible; only of the one that was asked about, not of its causes.
         has_all_remedies: the remedies are all there are.
+        reason: why, in the words of whoever asserted the status or reported the failure; may be empty.
+        choice: of a design or configuration that is selected, why, in the words of whoever selected it; may be empty.
     """
 
     kind: str
@@ -75,6 +77,8 @@ class Explanation:
     possible_only: bool = False
     remedies: tuple[Remedy, ...] = ()
     has_all_remedies: bool = True
+    reason: str = ""
+    choice: str = ""
 
     @property
     def causes(self) -> tuple["Explanation", ...]:
@@ -87,7 +91,8 @@ class Explanation:
         return self._sentence(self.name)
 
     def __str__(self) -> str:
-        return f"{self.sentence}{self._outlook()}"
+        selected = f"; why it was selected: {self.choice}" if self.choice else ""
+        return f"{self.sentence}{self._outlook()}{selected}"
 
     def _outlook(self) -> str:
         if self.kind == "constraint" or self.status not in _IMPOSSIBLE:
@@ -105,7 +110,7 @@ class Explanation:
         if self.kind == "constraint":
             return self.fact
         if self.status is Status.FAILURE and not self.fact:
-            return f"{subject} has failed"
+            return f"{subject} has failed ({self.reason})" if self.reason else f"{subject} has failed"
         verb = "is in" if self.status in _IN else "is"
         statement = f"{subject} is not unfeasible" if self.possible_only else f"{subject} {verb} {self.status}"
         why = self.fact or self._told_causes()
@@ -172,13 +177,26 @@ class _Explainer:
         status = self._state.status[node.index]
         if isinstance(node.element, Constraint):
             return self._constraint(node, node.element, status)
+        choice = self._state.reason("selected", node).text if self._state.selected[node.index] else ""
         if self._state.asserted[node.index] is not None:
-            return Explanation(node.kind, node.name, status, "it is asserted so")
+            said = self._state.reason("asserted", node)
+            fact = f"it is asserted so{said}"
+            return Explanation(node.kind, node.name, status, fact, reason=said.text, choice=choice)
         if possible_only or status is Status.FEASIBLE:
             fact, reasons = _POSSIBLE[node.kind], _together(self._witnesses(node))
         else:
             fact, reasons = self._grounds(node, status)
-        return Explanation(node.kind, node.name, status, fact, reasons, possible_only=possible_only)
+        reported = self._state.reason("failed", node).text if status is Status.FAILURE else ""
+        return Explanation(
+            node.kind,
+            node.name,
+            status,
+            fact,
+            reasons,
+            possible_only=possible_only,
+            reason=reported,
+            choice=choice,
+        )
 
     def _constraint(self, node: Node, constraint: Constraint, status: Status) -> Explanation:
         attribute = node.parts[0]
@@ -186,7 +204,9 @@ class _Explainer:
         is_stale = self._state.stale[attribute.index]
         compared = Comparison(constraint.attribute, constraint.operator, constraint.value, value, time, is_stale)
         if self._state.asserted[node.index] is not None:
-            return Explanation(node.kind, node.name, status, f"{node.name} is asserted {status}", measurement=compared)
+            said = self._state.reason("asserted", node)
+            fact = f"{node.name} is asserted {status}{said}"
+            return Explanation(node.kind, node.name, status, fact, measurement=compared, reason=said.text)
         fact = _told(compared, attribute, self._now, self._state.verdict[node.index])
         return Explanation(node.kind, node.name, status, fact, measurement=compared)
 
@@ -205,8 +225,9 @@ class _Explainer:
             needed = [self.status(one) for one in (*node.constraints, *parts)]
             return "it is required, and all that it needs is in place", _together(needed)
         if status is Status.UNSOLVED and node.kind == "component":
-            inactive = not self._state.active[node.index]
-            return "it is required and not active" if inactive else "none of its configurations is selected", ()
+            if self._state.active[node.index]:
+                return "none of its configurations is selected", ()
+            return f"it is required and not active{self._state.reason('active', node)}", ()
         if status is Status.UNSOLVED and node.kind == "function":
             return "" if selected else "none of its designs is selected", _together(map(self.status, selected))
         if status is Status.UNSOLVED:
@@ -247,8 +268,15 @@ def _together(causes: Iterable[Explanation]) -> Reasons:
     return (reason,) if reason else ()
 
 
-def why_selected(state: State, chosen: Sequence[Node], now: float) -> str:
-    """Say why designs and configurations are about to be selected; the state is the one before."""
+def why_selected(state: State, chosen: Sequence[Node], now: float, said: str = "") -> str:
+    """Say why designs and configurations are about to be selected.
+
+    Args:
+        state: the one before.
+        chosen: what is selected.
+        now: the present time [s], for the age of measurements.
+        said: why whoever selects them prefers them, in words; by default they are said to be preferred.
+    """
     users: dict[Node, list[Node]] = {}
     for design in chosen:
         if design.kind == "function design":
@@ -264,8 +292,9 @@ def why_selected(state: State, chosen: Sequence[Node], now: float) -> str:
             reasons.append(f"{whole.kind} {whole.name} is needed by {_needed_by(state, whole, users.get(whole, ()))}")
         elif state.status[before.index] is Status.UNFEASIBLE:
             reasons.append(why(state, before, now))
-        else:
+        elif not said:
             reasons.append(f"{node.name} is feasible and preferred to {before.name}")
+    reasons += [said] if said else []
     return "; ".join(dict.fromkeys(reasons)) or "what was active or selected is no longer needed"
 
 

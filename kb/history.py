@@ -1,10 +1,17 @@
-"""What was so before: earlier measurements, and the processes that components ran as."""
+"""What was so before: earlier measurements, processes that components ran as, and what became of plans."""
 
 from array import array
 from bisect import bisect_right
 from dataclasses import dataclass
+from typing import Final
 
-__all__ = ["History", "Process"]
+from kb.elements import Parameters
+from kb.reconfiguration import ReconfigurationPlan
+
+__all__ = ["KEPT_RECORDS", "Attempt", "History", "Process", "VetoAnswer"]
+
+KEPT_RECORDS: Final = 10_000
+"""How many attempts and how many answers are remembered; the newest."""
 
 
 class History:
@@ -54,3 +61,58 @@ class Process:
 
     def _finish(self, end: float) -> None:
         object.__setattr__(self, "end", end)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Attempt:
+    """One command that was given once; only the knowledge base can end it.
+
+    Attributes:
+        plan: what it was part of.
+        component: name of what was commanded.
+        operation: "activate", "deactivate" or "configure".
+        configuration: name of what the component was to be configured with, None for a switch.
+        parameters: what was to be set; empty for a switch.
+        number: 1 for the first time that the plan gave this command.
+        start: when it was given [s].
+        end: when it was found to have ended [s], None while it is under way.
+        result: "completed", "failed" or "abandoned", None while it is under way.
+        reason: why it failed, in words, or what was odd about it.
+    """
+
+    plan: ReconfigurationPlan
+    component: str
+    operation: str
+    configuration: str | None
+    parameters: Parameters
+    number: int
+    start: float
+    end: float | None = None
+    result: str | None = None
+    reason: str = ""
+
+    def __str__(self) -> str:
+        outcome = f"{self.result or 'under way'}: {self.reason}" if self.reason else self.result or "under way"
+        return f"{self.operation} {self.component}, attempt {self.number}: {outcome}"
+
+    def _finish(self, result: str, reason: str, end: float) -> None:
+        object.__setattr__(self, "end", end)
+        object.__setattr__(self, "result", result)
+        object.__setattr__(self, "reason", reason)
+
+
+@dataclass(frozen=True, slots=True)
+class VetoAnswer:
+    """What was answered about a plan before it was executed.
+
+    Attributes:
+        plan: what was asked about.
+        time: when [s].
+        is_vetoed: it was not to be executed.
+        reason: why not, in words.
+    """
+
+    plan: ReconfigurationPlan
+    time: float
+    is_vetoed: bool
+    reason: str = ""

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from kb.amendments import Changeable
 from kb.elements import Action, Component, Configuration, Parameters
 from kb.exceptions import UnknownName
-from kb.history import Process
+from kb.history import Attempt, Process, VetoAnswer
 from kb.individuals import (
     PARAMETER,
     PREFERENCE,
@@ -30,14 +30,14 @@ from kb.individuals import (
 from kb.network import Node
 from kb.reconfiguration import ReconfigurationPlan
 from kb.requests import RequiredAction
-from kb.state import State
+from kb.state import Reason, State
 
 if TYPE_CHECKING:
     from kb.model import Model
 
 __all__ = ["COLUMNS", "Group", "Journal", "Measured", "Record"]
 
-Record = RequiredAction | ReconfigurationPlan | Process
+Record = RequiredAction | ReconfigurationPlan | Process | Attempt | VetoAnswer
 
 COLUMNS: Final[Mapping[str, str]] = {
     "failed": "Failure",
@@ -103,8 +103,9 @@ class Journal:
         self.keeps_measurements = keeps_measurements
         self.waiting: deque[Measured | Group] = deque(maxlen=most)
         self.heard: Callable[[], None] = _nobody
-        self._open: dict[tuple[str, int], tuple[int, object]] = {}
+        self._open: dict[tuple[str, int], tuple[int, object, Reason | None]] = {}
         self._records: dict[Record, int] = {}
+        self._plans: dict[ReconfigurationPlan, int] = {}
         self._in_force: dict[str, int] = {}
 
     def measured(self, attribute: str, value: float, time: float, latest: bool = True) -> None:
@@ -161,14 +162,20 @@ class Journal:
         entries += [entry for node in nodes for entry in self._differences(now, state, node)]
         self._put(entries)
 
-    def adopt(self, number: int, what: str | Record, node: Node | None = None, value: object = None) -> None:
-        """Take up what was entered before: an array of a state with a value of a node, or a record."""
-        if isinstance(what, str) and node is not None:
-            self._open[what, node.index] = (number, value)
-        elif isinstance(what, str):
-            self._in_force[what] = number
-        else:
-            self._records[what] = number
+    def adopt(self, number: int, column: str, node: Node, value: object, reason: Reason | None) -> None:
+        """Take up what was entered before of an array of a state."""
+        self._open[column, node.index] = (number, value, reason)
+
+    def adopt_configured(self, number: int, component: str) -> None:
+        """Take up which parameters were entered before."""
+        self._in_force[component] = number
+
+    def adopt_record(self, number: int, record: Record) -> None:
+        """Take up a record that was entered before."""
+        if isinstance(record, ReconfigurationPlan):
+            self._plans[record] = number
+        if not isinstance(record, VetoAnswer) and record.end is None:
+            self._records[record] = number
 
     def _put(self, entries: Sequence[Individual]) -> None:
         self.waiting.append(Group(self.told, entries))
@@ -178,8 +185,9 @@ class Journal:
         entries: list[Individual] = []
         for column in _OWN[node.kind]:
             key, value = (column, node.index), getattr(state, column)[node.index]
-            number, known = self._open.get(key, (None, None))
-            if value == known or (not value and number is None):
+            number, known, said = self._open.get(key, (None, None, None))
+            reason = state.reasons.get(key)
+            if (value == known and reason == said) or (not value and number is None):
                 continue
             entries += self._ended(number, now)
             self._open.pop(key, None)
@@ -187,8 +195,8 @@ class Journal:
                 about: dict[str, tuple[Value, ...]] = {"about": (self._ref(node),), "start": (float(now),)}
                 if value is not True:
                     about["status"] = (str(value),)
-                entries.append(self._begun(COLUMNS[column], about))
-                self._open[key] = (self.told, value)
+                entries.append(self._begun(COLUMNS[column], {**about, **_said(reason)}))
+                self._open[key] = (self.told, value, reason)
         return entries
 
     def _recorded(self, record: Record) -> list[Individual]:
@@ -196,17 +204,39 @@ class Journal:
         entries = []
         if number is None:
             kind, values = self._described(record)
-            entries = list(nested(PREFERENCE, f"{STATED}.{self.told + 1}", _weights(record)))
-            if entries:
-                values["hasPreference"] = tuple(Ref(one.id) for one in entries)
+            entries = self._inner(record, values)
             entries.append(self._begun(kind, values))
+            if isinstance(record, VetoAnswer):
+                return entries
+            if isinstance(record, ReconfigurationPlan):
+                self._plans[record] = self.told
             number = self._records[record] = self.told
-        if record.end is not None:
+        if not isinstance(record, VetoAnswer) and record.end is not None:
             entries += self._ended(number, record.end, record)
         return entries
 
+    def _inner(self, record: Record, values: dict[str, tuple[Value, ...]]) -> list[Individual]:
+        """Return what is nested in a record that begins now, after adding it to its values."""
+        own = f"{STATED}.{self.told + 1}"
+        if isinstance(record, Attempt):
+            entries = list(nested(PARAMETER, own, record.parameters))
+        else:
+            entries = list(nested(PREFERENCE, own, _weights(record)))
+        if entries:
+            word = "hasParameter" if isinstance(record, Attempt) else "hasPreference"
+            values[word] = tuple(Ref(one.id) for one in entries)
+        return entries
+
     def _described(self, record: Record) -> tuple[str, dict[str, tuple[Value, ...]]]:
+        if isinstance(record, VetoAnswer):
+            values: dict[str, tuple[Value, ...]] = {"isVetoed": (record.is_vetoed,), "time": (float(record.time),)}
+            return "VetoAnswer", {**self._of_plan(record.plan), **values, **_said(Reason(record.reason))}
         start = float(record.start)
+        if isinstance(record, Attempt):
+            values = {"about": (Ref(named_id(Component, record.component)),), "operation": (record.operation,)}
+            if record.configuration is not None:
+                values["setsParametersOf"] = (Ref(named_id(Configuration, record.configuration)),)
+            return "Attempt", {**self._of_plan(record.plan), **values, "number": (record.number,), "start": (start,)}
         if isinstance(record, RequiredAction):
             return "RequiredAction", {"about": (Ref(named_id(Action, record.action)),), "start": (start,)}
         if isinstance(record, Process):
@@ -220,6 +250,10 @@ class Journal:
             "start": (start,),
         }
 
+    def _of_plan(self, plan: ReconfigurationPlan) -> dict[str, tuple[Value, ...]]:
+        number = self._plans.get(plan)
+        return {} if number is None else {"ofPlan": (Ref(f"{STATED}.{number}"),)}
+
     def _begun(self, kind: str, values: Mapping[str, tuple[Value, ...]]) -> Individual:
         self.told += 1
         return Individual(kind, f"{STATED}.{self.told}", values)
@@ -232,9 +266,9 @@ class Journal:
         values: dict[str, tuple[Value, ...]] = {"end": (float(end),)}
         if record is not None:
             self._records.pop(record, None)
-        if isinstance(record, RequiredAction | ReconfigurationPlan):
+        if isinstance(record, RequiredAction | ReconfigurationPlan | Attempt):
             values["result"] = (str(record.result),) if record.result else ()
-        if isinstance(record, RequiredAction) and record.reason:
+        if isinstance(record, RequiredAction | Attempt) and record.reason:
             values["reason"] = (record.reason,)
         return [Individual("", f"{STATED}.{number}", values)]
 
@@ -244,6 +278,13 @@ class Journal:
 
 def _nobody() -> None:
     """Nobody waits for what is told."""
+
+
+def _said(reason: Reason | None) -> dict[str, tuple[Value, ...]]:
+    if reason is None:
+        return {}
+    values: dict[str, tuple[Value, ...]] = {"reason": (reason.text,)} if reason.text else {}
+    return values if reason.until is None else {**values, "until": (float(reason.until),)}
 
 
 def _weights(record: Record) -> Mapping[str, float]:

@@ -1,6 +1,7 @@
 """The knowledge base: facts come in, statuses follow, actions are requested and configurations selected."""
 
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -18,7 +19,7 @@ from kb.inference import settle
 from kb.keeping import KEPT, Keeping
 from kb.model import Model
 from kb.network import Network, Node, is_steady
-from kb.reconfiguration import ReconfigurationPlan, reselect
+from kb.reconfiguration import ReconfigurationPlan, Selection, reselect
 from kb.recovery import open_store, resume
 from kb.requests import Reply, RequiredAction, check_result
 from kb.situation import Situation, assumptions
@@ -63,6 +64,7 @@ class KnowledgeBase(Keeping):
         self._open_plans: list[ReconfigurationPlan] = []
         if past and not past.store.is_new:
             resume(self, past.facts, clock())
+            self._look_at_the_clock()
         elif model.facts:
             self._begin(clock())
         self._begin_to_save()
@@ -150,31 +152,38 @@ class KnowledgeBase(Keeping):
             return tuple(self._history)
 
     def select(
-        self, designs: Mapping[str, str] | None = None, configurations: Mapping[str, str] | None = None
+        self,
+        designs: Mapping[str, str] | None = None,
+        configurations: Mapping[str, str] | None = None,
+        reason: str = "",
     ) -> ReconfigurationPlan | None:
         """Select a design for each function and a configuration for each component named; unselect what is obsolete.
 
         Args:
             designs: name of the design by name of its function.
             configurations: name of the configuration by name of its component.
+            reason: why these, in words, if not by priority; it is kept with what is selected and with the plan.
 
         Returns:
             The plan that leads there from the present state; None if there is nothing to do.
         """
+        text("the reason of a choice", reason)
         with self._lock:
             chosen = [_owned(self.designs.node(name), self.functions.node(of)) for of, name in _pairs(designs)]
             given = [
                 _owned(self.configurations.node(name), self.components.node(of)) for of, name in _pairs(configurations)
             ]
             now = self._clock()
-            reason = why_selected(self._state, [*chosen, *given], now)
+            why_these = why_selected(self._state, [*chosen, *given], now, reason)
             selection = reselect(self._state, chosen, given)
-            reselected = dict.fromkeys(selection.reselected)
+            reselected = dict.fromkeys([*selection.reselected, *chosen, *given])
+            for node in reselected:
+                self._known.give_reason("selected", node, reason if self._known.selected[node.index] else "")
             if not selection:
-                self._journal.enter(now, self._known, reselected)
+                self._selected(now, reselected, selection)
                 return None
             activate, deactivate, parameters, changes, _ = selection
-            plan = ReconfigurationPlan(activate, deactivate, parameters, reason, now)
+            plan = ReconfigurationPlan(activate, deactivate, parameters, why_these, now)
             self._plans.append(plan)
             self._open_plans.append(plan)
             self._journal.enter(now, self._known, reselected, [plan])
@@ -182,6 +191,20 @@ class KnowledgeBase(Keeping):
                 Event(EventKind.RECONFIGURATION_PLAN, now, "", str(plan), status_changes(changes), plan)
             )
             return plan
+
+    def _selected(self, now: float, nodes: Iterable[Node], selection: Selection) -> None:
+        """Take note of a selection that needs no plan."""
+        self._journal.enter(now, self._known, nodes)
+        turns = Counter(selection.reselected)  # what is selected and obsolete at once is as it was
+        changed = [node for node, count in turns.items() if count % 2]
+        if not changed:
+            return
+        self._revision += 1
+        if self._publisher:
+            selected = self._known.selected
+            words = [f"{one.name} is {'' if selected[one.index] else 'not '}selected" for one in changed]
+            told = status_changes(selection.changes)
+            self._publisher.publish(Event(EventKind.MONITORING_DATA, now, "", ", ".join(words), told))
 
     @property
     def plans(self) -> tuple[ReconfigurationPlan, ...]:

@@ -61,6 +61,11 @@ class Questions(ABC):
         self.attributes = Views(self, "attribute", network.attributes, AttributeView)
 
     @property
+    def now(self) -> float:
+        """The time by the clock [s]."""
+        return self._clock()
+
+    @property
     @abstractmethod
     def _state(self) -> State:
         """The facts and statuses to answer from."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from kb.amendments import Changeable
 from kb.declaring import Declarer
 from kb.elements import Constraint, Element, Estimation
-from kb.history import Process
+from kb.history import Attempt, Process, VetoAnswer
 from kb.individuals import (
     Individual,
     Ref,
@@ -29,6 +29,7 @@ from kb.network import Node
 from kb.rdfxml import BASE
 from kb.reconfiguration import ReconfigurationPlan
 from kb.requests import RequiredAction
+from kb.state import Reason
 from kb.status import Status
 from kb.store import Store, StoreError
 
@@ -85,7 +86,7 @@ def open_store(model: Model, path: str | Path, keep: int) -> Past:
 
 
 def resume(kb: "KnowledgeBase", facts: Iterable[Individual], now: float) -> None:
-    """Enter what was told before; plans that were under way are abandoned."""
+    """Enter what was told before; plans and attempts that were under way are abandoned."""
     resumption = _Resumption(kb)
     for fact in facts:
         resumption.enter(fact)
@@ -93,7 +94,10 @@ def resume(kb: "KnowledgeBase", facts: Iterable[Individual], now: float) -> None
     kb._open_plans.clear()
     for plan in left:
         plan._finish("abandoned", now)
-    kb._journal.enter(now, kb._known, (), left)
+    given_up = [attempt for attempt in kb._attempts if attempt.end is None]
+    for attempt in given_up:
+        attempt._finish("abandoned", "nobody saw what came of it", now)
+    kb._journal.enter(now, kb._known, (), [*left, *given_up])
     settle(kb._known, resumption.nodes.values())
 
 
@@ -105,6 +109,7 @@ class _Resumption:
         there = (kb._network.find(one) for one in _everything(kb.model) if not isinstance(one, Estimation))
         self.nodes = {element_id(node.element, self.journal.serials): node for node in there}
         self.inner: dict[str, Individual] = {}
+        self.plans: dict[str, ReconfigurationPlan] = {}
 
     def enter(self, fact: Individual) -> None:
         """Enter what still is so, and what is on record."""
@@ -118,8 +123,8 @@ class _Resumption:
             self._parameters(fact)
         elif fact.kind in _RECORDS:
             record = _RECORDS[fact.kind](self, fact)
-            if record.end is None:
-                self.journal.adopt(_number(fact), record)
+            if record is not None:
+                self.journal.adopt_record(_number(fact), record)
 
     def _measurement(self, fact: Individual) -> None:
         measurements, node = self.kb._measurements, self._node(fact, "measures")
@@ -142,14 +147,18 @@ class _Resumption:
             self.kb._measurements.resume(node, value, _only(fact, "start"))
         else:
             getattr(self.kb._known, column)[node.index] = value
-        self.journal.adopt(_number(fact), column, node, value)
+        text, until = _only(fact, "reason", ""), _only(fact, "until")
+        self.kb._known.give_reason(column, node, text, until)
+        if until is not None:
+            self.kb._lapses.set(node.index, until)
+        reason = Reason(text, until) if text or until is not None else None
+        self.journal.adopt(_number(fact), column, node, value, reason)
 
     def _parameters(self, fact: Individual) -> None:
         node = self._node(fact, "about")
         if node is not None:
-            given = (self.inner[one.id] for one in fact.values.get("hasParameter", ()) if isinstance(one, Ref))
-            self.kb._in_force[node.name] = parameter_values(given)
-            self.journal.adopt(_number(fact), node.name)
+            self.kb._in_force[node.name] = self._given_parameters(fact)
+            self.journal.adopt_configured(_number(fact), node.name)
 
     def required_action(self, fact: Individual) -> RequiredAction:
         """Enter a request."""
@@ -173,6 +182,7 @@ class _Resumption:
         )
         reason, result = _only(fact, "reason", ""), _only(fact, "result")
         plan = ReconfigurationPlan(activate, deactivate, parameters, reason, *_span(fact), result)
+        self.plans[fact.id] = plan
         self.kb._plans.append(plan)
         if plan.end is None:
             self.kb._open_plans.append(plan)
@@ -184,6 +194,44 @@ class _Resumption:
         self.kb._processes.append(process)
         return process
 
+    def attempt(self, fact: Individual) -> Attempt | None:
+        """Enter an attempt."""
+        plan = self._plan_of(fact)
+        if plan is None:
+            return None
+        configured = _names(fact, "setsParametersOf")
+        attempt = Attempt(
+            plan,
+            _name(fact, "about"),
+            _only(fact, "operation"),
+            configured[0] if configured else None,
+            MappingProxyType(self._given_parameters(fact)),
+            _only(fact, "number"),
+            *_span(fact),
+            _only(fact, "result"),
+            _only(fact, "reason", ""),
+        )
+        self.kb._attempts.append(attempt)
+        return attempt
+
+    def answer(self, fact: Individual) -> VetoAnswer | None:
+        """Enter what was answered about a plan."""
+        plan = self._plan_of(fact)
+        if plan is None:
+            return None
+        answer = VetoAnswer(plan, _only(fact, "time"), _only(fact, "isVetoed"), _only(fact, "reason", ""))
+        self.kb._answers.append(answer)
+        return answer
+
+    def _plan_of(self, fact: Individual) -> ReconfigurationPlan | None:
+        """Return the plan that a fact is about; None if it was of another knowledge base."""
+        (value,) = fact.values.get("ofPlan", (None,))
+        return self.plans.get(value.id) if isinstance(value, Ref) else None
+
+    def _given_parameters(self, fact: Individual) -> dict[str, Any]:
+        inner = (self.inner[one.id] for one in fact.values.get("hasParameter", ()) if isinstance(one, Ref))
+        return parameter_values(inner)
+
     def _weight(self, own: str) -> tuple[str, float]:
         inner = self.inner[own]
         return _name(inner, "prefers"), _only(inner, "weight")
@@ -194,10 +242,12 @@ class _Resumption:
         return self.nodes.get(value.id) if isinstance(value, Ref) else None
 
 
-_RECORDS: Final[Mapping[str, Callable[[_Resumption, Individual], Record]]] = {
+_RECORDS: Final[Mapping[str, Callable[[_Resumption, Individual], Record | None]]] = {
     "RequiredAction": _Resumption.required_action,
     "ReconfigurationPlan": _Resumption.plan,
     "ComponentProcess": _Resumption.process,
+    "Attempt": _Resumption.attempt,
+    "VetoAnswer": _Resumption.answer,
 }
 
 

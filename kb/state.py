@@ -6,12 +6,12 @@ copies nothing.
 
 from collections.abc import Iterator
 from operator import attrgetter
-from typing import Any, Final, Generic, Protocol, TypeVar
+from typing import Any, Final, Generic, NamedTuple, Protocol, TypeVar
 
 from kb.network import Network, Node
 from kb.status import Status
 
-__all__ = ["Array", "Marked", "Overlay", "State", "Users"]
+__all__ = ["Array", "Marked", "Overlay", "Reason", "State", "Users"]
 
 T = TypeVar("T")
 
@@ -26,6 +26,26 @@ class Array(Protocol[T]):
 
     def __setitem__(self, index: int, value: T, /) -> None:
         """Set the value of a node."""
+
+
+class Reason(NamedTuple):
+    """What whoever told a fact said of it.
+
+    Attributes:
+        text: why it is so, in words; may be empty.
+        until: when it lapses [s]; None for never.
+    """
+
+    text: str = ""
+    until: float | None = None
+
+    def __str__(self) -> str:
+        """Write it as it follows a statement: until when, and why in brackets."""
+        lapse = "" if self.until is None else f" until {f'{self.until:.3f}'.rstrip('0').rstrip('.')} s"
+        return f"{lapse} ({self.text})" if self.text else lapse
+
+
+_UNSAID: Final = Reason()
 
 
 class _Layer(dict[int, T], Generic[T]):
@@ -126,6 +146,7 @@ class State:
         requested: an action has an open required-action.
         asserted: a status that stands in place of the inferred one, or None.
         asserted_required: required by assertion, whatever is inferred.
+        reasons: what was said of a fact: by name of its array, and index.
         users: inferred: what requires it: of a function its required actions, of a component its selected designs.
         required: inferred: an open required action, a function of one, a component of a selected design.
         served: inferred: how many designs, selected or not, of required functions a component is in.
@@ -149,6 +170,7 @@ class State:
         self.requested: Array[bool] = self._column(False)
         self.asserted: Array[Status | None] = self._column(None)
         self.asserted_required: Array[bool] = self._column(False)
+        self.reasons: dict[tuple[str, int], Reason] = {}
         self.users = Users()
         self.required: Array[bool] = self._column(False)
         self.served: Array[int] = self._column(0)
@@ -169,6 +191,17 @@ class State:
         for node in new:
             if node.kind == "constraint":
                 self.status[node.index] = Status.NOT_EVALUATED
+
+    def reason(self, column: str, node: Node) -> Reason:
+        """Return what was said of a fact; nothing, if nothing was."""
+        return self.reasons.get((column, node.index), _UNSAID)
+
+    def give_reason(self, column: str, node: Node, text: str = "", until: float | None = None) -> None:
+        """Keep what was said of a fact, in place of what was said of it before."""
+        if text or until is not None:
+            self.reasons[column, node.index] = Reason(text, until)
+        else:
+            self.reasons.pop((column, node.index), None)
 
     def _column(self, unset: object) -> Any:  # noqa: ANN401  # a list of whatever the array is declared to hold
         column: list[Any] = []
@@ -191,6 +224,7 @@ class Overlay(State):
         self.requested = _Layer(below.requested)
         self.asserted = _Layer(below.asserted)
         self.asserted_required = _Layer(below.asserted_required)
+        self.reasons = below.reasons
         self.users = Users(below.users)
         self.required = _Layer(below.required)
         self.served = _Layer(below.served)

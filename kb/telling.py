@@ -4,19 +4,19 @@ import logging
 import math
 from collections.abc import Callable, Collection, Iterable
 
-from kb.declarations import parameters as checked_parameters
-from kb.declarations import pid as checked_pid
+from kb.alarms import Alarms
+from kb.declarations import text as checked_text
 from kb.diagnostics import DiagnosticProblem, Measurement, read_diagnostics
-from kb.elements import Constraint, Element, Parameters, finite_number
+from kb.elements import Constraint, Element, finite_number
 from kb.events import Event, EventKind, Publisher, StatusChange
 from kb.exceptions import InvalidValue, KnowledgeBaseError
 from kb.explanation import shortest
-from kb.history import History, Process
-from kb.inference import Change, initial_state, settle
-from kb.journal import Journal
+from kb.history import History
+from kb.inference import Change, settle
 from kb.measuring import Measurements
 from kb.network import Network, Node
-from kb.questions import ELEMENTS, Questions
+from kb.questions import ELEMENTS
+from kb.recording import Recording
 from kb.state import State
 from kb.status import STATUSES, Status
 from kb.views import ElementView
@@ -26,7 +26,7 @@ __all__ = ["Telling"]
 _log = logging.getLogger(__name__)
 
 
-class Telling(Questions):
+class Telling(Recording):
     """Everything that can be told of the robot, from any thread.
 
     Args:
@@ -36,11 +36,9 @@ class Telling(Questions):
 
     def __init__(self, network: Network, clock: Callable[[], float]) -> None:
         super().__init__(network, clock)
-        self._known = initial_state(network)
         self._publisher = Publisher()
         self._measurements = Measurements(self._known)
-        self._processes: list[Process] = []
-        self._journal = Journal(network.model)
+        self._lapses = Alarms()
         self._rejected = 0
         self._revision = 0
 
@@ -61,67 +59,45 @@ class Telling(Questions):
         number = value if type(value) is float and math.isfinite(value) else _measured(attribute, value)
         with self._lock:
             now = self._clock()
-            if now >= self._measurements.next_change:
+            if now >= self._measurements.next_change or now >= self._lapses.next:
                 self._look_at_the_clock()
             touched = self._measurements.take(node, number, now)
             if self._journal.keeps_measurements:
                 self._journal.measured(node.name, number, now)
             self._tell(EventKind.MONITORING_DATA, now, node, lambda: self._reading(node, number), touched, plain=True)
 
-    def component_failed(self, component: str) -> None:
-        """Tell that a component has failed."""
-        self._report(component, failed=True)
+    def component_failed(self, component: str, reason: str = "") -> None:
+        """Tell that a component has failed.
+
+        Args:
+            component: its name.
+            reason: why, in words; it stands in explanations and in the store.
+        """
+        self._report(component, failed=True, reason=checked_text("the reason of a failure", reason))
 
     def component_recovered(self, component: str) -> None:
         """Tell that a component has not failed, or no longer."""
         self._report(component, failed=False)
 
-    def component_active(self, component: str, active: bool) -> None:
-        """Tell whether a component is running."""
+    def component_active(self, component: str, active: bool, reason: str = "") -> None:
+        """Tell whether a component is running.
+
+        Args:
+            component: its name.
+            active: whether it is.
+            reason: why it is not any more, in words; it stands in explanations as long as it is not.
+        """
         node = self.components.node(component)
         running = _yes("active", active)
+        checked_text("the reason why a component is not active", reason)
         with self._lock:
             if self._known.active[node.index] == running:
                 return
             now = self._clock()
             self._known.active[node.index] = running
-            words = "active" if running else "inactive"
+            self._known.give_reason("active", node, "" if running else reason)
+            words = "active" if running else f"inactive{self._known.reason('active', node)}"
             self._tell(EventKind.MONITORING_DATA, now, node, lambda: f"{node.name} is {words}")
-
-    def component_configured(self, component: str, parameters: Parameters) -> None:
-        """Tell which parameters a component was given; see `parameters_in_force` of its view."""
-        node = self.components.node(component)
-        with self._lock:
-            self._in_force[node.name] = dict(checked_parameters(node.name, parameters))
-            self._journal.configured(self._clock(), node, self._in_force[node.name])
-
-    def component_started(self, component: str, pid: int) -> Process:
-        """Tell that a component runs as a process of the operating system, whether it is active already or not."""
-        node = self.components.node(component)
-        checked_pid(pid)
-        with self._lock:
-            process = Process(node.name, pid, self._clock())
-            self._processes.append(process)
-            self._journal.enter(process.start, self._known, (), [process])
-            return process
-
-    def component_ended(self, component: str, pid: int | None = None) -> None:
-        """Tell that the process of a component has ended: that of a number, or all of them."""
-        node = self.components.node(component)
-        if pid is not None:
-            checked_pid(pid)
-        with self._lock:
-            now = self._clock()
-            for process in self._processes:
-                if process.component == node.name and process.end is None and pid in (None, process.pid):
-                    process._finish(now)
-                    self._journal.enter(now, self._known, (), [process])
-
-    @property
-    def processes(self) -> tuple[Process, ...]:
-        """Every process that a component ran as, in the order in which they were started."""
-        with self._lock:
-            return tuple(self._processes)
 
     def receive(self, diagnostics: object) -> tuple[DiagnosticProblem, ...]:
         """Take in a DiagnosticArray; see `kb.diagnostics` for the forms in which it may come.
@@ -148,14 +124,29 @@ class Telling(Questions):
             self._rejected += len(problems)
         return tuple(problems)
 
-    def assert_status(self, element: ElementView | Element | Constraint | str, status: Status | str) -> None:
-        """State an element's status outright; it stands in place of the inferred one until it is retracted."""
+    def assert_status(
+        self,
+        element: ElementView | Element | Constraint | str,
+        status: Status | str,
+        reason: str = "",
+        until: float | None = None,
+    ) -> None:
+        """State an element's status outright; it stands in place of the inferred one until it is retracted.
+
+        Args:
+            element: a view, an element of the model, or a name that only one element has.
+            status: one that an element of this kind can have.
+            reason: why, in words; it stands in explanations and in the store.
+            until: when it lapses by itself [s, by the clock of this base], after now; None or `math.inf` for never.
+        """
         try:
             wanted = Status(status)
         except ValueError:
             known = ", ".join(repr(str(one)) for one in Status)
             raise InvalidValue(f"{status!r} is no status; a status is one of {known}") from None
-        self._assert_status(element, wanted)
+        checked_text("the reason of an asserted status", reason)
+        end = None if until is None or until == math.inf else finite_number(until)
+        self._assert_status(element, wanted, reason, end)
 
     def retract_status(self, element: ElementView | Element | Constraint | str) -> None:
         """Take back an asserted status; the inferred one holds again."""
@@ -176,6 +167,7 @@ class Telling(Questions):
             node = self._node(element, ("function design", "configuration"), unique=True)
             now = self._clock()
             self._known.selected[node.index] = selected is not None and _yes("selected", selected)
+            self._known.give_reason("selected", node)
             words = "selected" if selected else "not selected"
             self._tell(EventKind.MONITORING_DATA, now, node, lambda: f"{node.name} is {words}")
 
@@ -203,35 +195,63 @@ class Telling(Questions):
 
     def _look_at_the_clock(self) -> None:
         """Take note of what has become so with time since somebody last looked."""
-        if self._measurements.next_change == math.inf or self._clock() < self._measurements.next_change:
+        next_change = min(self._measurements.next_change, self._lapses.next)
+        if next_change == math.inf or self._clock() < next_change:
             return
         with self._lock:
             now = self._clock()
             for node, text, touched in self._measurements.due(now):
                 self._tell(EventKind.MONITORING_DATA, now, node, lambda told=text: told, touched, plain=True)  # type: ignore[misc]  # a default binds it now
 
-    def _report(self, component: str, failed: bool) -> None:
+            for index in self._lapses.due(now):
+                self._lapse(self._known.network.nodes[index], now)
+
+    def _lapse(self, node: Node, now: float) -> None:
+        """Take back an asserted status, if it is one whose time has come."""
+        until = self._known.reason("asserted", node).until
+        if until is None or until > now:
+            return
+        self._known.asserted[node.index] = None
+        self._known.give_reason("asserted", node)
+        self._journal.enter(until, self._known, [node])
+        self._tell(EventKind.MONITORING_DATA, now, node, lambda: f"{node.name} is no longer asserted, as was said")
+
+    def _report(self, component: str, failed: bool, reason: str = "") -> None:
         node = self.components.node(component)
         with self._lock:
             now, state = self._clock(), self._known
             retracts = not failed and state.asserted[node.index] is Status.FAILURE
+            is_known = state.failed[node.index] == failed and reason in ("", state.reason("failed", node).text)
             if retracts:
                 state.asserted[node.index] = None
-            elif state.failed[node.index] == failed:
+                state.give_reason("asserted", node)
+            elif is_known:
                 return
             state.failed[node.index] = failed
-            words = "has failed" if failed else "is recovered"
+            state.give_reason("failed", node, reason)
+            words = f"has failed{state.reason('failed', node)}" if failed else "is recovered"
             self._tell(EventKind.MONITORING_DATA, now, node, lambda: f"{node.name} {words}")
 
-    def _assert_status(self, element: ElementView | Element | Constraint | str, status: Status | None) -> None:
+    def _assert_status(
+        self,
+        element: ElementView | Element | Constraint | str,
+        status: Status | None,
+        reason: str = "",
+        until: float | None = None,
+    ) -> None:
         with self._lock:
             node = self._node(element, ELEMENTS, unique=True)
             if status is not None and status not in STATUSES[node.kind]:
                 known = ", ".join(STATUSES[node.kind])
                 raise InvalidValue(f"a {node.kind} is never {status!s}; it can be {known}")
             now = self._clock()
+            if until is not None and until <= now:
+                raise InvalidValue(f"a status is asserted until later than now, {now!r} s by the clock; not {until!r}")
             self._known.asserted[node.index] = status
-            words = f"asserted {status}" if status else "no longer asserted"
+            self._known.give_reason("asserted", node, reason, until)
+            if until is not None:
+                self._lapses.set(node.index, until)
+            words = f"asserted {status}{self._known.reason('asserted', node)}" if status else "no longer asserted"
             self._tell(EventKind.MONITORING_DATA, now, node, lambda: f"{node.name} is {words}")
 
     def _tell(

@@ -216,6 +216,12 @@ class _SelectableView(_ConstrainedView):
         return self._base._state.selected[self._node.index]
 
     @property
+    def reason(self) -> str:
+        """Why it was selected, in the words of whoever selected it; empty if that was not said, or it is not."""
+        state = self._base._state
+        return state.reason("selected", self._node).text if state.selected[self._node.index] else ""
+
+    @property
     def priority(self) -> int | None:
         """The lowest number is preferred; None comes last."""
         assert isinstance(self._node.element, FunctionDesign | Configuration)
