@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import owlready2
 from owlready2 import rdfxml_2_ntriples
-from owlready2.sparql.main import PreparedSelectQuery, Translator
+from owlready2.sparql.main import Translator
 
 from kb.declaring import Declarer
-from kb.exceptions import InvalidValue, KnowledgeBaseError, ModelError, UnknownName
+from kb.exceptions import KnowledgeBaseError, ModelError, UnknownName
 from kb.files import ModelFileError, read_text
 from kb.individuals import CLASSES, GENERAL, MODEL, PARAMETER, PREFERENCE, STATED, Individual, Ref, Value
 from kb.rdfxml import ROSA, order, plain_text
+from kb.sparql import FUNCTIONS, Question, complaint, read_question
 
 if TYPE_CHECKING:
     from kb.model import Model
@@ -32,7 +33,6 @@ _FIRST: Final = 1 << 40
 
 _MOST_ROWS: Final = 1_000_000
 _AT_ONCE: Final = 200
-_VERB: Final = re.compile(r"(?:\s|#[^\n]*\n|(?:prefix\s+[^\s:]*:|base)\s*<[^>]*>)*(\w+)", re.IGNORECASE)
 _WHERE: Final = re.compile(r"line (\d+), column (\d+)")
 
 
@@ -212,40 +212,36 @@ class Book:
             InvalidValue: it is no query, or would change something.
             KnowledgeBaseError: it takes longer than the time-out [s], or its answer is too long.
         """
-        prepared = self._prepared(query)
+        question = read_question(query)
+        prepared = self._prepared(question)
         deadline = time.monotonic() + timeout
         self._db.set_progress_handler(lambda: time.monotonic() > deadline, 10_000)
+        self._db.execute("PRAGMA query_only=1")
         rows: list[tuple[Answer, ...]] = []
         try:
-            cursor = prepared.execute_raw()
+            cursor = prepared.execute_raw([_storable(text) for text in question.texts])
             while some := cursor.fetchmany(10_000):
                 rows += (tuple(self._answers(row, prepared.column_types)) for row in some)
                 if len(rows) > _MOST_ROWS:
                     raise KnowledgeBaseError(f"the answer has more than {_MOST_ROWS} rows; ask for less, or add LIMIT")
-        except sqlite3.OperationalError as error:
+        except sqlite3.Error as error:
             if time.monotonic() <= deadline:
-                raise InvalidValue(f"the query cannot be answered: {error}") from None
+                raise complaint(error, question, ()) from None
             raise KnowledgeBaseError(
                 f"the query was stopped after {timeout:g} s; ask for less, or allow it a longer timeout"
             ) from None
         finally:
             self._db.set_progress_handler(None, 0)
+            self._db.execute("PRAGMA query_only=0")
         return rows
 
-    def _prepared(self, query: str) -> Any:  # noqa: ANN401  # of owlready2
-        verb = _VERB.match(query)
-        if verb is None or verb[1].upper() != "SELECT":
-            given = f"{verb[1]} is none" if verb else "there is none"
-            raise InvalidValue(f"a query begins with SELECT, after its prefixes; {given}. Queries change nothing")
+    def _prepared(self, question: Question) -> Any:  # noqa: ANN401  # of owlready2
         try:
-            prepared = Translator(self.world).parse(f"PREFIX : <{ROSA}>\nPREFIX rosa: <{ROSA}>\n{query}")
+            prepared = Translator(self.world).parse(question.text)
         except Exception as error:
-            unknown = re.search(f"'{ROSA}(.*?)'", str(error))
-            if unknown:
-                raise UnknownName("word of ROSA", unknown[1], self._vocabulary()) from None
-            raise InvalidValue(f"this is no SPARQL that can be answered: {type(error).__name__} {error}") from None
-        if not isinstance(prepared, PreparedSelectQuery):
-            raise InvalidValue("a query only asks; this one would change something")
+            raise complaint(error, question, self._vocabulary()) from None
+        for name, function in FUNCTIONS.items():
+            self._db.create_function(name, -1, function, deterministic=True)
         return prepared
 
     def _vocabulary(self) -> list[str]:

@@ -1,5 +1,8 @@
 """Queries in SPARQL see the model, all that was told and what follows from it, and change nothing."""
 
+import json
+from decimal import Decimal
+
 import pytest
 from hypothesis import HealthCheck, given, settings
 from kept import robot
@@ -7,6 +10,7 @@ from models import Clock, Twins, stories
 from test_files import odd_models
 
 from kb import InvalidValue, KnowledgeBase, KnowledgeBaseError, Model, PriorityPlanner, UnknownName
+from kb.rdfxml import ROSA
 
 CLASSES = {
     "action": "Action",
@@ -139,11 +143,160 @@ def test_query_that_would_change_something_is_refused(update, base):
 
 
 @pytest.mark.parametrize(
-    "text", ["", "what can it do?", "SELECT", "SELECT ?x { ?x a", "SELECT ?x { ?x a nope:Action }"]
+    ("text", "message"),
+    [
+        ("", "there is none"),
+        ("PREFIX x: <http://x#>", "there is none"),
+        ("what can it do?", "line 1, column 1 of the query: a query begins with SELECT, not with what"),
+        ("SELECT", "line 1, column 7 of the query: the query ends too early"),
+        ("SELECT ?x {\n?x a :Action ;", r"line 1, column 11 of the query: { is never closed; } is missing"),
+        ("SELECT ?x {\n?x a :Action } }", r"line 2, column 16 of the query: } closes nothing"),
+        ("SELECT ?x { ?x a :Action FILTER(1 > 0] }", r"column 38 of the query: \] closes nothing"),
+        ("SELECT ?x { ?x :name 'explore }", "column 22 of the query: a text begins here and does not end"),
+        (r"SELECT ?x { ?x :name 'a\c' }", r"column 22 of the query: \\c means nothing in a text"),
+        ("SELECT ?x { ?x a nope:Action }", "the prefix nope: is not declared; begin with PREFIX nope: <"),
+        ("SELECT ?y { ?x a :Action }", r"nothing in the braces says what \?y is"),
+        ("SELECT ?x { ?x a :Action FILTER(?n = 3) }", r"column 33 of the query: \?n is nowhere but in this FILTER"),
+        ("SELECT ?x { ?x ?? 3 }", r"column 16 of the query: a variable is \? and a name"),
+        ("SELECT ?x { <http://x/y> ?x 3 }", "nothing is called <http://x/y>"),
+        ("SELECT ?x {\n ?x a :Action } ; DROP ALL", "line 2, column 17 of the query: .*from '; DROP ALL' on"),
+        ("SELECT (WRONG(?n) AS ?m) { ?x :name ?n }", r"column 9 of the query: .*from 'WRONG\("),
+        ("SELECT ?x { ?x :name ?n FILTER(REGEX(?n, '(')) }", "see whether the pattern of its REGEX"),
+        ("SELECT ?x { FILTER NOT EXISTS { ?x :end ?e } ?x a :Fact }", "write FILTER NOT EXISTS after the patterns"),
+    ],
 )
-def test_what_is_no_query_is_an_error(text, base):
-    with pytest.raises(InvalidValue):
+def test_what_is_no_query_is_an_error_that_says_where(text, message, base):
+    with pytest.raises(InvalidValue, match=message):
         base(robot(), Clock(1.0)).query(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("ASK { ?x a :Action }", "ASK is not supported; SELECT ... LIMIT 1"),
+        ("CONSTRUCT { ?x a :Action } WHERE { ?x a :Action }", "CONSTRUCT is not supported; SELECT"),
+        ("DESCRIBE ?x { ?x a :Action }", "DESCRIBE is not supported; SELECT"),
+        ("SELECT ?x { ?x a :Component MINUS { ?f :about ?x } }", "MINUS is not supported; write FILTER NOT EXISTS"),
+        ("SELECT ?x FROM <http://x> { ?x a :Component }", "FROM is not supported; leave it out"),
+        ("SELECT ?x { SERVICE <http://x> { ?x a :Component } }", "SERVICE is not supported; leave it out"),
+        ("SELECT ?x { ?x a :Component } VALUES ?x { :Action }", "VALUES after the pattern .* inside the braces"),
+        (
+            "SELECT ?x { ?x a ?y FILTER(1 > 0 && NOT EXISTS { ?x :end ?e }) }",
+            "EXISTS in an expression .* its own FILTER",
+        ),
+        ("SELECT ?x ?y { ?x :requires+ ?y }", r"a path with \+, \* or \?, say first what one of them is"),
+    ],
+)
+def test_what_is_not_supported_is_said_with_what_to_write_instead(text, message, base):
+    with pytest.raises(InvalidValue, match=message):
+        base(robot(), Clock(1.0)).query(text)
+
+
+def awkward():
+    return (
+        "it's",
+        'say "hi"',
+        "back\\slash",
+        "tab\tx",
+        "new\nline",
+        "''",
+        "é",
+        "x' OR '1'='1",
+        "\\n",
+        "?x",
+        "#",
+        "??1",
+    )
+
+
+@pytest.mark.parametrize("name", awkward())
+def test_text_of_any_characters_is_found_as_it_is(name):
+    model = Model("odd")
+    for other in awkward():
+        model.action(other)
+    kb = KnowledgeBase(model, clock=Clock(1.0))
+    written = json.dumps(name)
+    assert kb.query(f"SELECT ?n {{ ?x a :Action ; :name {written} ; :name ?n }}") == [(name,)]
+    assert kb.query(f"SELECT ?n {{ ?x a :Action ; :name ?n FILTER(?n = {written}) }}") == [(name,)]
+    assert kb.query(f"SELECT ?n {{ ?x a :Action ; :name ?n FILTER(?n IN ({written}, 'z')) }}") == [(name,)]
+    others = kb.query(f"SELECT ?n {{ ?x a :Action ; :name ?n FILTER NOT EXISTS {{ ?x :name {written} }} }}")
+    assert sorted(others) == sorted((one,) for one in awkward() if one != name)
+
+
+QUESTIONS = [
+    "SELECT ?n { ?x a :Component ; :name ?n FILTER NOT EXISTS { ?f a :Failure ; :about ?x } }",
+    "SELECT ?n { ?x a :Component ; :name ?n FILTER EXISTS { ?f a :Failure ; :about ?x } }",
+    "SELECT ?n { ?a a :Action ; :requires/:name ?n }",
+    "SELECT ?n { ?a a :Action ; :requires/^:realises/:uses/:name ?n }",
+    "SELECT ?n { ?a :requires|:uses ?b . ?b :name ?n }",
+    "SELECT DISTINCT ?n { ?c rdfs:subClassOf* :Element . ?x a ?c ; :name ?n }",
+    "SELECT ?c { ?c rdfs:subClassOf+ :Fact }",
+    "SELECT ?n { { ?x a :Action } UNION { ?x a :Function } ?x :name ?n }",
+    "SELECT ?n ?s { ?x a :Component ; :name ?n OPTIONAL { ?f a :Failure ; :about ?x ; :start ?s } } ORDER BY ?n",
+    "SELECT ?n (COUNT(?m) AS ?c) { ?m :measures ?a . ?a :name ?n } GROUP BY ?n HAVING (COUNT(?m) > 1)",
+    "SELECT (SUM(?v) AS ?sum) (MIN(?v) AS ?least) (MAX(?v) AS ?most) { ?m a :Measurement ; :value ?v }",
+    'SELECT ?x { VALUES ?n { "explore" "rest" } ?x :name ?n }',
+    "SELECT ?d { ?m a :Measurement ; :value ?v BIND(?v * 2 + 1 AS ?d) }",
+    "SELECT ?n { ?x a :Component ; :name ?n FILTER(REGEX(?n, '^C', 'i')) }",
+    "SELECT ?n { ?x a :Component ; :name ?n FILTER REGEX(?n, 'a(m|z)') }",
+    "SELECT (REPLACE(?n, 'a(.)', '<$1>') AS ?other) { ?x a :Component ; :name ?n }",
+    "SELECT ?v { ?m a :Measurement ; :value ?v } ORDER BY DESC(?v) LIMIT 2 OFFSET 1",
+    "SELECT ?s { ?f a :Failure ; :about [ :name 'camera' ] ; :start ?s }",
+    "SELECT (IF(?v > 0.5, 'bright', 'dark') AS ?word) { ?m a :Measurement ; :value ?v }",
+    "SELECT ?n ?required { ?x a :Action ; :name ?n ; :isRequired ?required }",
+]
+
+
+@pytest.mark.parametrize("question", QUESTIONS)
+def test_answers_are_those_of_an_independent_engine(question, base):
+    rdflib = pytest.importorskip("rdflib")
+    clock = Clock(0.0)
+    kb = base(robot(), clock)
+    for clock.now, light in ((1.0, 0.75), (2.0, 0.25), (3.0, 0.5)):
+        kb.measure("light", light)
+        kb.measure("energy", 1.0 - light)
+        kb.request_action("explore")
+        kb.component_failed("camera")
+        kb.component_recovered("camera")
+    graph = rdflib.Graph()
+    for triple in kb.query("SELECT ?s ?p ?o { ?s ?p ?o }"):
+        iris = (str(one).startswith(("http://", "_:")) for one in triple)
+        graph.add(
+            tuple(rdflib.URIRef(one) if iri else rdflib.Literal(one) for one, iri in zip(triple, iris, strict=True))
+        )
+    words = {"": ROSA, "rdfs": str(rdflib.RDFS)}
+    expected = sorted((tuple(map(plain, row)) for row in graph.query(question, initNs=words)), key=str)
+    found = sorted(kb.query(question), key=str)
+    assert expected
+    assert found == expected
+    assert [[type(one) for one in row] for row in found] == [[type(one) for one in row] for row in expected]
+
+
+def plain(term):
+    """Return what a query answers for a term of rdflib, whose arithmetic is in decimals."""
+    if term is None or not hasattr(term, "toPython"):
+        return term
+    value = term.toPython()
+    return float(value) if isinstance(value, Decimal) else value if isinstance(value, int | float) else str(value)
+
+
+def test_query_may_hold_another_query(base):
+    clock = Clock(0.0)
+    kb = base(robot(), clock)
+    for clock.now in (1.0, 2.0, 3.0):
+        kb.measure("light", clock.now / 4)
+        kb.measure("load", clock.now)
+    latest = """SELECT ?n ?v { { SELECT ?x (MAX(?u) AS ?t) { ?m2 :measures ?x ; :time ?u } GROUP BY ?x }
+                               ?m :measures ?x ; :value ?v ; :time ?t . ?x :name ?n }"""
+    assert sorted(kb.query(latest)) == [("light", 0.75), ("load", 3.0)]
+
+
+def test_query_cannot_change_what_is_asked_even_by_a_trick(base):
+    kb = base(robot(), Clock(1.0))
+    with pytest.raises(InvalidValue):
+        kb.query("SELECT ?x { ?x :name 'a''; DELETE FROM objs; --' }")
+    kb.query('SELECT ?x { ?x :name "a\'; DELETE FROM objs; --" }')
+    assert sorted(kb.query("SELECT ?n { ?x a :Action ; :name ?n }")) == [("explore",), ("rest",)]
 
 
 def test_misspelt_word_is_an_error_that_says_which_are_near(base):

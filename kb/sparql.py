@@ -1,0 +1,234 @@
+"""Queries in SPARQL, as they are written: what is wrong with one is said before, or after, owlready2 has tried it.
+
+It is owlready2 that answers. What it does not know is refused here, with what to write instead; and texts with quotes
+or backslashes, which it would not take at their word, are handed over beside the query.
+"""
+
+import re
+from bisect import bisect_right
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Final, NamedTuple
+
+from kb.exceptions import InvalidValue, KnowledgeBaseError, UnknownName
+from kb.rdfxml import ROSA
+
+__all__ = ["FUNCTIONS", "Question", "complaint", "read_question"]
+
+_TOKEN: Final = re.compile(
+    r"""(?P<space>\s+|\#[^\n]*)
+    | (?P<iri><[^<>\s]+>)
+    | (?P<text>'''(?:[^'\\]|\\.|'(?!''))*'''|\"""(?:[^"\\]|\\.|"(?!""))*\""")
+    | (?P<line>'(?:[^'\\\n\r]|\\.)*'|"(?:[^"\\\n\r]|\\.)*")
+    | (?P<variable>[?$]\w+)
+    | (?P<name>[\w.-]*:[\w.:%\\-]*)
+    | (?P<word>\w+)
+    | (?P<mark>.)""",
+    re.VERBOSE | re.DOTALL,
+)
+_ESCAPE: Final = re.compile(r"\\(u[0-9A-Fa-f]{4}|U[0-9A-Fa-f]{8}|.)", re.DOTALL)
+_ESCAPED: Final[Mapping[str, str]] = dict(zip("tbnrf\"'\\", "\t\b\n\r\f\"'\\", strict=True))
+_UNFIT: Final = re.compile(r"""["'\\\n\r\x00\ud800-\udfff]""")
+
+_CLOSES: Final[Mapping[str, str]] = {"{": "}", "(": ")", "[": "]"}
+_INSTEAD: Final[Mapping[str, str]] = {
+    "ASK": "SELECT ... LIMIT 1 has a row if the answer is yes",
+    "CONSTRUCT": "SELECT what each triple is made of",
+    "DESCRIBE": "SELECT ?p ?o { <the IRI> ?p ?o }",
+    "MINUS": "write FILTER NOT EXISTS { ... }",
+    "FROM": "leave it out, there is one data set",
+    "SERVICE": "leave it out, nothing is asked of other places",
+}
+"""What is SPARQL but not supported, and what to do."""
+
+_QUOTED: Final[Mapping[str, int]] = {"text": 3, "line": 1}
+"""How many marks are before and after a text."""
+
+_VERBS: Final = frozenset({"SELECT", "ASK", "CONSTRUCT", "DESCRIBE"})
+
+
+class Question(NamedTuple):
+    """A query that can be tried.
+
+    Attributes:
+        given: as it was written.
+        text: as owlready2 takes it.
+        texts: what its parameters stand for, in order.
+        places: where each part is in `text`, and where it was.
+    """
+
+    given: str
+    text: str
+    texts: tuple[str, ...]
+    places: Sequence[tuple[int, int]]
+
+    def origin(self, offset: int) -> int:
+        """Return where something in the text was written."""
+        new, old = self.places[bisect_right(self.places, (offset, len(self.given))) - 1]
+        return min(old + offset - new, len(self.given))
+
+
+class _Token(NamedTuple):
+    kind: str
+    text: str
+    offset: int
+
+
+def read_question(given: str) -> Question:
+    """Read a query, as far as to know that it only asks and that all of it is supported.
+
+    Raises:
+        InvalidValue: it does not.
+    """
+    tokens = [_Token(found.lastgroup or "", found[0], found.start()) for found in _TOKEN.finditer(given)]
+    told = [one for one in tokens if one.kind != "space"]
+    _only_asks(given, told)
+    _is_closed(given, told)
+    _is_supported(given, told)
+    _filters_what_is_there(given, told)
+    head = f"PREFIX : <{ROSA}>\nPREFIX rosa: <{ROSA}>\n"
+    texts: list[str] = []
+    parts, places, length = [head], [(0, 0)], len(head)
+    for token in tokens:
+        places.append((length, token.offset))
+        parts.append(_handed_over(given, token, texts) if token.kind in _QUOTED else token.text)
+        length += len(parts[-1])
+    return Question(given, "".join(parts), tuple(texts), (*places, (length, len(given))))
+
+
+def complaint(error: Exception, question: Question, vocabulary: Iterable[str]) -> KnowledgeBaseError:
+    """Return what to say when owlready2 does not understand a query."""
+    told = str(error.args[0]) if error.args else ""
+    quoted = re.search(r"'(?:VAR:')?([^']*)'", told)
+    named = quoted[1] if quoted else ""
+    if told.startswith("No existing entity"):
+        if named.startswith(ROSA):
+            return UnknownName("word of ROSA", named.removeprefix(ROSA), vocabulary)
+        return InvalidValue(f"nothing is called <{named}>")
+    if told.startswith("Undefined prefix"):
+        return InvalidValue(f"the prefix {named} is not declared; begin with PREFIX {named} <...>, or use : for ROSA")
+    if told.startswith("Cannot select"):
+        return InvalidValue(
+            f"nothing in the braces says what {named} is; where it is an end of a path with +, * or ?, say first "
+            "what one of them is, e.g. ?x a :Action ."
+        )
+    if "user-defined function" in told:
+        return InvalidValue("a function in the query fails; see whether the pattern of its REGEX or REPLACE is right")
+    if "no such column" in told:
+        return InvalidValue("the query cannot be answered; write FILTER NOT EXISTS after the patterns that it filters")
+    offset = error.args[1] if len(error.args) > 1 else None
+    if isinstance(offset, int):
+        origin = question.origin(offset)
+        return _wrong(question.given, origin, f"this is not understood, from {question.given[origin:][:20]!r} on")
+    if "$end" in told:
+        return _wrong(question.given, len(question.given), "the query ends too early")
+    return InvalidValue(f"this is no SPARQL that can be answered: {type(error).__name__} {error}")
+
+
+def _only_asks(given: str, told: Iterable[_Token]) -> None:
+    words = iter(told)
+    for token in words:
+        if token.text.upper() not in ("PREFIX", "BASE"):
+            if token.text.upper() in _VERBS:
+                return
+            raise _wrong(
+                given, token.offset, f"a query begins with SELECT, not with {token.text}; queries change nothing"
+            )
+        for inner in words:
+            if inner.kind == "iri":
+                break
+    raise InvalidValue("a query begins with SELECT, after its prefixes; there is none")
+
+
+def _is_closed(given: str, told: Iterable[_Token]) -> None:
+    waiting: list[_Token] = []
+    for token in told:
+        if token.kind != "mark":
+            continue
+        if token.text in "\"'":
+            raise _wrong(given, token.offset, "a text begins here and does not end")
+        if token.text in _CLOSES:
+            waiting.append(token)
+        elif token.text in _CLOSES.values():
+            if not waiting or _CLOSES[waiting[-1].text] != token.text:
+                raise _wrong(given, token.offset, f"{token.text} closes nothing")
+            waiting.pop()
+    if waiting:
+        missing = waiting[-1]
+        raise _wrong(given, missing.offset, f"{missing.text} is never closed; {_CLOSES[missing.text]} is missing")
+
+
+def _is_supported(given: str, told: Sequence[_Token]) -> None:
+    depth = 0
+    for number, token in enumerate(told):
+        word = token.text.upper() if token.kind == "word" else ""
+        if word in _INSTEAD:
+            raise _wrong(given, token.offset, f"{word} is not supported; {_INSTEAD[word]}")
+        if word == "VALUES" and not depth:
+            raise _wrong(given, token.offset, "VALUES after the pattern is not supported; write it inside the braces")
+        if word == "EXISTS":
+            before = [one.text.upper() for one in told[max(0, number - 2) : number]]
+            if before[-1:] != ["FILTER"] and before != ["FILTER", "NOT"]:
+                raise _wrong(given, token.offset, "EXISTS in an expression is not supported; give it its own FILTER")
+        if given.startswith("??", token.offset):
+            raise _wrong(given, token.offset, "a variable is ? and a name")
+        depth += (token.text == "{") - (token.text == "}")
+
+
+def _filters_what_is_there(given: str, told: Sequence[_Token]) -> None:
+    """Refuse a filter over what is nowhere else: it would let through anything."""
+    inside: list[_Token] = []
+    outside: set[str] = set()
+    depth = 0
+    for before, token in zip((_Token("", "", 0), *told), told, strict=False):
+        if token.text == "(" and (depth or before.text.upper() == "FILTER"):
+            depth += 1
+        elif token.text == ")" and depth:
+            depth -= 1
+        elif token.kind == "variable" and depth:
+            inside.append(token)
+        elif token.kind == "variable":
+            outside.add(token.text[1:])
+    for token in inside:
+        if token.text[1:] not in outside:
+            raise _wrong(given, token.offset, f"{token.text} is nowhere but in this FILTER")
+
+
+def _handed_over(given: str, token: _Token, texts: list[str]) -> str:
+    size = _QUOTED[token.kind]
+
+    def plain(found: re.Match[str]) -> str:
+        sign = found[1]
+        if sign[0] in "uU" and len(sign) > 1:
+            return chr(int(sign[1:], 16))
+        if sign not in _ESCAPED:
+            raise _wrong(given, token.offset, f"\\{sign} means nothing in a text; a backslash is written \\\\")
+        return _ESCAPED[sign]
+
+    text = _ESCAPE.sub(plain, token.text[size:-size])
+    if not _UNFIT.search(text):
+        return f'"{text}"'
+    texts.append(text)
+    return f"??{len(texts)}"
+
+
+def _matches(text: object, pattern: str, flags: str = "") -> bool | None:
+    return bool(_pattern(pattern, flags).search(text)) if isinstance(text, str) else None
+
+
+def _replaced(text: object, pattern: str, replacement: str, flags: str = "") -> str | None:
+    groups = re.sub(r"\$(\d)", r"\\g<\1>", replacement.replace("\\", r"\\"))
+    return _pattern(pattern, flags).sub(groups, text) if isinstance(text, str) else None
+
+
+def _pattern(pattern: str, flags: str) -> re.Pattern[str]:
+    return re.compile(f"(?{flags})(?:{pattern})" if flags else pattern)
+
+
+FUNCTIONS: Final[Mapping[str, Callable[..., str | bool | None]]] = {"regex": _matches, "sparql_replace": _replaced}
+"""Those of owlready2 want flags that SPARQL lets one leave out."""
+
+
+def _wrong(given: str, offset: int, message: str) -> InvalidValue:
+    before = given[:offset]
+    line, column = before.count("\n") + 1, offset - before.rfind("\n")
+    return InvalidValue(f"line {line}, column {column} of the query: {message}")
