@@ -1,13 +1,16 @@
 """What is told to a knowledge base, numbered and in order, as individuals for a store and for queries.
 
 What is so for a time is one individual from its start on, and gets its end once it is over. Whatever one call tells
-stays together: it is all written, or nothing of it.
+stays together: it is all written, or nothing of it. What is told is noted, and made into individuals when it is asked
+for or written.
 """
 
 import json
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Final, NamedTuple
+from functools import partial
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from kb.amendments import Changeable
 from kb.elements import Action, Component, Configuration, Parameters
@@ -60,6 +63,9 @@ _OWN: Final[Mapping[str, tuple[str, ...]]] = {
 }
 
 
+_NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
+
+
 class Measured(NamedTuple):
     """A measurement that was told; one of the past is not the latest."""
 
@@ -75,11 +81,25 @@ class Group(NamedTuple):
 
     Attributes:
         last: the number of the last fact in it.
-        entries: individuals that begin, and further values of some that have begun.
+        notes: what makes the entries, when they are asked for.
     """
 
     last: int
-    entries: Sequence[Individual]
+    notes: Sequence["Note"]
+
+    @property
+    def entries(self) -> list[Individual]:
+        """Individuals that begin, and further values of some that have begun."""
+        return [entry for note in self.notes for entry in note()]
+
+
+Note = Callable[[], Iterable[Individual]]
+
+
+class _Entered(NamedTuple):
+    number: int
+    value: object
+    reason: Reason | None
 
 
 class Journal:
@@ -103,7 +123,7 @@ class Journal:
         self.keeps_measurements = keeps_measurements
         self.waiting: deque[Measured | Group] = deque(maxlen=most)
         self.heard: Callable[[], None] = _nobody
-        self._open: dict[tuple[str, int], tuple[int, object, Reason | None]] = {}
+        self._open: dict[tuple[str, int], _Entered] = {}
         self._records: dict[Record, int] = {}
         self._plans: dict[ReconfigurationPlan, int] = {}
         self._in_force: dict[str, int] = {}
@@ -123,20 +143,23 @@ class Journal:
             nodes: the elements.
             records: those that are new, and those that have ended.
         """
-        entries = [entry for node in nodes for entry in self._differences(now, state, node)]
-        entries += [entry for record in records for entry in self._recorded(record)]
-        if entries:
-            self._put(entries)
+        notes: list[Note] = []
+        for node in nodes:
+            self._note_differences(notes, now, state, node)
+        for record in records:
+            self._note_record(notes, record)
+        if notes:
+            self._put(notes)
 
     def configured(self, now: float, component: Node, parameters: Parameters) -> None:
         """Enter that a component was given parameters."""
-        entries = self._ended(self._in_force.pop(component.name, None), now)
-        inner = list(nested(PARAMETER, f"{STATED}.{self.told + 1}", parameters))
-        values: dict[str, tuple[Value, ...]] = {"about": (self._ref(component),), "start": (float(now),)}
-        values["hasParameter"] = tuple(Ref(one.id) for one in inner)
-        entries += [*inner, self._begun("ParametersInForce", values)]
-        self._in_force[component.name] = self.told
-        self._put(entries)
+        notes: list[Note] = []
+        number = self._in_force.get(component.name)
+        if number is not None:
+            self._note_end(notes, number, now)
+        self._in_force[component.name] = number = self._next()
+        notes.append(partial(self._configured, number, now, component, parameters))
+        self._put(notes)
 
     def amended(
         self, now: float, how: str, elements: Sequence[Changeable], state: State, nodes: Iterable[Node]
@@ -156,15 +179,17 @@ class Journal:
             written: object = element_id(elements[0], self.serials)
         else:
             written = plain_json(one for element in elements for one in individual(element, self.serials))
-        entries = [self._begun("Amendment", {"time": (float(now),), "change": (json.dumps({how: written}),)})]
+        values: dict[str, tuple[Value, ...]] = {"time": (float(now),), "change": (json.dumps({how: written}),)}
+        notes: list[Note] = [partial(_begun, "Amendment", self._next(), values)]
         for key in [key for key in self._open if not _is_there(state, key[1])]:
-            entries += self._ended(self._open.pop(key)[0], now)
-        entries += [entry for node in nodes for entry in self._differences(now, state, node)]
-        self._put(entries)
+            self._note_end(notes, self._open.pop(key).number, now)
+        for node in nodes:
+            self._note_differences(notes, now, state, node)
+        self._put(notes)
 
     def adopt(self, number: int, column: str, node: Node, value: object, reason: Reason | None) -> None:
         """Take up what was entered before of an array of a state."""
-        self._open[column, node.index] = (number, value, reason)
+        self._open[column, node.index] = _Entered(number, value, reason)
 
     def adopt_configured(self, number: int, component: str) -> None:
         """Take up which parameters were entered before."""
@@ -177,103 +202,124 @@ class Journal:
         if not isinstance(record, VetoAnswer) and record.end is None:
             self._records[record] = number
 
-    def _put(self, entries: Sequence[Individual]) -> None:
-        self.waiting.append(Group(self.told, entries))
+    def _put(self, notes: Sequence[Note]) -> None:
+        self.waiting.append(Group(self.told, notes))
         self.heard()
 
-    def _differences(self, now: float, state: State, node: Node) -> list[Individual]:
-        entries: list[Individual] = []
+    def _next(self) -> int:
+        self.told += 1
+        return self.told
+
+    def _note_differences(self, notes: list[Note], now: float, state: State, node: Node) -> None:
         for column in _OWN[node.kind]:
             key, value = (column, node.index), getattr(state, column)[node.index]
-            number, known, said = self._open.get(key, (None, None, None))
-            reason = state.reasons.get(key)
-            if (value == known and reason == said) or (not value and number is None):
+            known = self._open.get(key)
+            if known is None and not value:
                 continue
-            entries += self._ended(number, now)
-            self._open.pop(key, None)
+            reason = state.reasons.get(key)
+            if known is not None:
+                if value == known.value and reason == known.reason:
+                    continue
+                self._note_end(notes, known.number, now)
+                del self._open[key]
             if value:
-                about: dict[str, tuple[Value, ...]] = {"about": (self._ref(node),), "start": (float(now),)}
-                if value is not True:
-                    about["status"] = (str(value),)
-                entries.append(self._begun(COLUMNS[column], {**about, **_said(reason)}))
-                self._open[key] = (self.told, value, reason)
-        return entries
+                number = self._next()
+                self._open[key] = _Entered(number, value, reason)
+                notes.append(partial(self._stated, number, now, column, node, value, reason))
 
-    def _recorded(self, record: Record) -> list[Individual]:
-        number = self._records.get(record)
-        entries = []
+    def _note_end(self, notes: list[Note], number: int, end: float) -> None:
+        """Note the end of what has a number; that it ended is a fact too, and counted."""
+        self.told += 1
+        notes.append(partial(_ended, number, end))
+
+    def _note_record(self, notes: list[Note], record: Record) -> None:
+        number = self._records.get(record) if not isinstance(record, VetoAnswer) else None
         if number is None:
-            kind, values = self._described(record)
-            entries = self._inner(record, values)
-            entries.append(self._begun(kind, values))
-            if isinstance(record, VetoAnswer):
-                return entries
-            if isinstance(record, ReconfigurationPlan):
-                self._plans[record] = self.told
-            number = self._records[record] = self.told
-        if not isinstance(record, VetoAnswer) and record.end is not None:
-            entries += self._ended(number, record.end, record)
-        return entries
-
-    def _inner(self, record: Record, values: dict[str, tuple[Value, ...]]) -> list[Individual]:
-        """Return what is nested in a record that begins now, after adding it to its values."""
-        own = f"{STATED}.{self.told + 1}"
-        if isinstance(record, Attempt):
-            entries = list(nested(PARAMETER, own, record.parameters))
-        else:
-            entries = list(nested(PREFERENCE, own, _weights(record)))
-        if entries:
-            word = "hasParameter" if isinstance(record, Attempt) else "hasPreference"
-            values[word] = tuple(Ref(one.id) for one in entries)
-        return entries
-
-    def _described(self, record: Record) -> tuple[str, dict[str, tuple[Value, ...]]]:
+            number = self._next()
+            notes.append(partial(self._recorded, number, record))
         if isinstance(record, VetoAnswer):
-            values: dict[str, tuple[Value, ...]] = {"isVetoed": (record.is_vetoed,), "time": (float(record.time),)}
-            return "VetoAnswer", {**self._of_plan(record.plan), **values, **_said(Reason(record.reason))}
-        start = float(record.start)
-        if isinstance(record, Attempt):
-            values = {"about": (Ref(named_id(Component, record.component)),), "operation": (record.operation,)}
-            if record.configuration is not None:
-                values["setsParametersOf"] = (Ref(named_id(Configuration, record.configuration)),)
-            return "Attempt", {**self._of_plan(record.plan), **values, "number": (record.number,), "start": (start,)}
+            return
+        if isinstance(record, ReconfigurationPlan):
+            self._plans[record] = number
+        self._records[record] = number
+        if record.end is not None:
+            self.told += 1
+            notes.append(partial(_record_ended, number, record))
+            del self._records[record]
+
+    def _stated(
+        self, number: int, start: float, column: str, node: Node, value: object, reason: Reason | None
+    ) -> list[Individual]:
+        values: dict[str, tuple[Value, ...]] = {"about": (self._ref(node),), "start": (float(start),)}
+        if value is not True:
+            values["status"] = (str(value),)
+        return _begun(COLUMNS[column], number, {**values, **_said(reason)})
+
+    def _configured(self, number: int, start: float, component: Node, parameters: Parameters) -> list[Individual]:
+        values: dict[str, tuple[Value, ...]] = {"about": (self._ref(component),), "start": (float(start),)}
+        return _begun("ParametersInForce", number, values, PARAMETER, parameters)
+
+    def _recorded(self, number: int, record: Record) -> list[Individual]:
+        if isinstance(record, VetoAnswer):
+            answer: dict[str, tuple[Value, ...]] = {"isVetoed": (record.is_vetoed,), "time": (float(record.time),)}
+            of_plan = self._of_plan(record.plan)
+            return _begun("VetoAnswer", number, {**of_plan, **answer, **_said(Reason(record.reason))})
+        values: dict[str, tuple[Value, ...]] = {"start": (float(record.start),)}
         if isinstance(record, RequiredAction):
-            return "RequiredAction", {"about": (Ref(named_id(Action, record.action)),), "start": (start,)}
+            values["about"] = (Ref(named_id(Action, record.action)),)
+            return _begun("RequiredAction", number, values, PREFERENCE, _weights(record.preference))
+        if isinstance(record, ReconfigurationPlan):
+            values["activates"] = tuple(Ref(named_id(Component, name)) for name in record.activate)
+            values["deactivates"] = tuple(Ref(named_id(Component, name)) for name in record.deactivate)
+            values["setsParametersOf"] = tuple(Ref(named_id(Configuration, name)) for name in record.parameters)
+            values["reason"] = (record.reason,)
+            return _begun("ReconfigurationPlan", number, values)
+        values["about"] = (Ref(named_id(Component, record.component)),)
         if isinstance(record, Process):
-            about = Ref(named_id(Component, record.component))
-            return "ComponentProcess", {"about": (about,), "pid": (record.pid,), "start": (start,)}
-        return "ReconfigurationPlan", {
-            "activates": tuple(Ref(named_id(Component, name)) for name in record.activate),
-            "deactivates": tuple(Ref(named_id(Component, name)) for name in record.deactivate),
-            "setsParametersOf": tuple(Ref(named_id(Configuration, name)) for name in record.parameters),
-            "reason": (record.reason,),
-            "start": (start,),
-        }
+            return _begun("ComponentProcess", number, {**values, "pid": (record.pid,)})
+        values.update(self._of_plan(record.plan))
+        values.update(operation=(record.operation,), number=(record.number,))
+        if record.configuration is not None:
+            values["setsParametersOf"] = (Ref(named_id(Configuration, record.configuration)),)
+        return _begun("Attempt", number, values, PARAMETER, record.parameters)
 
     def _of_plan(self, plan: ReconfigurationPlan) -> dict[str, tuple[Value, ...]]:
         number = self._plans.get(plan)
         return {} if number is None else {"ofPlan": (Ref(f"{STATED}.{number}"),)}
 
-    def _begun(self, kind: str, values: Mapping[str, tuple[Value, ...]]) -> Individual:
-        self.told += 1
-        return Individual(kind, f"{STATED}.{self.told}", values)
-
-    def _ended(self, number: int | None, end: float, record: Record | None = None) -> list[Individual]:
-        """Return the end of what has a number; that it ended is a fact too, and counted."""
-        if number is None:
-            return []
-        self.told += 1
-        values: dict[str, tuple[Value, ...]] = {"end": (float(end),)}
-        if record is not None:
-            self._records.pop(record, None)
-        if isinstance(record, RequiredAction | ReconfigurationPlan | Attempt):
-            values["result"] = (str(record.result),) if record.result else ()
-        if isinstance(record, RequiredAction | Attempt) and record.reason:
-            values["reason"] = (record.reason,)
-        return [Individual("", f"{STATED}.{number}", values)]
-
     def _ref(self, node: Node) -> Ref:
         return Ref(element_id(node.element, self.serials))
+
+
+_NESTED: Final = {PARAMETER: "hasParameter", PREFERENCE: "hasPreference"}
+
+
+def _begun(
+    kind: str,
+    number: int,
+    values: Mapping[str, tuple[Value, ...]],
+    sort: str = PARAMETER,
+    inner: Mapping[str, Any] = _NOTHING,
+) -> list[Individual]:
+    """Return an individual after those nested in it."""
+    own = f"{STATED}.{number}"
+    within = list(nested(sort, own, inner))
+    held = {_NESTED[sort]: tuple(Ref(one.id) for one in within)} if within else {}
+    return [*within, Individual(kind, own, {**values, **held})]
+
+
+def _ended(number: int, end: float) -> list[Individual]:
+    return [Individual("", f"{STATED}.{number}", {"end": (float(end),)})]
+
+
+def _record_ended(number: int, record: RequiredAction | ReconfigurationPlan | Process | Attempt) -> list[Individual]:
+    assert record.end is not None  # else it is not noted
+    values: dict[str, tuple[Value, ...]] = {"end": (float(record.end),)}
+    if not isinstance(record, Process) and record.result:
+        values["result"] = (record.result,)
+    if isinstance(record, RequiredAction | Attempt) and record.reason:
+        values["reason"] = (record.reason,)
+    return [Individual("", f"{STATED}.{number}", values)]
 
 
 def _nobody() -> None:
@@ -287,9 +333,8 @@ def _said(reason: Reason | None) -> dict[str, tuple[Value, ...]]:
     return values if reason.until is None else {**values, "until": (float(reason.until),)}
 
 
-def _weights(record: Record) -> Mapping[str, float]:
-    given = record.preference if isinstance(record, RequiredAction) else None
-    return {given: 1.0} if isinstance(given, str) else given or {}
+def _weights(preference: str | Mapping[str, float] | None) -> Mapping[str, float]:
+    return {preference: 1.0} if isinstance(preference, str) else preference or {}
 
 
 def _is_there(state: State, index: int) -> bool:
