@@ -40,6 +40,8 @@ _INSTEAD: Final[Mapping[str, str]] = {
 }
 """What is SPARQL but not supported, and what to do."""
 
+_LATEST: Final = "the latest of several is the one with FILTER NOT EXISTS { a later one }"
+
 _QUOTED: Final[Mapping[str, int]] = {"text": 3, "line": 1}
 """How many marks are before and after a text."""
 
@@ -165,6 +167,8 @@ def _is_supported(given: str, told: Sequence[_Token]) -> None:
             raise _wrong(given, token.offset, f"{word} is not supported; {_INSTEAD[word]}")
         if word == "VALUES" and not depth:
             raise _wrong(given, token.offset, "VALUES after the pattern is not supported; write it inside the braces")
+        if word == "SELECT" and depth:
+            raise _wrong(given, token.offset, f"a SELECT within another is not supported; {_LATEST}")
         if word == "EXISTS":
             before = [one.text.upper() for one in told[max(0, number - 2) : number]]
             if before[-1:] != ["FILTER"] and before != ["FILTER", "NOT"]:

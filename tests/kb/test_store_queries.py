@@ -184,6 +184,7 @@ def test_what_is_no_query_is_an_error_that_says_where(text, message, base):
             "SELECT ?x { ?x a ?y FILTER(1 > 0 && NOT EXISTS { ?x :end ?e }) }",
             "EXISTS in an expression .* its own FILTER",
         ),
+        ("SELECT ?x { { SELECT ?x { ?x a :Action } } }", "a SELECT within another .* the latest of several"),
         ("SELECT ?x ?y { ?x :requires+ ?y }", r"a path with \+, \* or \?, say first what one of them is"),
     ],
 )
@@ -244,6 +245,10 @@ QUESTIONS = [
     "SELECT ?s { ?f a :Failure ; :about [ :name 'camera' ] ; :start ?s }",
     "SELECT (IF(?v > 0.5, 'bright', 'dark') AS ?word) { ?m a :Measurement ; :value ?v }",
     "SELECT ?n ?required { ?x a :Action ; :name ?n ; :isRequired ?required }",
+    "SELECT ?n ?v { ?m :measures ?x ; :value ?v ; :time ?t . ?x :name ?n"
+    " FILTER NOT EXISTS { ?later :measures ?x ; :time ?u FILTER(?u > ?t) } }",
+    "SELECT ?n (COUNT(?f) AS ?c) { ?x a :Action ; :name ?n OPTIONAL { ?x :requires ?f } } GROUP BY ?n",
+    "SELECT ?n { ?x a :Action ; :name ?n OPTIONAL { ?x :requires ?f } FILTER(!BOUND(?f)) }",
 ]
 
 
@@ -278,17 +283,6 @@ def plain(term):
         return term
     value = term.toPython()
     return float(value) if isinstance(value, Decimal) else value if isinstance(value, int | float) else str(value)
-
-
-def test_query_may_hold_another_query(base):
-    clock = Clock(0.0)
-    kb = base(robot(), clock)
-    for clock.now in (1.0, 2.0, 3.0):
-        kb.measure("light", clock.now / 4)
-        kb.measure("load", clock.now)
-    latest = """SELECT ?n ?v { { SELECT ?x (MAX(?u) AS ?t) { ?m2 :measures ?x ; :time ?u } GROUP BY ?x }
-                               ?m :measures ?x ; :value ?v ; :time ?t . ?x :name ?n }"""
-    assert sorted(kb.query(latest)) == [("light", 0.75), ("load", 3.0)]
 
 
 def test_query_cannot_change_what_is_asked_even_by_a_trick(base):
