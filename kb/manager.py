@@ -7,13 +7,13 @@ your own monitor, planner or executor and the rest stays as it is.
 from collections.abc import Iterable
 from typing import Protocol, cast
 
-from kb.execution.attempts import Attempt
 from kb.execution.executor import StagedExecutor
-from kb.execution.gate import Gate, Veto, VetoAnswer
+from kb.execution.gate import Gate, Veto
 from kb.execution.rehearsal import Rehearsal
 from kb.knowledge_base import KnowledgeBase
 from kb.managed import ManagedSystem
-from kb.reconfiguration import ReconfigurationPlan
+from kb.network import Node
+from kb.reconfiguration import ReconfigurationPlan, why_activated
 from kb.selection import first_by_priority
 
 __all__ = ["ConfigurationManager", "Executor", "Monitor", "Planner", "PriorityPlanner"]
@@ -57,7 +57,15 @@ class PriorityPlanner:
                 configurations[component] = choice
         if not designs and not configurations and not kb.obsolete():
             return None
+        nodes = [*map(kb.designs.node, designs.values()), *map(kb.configurations.node, configurations.values())]
+        if all(_is_selected(kb, node) for node in nodes):
+            return kb.select(reason=why_activated(kb._state))
         return kb.select(designs, configurations)
+
+
+def _is_selected(kb: KnowledgeBase, node: Node) -> bool:
+    """Tell whether a design or configuration is the one that is selected."""
+    return [rival for rival in node.wholes[0].parts if kb._state.selected[rival.index]] == [node]
 
 
 class ConfigurationManager:
@@ -90,16 +98,6 @@ class ConfigurationManager:
         self._gate = None if veto is None else Gate(kb, veto)
         self._planned_at = -1
 
-    @property
-    def attempts(self) -> tuple[Attempt, ...]:
-        """Every command that was given, in order, with what came of it; empty if the executor keeps no record."""
-        return tuple(getattr(self._executor, "attempts", ()))
-
-    @property
-    def veto_answers(self) -> tuple[VetoAnswer, ...]:
-        """What the veto function answered to each plan, in order."""
-        return () if self._gate is None else self._gate.answers
-
     def dry_run(self) -> ReconfigurationPlan | None:
         """Return the plan that the planner would make now, None for none; nothing is selected, told or executed.
 
@@ -125,12 +123,11 @@ class ConfigurationManager:
             gate.remember()
         plan = None
         revision = kb.revision
-        is_due = revision != self._planned_at and kb.pending_plan is None
-        if is_due:
+        if revision != self._planned_at and kb.pending_plan is None:
             plan = self._planner.plan(kb)
             is_vetoed = gate is not None and gate.check()
             self._planned_at = kb.revision if is_vetoed else revision
         self._executor.execute(kb)
         if gate is not None:
-            gate.remember(anew=is_due)
+            gate.remember()
         return plan

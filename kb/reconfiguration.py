@@ -2,11 +2,15 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
+from kb.elements import Component, ComponentKind
 from kb.inference import Change, Node, State, settle
 
-__all__ = ["Obsolete", "ReconfigurationPlan", "Selection", "obsolete", "reselect"]
+__all__ = ["Obsolete", "ReconfigurationPlan", "Selection", "obsolete", "plain", "planned", "reselect", "why_activated"]
+
+_MOST: Final = 4
+"""How many actions that need a component a sentence names."""
 
 
 class Obsolete(NamedTuple):
@@ -45,6 +49,7 @@ class ReconfigurationPlan:
         start: when it was made [s].
         end: when it ended [s], None while it is open.
         result: "completed", "failed" or "abandoned", None while it is open.
+        plain: those to activate or deactivate that nobody commands: it is only noted that they are active or not.
     """
 
     activate: tuple[str, ...]
@@ -54,9 +59,16 @@ class ReconfigurationPlan:
     start: float
     end: float | None = None
     result: str | None = None
+    plain: frozenset[str] = frozenset()
 
     def __str__(self) -> str:
-        steps = (("deactivate", self.deactivate), ("activate", self.activate), ("configure", self.parameters))
+        steps = (
+            ("deactivate", [name for name in self.deactivate if name not in self.plain]),
+            ("activate", [name for name in self.activate if name not in self.plain]),
+            ("configure", self.parameters),
+            ("note as inactive:", [name for name in self.deactivate if name in self.plain]),
+            ("note as active:", [name for name in self.activate if name in self.plain]),
+        )
         return "; ".join(f"{verb} {', '.join(names)}" for verb, names in steps if names)
 
     def __repr__(self) -> str:
@@ -99,6 +111,38 @@ def reselect(state: State, designs: Iterable[Node], configurations: Iterable[Nod
         changes=tuple(changes),
         reselected=(*changed, *newly_configured, *unselected),
     )
+
+
+def planned(state: State, selection: Selection, reason: str, now: float) -> ReconfigurationPlan:
+    """Return the plan of a selection.
+
+    Args:
+        state: the facts and statuses.
+        selection: what has to be done.
+        reason: why, in words.
+        now: the present time [s].
+    """
+    activate, deactivate, parameters, *_ = selection
+    components = (state.network.components[name] for name in (*activate, *deactivate))
+    return ReconfigurationPlan(activate, deactivate, parameters, reason, now, plain=plain(components))
+
+
+def plain(components: Iterable[Node]) -> frozenset[str]:
+    """Return the names of those that are plain, and so never commanded."""
+    elements = (node.element for node in components)
+    return frozenset(one.name for one in elements if isinstance(one, Component) and one.kind is ComponentKind.PLAIN)
+
+
+def why_activated(state: State) -> str:
+    """Say why components are to be activated that are selected already; nothing if there are none."""
+    sentences = []
+    for component in _lacking(state):
+        said = state.reason("active", component).text or f"{component.name} is not active"
+        functions = [design.wholes[0] for design in state.users[component.index]]
+        actions = list(dict.fromkeys(action.name for function in functions for action in state.users[function.index]))
+        named = [*actions[:_MOST], *(["others"] if len(actions) > _MOST else [])]
+        sentences.append(f"{said}; {component.name} is needed by {', '.join(named) or 'something asserted'}")
+    return "; ".join(sentences)
 
 
 def _choose(state: State, chosen: Iterable[Node]) -> tuple[list[Node], list[Node]]:

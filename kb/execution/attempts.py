@@ -1,4 +1,4 @@
-"""Commands to components: given until they are carried out or given up, each attempt on record."""
+"""Commands to components: given until they are carried out or given up, each attempt on the knowledge base's record."""
 
 import logging
 import math
@@ -9,6 +9,8 @@ from typing import Final
 
 from kb.elements import Parameters
 from kb.exceptions import InvalidValue
+from kb.history import Attempt
+from kb.knowledge_base import KnowledgeBase
 from kb.managed import Operation
 from kb.reconfiguration import ReconfigurationPlan
 
@@ -18,44 +20,6 @@ _log = logging.getLogger(__name__)
 
 _NOTHING: Final[Parameters] = MappingProxyType({})
 _MOST_DOUBLINGS: Final = 60
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Attempt:
-    """One command that was given once; only its executor can end it.
-
-    Attributes:
-        plan: what it was part of.
-        component: name of what was commanded.
-        operation: "activate", "deactivate" or "configure".
-        configuration: name of what the component was to be configured with, None for a switch.
-        parameters: what was to be set; empty for a switch.
-        number: 1 for the first time that the plan gave this command.
-        start: when it was given [s].
-        end: when it was found to have ended [s], None while it is under way.
-        result: "completed" or "failed", None while it is under way.
-        reason: why it failed, in words, or what was odd about it.
-    """
-
-    plan: ReconfigurationPlan
-    component: str
-    operation: str
-    configuration: str | None
-    parameters: Parameters
-    number: int
-    start: float
-    end: float | None = None
-    result: str | None = None
-    reason: str = ""
-
-    def __str__(self) -> str:
-        outcome = f"{self.result or 'under way'}: {self.reason}" if self.reason else self.result or "under way"
-        return f"{self.operation} {self.component}, attempt {self.number}: {outcome}"
-
-    def _finish(self, result: str, reason: str, end: float) -> None:
-        object.__setattr__(self, "end", end)
-        object.__setattr__(self, "result", result)
-        object.__setattr__(self, "reason", reason)
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,19 +70,17 @@ class Step:
     """A command of a plan on its way to an end.
 
     Args:
+        kb: has each attempt on record.
         plan: what it is part of.
         command: what is to be done.
         patience: how often it is tried, and how long.
-        attempts: where each attempt is entered.
     """
 
-    def __init__(
-        self, plan: ReconfigurationPlan, command: Command, patience: Patience, attempts: list[Attempt]
-    ) -> None:
+    def __init__(self, kb: KnowledgeBase, plan: ReconfigurationPlan, command: Command, patience: Patience) -> None:
         self.command = command
+        self._kb = kb
         self._plan = plan
         self._patience = patience
-        self._attempts = attempts
         self._count = 0
         self._due = -math.inf
         self._attempt: Attempt | None = None
@@ -126,13 +88,15 @@ class Step:
 
     @property
     def reason(self) -> str:
-        """What came of the last attempt, in words."""
-        return self._attempt.reason if self._attempt is not None else ""
+        """What came of the last attempt, and how often it was tried, in words."""
+        tried = {1: "once", 2: "twice"}.get(self._count, f"{self._count} times")
+        return f"tried {tried}: {self._attempt.reason if self._attempt is not None else ''}"
 
     @property
-    def count(self) -> int:
-        """How often the command was given so far."""
-        return self._count
+    def is_void(self) -> bool:
+        """Whether what is commanded, or what it is configured with, is no longer in the model."""
+        command, kb = self.command, self._kb
+        return command.component not in kb.components or command.configuration not in (None, *kb.configurations)
 
     def begin(self, now: float) -> None:
         """Give the command if it is time for that and it is not under way."""
@@ -140,16 +104,14 @@ class Step:
         if command.give is None or now < self._due or (self._attempt is not None and self._attempt.end is None):
             return
         self._count += 1
-        self._attempt = Attempt(
+        self._attempt = self._kb.record_attempt(
             self._plan,
             command.component,
             command.operation,
-            command.configuration,
-            command.parameters,
-            self._count,
-            now,
+            configuration=command.configuration,
+            parameters=command.parameters,
+            number=self._count,
         )
-        self._attempts.append(self._attempt)
         try:
             self._operation = command.give()
         except Exception as error:
@@ -167,10 +129,16 @@ class Step:
             if verdict is None:
                 return None
             result, reason = verdict
-            self._attempt._finish(result, reason, now)
+            self._kb.finish_attempt(self._attempt, result, reason)
             if result == "completed" or self._count >= self._patience.attempts:
                 return result
             self._due = now + self._patience.back_off * 2.0 ** min(self._count - 1, _MOST_DOUBLINGS)
+
+    def abandon(self, reason: str) -> None:
+        """Give it up without waiting for what is under way."""
+        if self._attempt is not None and self._attempt.end is None:
+            _cancel(self._operation)
+            self._kb.finish_attempt(self._attempt, "abandoned", reason)
 
     def _verdict(self, lasts: float) -> tuple[str, str] | None:
         """Return result and reason of the attempt under way, None while there is neither."""

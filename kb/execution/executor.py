@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 
 from kb.elements import ComponentKind
 from kb.exceptions import InvalidValue, UnknownName
-from kb.execution.attempts import Attempt, Command, Patience, Step
+from kb.execution.attempts import Command, Patience, Step
 from kb.execution.condemned import Condemnation, Condemned
 from kb.knowledge_base import KnowledgeBase
 from kb.managed import ManagedSystem, Operation
@@ -58,20 +58,16 @@ class StagedExecutor:
         }
         self._unchecked = set(self._of_component)
         self._condemned = Condemned(hold)
-        self._attempts: list[Attempt] = []
+        self._known: KnowledgeBase | None = None
         self._plan: ReconfigurationPlan | None = None
         self._stages: Iterator[list[Step]] = iter(())
         self._stage: list[Step] = []
         self._failed: set[str] = set()
-
-    @property
-    def attempts(self) -> tuple[Attempt, ...]:
-        """Every command that was given, in order, with what came of it."""
-        return tuple(self._attempts)
+        self._commanded: set[str] = set()
 
     @property
     def condemnations(self) -> tuple[Condemnation, ...]:
-        """Every configuration that could not be set, in order; those without an end count as unfeasible now."""
+        """The configurations that could not be set, in order; those without an end count as unfeasible now."""
         return self._condemned.records
 
     def execute(self, kb: KnowledgeBase) -> None:
@@ -80,14 +76,16 @@ class StagedExecutor:
         Raises:
             UnknownName: a time-out was given for a component that the model does not have; at the first turn only.
         """
-        self._check_names(kb)
-        now = kb._clock()
+        if kb is not self._known:
+            self._meet(kb)
+        now = kb.now
         self._condemned.review(kb, now)
         if self._plan is None:
             self._plan = kb.pending_plan
             if self._plan is None:
                 return
-            self._stages, self._stage, self._failed = self._staged(kb, self._plan), [], set()
+            self._stages, self._stage = self._staged(kb, self._plan), []
+            self._failed, self._commanded = set(), set()
         while True:
             self._stage = [step for step in self._stage if not self._has_ended(kb, step, now)]
             if self._stage:
@@ -101,6 +99,11 @@ class StagedExecutor:
         kb.finish_plan(self._plan, "failed" if self._failed else "completed")
         self._plan = None
 
+    def _meet(self, kb: KnowledgeBase) -> None:
+        self._check_names(kb)
+        self._condemned.adopt(kb)
+        self._known = kb
+
     def _check_names(self, kb: KnowledgeBase) -> None:
         unchecked, self._unchecked = self._unchecked, set()
         for name in sorted(unchecked):
@@ -109,12 +112,13 @@ class StagedExecutor:
 
     def _has_ended(self, kb: KnowledgeBase, step: Step, now: float) -> bool:
         """Go on with a step and tell whether it has ended, one way or the other; the knowledge base is told how."""
+        if step.is_void:
+            step.abandon("it is no longer in the model")
+            return True
         result = step.advance(now)
         if result is None:
             return False
         command = step.command
-        if command.component not in kb.components:  # removed from the model meanwhile
-            return True
         if result == "failed":
             self._give_up(kb, step, now)
         elif command.operation == "configure":
@@ -125,16 +129,15 @@ class StagedExecutor:
 
     def _give_up(self, kb: KnowledgeBase, step: Step, now: float) -> None:
         command = step.command
-        _log.warning("%s %s failed, attempts: %d: %s", command.operation, command.component, step.count, step.reason)
+        _log.warning("%s %s failed, %s", command.operation, command.component, step.reason)
         self._failed.add(command.component)
         if command.configuration is None:
             is_active = self._look(command.component)
             if is_active is not None:
                 kb.component_active(command.component, is_active)
-            kb.component_failed(command.component)
-        elif command.configuration in kb.configurations:
-            tried = {1: "once", 2: "twice"}.get(step.count, f"{step.count} times")
-            reason = f"its parameters could not be set, tried {tried}: {step.reason}"
+            kb.component_failed(command.component, f"it could not be {command.operation}d, {step.reason}")
+        else:
+            reason = f"its parameters could not be set, {step.reason}"
             self._condemned.condemn(kb, command.configuration, reason, now)
 
     def _look(self, component: str) -> bool | None:
@@ -154,7 +157,9 @@ class StagedExecutor:
         started = list(dict.fromkeys([*activated, *paused]))
         running = [name for name in configured if name in kb.components and kb.components[name].is_active]
         yield self._configured(kb, plan, [*running, *started])
-        yield self._switched(kb, plan, started, active=True)
+        starting = self._switched(kb, plan, started, active=True)
+        self._commanded = {step.command.component for step in starting if step.command.give is not None}
+        yield starting
         if self._failed:
             yield self._rolled_back(kb, plan, started)
 
@@ -177,8 +182,7 @@ class StagedExecutor:
     def _rolled_back(self, kb: KnowledgeBase, plan: ReconfigurationPlan, started: list[str]) -> list[Step]:
         """Undo what was begun for functions that cannot be had: else it would run on, and be started at each plan."""
         names = [name for name in started if name in kb.components]
-        tried = {one.component for one in self._attempts if one.plan is plan and one.operation == "activate"}
-        unsure = [name for name in names if name in self._failed & tried and self._look(name) is not False]
+        unsure = [name for name in names if name in self._failed & self._commanded and self._look(name) is not False]
         for design in kb.designs.values():
             is_in_vain = kb.functions[design.function].status is Status.UNFEASIBLE and design.is_selected
             if is_in_vain and not set(names).isdisjoint(design.components):
@@ -192,7 +196,7 @@ class StagedExecutor:
 
     def _step(self, kb: KnowledgeBase, plan: ReconfigurationPlan, command: Command) -> Step:
         of_kind = self._of_kind.get(kb.components[command.component].kind, self._patience)
-        return Step(plan, command, self._of_component.get(command.component, of_kind), self._attempts)
+        return Step(kb, plan, command, self._of_component.get(command.component, of_kind))
 
 
 def _steps(kb: KnowledgeBase, plan: ReconfigurationPlan) -> tuple[list[str], list[str], list[str]]:

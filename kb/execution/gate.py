@@ -2,9 +2,9 @@
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from kb.exceptions import InvalidValue
+from kb.history import VetoAnswer
 from kb.knowledge_base import KnowledgeBase
 from kb.reconfiguration import ReconfigurationPlan
 
@@ -14,23 +14,6 @@ _log = logging.getLogger(__name__)
 
 Veto = Callable[[ReconfigurationPlan], bool | str | None]
 """Is shown a plan, with its reason; answers None or True to let it pass, False or the reason to forbid it."""
-
-
-@dataclass(frozen=True, slots=True)
-class VetoAnswer:
-    """What was answered about a plan.
-
-    Attributes:
-        plan: what was asked about.
-        time: when [s].
-        is_vetoed: it was not to be executed.
-        reason: why not, in words.
-    """
-
-    plan: ReconfigurationPlan
-    time: float
-    is_vetoed: bool
-    reason: str = ""
 
 
 class Gate:
@@ -46,25 +29,15 @@ class Gate:
             raise InvalidValue(f"a veto is a function that is called with each plan; {veto!r} cannot be called")
         self._kb = kb
         self._veto = veto
-        self._answers: list[VetoAnswer] = []
         self._passed: list[ReconfigurationPlan] = []
         self._seen: tuple[int, ReconfigurationPlan | None] = (-1, None)
         self._selected: frozenset[tuple[str, str]] = frozenset()
         self.remember()
 
-    @property
-    def answers(self) -> tuple[VetoAnswer, ...]:
-        """Every answer so far, in order."""
-        return tuple(self._answers)
-
-    def remember(self, *, anew: bool = False) -> None:
-        """Take note of what is selected, so that a plan that is forbidden can be taken back to this.
-
-        Args:
-            anew: even if no fact and no plan tells that it is different; a selection may need no plan.
-        """
+    def remember(self) -> None:
+        """Take note of what is selected, so that a plan that is forbidden can be taken back to this."""
         now = (self._kb.revision, self._kb.latest_plan)
-        if anew or now != self._seen:
+        if now != self._seen:
             self._seen, self._selected = now, self._selection()
 
     def check(self) -> bool:
@@ -77,7 +50,6 @@ class Gate:
         is_vetoed = False
         while (plan := self._kb.pending_plan) is not None and plan not in self._passed:
             answer = self._ask(plan)
-            self._answers.append(answer)
             if not answer.is_vetoed:
                 self._passed.append(plan)
                 break
@@ -93,15 +65,8 @@ class Gate:
             answer: object = self._veto(plan)
         except Exception as error:
             answer = str(error) or type(error).__name__
-        now = self._kb._clock()
-        if answer is None or answer is True:
-            return VetoAnswer(plan, now, False)
-        if answer is False:
-            return VetoAnswer(plan, now, True, "no reason was given")
-        if isinstance(answer, str):
-            return VetoAnswer(plan, now, True, answer or "no reason was given")
-        text = f"the veto function answered {answer!r}; it is to answer None or True to let a plan pass, else a reason"
-        return VetoAnswer(plan, now, True, text)
+        reason = _objection(answer)
+        return self._kb.record_answer(plan, is_vetoed=bool(reason), reason=reason)
 
     def _selection(self) -> frozenset[tuple[str, str]]:
         kb = self._kb
@@ -116,3 +81,14 @@ class Gate:
             views = designs if what == "design" else configurations
             if name in views:
                 self._kb.assert_selected(views[name], (what, name) in self._selected)
+
+
+def _objection(answer: object) -> str:
+    """Return why a plan is forbidden, in words; nothing if it may pass."""
+    if answer is None or answer is True:
+        return ""
+    if answer is False:
+        return "no reason was given"
+    if isinstance(answer, str):
+        return answer or "no reason was given"
+    return f"the veto function answered {answer!r}; it is to answer None or True to let a plan pass, else a reason"

@@ -6,7 +6,7 @@ from kb.exceptions import InvalidValue
 from kb.explanation import why_selected
 from kb.knowledge_base import KnowledgeBase
 from kb.network import Node
-from kb.reconfiguration import ReconfigurationPlan, reselect
+from kb.reconfiguration import ReconfigurationPlan, planned, reselect
 from kb.requests import RequiredAction
 from kb.situation import Situation
 
@@ -56,7 +56,10 @@ class Rehearsal(Situation):
         return self._kb.revision
 
     def select(
-        self, designs: Mapping[str, str] | None = None, configurations: Mapping[str, str] | None = None
+        self,
+        designs: Mapping[str, str] | None = None,
+        configurations: Mapping[str, str] | None = None,
+        reason: str = "",
     ) -> ReconfigurationPlan | None:
         """Return the plan that the knowledge base would make of this selection; it does not get to know it."""
         with self._lock:
@@ -66,11 +69,9 @@ class Rehearsal(Situation):
                 for of, name in (configurations or {}).items()
             ]
             now, state = self._clock(), self._state
-            reason = why_selected(state, [*chosen, *given], now)
+            why_these = why_selected(state, [*chosen, *given], now, reason)
             selection = reselect(state, chosen, given)
-            if not selection:
-                return None
-            return ReconfigurationPlan(selection.activate, selection.deactivate, selection.parameters, reason, now)
+            return planned(state, selection, why_these, now) if selection else None
 
 
 def _owned(node: Node, owner: Node) -> Node:

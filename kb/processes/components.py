@@ -158,7 +158,7 @@ class ProcessComponents:
                 self._tidy_up(one.component, one.pid)
                 kb.component_ended(one.component, one.pid)
         for name in self._runs:
-            kb.component_active(name, name in mine)
+            kb.component_active(name, name in mine, "" if name in mine else f"the process of {name} is no more")
 
     def _tidy_up(self, component: str, pid: int) -> None:
         """Have what was started in another life ended, if it lives on, and nothing started in its place before that."""
@@ -187,7 +187,7 @@ class ProcessComponents:
             self._tell(kb)
             for name in self._runs:
                 if name in kb.components:
-                    kb.component_active(name, False)
+                    kb.component_active(name, False, f"the process of {name} was ended with all others")
         except KnowledgeBaseError as error:
             _log.warning("the knowledge base was not told that the processes have ended: %s", error)
 
@@ -274,8 +274,8 @@ def _told(kb: KnowledgeBase, news: News) -> None:
     if news.what == "started":
         kb.component_started(news.component, news.pid)
     elif news.what == "failed":
-        kb.component_failed(news.component)
+        kb.component_failed(news.component, news.reason)
     else:
         kb.component_ended(news.component, news.pid)
         if news.what == "crashed":
-            kb.component_active(news.component, False)
+            kb.component_active(news.component, False, news.reason)
