@@ -13,9 +13,11 @@ from kb.selection import first_by_priority
 from kb.state import Overlay, State
 from kb.status import Status
 
-__all__ = ["Alternative", "ChoiceExplanation", "explain_choice"]
+__all__ = ["Alternative", "ChoiceExplanation", "explain_choice", "note_nothing"]
 
 _PARTS: Final = {"function": "design", "component": "configuration"}
+_NOTED: Final = "selected"
+"""What is said of a design's or configuration's selection is kept by this word, so here is what is said of none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,8 +73,11 @@ def explain_choice(
     preferred: str | None = None,
     verdicts: Mapping[str, str] | None = None,
     designs: Iterable[Node] | None = None,
+    nothing: str = "",
 ) -> ChoiceExplanation:
     """Explain what is selected for a function or component, or would be, and why no other one is.
+
+    What was selected with a reason is explained by that.
 
     Args:
         state: the facts and statuses.
@@ -82,20 +87,34 @@ def explain_choice(
         verdicts: what that criterion says of each possible part, in words, by name; by default what its priority says.
         designs: the designs that are chosen next, for components are chosen for after that; by default the first by
             priority of each adaptable function.
+        nothing: why that criterion leaves nothing to be selected, in words, if it does; by default what was noted.
     """
     following = state
+    nothing = nothing or state.reason(_NOTED, node).text
+    if nothing:
+        designs = ()
     if node.kind == "component":
         following = Overlay(state)
         reselect(following, _first_designs(state) if designs is None else designs, ())
-    return _Chooser(state, following, node, now, preferred, verdicts or {}).explanation()
+    return _Chooser(state, following, node, now, preferred, verdicts or {}, nothing).explanation()
+
+
+def note_nothing(state: State, reason: str) -> None:
+    """Note why nothing can be selected for what is required, in words; empty if something can."""
+    required = [node for node in state.network.functions.values() if state.required[node.index]]
+    concerned = {*required, *(part for node in required for design in node.parts for part in design.parts)}
+    for node in (*state.network.functions.values(), *state.network.components.values()):
+        state.give_reason(_NOTED, node, reason if node in concerned else "")
 
 
 def _first_designs(state: State) -> list[Node]:
-    """Return the design that comes first by priority for each adaptable function."""
+    """Return the first design by priority for each adaptable function, but for what is selected for another reason."""
     chosen = []
     for function in state.adaptable.nodes():
         if function.kind == "function":
             possible = [part for part in function.parts if state.status[part.index] is not Status.UNFEASIBLE]
+            if any(state.selected[part.index] and state.reason("selected", part).text for part in possible):
+                continue
             name = first_by_priority(_element(part) for part in possible)
             chosen += [part for part in possible if part.name == name]
     return chosen
@@ -112,17 +131,28 @@ class _Chooser:
         now: float,
         preferred: str | None,
         verdicts: Mapping[str, str],
+        nothing: str,
     ) -> None:
         self._state = state
         self._following = following
         self._node = node
         self._now = now
         self._verdicts = verdicts
+        self._nothing = nothing
         self._possible = [part for part in node.parts if state.status[part.index] is not Status.UNFEASIBLE]
-        name = preferred or first_by_priority(_element(part) for part in self._possible)
-        self._first = next((part for part in self._possible if part.name == name), None)
         self._selected = next((part for part in node.parts if state.selected[part.index]), None)
+        self._said = state.reason("selected", self._selected).text if self._selected else ""
+        self._first = self._preferred(preferred)
         self._chosen = self._selected or self._first
+
+    def _preferred(self, name: str | None) -> Node | None:
+        """Return the part that is preferred; None for none, and where only whoever gave a reason can tell."""
+        if self._nothing:
+            return None
+        if name is None and self._said:
+            return self._selected if self._selected in self._possible else None
+        name = name or first_by_priority(_element(part) for part in self._possible)
+        return next((part for part in self._possible if part.name == name), None)
 
     def explanation(self) -> ChoiceExplanation:
         """Explain the choice."""
@@ -141,6 +171,8 @@ class _Chooser:
 
     def _why_chosen(self) -> str:
         chosen, what = self._chosen, _PARTS[self._node.kind]
+        if chosen is None and self._nothing:
+            return self._nothing
         if chosen is None:
             return f"each {what} of it is unfeasible" if self._node.parts else f"it has no {what}"
         if chosen not in self._possible:
@@ -162,10 +194,14 @@ class _Chooser:
 
     def _advantage(self, chosen: Node) -> str:
         what, priority = _PARTS[self._node.kind], _element(chosen).priority
+        if self._nothing:
+            return f"it was preferred before; now nothing would be: {self._nothing}"
         if chosen is not self._first:
             return "it was preferred before"
         if chosen.name in self._verdicts:
             return self._verdicts[chosen.name]
+        if self._said:
+            return self._said
         if len(self._possible) == 1:
             return f"it is the only {what}" if len(self._node.parts) == 1 else f"no other {what} is feasible"
         if any(_element(rival).priority == priority for rival in self._possible if rival is not chosen):
@@ -175,10 +211,14 @@ class _Chooser:
     def _why_not(self, part: Node) -> str:
         if part not in self._possible:
             return f"it{why(self._state, part, self._now).removeprefix(part.name)}"
+        if self._nothing:
+            return "no choice with it would do either"
         if part is self._first:
             return self._why_not_yet()
         if part.name in self._verdicts:
             return self._verdicts[part.name]
+        if self._said:
+            return "it is not part of that choice" if self._first else "it is possible, but not selected yet"
         assert self._first is not None  # something is possible, so something is preferred
         mine, best = _element(part).priority, _element(self._first).priority
         if mine == best:

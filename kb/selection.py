@@ -7,7 +7,16 @@ from typing import NamedTuple, Protocol
 from kb.elements import finite_number
 from kb.exceptions import InvalidValue
 
-__all__ = ["Candidate", "Choice", "Criterion", "Optimum", "by_priority", "first_by_priority", "summed_weights"]
+__all__ = [
+    "Candidate",
+    "Choice",
+    "Criterion",
+    "Optimum",
+    "by_priority",
+    "first_by_priority",
+    "number",
+    "summed_weights",
+]
 
 
 class Candidate(Protocol):
@@ -57,6 +66,23 @@ class Criterion:
         costs = self.switching_cost
         return costs.get(component, 0.0) if isinstance(costs, Mapping) else costs
 
+    @property
+    def goal(self) -> str:
+        """What is preferred, in words, e.g. "accuracy - 0.03 power"; empty if nothing is."""
+        weights = {name: weight for name, weight in self.weights.items() if weight}
+        if list(weights.values()) == [-1.0]:
+            return f"little {next(iter(weights))}"
+        words = ""
+        for name, weight in weights.items():
+            sign = (" - " if words else "-") if weight < 0.0 else (" + " if words else "")
+            words += f"{sign}{name}" if abs(weight) == 1.0 else f"{sign}{number(abs(weight))} {name}"
+        return words
+
+    @property
+    def limits(self) -> str:
+        """What the budgets are, in words, e.g. "power 40"; empty if there are none."""
+        return " and ".join(f"{name} {number(limit)}" for name, limit in self.budgets.items())
+
 
 @dataclass(frozen=True, slots=True)
 class Optimum:
@@ -65,6 +91,7 @@ class Optimum:
     Attributes:
         choice: what to select; None if no choice keeps within the budgets, or none was found.
         value: what the choice is worth by its criterion, switching costs taken off; None without a choice.
+        switching: the costs that are taken off: value + switching is what is estimated; None without a choice.
         bound: what no choice can be worth more than; None without a choice.
         resolution: two choices that differ by no more than this were taken for equally good; 0 where all was exact.
         is_proven: no choice is better, and none that is as good comes first.
@@ -73,6 +100,7 @@ class Optimum:
 
     choice: Choice | None
     value: float | None
+    switching: float | None
     bound: float | None
     resolution: float
     is_proven: bool
@@ -82,6 +110,21 @@ class Optimum:
     def gap(self) -> float | None:
         """How much better an unknown choice can be at most; None without a choice."""
         return None if self.value is None or self.bound is None else self.bound - self.value
+
+    @property
+    def worth(self) -> str:
+        """What the choice is worth, in words, with and without what switching costs; empty without a choice."""
+        if self.value is None or self.switching is None:
+            return ""
+        worth = number(self.value)
+        if not self.switching:
+            return worth
+        return f"{worth} ({number(self.value + self.switching)} less {number(self.switching)} for switching)"
+
+
+def number(value: float) -> str:
+    """Write a number that comes from few decimals with these."""
+    return f"{value:.12g}"
 
 
 def by_priority(candidate: Candidate) -> tuple[bool, int, str]:

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from decimal import Decimal, localcontext
 
-from kb.elements import Configuration, EstimationKind, FunctionDesign
+from kb.elements import Component, ComponentKind, Configuration, EstimationKind, FunctionDesign
 from kb.exceptions import UnknownName
 from kb.network import Network, Node
 from kb.optimum.problem import (
@@ -90,6 +90,8 @@ class _Posing:
             budgets=tuple(self._criterion.budgets),
             limits=tuple(decimal(limit) for limit in self._criterion.budgets.values()),
             is_touched=any(node in self._estimated for node in concerned),
+            goal=self._criterion.goal,
+            within=self._criterion.limits,
         )
 
     def _estimate(self) -> None:
@@ -132,20 +134,25 @@ class _Posing:
     def _cost(self, component: Node) -> Decimal:
         return Decimal() if self._afresh else decimal(self._criterion.cost_of(component.name))
 
+    def _cost_to_switch(self, component: Node) -> Decimal:
+        """Return what it costs to activate or deactivate a component; one that nobody switches is only booked."""
+        assert isinstance(component.element, Component)
+        return Decimal() if component.element.kind is ComponentKind.PLAIN else self._cost(component)
+
     def _design(self, design: Node, places: Mapping[Node, int]) -> Option:
         needs = frozenset(places[part] for part in design.parts if part in places)
         return Option(design, self._effect(design), self._is_selected(design), needs)
 
     def _component(self, node: Node) -> ComponentOptions:
-        cost, nodes = self._cost(node), self._ranked(node)
+        cost, to_switch, nodes = self._cost(node), self._cost_to_switch(node), self._ranked(node)
         active = not self._afresh and self._state.active[node.index]
         asserted = not self._afresh and self._state.asserted_required[node.index]
         selected = [one for one in node.parts if self._is_selected(one)]
         given_up = any(self._designs.get(design.wholes[0]) for design in self._state.users[node.index])
         stays = active and not given_up  # even if nothing needs it: a plan stops what it replaces, and what is obsolete
-        running = self._effect(node) if active else self._effect(node).costing(cost)
+        running = self._effect(node) if active else self._effect(node).costing(to_switch)
         options = [Option(one, running.plus(self._configured(one, cost)), one in selected) for one in nodes]
-        idle, idle_node = self._nothing.costing(cost if active else Decimal()), None
+        idle, idle_node = self._nothing.costing(to_switch if active else Decimal()), None
         if stays:
             idle = self._effect(node, *selected)
         elif asserted and nodes:
@@ -168,16 +175,21 @@ class _Posing:
     def _fixed(self) -> Effect:
         """Return what stays selected without a choice, at the cost of stopping what is obsolete."""
         obsolete = [] if self._afresh else self._state.obsolete.nodes()
-        costs = (self._cost(node) for node in obsolete if node.kind == "component")
+        costs = (self._cost_to_switch(node) for node in obsolete if node.kind == "component")
         return self._effect(*self._kept).costing(sum(costs, Decimal()))
 
 
 def _undominated(options: Sequence[Option]) -> tuple[Option, ...]:
-    """Leave out each option for which another is as good wherever they stand, and better or earlier."""
+    """Leave out each option for which another is as good wherever they stand, and better or earlier.
+
+    What is selected now and what is first by priority stay, to be compared with.
+    """
     return tuple(
         option
         for place, option in enumerate(options)
-        if not any(
+        if option.is_now
+        or place == 0
+        or not any(
             rival.needs == option.needs
             and rival.effect.is_no_worse_than(option.effect)
             and (rival.effect.gain > option.effect.gain or number < place)

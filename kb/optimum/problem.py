@@ -29,20 +29,22 @@ class Effect(NamedTuple):
         gain: to the value of the choice.
         loads: to what each budget limits.
         levels: weighted absolute estimations by attribute; of all that are chosen only the worst counts.
+        cost: of switching; it is taken off the gain already.
     """
 
     gain: Decimal
     loads: tuple[Decimal, ...]
     levels: tuple[tuple[str, Decimal], ...] = ()
+    cost: Decimal = Decimal()
 
     def plus(self, other: "Effect") -> "Effect":
         """Return both together."""
         loads = tuple(mine + its for mine, its in zip(self.loads, other.loads, strict=True))
-        return Effect(self.gain + other.gain, loads, self.levels + other.levels)
+        return Effect(self.gain + other.gain, loads, self.levels + other.levels, self.cost + other.cost)
 
     def costing(self, cost: Decimal) -> "Effect":
         """Return the same at a cost."""
-        return self._replace(gain=self.gain - cost)
+        return self._replace(gain=self.gain - cost, cost=self.cost + cost)
 
     def is_no_worse_than(self, other: "Effect") -> bool:
         """Tell whether this can stand in place of the other whatever else is chosen."""
@@ -118,6 +120,8 @@ class Problem:
         load_units: what a load of 1 stands for, for each budget.
         resolution: two choices that differ by no more than this can seem equally good; 0 if all numbers are exact.
         is_touched: something is estimated of what takes part.
+        goal: what is preferred, in words.
+        within: the limits, in words.
     """
 
     functions: tuple[FunctionOptions, ...]
@@ -126,6 +130,8 @@ class Problem:
     budgets: tuple[str, ...]
     limits: tuple[Decimal, ...]
     is_touched: bool
+    goal: str = ""
+    within: str = ""
     unit: Decimal = Decimal(1)
     load_units: tuple[Decimal, ...] = ()
     resolution: float = 0.0
@@ -139,6 +145,14 @@ class Problem:
     def now(self) -> Picks:
         """What is selected now, and the first option of what has nothing selected."""
         return Picks(*(tuple(_now(one.options) for one in many) for many in (self.functions, self.components)))
+
+    @property
+    def kept(self) -> Picks | None:
+        """What is selected now, if that is something for everything."""
+        picks = self.now
+        chosen = [one.options[pick] for one, pick in zip(self.functions, picks.functions, strict=True)]
+        chosen += [self.components[place].options[picks.components[place]] for place in self.needed(picks)]
+        return picks if all(option.is_now or option.node is None for option in chosen) else None
 
     @property
     def bound(self) -> Decimal:
@@ -164,7 +178,7 @@ class Problem:
         worst: dict[str, Decimal] = {}
         for name, level in total.levels:
             worst[name] = min(level, worst.get(name, level))
-        return Effect(sum(worst.values(), total.gain), total.loads)
+        return Effect(sum(worst.values(), total.gain), total.loads, (), total.cost)
 
     def _highest_levels(self) -> Decimal:
         best: dict[str, Decimal] = {}
@@ -206,7 +220,9 @@ def whole(problem: Problem) -> Problem:
     """Return the same in whole numbers; loads are rounded up, so that rounding exceeds no budget."""
     with localcontext(EXACTLY):
         effects = problem.effects()
-        scale = _Scale.of(amount for one in effects for amount in (one.gain, *(level for _, level in one.levels)))
+        scale = _Scale.of(
+            amount for one in effects for amount in (one.gain, one.cost, *(level for _, level in one.levels))
+        )
         scales = [
             _Scale.of([limit, *(effect.loads[place] for effect in effects)])
             for place, limit in enumerate(problem.limits)
@@ -218,6 +234,7 @@ def whole(problem: Problem) -> Problem:
                 scale.rounded(effect.gain),
                 tuple(one.rounded(load, ROUND_CEILING) for load, one in loads),
                 tuple((name, scale.rounded(level)) for name, level in effect.levels),
+                scale.rounded(effect.cost),
             )
 
         def all_rounded(options: Sequence[Option]) -> tuple[Option, ...]:

@@ -5,6 +5,7 @@ is counted in work done instead of seconds make the answer the same on every mac
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from decimal import Decimal
 from itertools import chain
 from typing import Any, Final
@@ -14,7 +15,7 @@ from ortools.sat.python import cp_model
 from kb.network import Node
 from kb.optimum.posing import pose
 from kb.optimum.problem import ComponentOptions, Effect, Option, Picks, Problem
-from kb.selection import Criterion, Optimum
+from kb.selection import Criterion, Optimum, number
 from kb.state import State
 
 __all__ = ["EFFORT", "best_choice", "solve", "verdicts"]
@@ -68,22 +69,22 @@ def verdicts(optimum: Optimum, chosen: str, rivals: Mapping[str, Problem], effor
         rivals: the same problem with each of the others forced into the choice, by name.
         effort: how much work may be done for each of them.
     """
-    assert optimum.value is not None  # something is chosen
-    said = {chosen: f"it is part of {optimum.reason}"}
+    said = {chosen: optimum.reason}
     for name, problem in rivals.items():
-        said[name] = _compared(solve(problem, effort), optimum.value, optimum.resolution)
+        said[name] = _compared(solve(problem, effort), optimum)
     return said
 
 
-def _compared(rival: Optimum, value: float, resolution: float) -> str:
+def _compared(rival: Optimum, best: Optimum) -> str:
+    assert best.value is not None  # something is chosen
     if rival.value is None:
         return f"with it, {rival.reason}"
-    if abs(rival.value - value) <= resolution:
-        return f"with it a choice is worth {rival.value:g} too, and comes later by priority and name"
-    if rival.value > value:
-        return f"with it a choice is worth {rival.value:g}, as more effort has found only now"
+    if abs(rival.value - best.value) <= best.resolution:
+        return f"with it a choice is worth {rival.worth} too, and comes later by priority and name"
+    if rival.value > best.value:
+        return f"with it a choice is worth {rival.worth}, as more effort has found only now"
     known = "the best choice" if rival.is_proven else "the best choice that was found"
-    return f"with it {known} is worth {rival.value:g}, less than {value:g}"
+    return f"with it {known} is worth {rival.worth}, less than {number(best.value)}"
 
 
 class _Encoding:
@@ -217,7 +218,7 @@ class _Search:
         known = self._known()
         status = self._run(encoding, known or problem.first)
         if status == cp_model.INFEASIBLE:
-            return Optimum(None, None, None, 0.0, True, self._why_nothing_fits())
+            return Optimum(None, None, None, None, 0.0, True, self._why_nothing_fits())
         bound, is_best = problem.bound, status == cp_model.OPTIMAL
         if is_best or status == cp_model.FEASIBLE:
             found = encoding.read(self._solver)
@@ -225,8 +226,8 @@ class _Search:
                 known = found
             bound = min(bound, Decimal(round(self._solver.best_objective_bound)))
         if known is None:
-            reason = f"no choice that keeps within {self._limits()} was found with an effort of {self._effort:g}"
-            return Optimum(None, None, None, problem.resolution, False, reason)
+            reason = f"no choice that keeps within {problem.within} was found with an effort of {self._effort:g}"
+            return Optimum(None, None, None, None, problem.resolution, False, reason)
         value = problem.effect(known).gain
         is_first = False
         if is_best:
@@ -235,14 +236,36 @@ class _Search:
         return self._told(known, value, bound, is_first)
 
     def _told(self, picks: Picks, value: Decimal, bound: Decimal, is_proven: bool) -> Optimum:
-        worth, most = float(value * self._problem.unit), float(bound * self._problem.unit)
-        if is_proven:
-            reason = f"the best choice of all, worth {worth:g}"
-        elif value == bound:
-            reason = f"a best choice, worth {worth:g}; an effort of {self._effort:g} did not prove that it comes first"
-        else:
-            reason = f"the best choice that an effort of {self._effort:g} found, worth {worth:g} of {most:g} at most"
-        return Optimum(self._problem.choice(picks), worth, most, self._problem.resolution, is_proven, reason)
+        problem, cost = self._problem, self._problem.effect(picks).cost
+        worth, switching, most = (float(amount * problem.unit) for amount in (value, cost, bound))
+        found = Optimum(problem.choice(picks), worth, switching, most, problem.resolution, is_proven, "")
+        return replace(found, reason=self._reason(found, value))
+
+    def _reason(self, found: Optimum, value: Decimal) -> str:
+        """Say what makes it the best, what it is worth, and how sure that is."""
+        problem, effort = self._problem, f"an effort of {self._effort:g}"
+        within = f" within {problem.within}" if problem.within else ""
+        best = f"the best for {problem.goal}" if problem.goal else "the first by priority"
+        if found.switching and not problem.goal:
+            best = f"the one that is cheapest to switch to ({number(found.switching)}), and then the first by priority"
+        worth = f", worth {found.worth}{self._otherwise(value)}" if problem.goal else ""
+        if found.is_proven:
+            return f"of all choices{within} this is {best}{worth}"
+        if not found.gap:
+            return f"no choice{within} is better than this one{worth}; {effort} did not prove that it comes first"
+        assert found.bound is not None
+        left = f"none is worth more than {number(found.bound)} (a gap of {number(found.gap)})"
+        return f"this is {best}{within} that {effort} found{worth}; {left}"
+
+    def _otherwise(self, value: Decimal) -> str:
+        """Say what is gained over what is selected now, or else over the first by priority."""
+        problem = self._problem
+        kept = problem.kept
+        effect = problem.effect(problem.first if kept is None else kept)
+        if effect.gain == value or not problem.fits(effect):
+            return ""
+        words = ", by priority alone" if kept is None else " instead of"
+        return f"{words} {number(float(effect.gain * problem.unit))}"
 
     def _known(self) -> Picks | None:
         """Return the better of what is selected now and what is first by priority, if one keeps within the budgets."""
@@ -288,13 +311,9 @@ class _Search:
                 continue
             unit, least = problem.load_units[place], round(self._solver.objective_value)
             if least > limit:
-                told.append(f"{name} would be {float(least * unit):g} at least, more than {float(limit * unit):g}")
-        return " and ".join(told) or f"no choice keeps within {self._limits()}"
-
-    def _limits(self) -> str:
-        problem = self._problem
-        limits = zip(problem.budgets, problem.limits, problem.load_units, strict=True)
-        return " and ".join(f"{name} {float(limit * unit):g}" for name, limit, unit in limits)
+                least_told, limit_told = number(float(least * unit)), number(float(limit * unit))
+                told.append(f"{name} would be {least_told} at least, more than {limit_told}")
+        return " and ".join(told) or f"no choice keeps within {problem.within}"
 
 
 def _chunk_end(picks: Sequence[Literals], start: int) -> int:

@@ -55,11 +55,15 @@ def outcome(state, designs, configurations, criterion):
         levels = [exact(weight) * exact(one.value) for one in mine if one.kind == "absolute"]
         worth += min(levels, default=Fraction(0))
         worth += exact(weight) * sum(signed(one) for one in mine if one.kind != "absolute")
-    switched = [*selection.activate, *selection.deactivate]
+    switched = [name for name in (*selection.activate, *selection.deactivate) if kind(network, name) != "plain"]
     switched += [network.configurations[name].element.component for name in selection.parameters]
     worth -= sum(exact(criterion.cost_of(name)) for name in switched)
     loads = {name: sum(signed(one) for one in estimations if one.attribute == name) for name in criterion.budgets}
     return worth, loads
+
+
+def kind(network, name):
+    return network.components[name].element.kind
 
 
 def signed(estimation):

@@ -6,9 +6,10 @@ import pytest
 from best_by_trying import best_by_trying, exact, outcome, ranked
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
+from managed_stand_ins import Scripted
 from models import Clock, Twins, events, mostly_some, stories
 
-from kb import InvalidValue, KnowledgeBase, Model, PriorityPlanner, UnknownName
+from kb import ConfigurationManager, InvalidValue, KnowledgeBase, Model, PriorityPlanner, UnknownName
 from kb.optimum.planner import OptimalPlanner
 from kb.optimum.posing import pose
 from kb.optimum.solver import best_choice, solve, verdicts
@@ -26,7 +27,11 @@ def estimated_models(draw):
     """A small model in which there is something to choose, and something is estimated of it; an action needs it all."""
     model = Model("random")
     attributes = [model.quality_attribute(name) for name in ATTRIBUTES]
-    components = [model.component(f"x{i}", always_improve=draw(st.booleans())) for i in range(draw(st.integers(1, 3)))]
+    kinds = st.sampled_from(("plain", "process", "lifecycle"))
+    components = [
+        model.component(f"x{i}", kind=draw(kinds), always_improve=draw(st.booleans()))
+        for i in range(draw(st.integers(1, 3)))
+    ]
     for component in components:
         for number in range(draw(st.integers(0, 2))):
             component.configuration(f"x{number} {component.name}", priority=draw(PRIORITIES))
@@ -104,6 +109,8 @@ def test_however_little_effort_is_allowed_the_best_lies_between_value_and_bound(
     worth, loads = outcome(kb._state, designs, configurations, criterion)
     assert float(worth) == pytest.approx(found.value, abs=1e-12)
     assert all(loads[name] <= exact(limit) for name, limit in criterion.budgets.items())
+    estimated, _ = outcome(kb._state, designs, configurations, Criterion(criterion.weights))
+    assert float(estimated) == pytest.approx(found.value + found.switching, abs=1e-12)
 
 
 @SLOW
@@ -131,8 +138,8 @@ def recorded(kb):
     """Have a knowledge base note what is selected; returns the notes."""
     calls, select = [], kb.select
 
-    def selecting(designs=None, configurations=None):
-        plan = select(designs, configurations)
+    def selecting(designs=None, configurations=None, reason=""):
+        plan = select(designs, configurations, reason)
         steps = plan and (plan.activate, plan.deactivate, plan.parameters, plan.reason)
         calls.append((dict(designs or {}), dict(configurations or {}), steps))
         return plan
@@ -178,7 +185,7 @@ def test_no_plan_leads_beyond_a_budget(model, data, limit):
             _, loads = outcome(twins.kb._state, (), (), Criterion({}, 0.0, {"x0": limit}))
             assert loads["x0"] <= exact(limit)
         elif adaptable:
-            assert plan is None
+            assert plan is None or not (plan.activate or plan.parameters)
         twins.happen(event)
 
 
@@ -235,7 +242,7 @@ def test_preferred_attribute_goes_before_priority(model):
     assert selected(kb) == ["by both", "fine"]
     assert planner.latest.value == 2.5
     assert planner.latest.is_proven
-    assert planner.latest.reason == "the best choice of all, worth 2.5"
+    assert planner.latest.reason == "of all choices this is the best for accuracy, worth 2.5, by priority alone 1.2"
 
 
 def test_weights_set_attributes_against_one_another(model):
@@ -281,17 +288,66 @@ def test_gain_smaller_than_what_switching_costs_does_not_switch(model):
         assert selected(kb) == expected
 
 
-def test_solved_robot_is_chosen_for_again_only_when_something_is_adaptable(model):
+def content(model):
+    """Let a model be of a robot that is not to be improved while it works."""
     model.change(model.functions["see"], always_improve=False)
     model.change(model.components["camera"], always_improve=False)
-    kb, _ = at_work(model, planner := OptimalPlanner(), {"power": -1.0})
-    assert selected(kb) == ["by camera", "coarse"]
-    kb.cancel_action("explore")
+    return model
+
+
+def test_solved_robot_is_left_alone_while_nothing_is_adaptable_and_nothing_else_preferred(model):
+    model.designs["by both"].constrain(model.attributes["light"] <= 0.8)
+    kb = KnowledgeBase(content(model), clock=Clock())
+    kb.measure("light", 0.9)
     kb.request_action("explore", "accuracy")
+    carried_out(kb, planner := OptimalPlanner())
+    assert selected(kb) == ["by camera", "fine"]
+    kb.measure("light", 0.5)
     assert planner.plan(kb) is None
     kb.component_active("camera", False)
     carried_out(kb, planner)
     assert selected(kb) == ["by both", "fine"]
+
+
+@pytest.mark.parametrize("preference", ["accuracy", {"accuracy": 2.0, "power": 0.0}])
+def test_solved_robot_is_chosen_for_again_when_something_else_is_preferred(model, preference):
+    kb, _ = at_work(content(model), planner := OptimalPlanner(), {"power": -1.0})
+    assert selected(kb) == ["by camera", "coarse"]
+    kb.cancel_action("explore")
+    kb.request_action("explore", preference)
+    assert planner.plan(kb).activate == ("lidar",)
+    assert selected(kb) == ["by both", "fine"]
+
+
+def test_another_action_with_another_preference_alone_makes_it_choose_again(model):
+    model.action("film", requires=["see"])
+    kb, _ = at_work(content(model), planner := OptimalPlanner(), {"power": -1.0})
+    kb.request_action("film", {"accuracy": 100.0})
+    carried_out(kb, planner)
+    assert selected(kb) == ["by both", "fine"]
+    kb.cancel_action("film")
+    carried_out(kb, planner)
+    assert selected(kb) == ["by camera", "coarse"]
+
+
+def test_preference_that_is_given_up_leaves_what_works(model):
+    kb, _ = at_work(content(model), planner := OptimalPlanner())
+    kb.cancel_action("explore")
+    kb.request_action("explore")
+    assert planner.plan(kb) is None
+    assert selected(kb) == ["by both", "fine"]
+
+
+def test_dry_run_does_not_use_up_the_change_of_a_preference(model):
+    kb, _ = at_work(content(model), planner := OptimalPlanner(), {"power": -1.0})
+    manager = ConfigurationManager(kb, Scripted(kb._clock), planner=planner)
+    kb.cancel_action("explore")
+    kb.request_action("explore", "accuracy")
+    before = planner.latest
+    tried = manager.dry_run()
+    assert planner.latest is before
+    made = manager.update()
+    assert (tried.activate, tried.parameters, tried.reason) == (made.activate, made.parameters, made.reason)
 
 
 def test_unfeasible_design_is_not_part_of_the_best_choice(model):
@@ -331,7 +387,10 @@ def test_with_too_little_effort_the_gap_is_said():
     assert not found.is_proven
     assert found.value < best.value < found.bound
     assert found.gap == pytest.approx(1.7)
-    assert found.reason == "the best choice that an effort of 1e-09 found, worth 9.1 of 10.8 at most"
+    assert found.reason == (
+        "this is the best for accuracy that an effort of 1e-09 found, worth 9.1; none is worth more than 10.8 "
+        "(a gap of 1.7)"
+    )
 
 
 def test_with_too_little_effort_to_keep_within_a_budget_nothing_is_planned():
@@ -360,32 +419,19 @@ def test_numbers_too_far_apart_to_be_exact_are_rounded_and_it_is_said(model):
     assert found.value == pytest.approx(1e9 + 2.5, abs=found.resolution)
 
 
-def test_choice_is_explained_by_what_the_others_would_be_worth(model):
-    kb, _ = at_work(model, planner := OptimalPlanner(budgets={"power": 40.0}))
-    assert str(planner.explain_choice(kb, "see")) == (
-        "by both is selected for function see because it is part of the best choice of all, worth 2.2; "
-        "not by camera: with it the best choice is worth 1.5, less than 2.2"
-    )
-    assert str(planner.explain_choice(kb, kb.components["camera"])) == (
-        "coarse is selected for component camera because it is part of the best choice of all, worth 2.2; "
-        "not fine: with it the best choice is worth 1.5, less than 2.2"
-    )
-
-
-def test_design_that_breaks_a_budget_is_explained_by_that(model):
-    kb = KnowledgeBase(model, clock=Clock())
+def test_component_that_nobody_switches_costs_only_to_be_configured(model):
+    lamp = model.component("lamp", kind="plain")
+    model.functions["see"].design("by light", [model.components["camera"], lamp]).estimate("accuracy", 2.1)
+    lamp.configuration("bright", priority=1)
+    lamp.configuration("dim", priority=2).estimate("accuracy", 0.3)
+    dear = OptimalPlanner(switching_cost={"lidar": 0.6, "camera": 0.6, "lamp": 0.2})
+    kb, _ = at_work(model, OptimalPlanner(), {"power": -1.0})
+    assert selected(kb) == ["by camera", "coarse"]
+    kb.cancel_action("explore")
     kb.request_action("explore", "accuracy")
-    planner = OptimalPlanner(budgets={"power": 20.0})
-    assert str(planner.explain_choice(kb, "see")) == (
-        "by camera would be selected for function see because it is part of the best choice of all, worth 1.2; "
-        "not by both: with it, power would be 35 at least, more than 20"
-    )
-
-
-def test_choice_by_priority_is_explained_by_priority(model):
-    kb, _ = at_work(model, planner := OptimalPlanner(), None)
-    assert planner.latest is None
-    assert planner.explain_choice(kb, "see") == kb.explain_choice("see")
+    carried_out(kb, dear)
+    assert selected(kb) == ["by light", "coarse", "dim"]
+    assert (dear.latest.value, dear.latest.switching) == (2.4, 0.2)
 
 
 @SLOW

@@ -1,0 +1,232 @@
+"""What the planner of the best configuration says of its choices, and what the knowledge base says of them then."""
+
+import contextlib
+import logging
+
+import pytest
+from hypothesis import HealthCheck, assume, given, settings
+from managed_stand_ins import Scripted
+from models import Clock
+from test_optimum import COSTS, at_work, carried_out, criteria, robots, selected
+
+from kb import ConfigurationManager, KnowledgeBase, Model
+from kb.optimum.planner import OptimalPlanner
+
+SLOW = settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
+BEST = "of all choices this is the best for accuracy"
+"""How the reason of a choice begins."""
+
+
+@pytest.fixture
+def model():
+    model = Model("rover")
+    model.quality_attribute("accuracy")
+    model.quality_attribute("power")
+    camera = model.component("camera", kind="lifecycle", always_improve=True)
+    fine = camera.configuration("fine", priority=2)
+    coarse = camera.configuration("coarse", priority=1)
+    lidar = model.component("lidar", kind="process")
+    see = model.function("see", always_improve=True)
+    by_camera = see.design("by camera", [camera], priority=1)
+    by_both = see.design("by both", [camera, lidar], priority=2)
+    model.action("explore", requires=[see])
+    by_camera.estimate("accuracy", 1.0)
+    by_both.estimate("accuracy", 2.0)
+    fine.estimate("accuracy", 0.5)
+    coarse.estimate("accuracy", 0.2)
+    fine.estimate("power", 30.0)
+    coarse.estimate("power", 10.0)
+    lidar.estimate("power", 25.0)
+    return model
+
+
+@SLOW
+@given(robots(), criteria(), COSTS)
+def test_what_was_chosen_is_explained_by_its_reason_and_never_by_priority(kb, criterion, cost):
+    kb.cancel_action("x0")
+    kb.cancel_action("x1")
+    assume(kb.request_action("x0", criterion.weights))
+    planner = OptimalPlanner(budgets=criterion.budgets, switching_cost=cost)
+    adaptable = kb.adaptable_functions() or kb.adaptable_components()
+    planner.plan(kb)
+    assume(adaptable and planner.latest)
+    if planner.latest.choice is None:
+        told = [str(kb.explain_choice(kb.functions[name])) for name in kb.model.actions["x0"].functions]
+        assert all(planner.latest.reason in one or "unfeasible" in one for one in told)
+        assert not any("priority number" in one or "it is to be selected next" in one for one in told)
+        return
+    chosen = [kb.functions[name] for name in planner.latest.choice.designs]
+    chosen += [kb.components[name] for name in planner.latest.choice.configurations]
+    for one in chosen:
+        explained = kb.explain_choice(one)
+        assert explained.reason == planner.latest.reason
+        assert "priority number" not in str(explained)
+        for other in explained.alternatives:
+            assert other.reason == "it is not part of that choice" or other.reason.startswith("it is unfeasible")
+
+
+def test_plan_says_what_was_maximised_what_it_is_worth_and_what_else_it_would_have_been(model):
+    kb, plan = at_work(model, OptimalPlanner())
+    assert plan.reason == (
+        f"function see is needed by explore; component camera is needed by explore; {BEST}, worth 2.5, "
+        "by priority alone 1.2"
+    )
+    assert str(kb.explain_choice("see")) == (
+        f"by both is selected for function see because {BEST}, worth 2.5, by priority alone 1.2; "
+        "not by camera: it is not part of that choice"
+    )
+
+
+def test_plan_that_improves_says_over_what(model):
+    kb, _ = at_work(model, OptimalPlanner(), {"accuracy": 1.0, "power": -0.03})
+    kb.cancel_action("explore")
+    kb.request_action("explore", "accuracy")
+    planner = OptimalPlanner(switching_cost=0.1)
+    assert carried_out(kb, planner).reason == f"{BEST}, worth 2.4 (2.5 less 0.1 for switching) instead of 2.2"
+
+
+def test_what_is_minimised_is_said(model):
+    _, plan = at_work(model, planner := OptimalPlanner(), {"power": -1.0})
+    assert planner.latest.reason == "of all choices this is the best for little power, worth -10"
+    assert plan.reason.endswith(planner.latest.reason)
+
+
+def test_value_and_explanation_agree_before_and_after_switching(model):
+    kb = KnowledgeBase(model, clock=Clock())
+    kb.request_action("explore", "accuracy")
+    planner = OptimalPlanner(switching_cost=0.1)
+    before = planner.explain_choice(kb, "see")
+    carried_out(kb, planner)
+    assert (planner.latest.value, planner.latest.switching) == (2.2, 0.3)
+    assert planner.latest.worth == "2.2 (2.5 less 0.3 for switching)"
+    assert planner.latest.worth in before.reason
+    assert "less than 2.2" in before.alternatives[0].reason
+    after = planner.explain_choice(kb, "see")
+    assert after.reason == f"{BEST}, worth 2.5"
+    assert (
+        after.alternatives[0].reason
+        == "with it the best choice is worth 1.4 (1.5 less 0.1 for switching), less than 2.5"
+    )
+
+
+def test_choice_is_explained_by_what_the_others_would_be_worth(model):
+    kb, _ = at_work(model, planner := OptimalPlanner(budgets={"power": 40.0}))
+    best = "of all choices within power 40 this is the best for accuracy, worth 2.2"
+    assert str(planner.explain_choice(kb, "see")) == (
+        f"by both is selected for function see because {best}; "
+        "not by camera: with it the best choice is worth 1.5, less than 2.2"
+    )
+    assert str(planner.explain_choice(kb, kb.components["camera"])) == (
+        f"coarse is selected for component camera because {best}; "
+        "not fine: with it the best choice is worth 1.5, less than 2.2"
+    )
+
+
+def test_design_that_breaks_a_budget_is_explained_by_that(model):
+    kb = KnowledgeBase(model, clock=Clock())
+    kb.request_action("explore", "accuracy")
+    planner = OptimalPlanner(budgets={"power": 20.0})
+    assert str(planner.explain_choice(kb, "see")) == (
+        "by camera would be selected for function see because of all choices within power 20 this is the best for "
+        "accuracy, worth 1.2; not by both: with it, power would be 35 at least, more than 20"
+    )
+
+
+def test_choice_by_priority_is_explained_by_priority(model):
+    kb, _ = at_work(model, planner := OptimalPlanner(), None)
+    assert planner.latest is None
+    assert planner.explain_choice(kb, "see") == kb.explain_choice("see")
+    assert "priority number 1 is the lowest" in str(kb.explain_choice("see"))
+
+
+def test_within_a_budget_and_without_a_preference_the_first_by_priority_is_said_to_be_that(model):
+    _, _ = at_work(model, planner := OptimalPlanner(budgets={"power": 40.0}), None)
+    assert planner.latest.reason == "of all choices within power 40 this is the first by priority"
+    _, _ = at_work(model, planner := OptimalPlanner(budgets={"power": 40.0}, switching_cost=0.1), None)
+    assert planner.latest.reason == (
+        "of all choices within power 40 this is the one that is cheapest to switch to (0.2), "
+        "and then the first by priority"
+    )
+
+
+def test_what_a_budget_leaves_nothing_for_is_told_wherever_one_asks(model, caplog):
+    kb = KnowledgeBase(model, clock=Clock())
+    planner = OptimalPlanner(budgets={"power": 5.0})
+    manager = ConfigurationManager(kb, Scripted(kb._clock), planner=planner)
+    kb.request_action("explore", "accuracy")
+    with caplog.at_level(logging.WARNING):
+        assert manager.update() is None
+        kb.component_active("camera", True)
+        assert manager.update() is None
+    reason = "power would be 10 at least, more than 5"
+    assert caplog.messages == [f"nothing can be selected: {reason}"]
+    assert planner.latest.reason == reason
+    for told in (kb.explain_choice("see"), planner.explain_choice(kb, "see")):
+        assert (told.chosen, told.is_selected) == (None, False)
+        assert str(told).startswith(f"nothing can be selected for function see because {reason}; not by camera: ")
+    assert "priority" not in str(kb.explain_choice("camera"))
+    kb.cancel_action("explore")
+    manager.update()
+    assert str(kb.explain_choice("see")).startswith("by camera would be selected for function see because priority")
+
+
+def test_what_is_selected_and_leaves_no_choice_within_a_budget_is_told(model):
+    kb, _ = at_work(model, OptimalPlanner())
+    poor = OptimalPlanner(budgets={"power": 5.0})
+    assert poor.plan(kb) is None
+    for told in (kb.explain_choice("see"), poor.explain_choice(kb, "see")):
+        assert (told.chosen, told.is_selected) == ("by both", True)
+        assert told.reason == "it was preferred before; now nothing would be: power would be 10 at least, more than 5"
+
+
+def test_what_nothing_needs_is_given_up_even_if_nothing_can_be_chosen(model):
+    lamp = model.component("lamp", kind="process")
+    shine = model.function("shine")
+    shine.design("by lamp", [lamp])
+    model.action("signal", requires=[shine])
+    kb = KnowledgeBase(model, clock=Clock())
+    kb.request_action("signal")
+    carried_out(kb, OptimalPlanner())
+    kb.cancel_action("signal")
+    kb.request_action("explore", "accuracy")
+    plan = carried_out(kb, OptimalPlanner(budgets={"power": 5.0}))
+    assert (plan.activate, plan.deactivate) == ((), ("lamp",))
+    assert plan.reason == "what was active or selected is no longer needed"
+    assert selected(kb) == []
+
+
+def test_chosen_configuration_that_became_unfeasible_is_not_explained_by_priority(model):
+    light = model.environmental_attribute("light")
+    model.configurations["fine"].constrain(light >= 0.5)
+    kb, _ = at_work(model, OptimalPlanner())
+    kb.measure("light", 0.1)
+    told = kb.explain_choice("camera")
+    assert told.reason.startswith("it was possible before; now fine is unfeasible because light 0.1 violates >= 0.5")
+    assert [one.reason for one in told.alternatives] == ["it is possible, but not selected yet"]
+
+
+def test_plan_that_only_starts_again_what_stopped_says_what_stopped(model):
+    kb, _ = at_work(model, planner := OptimalPlanner())
+    kb.component_active("lidar", False, "the process of lidar ended by itself")
+    plan = carried_out(kb, planner)
+    assert plan.activate == ("lidar",)
+    assert plan.reason == "the process of lidar ended by itself; lidar is needed by explore"
+    assert kb.designs["by both"].reason.startswith(BEST)
+
+
+def test_choosing_the_same_again_tells_nothing_new(model, tmp_path):
+    with contextlib.closing(KnowledgeBase(model, clock=Clock(), store=tmp_path / "rover.sqlite3")) as kb:
+        kb.request_action("explore", "accuracy")
+        planner = OptimalPlanner()
+        for _ in range(2):
+            carried_out(kb, planner)
+        told = kb.told
+        assert kb.adaptable_functions()
+        carried_out(kb, planner)
+        assert kb.told == told
+
+
+def test_situation_explains_what_was_selected_by_its_reason_too(model):
+    kb, _ = at_work(model, OptimalPlanner())
+    assert str(kb.situation(failed=["camera"]).explain_choice("see")).startswith("by both is selected for function see")
+    assert kb.situation(power=3.0).explain_choice("see") == kb.explain_choice("see")
