@@ -5,6 +5,7 @@ which format, so that any other is left alone.
 """
 
 import fcntl
+import json
 import logging
 import os
 import sqlite3
@@ -39,6 +40,9 @@ _SLACK: Final = 256
 
 _PAUSE: Final = 0.001
 """How long the writer lets those who tell go on before it writes what they have told together [s]."""
+
+_AHEAD: Final = 1 << 20
+"""How much is written to the log beside the file before it is brought into the file [bytes]."""
 
 _VALUE: Final = "SELECT o FROM datas WHERE p = (SELECT storid FROM resources WHERE iri = ?)"
 
@@ -107,13 +111,15 @@ class Store:
     def declared(self) -> str:
         """The model as it was when the store was made."""
         with _blamed(self.path):
-            return str(_said(self._connection, "declared"))
+            text = str(_said(self._connection, "declared"))
+            json.loads(text)
+            return text
 
     def amendments(self) -> list[str]:
         """Return the changes of the model, in order."""
         with _blamed(self.path):
             found = self._connection.execute(f"{_VALUE} ORDER BY s", (f"{ROSA}change",)).fetchall()
-        return [text for (text,) in found]
+            return [text for (text,) in found if json.loads(text)]
 
     def open(self, base: str) -> list[Individual]:
         """Take up the file; returns what was told, in order."""
@@ -122,6 +128,9 @@ class Store:
         with _blamed(self.path):
             self._connection.execute("PRAGMA journal_mode=WAL")
             self._connection.execute("PRAGMA synchronous=NORMAL")
+            (page,) = self._connection.execute("PRAGMA page_size").fetchone()
+            self._connection.execute(f"PRAGMA wal_autocheckpoint={_AHEAD // page}")
+            self._connection.execute(f"PRAGMA journal_size_limit={_AHEAD}")
             self.book = Book(base, self.path, self._connection)
             self.book.commit()  # what owlready2 notes at each opening; an open transaction would keep copies waiting
             facts = self.book.facts()
@@ -277,7 +286,7 @@ def _make(path: Path, base: str, declared: str, given: Iterable[Individual]) -> 
         book.close()
         return _put_in_place(part, path)
     except (OSError, sqlite3.Error) as error:
-        raise StoreError(f"{path}: the store cannot be made: {error}") from None
+        raise StoreError(f"{path}: the store cannot be made: {error}; see who may write in that folder") from None
     finally:
         with suppress(OSError):
             part.unlink(missing_ok=True)
@@ -334,7 +343,7 @@ def _check_format(path: Path, descriptor: int) -> None:
 
 
 def _locked(path: Path) -> sqlite3.Connection:
-    """Open a database for nobody else."""
+    """Open a database for nobody else; one that is damaged or may not be written is left as it is."""
     try:
         connection = sqlite3.connect(path, timeout=0.0, isolation_level="EXCLUSIVE", check_same_thread=False)
     except sqlite3.Error as error:
@@ -342,12 +351,19 @@ def _locked(path: Path) -> sqlite3.Connection:
     try:
         connection.execute("PRAGMA locking_mode=EXCLUSIVE")
         connection.execute("BEGIN EXCLUSIVE")
+        (found,) = connection.execute("PRAGMA integrity_check(1)").fetchone()
+        connection.execute(f"PRAGMA user_version={FORMAT}")  # a file that may only be read is not noticed before that
         connection.rollback()
     except sqlite3.Error as error:
         connection.close()
         if "locked" in str(error):
             raise _in_use(path) from None
-        raise StoreError(f"{path}: the store cannot be opened for writing: {error}; see who may write there") from None
+        if isinstance(error, sqlite3.OperationalError):
+            raise StoreError(f"{path}: the store cannot be opened for writing: {error}; see who may write it") from None
+        raise _damaged(path, error) from None
+    if found != "ok":
+        connection.close()
+        raise _damaged(path, found.splitlines()[-1])
     return connection
 
 
@@ -361,4 +377,8 @@ def _blamed(path: Path) -> Iterator[None]:
     try:
         yield
     except (sqlite3.Error, TypeError, ValueError, LookupError) as error:
-        raise StoreError(f"{path}: the store is damaged: {error}") from None
+        raise _damaged(path, error) from None
+
+
+def _damaged(path: Path, what: object) -> StoreError:
+    return StoreError(f"{path}: the store is damaged: {what}. Take a copy of it that is not, or name another file")

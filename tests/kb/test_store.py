@@ -9,13 +9,14 @@ import shutil
 import sqlite3
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, given, settings, strategies
 from kept import Life, answers, robot
 from models import Clock, Twins, stories
 from test_files import odd_models
@@ -409,14 +410,88 @@ def test_disk_that_is_full_from_the_start_is_an_error(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="the superuser may write anywhere")
-def test_file_that_may_not_be_written_is_an_error(tmp_path):
-    path = tmp_path / "m.sqlite3"
+@contextmanager
+def nobody():
+    """Be someone who may write only what everybody may; the superuser may write anything."""
+    before = os.geteuid()
+    if before == 0:
+        os.seteuid(65534)
+    try:
+        yield
+    finally:
+        os.seteuid(before)
+
+
+@pytest.fixture
+def open_folder():
+    """Return a folder that everybody may reach."""
+    with tempfile.TemporaryDirectory() as name:
+        Path(name).chmod(0o777)
+        yield Path(name)
+        Path(name).chmod(0o777)
+
+
+@pytest.mark.parametrize(
+    ("of_folder", "of_file", "message"),
+    [
+        (0o777, 0o444, "cannot be opened for writing: attempt to write a readonly database; see who may write it"),
+        (0o555, 0o444, "cannot be opened for writing: attempt to write a readonly database; see who may write it"),
+        (0o555, 0o666, "cannot be opened for writing: attempt to write a readonly database; see who may write it"),
+        (0o777, 0o000, "cannot be read: Permission denied"),
+        (0o555, None, "cannot be made: unable to open database file; see who may write in that folder"),
+    ],
+)
+def test_file_that_may_not_be_written_is_an_error_and_untouched(of_folder, of_file, message, open_folder):
+    path = open_folder / "m.sqlite3"
     with kept(robot(), path):
         pass
-    path.chmod(0o400)
-    with pytest.raises(StoreError, match="cannot be opened for writing"):
+    content = path.read_bytes()
+    if of_file is None:
+        path.unlink()
+    else:
+        path.chmod(of_file)
+    open_folder.chmod(of_folder)
+    with nobody(), pytest.raises(StoreError, match=message):
         KnowledgeBase(robot(), store=path)
+    assert [one.read_bytes() for one in open_folder.iterdir()] == ([] if of_file is None else [content])
+
+
+@pytest.fixture(scope="module")
+def lived(tmp_path_factory):
+    """Return the content of a store in which something happened."""
+    path = tmp_path_factory.mktemp("lived") / "m.sqlite3"
+    life = Life(path, 1)
+    for _ in zip(range(200), life.moves(), strict=False):
+        pass
+    life.kb.close()
+    return path.read_bytes()
+
+
+@given(data=strategies.data())
+@FEW
+def test_damaged_file_is_refused_and_untouched(data, lived, folder):
+    path, page = folder / f"damaged {next(numbers)}.sqlite3", 4096
+    number = data.draw(strategies.integers(1, len(lived) // page - 1))
+    if data.draw(strategies.booleans(), "cut off there, or overwritten there"):
+        content = lived[: number * page - data.draw(strategies.integers(0, page - 100))]
+    else:
+        content = lived[: number * page] + bytes([255]) * page + lived[number * page + page :]
+    path.write_bytes(content)
+    with pytest.raises(StoreError, match=r"the store is damaged: .* Take a copy of it that is not"):
+        KnowledgeBase(robot(), store=path)
+    assert path.read_bytes() == content
+    assert [one for one in folder.iterdir() if one.name.startswith(f"{path.name}-")] == []
+    path.unlink()
+
+
+def test_log_beside_the_file_stays_small(tmp_path):
+    path, sizes = tmp_path / "m.sqlite3", []
+    with kept(robot(), path) as kb:
+        for number in range(400):  # each in a commit of its own
+            kb.measure("load", float(number))
+            assert kb.flush(10.0)
+            sizes.append(path.with_name("m.sqlite3-wal").stat().st_size)
+    assert 500_000 < max(sizes) < 1_500_000
 
 
 def test_facts_of_many_threads_are_all_saved(tmp_path):
