@@ -6,7 +6,7 @@ from typing import Protocol
 from kb.elements import Parameters
 from kb.exceptions import UnknownName
 
-__all__ = ["ManagedObject", "ManagedObjects", "ManagedSystem", "Operation"]
+__all__ = ["ManagedObject", "ManagedObjects", "ManagedSystem", "Operation", "is_active"]
 
 
 class Operation(Protocol):
@@ -26,8 +26,9 @@ class ManagedSystem(Protocol):
     now or as the operation's exception.
 
     A system that can tell whether a component is running has a method `is_active(component)` too, which returns at once
-    True, False, or None where it cannot tell; what is said to be done is then believed only when that agrees. An
-    operation may have a method `cancel()`, which is called when nobody waits for it any longer.
+    True, False, or None where it cannot tell; what is said to be done is then believed only when that agrees, and what
+    has stopped by itself is noticed. An operation may have a method `cancel()`, which is called when nobody waits for
+    it any longer.
     """
 
     def activate(self, component: str, /) -> Operation | None:
@@ -85,3 +86,10 @@ class ManagedObjects:
         if component not in self._objects:
             raise UnknownName("managed object", component, self._objects)
         return self._objects[component]
+
+
+def is_active(managed: ManagedSystem, component: str) -> bool | None:
+    """Return what a managed system says of a component, None if it cannot tell: `is_active` is an optional part."""
+    tell = getattr(managed, "is_active", None)
+    answer = tell(component) if callable(tell) else None
+    return answer if isinstance(answer, bool) else None

@@ -7,6 +7,7 @@ your own monitor, planner or executor and the rest stays as it is.
 from collections.abc import Iterable
 from typing import Protocol, cast
 
+from kb.execution.activity import Activity
 from kb.execution.executor import StagedExecutor
 from kb.execution.gate import Gate, Veto
 from kb.execution.rehearsal import Rehearsal
@@ -73,7 +74,7 @@ class ConfigurationManager:
 
     Args:
         kb: the knowledge base that all stages talk through.
-        managed: the system whose components are switched and configured.
+        managed: the system whose components are switched and configured; if it can tell what runs, it is asked.
         planner: decides what to select; by priority when none is given.
         executor: carries out plans; in three stages on `managed` when none is given.
         monitors: asked first at each turn.
@@ -94,7 +95,7 @@ class ConfigurationManager:
         self._kb = kb
         self._planner = planner or PriorityPlanner()
         self._executor = executor or StagedExecutor(managed)
-        self._monitors = tuple(monitors)
+        self._monitors = (*monitors, Activity(managed))
         self._gate = None if veto is None else Gate(kb, veto)
         self._planned_at = -1
 

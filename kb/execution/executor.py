@@ -9,6 +9,7 @@ from kb.execution.attempts import Command, Patience, Step
 from kb.execution.condemned import Condemnation, Condemned
 from kb.knowledge_base import KnowledgeBase
 from kb.managed import ManagedSystem, Operation
+from kb.managed import is_active as told_active
 from kb.reconfiguration import ReconfigurationPlan
 from kb.status import Status
 
@@ -143,7 +144,7 @@ class StagedExecutor:
     def _look(self, component: str) -> bool | None:
         """Return whether a component is active, None if nobody can tell."""
         try:
-            return _is_active(self._managed, component)
+            return told_active(self._managed, component)
         except Exception:
             return None
 
@@ -224,20 +225,13 @@ def _kind(kind: str) -> ComponentKind:
         raise InvalidValue(f"{kind!r} is no kind of component to give a time-out to; kinds are {known}") from None
 
 
-def _is_active(managed: ManagedSystem, component: str) -> bool | None:
-    """Return what a managed system says of a component, None if it cannot tell: `is_active` is an optional part."""
-    tell = getattr(managed, "is_active", None)
-    answer = tell(component) if callable(tell) else None
-    return answer if isinstance(answer, bool) else None
-
-
 def _switch(kb: KnowledgeBase, managed: ManagedSystem, name: str, *, active: bool) -> Command:
     operation = "activate" if active else "deactivate"
     if kb.components[name].kind is ComponentKind.PLAIN:
         return Command(name, operation, None)
 
     def is_reached() -> bool | None:
-        answer = _is_active(managed, name)
+        answer = told_active(managed, name)
         return None if answer is None else answer is active
 
     return Command(name, operation, lambda: getattr(managed, operation)(name), is_reached)

@@ -133,13 +133,20 @@ class Run:
     def _spawn(self, mark: str) -> None:
         program = self.program
         program.check()
-        self.process = subprocess.Popen(
-            program.command(self.parameters),
-            cwd=program.directory,
-            env={**os.environ, **program.variables(self.parameters), MARK: mark},
-            stdin=subprocess.DEVNULL,
-            start_new_session=True,
-        )
+        command, variables = program.command(self.parameters), program.variables(self.parameters)
+        try:
+            self.process = subprocess.Popen(
+                command,
+                cwd=program.directory,
+                env={**os.environ, **variables, MARK: mark},
+                stdin=subprocess.DEVNULL,
+                start_new_session=True,
+            )
+        except OSError as error:
+            raise KnowledgeBaseError(
+                f"{command[0]!r} cannot be run: {error.strerror}; see whether its first line names an interpreter "
+                "that is there"
+            ) from None
         self._started, self._in_force, self.crash = self._clock(), self.parameters, (-1, "")
         self._news.append(News(self.name, "started", self.process.pid))
 

@@ -1,5 +1,6 @@
 """Components as real processes of the operating system: started, ended, crashed, and never left behind."""
 
+import contextlib
 import json
 import os
 import signal
@@ -15,6 +16,7 @@ from hypothesis import strategies as st
 from kb import ConfigurationManager, KnowledgeBase, Model, StagedExecutor, Status, UnknownName
 from kb.exceptions import InvalidValue, KnowledgeBaseError
 from kb.processes import ProcessComponents
+from kb.processes.proc import MARK, new_mark
 from kb.processes.programs import PARAMETERS, Program
 
 ROOT = Path(__file__).parents[2]
@@ -77,8 +79,8 @@ def rover():
     return model
 
 
-def managed(programs, **options):
-    kb = KnowledgeBase(rover(), clock=time.monotonic)
+def managed(programs, store=None, **options):
+    kb = KnowledgeBase(rover(), clock=time.monotonic, store=store)
     processes = ProcessComponents(programs)
     executor = StagedExecutor(processes, back_off=0.01, **options)
     return kb, processes, ConfigurationManager(kb, processes, executor=executor, monitors=[processes])
@@ -267,6 +269,134 @@ def test_an_argument_without_its_parameter_is_refused_before_the_start():
         with pytest.raises(KnowledgeBaseError, match=r"needs the parameter 'rate'; given are: none"):
             processes.activate("camera")
         assert not processes.is_active("camera")
+
+
+def test_a_plan_that_starts_again_what_ended_by_itself_says_so():
+    kb, processes, manager = managed({"camera": python(SLEEP, restarts=1, back_off=0.01), "lidar": python(SLEEP)})
+    with processes:
+        kb.request_action("explore")
+        turned(manager, lambda: is_solved(kb)() and kb.processes)
+        os.kill(kb.processes[0].pid, signal.SIGTERM)
+        turned(manager, lambda: len(kb.processes) == 2)
+        ended = "the process of camera ended by itself (SIGTERM)"
+        assert kb.latest_plan.reason == f"{ended}; camera is needed by explore"
+        turned(manager, is_solved(kb))
+        os.kill(kb.processes[1].pid, signal.SIGTERM)
+        turned(manager, lambda: kb.components["lidar"].is_active)
+        assert str(kb.explain(kb.components["camera"])).startswith(f"camera has failed ({ended})")
+        assert ended in kb.latest_plan.reason
+
+
+def test_a_script_without_its_interpreter_has_failed_with_what_to_do(tmp_path):
+    script = tmp_path / "script"
+    script.write_text("#!/nowhere/interpreter\n")
+    script.chmod(0o755)
+    kb, processes, manager = managed({"camera": Program([str(script)]), "lidar": python(SLEEP)}, attempts=1)
+    with processes:
+        kb.request_action("explore")
+        turned(manager, is_solved(kb))
+    assert "see whether its first line names an interpreter" in kb.explain(kb.components["camera"]).reason
+
+
+# the end, and a knowledge base with a past
+
+
+class OnPurpose(Exception):
+    pass
+
+
+@pytest.mark.parametrize("ending", [None, OnPurpose])
+def test_when_all_is_closed_the_knowledge_base_knows_that_nothing_runs(ending):
+    kb, processes, manager = managed({"camera": python(SLEEP), "lidar": python(SLEEP)})
+    with contextlib.suppress(OnPurpose), processes:
+        kb.request_action("explore")
+        turned(manager, is_solved(kb))
+        if ending is not None:
+            raise ending
+    assert [one.end is not None for one in kb.processes] == [True]
+    assert not kb.components["camera"].is_active
+    assert "the process of camera was ended with all others" in str(kb.explain("explore"))
+
+
+def test_a_closed_knowledge_base_is_no_error_at_the_end(tmp_path):
+    kb = KnowledgeBase(rover(), clock=time.monotonic, store=tmp_path / "store")
+    processes = ProcessComponents({"camera": python(SLEEP), "lidar": python(SLEEP)})
+    with processes:
+        processes.activate("camera")
+        processes.observe(kb)
+        kb.close()
+    assert not processes.is_active("camera")
+
+
+MISSION = """
+import sys, time
+sys.path.insert(0, sys.argv[2])
+from test_processes import SLEEP, managed, python, is_solved, turned
+
+kb, processes, manager = managed({"camera": python(sys.argv[3], grace=0.2), "lidar": python(SLEEP)}, store=sys.argv[1])
+kb.request_action("explore")
+turned(manager, lambda: is_solved(kb)() and kb.processes)
+kb.flush()
+print(kb.processes[0].pid, processes._guardian.pid, flush=True)
+time.sleep(600)
+"""
+DEAF = "import signal, time; signal.signal(15, signal.SIG_IGN); time.sleep(600)"
+
+
+@pytest.mark.parametrize("with_guardian", [True, False])
+def test_after_a_kill_the_facts_are_put_right_and_what_is_needed_runs_again(with_guardian, tmp_path):
+    store = tmp_path / "store"
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path])}
+    command = [sys.executable, "-c", MISSION, str(store), str(Path(__file__).parent), DEAF]
+    with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as mission:
+        old, guardian = map(int, mission.stdout.readline().split())
+        if not with_guardian:
+            os.kill(guardian, signal.SIGKILL)
+        mission.kill()
+    kb, processes, manager = managed({"camera": python(SLEEP), "lidar": python(SLEEP)}, store=store)
+    with processes:
+        assert [(one.pid, one.end) for one in kb.processes] == [(old, None)]
+        assert kb.components["camera"].is_active
+        manager.update()
+        (first,) = kb.processes
+        assert first.end is not None
+        assert kb.latest_plan.reason == "the process of camera is no more; camera is needed by explore"
+        turned(manager, lambda: is_solved(kb)() and len(kb.processes) == 2)
+        assert not is_alive(old)
+        assert is_alive(kb.processes[1].pid)
+        assert kb.components["camera"].status is Status.SOLVED
+    kb.close()
+
+
+@pytest.mark.parametrize("mark", [None, "of this program", "not one of ours"])
+def test_a_stranger_that_has_got_the_number_of_a_process_is_left_alone(mark):
+    written = {None: None, "of this program": new_mark(), "not one of ours": "hello"}[mark]
+    environment = {**os.environ, **({} if written is None else {MARK: written})}
+    with subprocess.Popen([sys.executable, "-c", SLEEP], env=environment) as stranger:
+        kb, processes, manager = managed({"camera": python(SLEEP), "lidar": python(SLEEP)})
+        kb.component_started("camera", stranger.pid)
+        kb.component_active("camera", True)
+        with processes:
+            kb.request_action("explore")
+            turned(manager, lambda: is_solved(kb)() and len(kb.processes) == 2)
+            assert kb.processes[0].end is not None
+        assert is_alive(stranger.pid)
+        stranger.kill()
+
+
+def test_what_runs_already_goes_on_when_another_knowledge_base_looks(tmp_path):
+    kb, processes, manager = managed({"camera": python(SLEEP), "lidar": python(SLEEP)}, store=tmp_path / "store")
+    with processes:
+        kb.request_action("explore")
+        turned(manager, lambda: is_solved(kb)() and kb.processes)
+        kb.close()
+        again = KnowledgeBase(rover(), clock=time.monotonic, store=tmp_path / "store")
+        processes.observe(again)
+        (process,) = again.processes
+        assert process.end is None
+        assert again.actions["explore"].status is Status.SOLVED
+    assert process.end is not None
+    again.close()
 
 
 # nothing is left behind
