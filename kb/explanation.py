@@ -5,11 +5,12 @@ from dataclasses import dataclass, field, replace
 from itertools import chain
 from typing import Final
 
-from kb.elements import Attribute, Constraint, exact
+from kb.comparison import Comparison, compared, reading, shortest, told
+from kb.elements import Constraint
 from kb.network import Node
 from kb.remedies import Remedy, remedies
 from kb.state import State
-from kb.status import OPERATORS, Status
+from kb.status import Status
 
 __all__ = ["Comparison", "Explanation", "explain", "shortest", "why", "why_selected"]
 
@@ -29,34 +30,13 @@ _POSSIBLE: Final = {
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
-    """What a constraint compares.
-
-    Attributes:
-        attribute: name of what is measured.
-        operator: one of `>=`, `>`, `<=`, `<`.
-        threshold: what it is compared with, in the attribute's unit.
-        value: the latest measurement, None before the first.
-        time: when that was measured [s].
-        is_stale: it is older than it may be, and so not compared.
-    """
-
-    attribute: str
-    operator: str
-    threshold: float
-    value: float | None
-    time: float | None
-    is_stale: bool
-
-
-@dataclass(frozen=True, slots=True)
 class Explanation:
     """A status and what it follows from.
 
     Attributes:
         kind: the element's kind, e.g. "action".
         name: the element's name.
-        status: the status explained.
+        status: the status explained; None for an attribute, which has none.
         fact: why, in words; the sentence ends with it even where there are causes.
         reasons: each suffices for the status by itself (or for a worse one); the causes within one count together.
         measurement: of a constraint, what it compares.
@@ -70,7 +50,7 @@ class Explanation:
 
     kind: str
     name: str
-    status: Status
+    status: Status | None
     fact: str = ""
     reasons: tuple[tuple["Explanation", ...], ...] = field(default=(), repr=False)
     measurement: Comparison | None = None
@@ -107,7 +87,7 @@ class Explanation:
         return f"; it would be feasible with {joined.join(told)}"
 
     def _sentence(self, subject: str) -> str:
-        if self.kind == "constraint":
+        if self.kind in ("constraint", "attribute"):
             return self.fact
         if self.status is Status.FAILURE and not self.fact:
             return f"{subject} has failed ({self.reason})" if self.reason else f"{subject} has failed"
@@ -174,9 +154,11 @@ class _Explainer:
         return found
 
     def _explain(self, node: Node, possible_only: bool) -> Explanation:
+        if node.kind == "attribute":
+            return self._attribute(node)
         status = self._state.status[node.index]
         if isinstance(node.element, Constraint):
-            return self._constraint(node, node.element, status)
+            return self._constraint(node, status)
         choice = self._state.reason("selected", node).text if self._state.selected[node.index] else ""
         if self._state.asserted[node.index] is not None:
             said = self._state.reason("asserted", node)
@@ -198,17 +180,26 @@ class _Explainer:
             choice=choice,
         )
 
-    def _constraint(self, node: Node, constraint: Constraint, status: Status) -> Explanation:
-        attribute = node.parts[0]
-        value, time = self._state.value[attribute.index], self._state.time[attribute.index]
-        is_stale = self._state.stale[attribute.index]
-        compared = Comparison(constraint.attribute, constraint.operator, constraint.value, value, time, is_stale)
+    def _constraint(self, node: Node, status: Status) -> Explanation:
+        found = compared(self._state, node)
         if self._state.asserted[node.index] is not None:
             said = self._state.reason("asserted", node)
             fact = f"{node.name} is asserted {status}{said}"
-            return Explanation(node.kind, node.name, status, fact, measurement=compared, reason=said.text)
-        fact = _told(compared, attribute, self._now, self._state.verdict[node.index])
-        return Explanation(node.kind, node.name, status, fact, measurement=compared)
+            return Explanation(node.kind, node.name, status, fact, measurement=found, reason=said.text)
+        fact = told(found, node, self._now, self._state.verdict[node.index])
+        return Explanation(node.kind, node.name, status, fact, measurement=found)
+
+    def _attribute(self, node: Node) -> Explanation:
+        """Say what is known of an attribute, and what depends on it."""
+        users = [
+            f"{whole.kind} {whole.name} needs {one.name}: {self._state.status[one.index]}"
+            for one in node.constraints
+            for whole in one.wholes
+        ]
+        if len(users) > _MOST:
+            users = [*users[: _MOST - 1], f"{len(users) - _MOST + 1} more constraints"]
+        fact = "; ".join([reading(self._state, node, self._now), *(users or ["no constraint compares it"])])
+        return Explanation(node.kind, node.name, None, fact, self._each(node.constraints))
 
     def _grounds(self, node: Node, status: Status) -> tuple[str, "Reasons"]:
         """Return the fact and the reasons of a status that is inferred and not "feasible"."""
@@ -310,32 +301,3 @@ def _needed_by(state: State, node: Node, about: Iterable[Node]) -> str:
             if len(named) > _MOST:
                 return ", ".join(named)
     return ", ".join(named) or "something asserted"
-
-
-def _told(compared: Comparison, attribute: Node, now: float, verdict: Status | None) -> str:
-    """Write a comparison, with the age of the measurement, and what a constraint that does not flap makes of it."""
-    bound = f"{compared.operator} {exact(compared.threshold)}"
-    if compared.value is None:
-        return f"{compared.attribute} is not measured (wanted {bound})"
-    shown = f"{compared.attribute} {shortest(compared.value, [compared.threshold])}"
-    age = "" if compared.time is None else f"measured {max(0.0, now - compared.time):.1f} s ago"
-    if compared.is_stale:
-        assert isinstance(attribute.element, Attribute)
-        return f"{shown} is stale: {age}, at most {exact(attribute.element.max_age)} s"
-    holds = OPERATORS[compared.operator](compared.value, compared.threshold)
-    if verdict is Status.NOT_EVALUATED:
-        return f"{shown} is not confirmed by enough measurements"
-    fact = f"{shown} {'satisfies' if holds else 'violates'} {bound}{age and f' ({age})'}"
-    if verdict is None or holds == (verdict is Status.SATISFIED):
-        return fact
-    return f"{fact}, but {compared.attribute} {bound} stays {verdict} until that is clear for long enough"
-
-
-def shortest(value: float, thresholds: Iterable[float]) -> str:
-    """Write a number with as few digits as leave it on its side of every threshold."""
-    bounds = tuple(thresholds)
-    for digits in (3, 6, 9, 12, 15):
-        text = f"{value:.{digits}g}"
-        if all((float(text) < bound, float(text) > bound) == (value < bound, value > bound) for bound in bounds):
-            return text
-    return repr(value)

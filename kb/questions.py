@@ -35,6 +35,7 @@ __all__ = ["ELEMENTS", "Questions"]
 
 ELEMENTS: Final = ("action", "function", "component", "function design", "configuration", "constraint")
 """The kinds of elements that have a status; all but constraints have a name too."""
+_EXPLAINED: Final = (*ELEMENTS, "attribute")
 
 
 class Questions(ABC):
@@ -140,15 +141,16 @@ class Questions(ABC):
 
         Args:
             element: a view, an element of the model, or a name; a name that several kinds share means the action
-                before the function, component, design and configuration.
+                before the function, component, design, configuration and attribute. Of an attribute it is said what
+                is known of it, and what depends on it.
         """
         with self._lock:
-            return explain(self._state, self._node(element, ELEMENTS), self._clock())
+            return explain(self._state, self._node(element, _EXPLAINED), self._clock())
 
     def why(self, element: ElementView | Element | Constraint | str) -> str:
         """Say in a sentence why an element has its status; quicker than `explain`, for it looks for no remedies."""
         with self._lock:
-            return why(self._state, self._node(element, ELEMENTS), self._clock())
+            return why(self._state, self._node(element, _EXPLAINED), self._clock())
 
     def explain_choice(self, element: ElementView | Element | Constraint | str) -> ChoiceExplanation:
         """Say why a function has the design, or a component the configuration, that it has, and not another one.
@@ -193,6 +195,7 @@ class Questions(ABC):
             "component": self.components,
             "function design": self.designs,
             "configuration": self.configurations,
+            "attribute": self.attributes,
         }
         searched = {kind: views[kind] for kind in kinds if kind in views}
         found = [table.node(element) for table in searched.values() if isinstance(element, str) and element in table]

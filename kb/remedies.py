@@ -20,15 +20,23 @@ WORK: Final = 1_000_000
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """An attribute is measured with a value in an interval; `again` if what is known of it is too old."""
+    """An attribute is measured with a value in an interval.
+
+    Attributes:
+        attribute: its name.
+        interval: in its unit.
+        again: what is known of it is too old.
+        longer: it was measured so already, but not for as long or as often as a steady constraint asks for.
+    """
 
     attribute: str
     interval: Interval
     again: bool = False
+    longer: bool = False
 
     def __str__(self) -> str:
         bounds = self.interval.text(self.attribute)
-        return f"{self.attribute} measured again with {bounds}" if self.again else bounds
+        return f"{bounds} measured anew" if self.again else f"{bounds} for longer" if self.longer else bounds
 
 
 ChangedFact = Measured | Repair
@@ -92,9 +100,10 @@ def _remedy(state: State, box: Box) -> Remedy:
     """Return what of a box is not so already."""
     measured = []
     for name in sorted(box.intervals):
-        attribute = state.network.attributes[name]
-        if is_outside(state, attribute, box.intervals[name]):
-            measured.append(Measured(name, box.intervals[name], is_counted_violated(state, attribute)))
+        attribute, interval = state.network.attributes[name], box.intervals[name]
+        if is_outside(state, attribute, interval):
+            value, again = state.value[attribute.index], is_counted_violated(state, attribute)
+            measured.append(Measured(name, interval, again, not again and value is not None and value in interval))
     return Remedy((*measured, *sorted(box.repairs, key=str)))
 
 

@@ -15,6 +15,7 @@ from kb.elements import Attribute, Component, Constraint, Element, Function, Sta
 from kb.network import Node
 from kb.state import State
 from kb.status import OPERATORS, Status
+from kb.steadiness import turning_point
 
 __all__ = [
     "Alternatives",
@@ -46,12 +47,13 @@ class Interval:
     high_open: bool = False
 
     @classmethod
-    def of(cls, constraint: Constraint) -> "Interval":
-        """Return the values that satisfy a constraint."""
+    def of(cls, constraint: Constraint, turn: float | None = None) -> "Interval":
+        """Return the values that satisfy a constraint; it may turn elsewhere than at its threshold."""
+        turn = constraint.value if turn is None else turn
         is_open = constraint.operator in (">", "<")
         if constraint.operator in (">=", ">"):
-            return cls(low=constraint.value, low_open=is_open)
-        return cls(high=constraint.value, high_open=is_open)
+            return cls(low=turn, low_open=is_open)
+        return cls(high=turn, high_open=is_open)
 
     def __contains__(self, value: float) -> bool:
         above = value > self.low or (value == self.low and not self.low_open)
@@ -74,10 +76,6 @@ class Interval:
         low, low_open = max((self.low, self.low_open), (other.low, other.low_open))
         high, high_closed = min((self.high, not self.high_open), (other.high, not other.high_open))
         return Interval(low, high, low_open, not high_closed)
-
-    def within(self, margin: float) -> "Interval":
-        """Return the values that keep a distance from both bounds."""
-        return Interval(self.low + margin, self.high - margin, self.low_open, self.high_open)
 
     def text(self, attribute: str) -> str:
         """Write it as comparisons of an attribute, e.g. "light >= 0.2 and light <= 0.8"."""
@@ -340,7 +338,7 @@ def _wanted(node: Node, verdict: Status | None) -> Interval:
     """Return the values that satisfy a constraint, after what it was."""
     constraint = node.element
     assert isinstance(constraint, Constraint)
-    return Interval.of(constraint).within(constraint.hysteresis if verdict is Status.VIOLATED else 0.0)
+    return Interval.of(constraint, turning_point(constraint, verdict))
 
 
 def _holds(state: State, attribute: Node, node: Node) -> bool:

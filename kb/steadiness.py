@@ -5,11 +5,13 @@ verdict is remembered with the facts; inference reads it there.
 """
 
 from collections.abc import Iterable
+from decimal import Decimal
+from functools import lru_cache
 
 from kb.elements import Constraint
 from kb.status import OPERATORS, Status
 
-__all__ = ["verdict"]
+__all__ = ["turning_point", "verdict"]
 
 
 def verdict(constraint: Constraint, values: Iterable[float], enough: int, before: Status | None) -> Status | None:
@@ -31,6 +33,19 @@ def verdict(constraint: Constraint, values: Iterable[float], enough: int, before
 
 def _side(constraint: Constraint, value: float, before: Status | None) -> Status:
     """Return on which side of the threshold a value is; for one that was violated it lies further off."""
-    margin = constraint.hysteresis if before is Status.VIOLATED else 0.0
-    threshold = constraint.value + (margin if constraint.operator in (">=", ">") else -margin)
-    return Status.SATISFIED if OPERATORS[constraint.operator](value, threshold) else Status.VIOLATED
+    is_so = OPERATORS[constraint.operator](value, turning_point(constraint, before))
+    return Status.SATISFIED if is_so else Status.VIOLATED
+
+
+def turning_point(constraint: Constraint, before: Status | None) -> float:
+    """Return the value at which a constraint turns, after what it was, in the attribute's unit."""
+    if before is not Status.VIOLATED or not constraint.hysteresis:
+        return constraint.value
+    sign = 1 if constraint.operator in (">=", ">") else -1
+    return _sum(constraint.value, sign * constraint.hysteresis)
+
+
+@lru_cache(maxsize=1024)
+def _sum(value: float, margin: float) -> float:
+    """Add as one does on paper: 0.1 and 0.2 are 0.3."""
+    return float(Decimal(repr(value)) + Decimal(repr(margin)))

@@ -217,19 +217,38 @@ def near(number):
     return st.sampled_from((0.0, 1e-12, -1e-12, 1e-7, -1e-7, 4e-4, -4e-4)).map(lambda step: number + step * abs(number))
 
 
+def side(text, value, bound):
+    """Tell on which sides of a bound a written number is, and the number itself."""
+    words = text.split(" ")
+    if words[:-1] == ["just", "below"]:
+        return (True, False) if float(words[-1]) <= bound else (value < bound, value > bound)
+    if words[:-1] == ["just", "above"]:
+        return (False, True) if float(words[-1]) >= bound else (value < bound, value > bound)
+    return float(text) < bound, float(text) > bound
+
+
 @given(FLOATS, st.lists(FLOATS, max_size=3))
 def test_a_number_is_written_on_its_side_of_every_threshold(value, thresholds):
-    shown = float(shortest(value, thresholds))
+    shown = shortest(value, thresholds)
     for bound in thresholds:
-        assert (shown < bound, shown > bound) == (value < bound, value > bound)
+        assert side(shown, value, bound) == (value < bound, value > bound)
 
 
 @given(FLOATS.flatmap(lambda value: st.tuples(st.just(value), st.lists(near(value), min_size=1, max_size=3))))
 def test_a_number_is_written_on_its_side_of_every_threshold_near_it(case):
     value, thresholds = case
-    shown = float(shortest(value, thresholds))
+    shown = shortest(value, thresholds)
     for bound in thresholds:
-        assert (shown < bound, shown > bound) == (value < bound, value > bound)
+        assert side(shown, value, bound) == (value < bound, value > bound)
+
+
+@pytest.mark.parametrize("bound", [0.25, 0.3, 3.25, 1e6])
+@pytest.mark.parametrize("noise", [-1e-15, 1e-15, -1e-11, 1e-11])
+def test_noise_of_a_number_is_told_in_words(bound, noise):
+    value = bound * (1.0 + noise)
+    assert value != bound
+    assert shortest(value, [bound]) == f"just {'below' if value < bound else 'above'} {bound:g}"
+    assert shortest(value, [2.0 * bound]) == f"{bound:g}"
 
 
 def spelled_out(value, operator, bound):

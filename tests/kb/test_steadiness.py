@@ -132,8 +132,8 @@ def test_what_is_held_is_explained_and_told_what_would_help():
     kb.measure("light", 0.55)
     explanation = kb.explain(kb.configurations["day"])
     assert str(explanation) == (
-        "day is unfeasible because light 0.55 satisfies >= 0.5 (measured 0.0 s ago), but light >= 0.5 stays violated "
-        "until that is clear for long enough; it would be feasible with light >= 0.6"
+        "day is unfeasible because light 0.55 satisfies >= 0.5 (measured 0.0 s ago), but >= 0.5 stays violated "
+        "until light >= 0.6; it would be feasible with light >= 0.6"
     )
     assert kb.situation(light=0.6).configurations["day"].status is Status.FEASIBLE
     assert kb.situation(light=0.59).configurations["day"].status is Status.UNFEASIBLE
@@ -149,10 +149,51 @@ def test_what_dwell_holds_changes_by_itself_when_the_dwell_is_over():
     kb.subscribe(heard.append)
     clock.now = 4.9
     assert status(kb) is Status.VIOLATED
-    assert str(kb.explain(kb.configurations["day"])).endswith("it would be feasible with light >= 0.5")
+    assert str(kb.explain(kb.configurations["day"])).endswith(
+        "but >= 0.5 stays violated for 5 s at least; it would be feasible with light >= 0.5 for longer"
+    )
     clock.now = 5.0
     assert status(kb) is Status.SATISFIED
     assert [event.text for event in heard] == ["light >= 0.5 is satisfied, after its dwell"]
+
+
+@pytest.mark.parametrize(
+    ("how", "values", "told"),
+    [
+        ({"agreement": (2, 3)}, (0.4, 0.4, 0.9), "stays violated until 2 of the last 3 measurements say otherwise"),
+        ({"agreement": (2, 3)}, (0.9, 0.9, 0.4), "stays satisfied until 2 of the last 3 measurements say otherwise"),
+        ({"dwell": 5.0}, (0.9, 0.4), "stays satisfied for 5 s at least"),
+        ({"hysteresis": 0.1, "dwell": 5.0}, (0.4, 0.9), "stays violated for 5 s at least"),
+        (
+            {"hysteresis": 0.1, "dwell": 5.0},
+            (0.4, 0.55),
+            "stays violated for 5 s at least, and until light >= 0.6",
+        ),
+        (
+            {"hysteresis": 0.1, "agreement": (2, 3)},
+            (0.4, 0.4, 0.55),
+            "stays violated until 2 of the last 3 measurements are >= 0.6",
+        ),
+        ({"agreement": (2, 3)}, (0.9,), "light 0.9 is not confirmed: 2 of the last 3 measurements have to agree"),
+        ({"hysteresis": 0.1, "operator": "<="}, (0.6, 0.45), "stays violated until light <= 0.4"),
+    ],
+)
+def test_what_holds_a_steady_constraint_is_told_in_its_own_words(how, values, told):
+    kb = KnowledgeBase(rover(**how), clock=Clock(0.0))
+    for value in values:
+        kb.measure("light", value)
+    assert told in kb.explain(kb.configurations["day"].constraints[0]).fact
+
+
+def test_threshold_and_hysteresis_add_up_as_on_paper():
+    model = Model("rover")
+    light = model.environmental_attribute("light")
+    model.action("go", constraints=[(light >= 0.1).steady(hysteresis=0.2)])
+    kb = KnowledgeBase(model, clock=Clock(0.0))
+    kb.measure("light", 0.0)
+    assert str(kb.explain("go")).endswith("it would be feasible with light >= 0.3")
+    kb.measure("light", 0.3)
+    assert kb.is_feasible("go")
 
 
 def test_a_value_that_goes_back_in_time_changes_nothing():
