@@ -1,12 +1,123 @@
 """Decorators that py_trees has no namesake for."""
 
+import math
 from collections.abc import Iterator
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 from py_trees.decorators import Decorator
 
-__all__ = ["UntilSuccess"]
+from kb import KnowledgeBase
+from rosa_bt.endings import halt, told
+from rosa_bt.requests import RESULTS, ActionRequest, Patience, Reason
+
+__all__ = ["ForAction", "UntilSuccess"]
+
+
+class ForAction(Decorator):
+    """Puts any behaviour, as it is, under a ROSA action: done only while that is feasible, requested meanwhile.
+
+    In each tick the knowledge base is asked first. While the action is unfeasible this is FAILURE with the reason, and
+    the child is stopped if it was running. Otherwise the action is requested when the child starts and released exactly
+    once, however the child ends: SUCCESS is "completed", FAILURE "failed", an interruption "abandoned". An exception
+    of the child is FAILURE, with its text as feedback.
+
+    Args:
+        name: what the behaviour is called in pictures of the tree.
+        kb: the knowledge base to ask and to tell.
+        action: name of the ROSA action.
+        child: what to do, a leaf or a whole subtree.
+        preference: name of the attribute to favour when a configuration is chosen, or None.
+        wait: tick the child only when the robot is configured for the action; RUNNING before that.
+        timeout: how long to wait [s], by the clock of the knowledge base; then FAILURE with what is lacking.
+
+    Raises:
+        kb.UnknownName: no such action; the message lists the nearest ones.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        kb: KnowledgeBase,
+        action: str,
+        child: Behaviour,
+        *,
+        preference: str | None = None,
+        wait: bool = False,
+        timeout: float = math.inf,
+    ) -> None:
+        super().__init__(name, child)
+        kb.is_feasible(action)  # an unknown action is found here, not in the middle of a mission
+        self.kb = kb
+        self.action = action
+        self.preference = preference
+        self._request = ActionRequest(kb)
+        self._reason = Reason(kb)
+        self._patience = Patience(kb, timeout) if wait else None
+        self._is_ready = False
+
+    def tick(self) -> Iterator[Behaviour]:
+        """Ask, request when a round begins, then tick the child."""
+        try:
+            new_status = self._admit()
+            if new_status is Status.SUCCESS:
+                yield from self.decorated.tick()
+                new_status = self.update()
+        except Exception as error:
+            self.feedback_message = told(error)
+            new_status = Status.FAILURE
+        if new_status is not Status.RUNNING:
+            self.stop(new_status)
+        self.status = new_status
+        yield self
+
+    def update(self) -> Status:
+        """Return the child's status, its feedback with it."""
+        self.feedback_message = self.decorated.feedback_message
+        return self.decorated.status
+
+    def stop(self, new_status: Status) -> None:
+        """Stop the child if it is running, and release the request, also when the child raises."""
+        try:
+            super().stop(new_status)
+        except Exception as error:
+            self.feedback_message = f"{told(error)} (at the end)"
+            halt(self.decorated)
+            self.status = new_status
+        finally:
+            self._request.close(RESULTS[new_status], self.feedback_message if new_status is Status.FAILURE else "")
+
+    def shutdown(self) -> None:
+        """Stop if still running; called when the tree is shut down."""
+        if self.status is Status.RUNNING:
+            self.stop(Status.INVALID)
+
+    def _admit(self) -> Status:
+        """Return SUCCESS if the child may be ticked, what to return otherwise."""
+        if not self.kb.is_feasible(self.action):
+            self.feedback_message = self._reason.why(self.action)
+            self._interrupt()
+            return Status.FAILURE
+        if self.status is not Status.RUNNING:
+            self._begin()
+        if not self._is_ready and self._patience is not None:
+            status, self.feedback_message = self._patience.look(self.action)
+            if status is not Status.SUCCESS:
+                return status
+        self._is_ready = True
+        return Status.SUCCESS
+
+    def _begin(self) -> None:
+        self._is_ready = False
+        self._request.open(self.action, self.preference)
+        self.feedback_message = ""
+        if self._patience is not None:
+            self._patience.begin()
+
+    def _interrupt(self) -> None:
+        """Give the action up: it has not failed, it cannot be done now."""
+        halt(self.decorated)
+        self._request.close(RESULTS[Status.INVALID], self.feedback_message)
 
 
 class UntilSuccess(Decorator):

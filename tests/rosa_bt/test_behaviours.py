@@ -110,11 +110,12 @@ def test_exception_in_update_is_a_failure_with_its_text_and_terminates_once(kb):
     assert action.calls == ["initialise", "update", "terminate FAILURE"]
 
 
-def test_exception_in_terminate_still_releases_the_request(kb):
+def test_exception_in_terminate_turns_success_into_failure_and_releases_the_request(kb):
     action = Scripted(kb, "scan", [Status.RUNNING, Status.SUCCESS], raises_in_terminate=True)
     action.tick_once()
     action.tick_once()
-    assert results(kb) == [("scan", "completed")]
+    assert action.status is Status.FAILURE
+    assert results(kb) == [("scan", "failed")]
     assert "cannot let go" in action.feedback_message
 
 

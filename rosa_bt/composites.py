@@ -1,0 +1,168 @@
+"""Composites that py_trees has no namesake for: giving way to something else, and switching safely."""
+
+from collections.abc import Iterator, Mapping
+from typing import Final
+
+from py_trees.behaviour import Behaviour
+from py_trees.common import Status
+from py_trees.composites import Composite
+
+from rosa_bt.behaviours import ActionBehaviour
+from rosa_bt.decorators import ForAction
+
+__all__ = ["DoUntilUnfeasible", "Posture", "SafeSwitch", "gave_way"]
+
+
+def gave_way(task: Behaviour) -> bool:
+    """Tell whether a task that failed did so because an action in it is unfeasible."""
+    return any(
+        behaviour.status is Status.FAILURE and not behaviour.kb.is_feasible(behaviour.action)
+        for behaviour in task.iterate()
+        if isinstance(behaviour, ActionBehaviour | ForAction)
+    )
+
+
+class _Fixed(Composite):
+    """A composite whose children have parts to play: they can be replaced, but none is added or taken away."""
+
+    has_fixed_children: Final = True
+
+    def _begin(self) -> None:
+        for child in self.children:
+            if child.status is not Status.INVALID:
+                child.stop(Status.INVALID)
+        self.initialise()
+
+    def _end(self, new_status: Status) -> None:
+        if new_status is Status.RUNNING:
+            self.status = new_status
+        else:
+            self.stop(new_status)
+
+
+class DoUntilUnfeasible(_Fixed):
+    """Does a task; while that is unfeasible, does something else; then goes on with the task.
+
+    In the tick in which the task fails because an action in it is unfeasible, the other begins, and in the tick in
+    which the other gives back, the task begins: between the two there is no tick in which nothing is required, so the
+    robot is not taken apart and put together again. SUCCESS is the task's, and so is a FAILURE for any other reason;
+    all else is RUNNING. What is done meanwhile begins anew if it ends before the task is feasible, and is tried again
+    at each tick if it fails.
+
+    Args:
+        name: what the behaviour is called in pictures of the tree.
+        task: what to do: a behaviour, or a subtree, that fails when what it does becomes unfeasible.
+        meanwhile: what to do while the task is unfeasible.
+        memory: finish what is done meanwhile, also when the task is feasible before; otherwise the task goes on in the
+            tick in which it can.
+    """
+
+    def __init__(self, name: str, task: Behaviour, meanwhile: Behaviour, *, memory: bool = False) -> None:
+        super().__init__(name, [task, meanwhile])
+        self.memory = memory
+
+    @property
+    def task(self) -> Behaviour:
+        """What is to be done."""
+        return self.children[0]
+
+    @property
+    def meanwhile(self) -> Behaviour:
+        """What is done while that is unfeasible."""
+        return self.children[1]
+
+    def tick(self) -> Iterator[Behaviour]:
+        """Tick the task, and the other instead if the task is unfeasible."""
+        if self.status is not Status.RUNNING:
+            self._begin()
+        if self.memory and self.meanwhile.status is Status.RUNNING:
+            yield from self.meanwhile.tick()
+        if not (self.memory and self.meanwhile.status is Status.RUNNING):
+            yield from self._do()
+        self._end(self._judge())
+        yield self
+
+    def _do(self) -> Iterator[Behaviour]:
+        """Tick the task and, if it gives way, the other; once more if that is finished in this tick."""
+        for _ in range(2):
+            yield from self.task.tick()
+            if self.task.status is not Status.FAILURE or not gave_way(self.task):
+                self.current_child = self.task
+                if self.meanwhile.status is not Status.INVALID:
+                    self.meanwhile.stop(Status.INVALID)
+                return
+            self.current_child = self.meanwhile
+            yield from self.meanwhile.tick()
+            if self.meanwhile.status is not Status.SUCCESS:
+                return
+
+    def _judge(self) -> Status:
+        if self.current_child is not self.task:
+            self.feedback_message = f"instead of {self.task.name}"
+            return Status.RUNNING
+        self.feedback_message = ""
+        return self.task.status
+
+
+class Posture:
+    """After which action the robot is left as it is; shared by the behaviours that switch between some actions.
+
+    Attributes:
+        after: name of that action; None before the first.
+    """
+
+    def __init__(self) -> None:
+        self.after: str | None = None
+
+
+class SafeSwitch(_Fixed):
+    """Does an action; before that, what has to be done if another one was done last.
+
+    The transition runs to its end before the action is requested. If it fails, so does this, and the action is not
+    begun; if it is interrupted, it is begun again at the next start, unless the robot goes back to the other action.
+
+    Args:
+        name: what the behaviour is called in pictures of the tree.
+        task: the action.
+        transitions: what to do first, by name of the action that was done last.
+        posture: which action that was; shared with the behaviours of the other actions.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        task: ActionBehaviour | ForAction,
+        transitions: Mapping[str, Behaviour],
+        posture: Posture,
+    ) -> None:
+        super().__init__(name, [*transitions.values(), task])
+        self.action = task.action
+        self.posture = posture
+        self._from = tuple(transitions)
+
+    def tick(self) -> Iterator[Behaviour]:
+        """Tick the transition if there has to be one, and the action after it."""
+        if self.status is not Status.RUNNING:
+            self._begin()
+        transition, task = self._transition(), self.children[-1]
+        if transition is not None:
+            self.current_child = transition
+            yield from transition.tick()
+            self.feedback_message = f"switching from {self.posture.after}: {transition.feedback_message}"
+            if transition.status is not Status.SUCCESS:
+                self._end(transition.status)
+                yield self
+                return
+            self.posture.after = self.action
+        self.current_child = task
+        yield from task.tick()
+        self.feedback_message = task.feedback_message
+        if task.status is not Status.FAILURE:
+            self.posture.after = self.action
+        self._end(task.status)
+        yield self
+
+    def _transition(self) -> Behaviour | None:
+        """Return what has to be done before the action, as the robot is now."""
+        after = self.posture.after
+        return self.children[self._from.index(after)] if after in self._from else None

@@ -1,0 +1,114 @@
+"""What keeps a tree alive: an exception of a behaviour becomes its FAILURE, and nobody changes a tree within a tick."""
+
+from collections.abc import Callable, Iterable, Iterator
+
+from py_trees.behaviour import Behaviour
+from py_trees.common import Status
+
+from rosa_bt.endings import halt, told
+from rosa_bt.exceptions import TreeChangeError
+
+__all__ = ["Children", "Lock", "guard"]
+
+
+class Lock:
+    """Whether a tree is being ticked, and what was refused because of that.
+
+    Attributes:
+        is_closed: nothing may be changed now.
+        refused: what was tried all the same.
+    """
+
+    def __init__(self) -> None:
+        self.is_closed = False
+        self.refused: list[TreeChangeError] = []
+
+
+class Children(list[Behaviour]):
+    """The children of a behaviour, which cannot be changed while the tree is being ticked."""
+
+    def __init__(self, children: Iterable[Behaviour], parent: Behaviour, lock: Lock) -> None:
+        super().__init__(children)
+        self._parent = parent
+        self._lock = lock
+
+    def _check(self) -> None:
+        if not self._lock.is_closed:
+            return
+        error = TreeChangeError(
+            f"the children of {self._parent.name!r} were to be changed in the middle of a tick; ask the runner "
+            "instead (insert, replace, prune): it changes them before the next tick"
+        )
+        self._lock.refused.append(error)
+        raise error
+
+
+def _checked(name: str) -> Callable[..., object]:
+    change = getattr(list, name)
+
+    def checked(self: Children, *given: object, **named: object) -> object:
+        self._check()
+        return change(self, *given, **named)
+
+    checked.__name__ = name
+    return checked
+
+
+for _name in (
+    *("append", "clear", "extend", "insert", "pop", "remove", "reverse", "sort"),
+    *("__delitem__", "__iadd__", "__imul__", "__setitem__"),
+):
+    setattr(Children, _name, _checked(_name))
+
+
+class _EndedBadly(Exception):
+    """A behaviour raised when it was stopped after success or failure; it has been dealt with."""
+
+
+def guard(behaviour: Behaviour) -> Callable[[], None]:
+    """Turn what a behaviour raises into its FAILURE, with the text as feedback, and stop what runs below it.
+
+    What it raises on being interrupted is its feedback only; the interruption goes on.
+
+    Returns:
+        What takes the guard away again.
+    """
+    own = {name: method for name, method in vars(behaviour).items() if name in ("tick", "stop")}
+    tick, stop = behaviour.tick, behaviour.stop
+
+    def guarded_tick() -> Iterator[Behaviour]:
+        try:
+            yield from tick()
+        except Exception as error:
+            _fail(behaviour, stop, error)
+            yield behaviour
+
+    def guarded_stop(new_status: Status = Status.INVALID) -> None:
+        try:
+            stop(new_status)
+        except Exception as error:
+            for child in behaviour.children:
+                halt(child)
+            behaviour.feedback_message = f"{told(error)} (at the end)"
+            behaviour.status = Status.INVALID if new_status is Status.INVALID else Status.FAILURE
+            if new_status is not Status.INVALID:
+                raise _EndedBadly from error
+
+    def release() -> None:
+        del behaviour.__dict__["tick"], behaviour.__dict__["stop"]
+        behaviour.__dict__.update(own)
+
+    behaviour.__dict__.update(tick=guarded_tick, stop=guarded_stop)
+    return release
+
+
+def _fail(behaviour: Behaviour, stop: Callable[[Status], None], error: Exception) -> None:
+    if not isinstance(error, _EndedBadly):
+        behaviour.feedback_message = told(error)
+        for child in behaviour.children:
+            halt(child)
+        try:
+            stop(Status.FAILURE)
+        except Exception as another:
+            behaviour.feedback_message += f"; then {told(another)} (at the end)"
+    behaviour.status = Status.FAILURE

@@ -1,0 +1,99 @@
+"""Creators of common subtrees: what a mission needs to adapt, in one call."""
+
+from collections.abc import Mapping, Sequence
+
+from py_trees import composites
+from py_trees.behaviour import Behaviour
+from py_trees.behaviours import Dummy
+
+from kb import UnknownName
+from rosa_bt.behaviours import IsActionFeasible, RosaAction
+from rosa_bt.composites import DoUntilUnfeasible, Posture, SafeSwitch
+from rosa_bt.decorators import ForAction
+from rosa_bt.exceptions import TreeChangeError
+from rosa_bt.structure import replace
+
+__all__ = ["do_until_unfeasible", "feasible_then_act", "first_feasible", "switch_safely"]
+
+
+def feasible_then_act(task: Behaviour) -> Behaviour:
+    """Return an action that is done only while it is feasible, asked at each tick.
+
+    Args:
+        task: the action. Any other behaviour asks for itself (`ForAction`) or inside itself (a subtree) and is
+            returned as it is.
+    """
+    if not isinstance(task, RosaAction):
+        return task
+    condition = IsActionFeasible(f"{task.name} feasible?", task.kb, task.action)
+    return composites.Sequence(f"{task.name} if feasible", memory=False, children=[condition, task])
+
+
+def first_feasible(name: str, tasks: Sequence[Behaviour], *, memory: bool = False) -> Behaviour:
+    """Return a choice: the first of several actions that is feasible, and does not fail, is done.
+
+    Args:
+        name: what the choice is called in pictures of the tree.
+        tasks: the actions, the most preferred first.
+        memory: stay with what was begun as long as it is feasible; otherwise a preferred one takes over in the tick in
+            which it becomes feasible.
+    """
+    return composites.Selector(name, memory=memory, children=[feasible_then_act(task) for task in tasks])
+
+
+def do_until_unfeasible(
+    task: Behaviour, meanwhile: Behaviour, *, memory: bool = False, name: str | None = None
+) -> DoUntilUnfeasible:
+    """Return a task that is done; while it is unfeasible, something else is; then the task goes on.
+
+    Args:
+        task: an action, or a subtree that fails when what it does becomes unfeasible.
+        meanwhile: an action, or a subtree, to do in the meantime.
+        memory: finish what is done meanwhile, also when the task is feasible before.
+        name: what the whole is called in pictures of the tree.
+    """
+    name = name or f"{task.name}, or else {meanwhile.name}"
+    return DoUntilUnfeasible(name, feasible_then_act(task), feasible_then_act(meanwhile), memory=memory)
+
+
+def switch_safely(root: Behaviour, transitions: Mapping[tuple[str, str], Behaviour]) -> Behaviour:
+    """Have something done between two actions of a tree, whichever way the tree gets from one to the other.
+
+    Args:
+        root: of a tree that is not running; its actions (`RosaAction`, `ForAction`) are changed in place.
+        transitions: what has to be done, by the names of the action done last and of the action to begin.
+
+    Returns:
+        The root of the changed tree.
+
+    Raises:
+        kb.UnknownName: no action of that name is done in the tree.
+        TreeChangeError: there has to be one transition, but several behaviours that do the action.
+    """
+    tasks = [one for one in root.iterate() if isinstance(one, RosaAction | ForAction)]
+    posture = Posture()
+    for action in dict.fromkeys(action for pair in transitions for action in pair):
+        doing = [task for task in tasks if task.action == action]
+        if not doing:
+            raise UnknownName("action of the tree", action, sorted({task.action for task in tasks}))
+        needed = {before: step for (before, after), step in transitions.items() if after == action}
+        if needed and len(doing) > 1:
+            raise TreeChangeError(
+                f"{len(doing)} behaviours do {action!r}, and a transition has one place; make one subtree of them"
+            )
+        for task in doing:
+            root = _switched(root, task, needed, posture)
+    return root
+
+
+def _switched(
+    root: Behaviour, task: RosaAction | ForAction, needed: Mapping[str, Behaviour], posture: Posture
+) -> Behaviour:
+    """Put an action and its transitions in the place of the action."""
+    name = f"switch to {task.action}" if needed else f"note {task.action}"
+    if task is root:
+        return SafeSwitch(name, task, needed, posture)
+    place = Dummy("place")
+    replace(root, task, place)
+    replace(root, place, SafeSwitch(name, task, needed, posture))
+    return root

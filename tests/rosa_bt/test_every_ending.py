@@ -1,0 +1,258 @@
+"""Whatever a tree does and whatever happens to it, nothing is left open, released twice or running."""
+
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from py_trees.behaviour import Behaviour
+from py_trees.common import ParallelPolicy, Status
+from py_trees.composites import Composite, Parallel, Selector, Sequence
+from py_trees.decorators import FailureIsRunning, Inverter
+
+from kb import KnowledgeBase, Model
+from rosa_bt import (
+    ForAction,
+    IsActionFeasible,
+    RosaAction,
+    TreeChangeError,
+    TreeRunner,
+    do_until_unfeasible,
+    feasible_then_act,
+)
+from rosa_bt.decorators import UntilSuccess
+from rosa_bt.structure import prune
+
+STEPS = ["running", "running", "success", "failure", "raise", "nonsense", "meddle"]
+RAISING = ["nowhere", "nowhere", "nowhere", "initialise", "terminate", "tick", "save"]
+
+
+def rover() -> KnowledgeBase:
+    model = Model("rover")
+    light = model.environmental_attribute("light")
+    model.action("scan", constraints=[light >= 0.5])
+    model.action("rest")
+    return KnowledgeBase(model, clock=lambda: 0.0)
+
+
+class Unruly:
+    """Does what its script says, raises where it is told to, and changes the tree when it is told to."""
+
+    script: list[str]
+    raising: str
+    count = 0
+
+    def tick(self):
+        if self.raising == "tick" and self.count % 3 == 2:
+            self.count += 1
+            raise RuntimeError("in tick")
+        yield from super().tick()
+
+    def initialise(self):
+        if self.raising == "initialise":
+            raise RuntimeError("in initialise")
+
+    def terminate(self, new_status):
+        if self.raising == "terminate":
+            raise RuntimeError("in terminate")
+
+    def save_progress(self):
+        if self.raising == "save":
+            raise RuntimeError("in save_progress")
+
+    def update(self):
+        step = self.script[self.count % len(self.script)]
+        self.count += 1
+        if step == "raise":
+            raise ValueError("in update")
+        if step == "nonsense":
+            return None
+        if step == "meddle":
+            parent = self.parent
+            if isinstance(parent, Composite):
+                parent.remove_child(self) if self.count % 2 else parent.add_child(Plain("new", ["running"], "nowhere"))
+            return Status.RUNNING
+        return Status[step.upper()]
+
+
+class Plain(Unruly, Behaviour):
+    def __init__(self, name, script, raising):
+        super().__init__(name)
+        self.script, self.raising = script, raising
+
+
+class Rash(Parallel):
+    """Raises in every third tick, after its children were ticked."""
+
+    count = 0
+
+    def tick(self):
+        self.count += 1
+        for child in self.children:
+            yield from child.tick()
+        if self.count % 3 == 0:
+            raise RuntimeError("in tick")
+        self.status = Status.RUNNING
+        yield self
+
+
+class Acting(Unruly, RosaAction):
+    def __init__(self, kb, action, script, raising):
+        super().__init__(action, kb, action)
+        self.script, self.raising = script, raising
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How to build a tree: drawn once, built with a knowledge base of its own."""
+
+    kind: str
+    action: str = "rest"
+    script: tuple[str, ...] = ("running",)
+    raising: str = "nowhere"
+    memory: bool = False
+    children: tuple["Plan", ...] = ()
+
+    def build(self, kb):
+        children = [child.build(kb) for child in self.children]
+        if self.kind == "plain":
+            return Plain("plain", list(self.script), self.raising)
+        if self.kind == "acting":
+            return Acting(kb, self.action, list(self.script), self.raising)
+        if self.kind == "guarded":
+            return feasible_then_act(Acting(kb, self.action, list(self.script), self.raising))
+        if self.kind == "rash":
+            return Rash("rash", policy=ParallelPolicy.SuccessOnAll(), children=children)
+        if self.kind == "condition":
+            return IsActionFeasible("feasible?", kb, self.action)
+        if self.kind == "selector":
+            return Selector("selector", memory=self.memory, children=children)
+        if self.kind == "sequence":
+            return Sequence("sequence", memory=self.memory, children=children)
+        if self.kind == "parallel":
+            return Parallel("parallel", policy=ParallelPolicy.SuccessOnAll(synchronise=self.memory), children=children)
+        if self.kind == "or else":
+            return do_until_unfeasible(children[0], children[-1], memory=self.memory) if children[1:] else children[0]
+        decorators = {"inverter": Inverter, "until": UntilSuccess, "go on": FailureIsRunning}
+        if self.kind in decorators:
+            return decorators[self.kind](self.kind, children[0])
+        return ForAction("for", kb, self.action, children[0], wait=self.memory)
+
+
+ACTIONS = st.sampled_from(["scan", "rest"])
+LEAVES = st.builds(
+    Plan,
+    st.sampled_from(["plain", "acting", "acting", "condition"]),
+    ACTIONS,
+    st.lists(st.sampled_from(STEPS), min_size=1, max_size=4).map(tuple),
+    st.sampled_from(RAISING),
+)
+
+
+def branches(children):
+    composites = st.sampled_from(["selector", "sequence", "parallel", "or else", "rash"])
+    many = st.lists(children, min_size=1, max_size=3).map(tuple)
+    one = st.tuples(children)
+    decorators = st.sampled_from(["inverter", "until", "go on", "for"])
+    return st.one_of(
+        st.builds(Plan, composites, ACTIONS, memory=st.booleans(), children=many),
+        st.builds(Plan, decorators, ACTIONS, memory=st.booleans(), children=one),
+    )
+
+
+TREES = st.recursive(LEAVES, branches, max_leaves=8)
+HAPPENINGS = st.one_of(
+    st.sampled_from([("light", 0.1), ("light", 0.9), ("interrupt", 0), ("nothing", 0)]),
+    st.tuples(st.sampled_from(["prune", "replace", "insert"]), st.integers(0, 20)),
+)
+
+
+def happen(what, number, kb, runner, spare):
+    """Have something happen between two ticks; return a subtree that may be taken out by it."""
+    nodes = list(runner.tree.root.iterate())
+    node = nodes[number % len(nodes)] if isinstance(number, int) else None
+    if what == "light":
+        kb.measure("light", number)
+    elif what == "interrupt":
+        runner.tree.root.stop(Status.INVALID)
+    elif what == "prune":
+        runner.prune(node)
+        return [node]
+    elif what == "replace":
+        runner.replace(node, spare.build(kb))
+        return [node]
+    elif what == "insert":
+        runner.insert(spare.build(kb), node, number % 3)
+    return []
+
+
+@settings(max_examples=300)
+@given(TREES, st.lists(HAPPENINGS, min_size=3, max_size=10), TREES)
+def test_no_request_is_open_or_released_twice_and_nothing_runs_whatever_happened(plan, happenings, spare):
+    kb = rover()
+    released = []
+    cancel = kb.cancel_action
+    kb.cancel_action = lambda action, *how: (released.append(action), cancel(action, *how))
+    runner = TreeRunner(plan.build(kb), clock=lambda: 0.0)
+    taken_out = []
+    for what, number in happenings:
+        taken_out += happen(what, number, kb, runner, spare)
+        with suppress(TreeChangeError):
+            runner.tick()
+        nodes = list(runner.tree.root.iterate())
+        for node in nodes:
+            if node.status is Status.RUNNING and node is not runner.tree.root:
+                assert node.parent.status is Status.RUNNING, f"{node.name} runs, {node.parent.name} does not"
+        held = {node.action for node in nodes if is_holding(node)}
+        assert {one.action for one in kb.required_actions} == held
+        assert "new" not in {node.name for node in nodes}, "it was added in the middle of a tick"
+    runner.shutdown()
+    assert kb.required_actions == ()
+    assert len(released) == len(kb.action_history)
+    left = [*runner.tree.root.iterate(), *(node for subtree in taken_out for node in subtree.iterate())]
+    assert all(node.status is not Status.RUNNING for node in left)
+    assert not any("tick" in vars(node) for node in left), "guards are taken away with the tree"
+
+
+def is_holding(node):
+    return isinstance(node, RosaAction | ForAction) and node.status is Status.RUNNING
+
+
+@settings(max_examples=150)
+@given(TREES, st.lists(st.sampled_from([0.1, 0.9]), min_size=2, max_size=10))
+def test_no_guarded_action_runs_after_the_tick_that_follows_its_becoming_unfeasible(plan, light):
+    kb = rover()
+    guarded = guard_actions(plan).build(kb)
+    runner = TreeRunner(guarded, clock=lambda: 0.0)
+    for value in light:
+        kb.measure("light", value)
+        with suppress(TreeChangeError):
+            runner.tick()
+        running = {node.action for node in guarded.iterate() if is_holding(node)}
+        assert kb.is_feasible("scan") or "scan" not in running
+    runner.shutdown()
+
+
+def guard_actions(plan):
+    """Return the same plan with every action asked for where it is done."""
+    children = tuple(guard_actions(child) for child in plan.children)
+    if plan.kind == "acting" and plan.script[0] != "success":
+        return replace(plan, kind="guarded", children=children)
+    if plan.kind in ("plain", "acting"):
+        return replace(plan, kind="for", children=(replace(plan, kind="plain"),))
+    return replace(plan, children=children)
+
+
+@pytest.mark.parametrize("index", [0, 1, 2])
+def test_memory_of_a_composite_survives_the_loss_of_the_child_it_had_got_to(index):
+    names = ["a", "b", "c"]
+    steps = ["running" if number == index else "success" for number in range(3)]
+    leaves = [Plain(name, [step], "nowhere") for name, step in zip(names, steps, strict=True)]
+    root = Sequence("root", memory=True, children=leaves)
+    runner = TreeRunner(root, clock=lambda: 0.0)
+    runner.tick()
+    assert root.current_child is leaves[index]
+    prune(root, leaves[index])
+    runner.tick()
+    assert root.status is Status.SUCCESS
