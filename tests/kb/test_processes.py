@@ -353,7 +353,8 @@ def test_after_a_kill_the_facts_are_put_right_and_what_is_needed_runs_again(with
         if not with_guardian:
             os.kill(guardian, signal.SIGKILL)
         mission.kill()
-    kb, processes, manager = managed({"camera": python(SLEEP), "lidar": python(SLEEP)}, store=store)
+    brief = {"camera": python(SLEEP, grace=0.2), "lidar": python(SLEEP, grace=0.2)}
+    kb, processes, manager = managed(brief, store=store)
     with processes:
         assert [(one.pid, one.end) for one in kb.processes] == [(old, None)]
         assert kb.components["camera"].is_active
