@@ -75,6 +75,8 @@ def _lines(one: Individual, base: str) -> Iterator[str]:
     yield f'  <owl:NamedIndividual rdf:about="{iri_of(base, one.id)}">'
     for kind in dict.fromkeys((GENERAL.get(one.kind, one.kind), one.kind)):
         yield f'    <rdf:type rdf:resource="{ROSA}{kind}"/>'
+    for label in one.values.get("name", ()):
+        yield f"    <rdfs:label>{xml_text(str(label))}</rdfs:label>"
     for name, values in one.values.items():
         for value in dict.fromkeys(values):
             yield f"    {_property(name, value, base)}"

@@ -1,6 +1,8 @@
 """A model that is written as OWL is read back as it was, and others' readers understand what is written."""
 
 import shutil
+from functools import partial
+from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -11,6 +13,7 @@ from kb import Model, ModelError
 from kb.files import ModelFileError
 from kb.individuals import CLASSES, GENERAL, MODEL, PARAMETER, PREFERENCE, Ref, individuals, property_of
 from kb.rdfxml import ROSA, metamodel, owl_text, plain_text
+from missions.registry import MISSIONS
 from missions.suave_extended.model import suave_extended_model
 
 rdflib = pytest.importorskip("rdflib")
@@ -47,6 +50,41 @@ def test_model_is_the_same_after_a_way_through_owl_and_typeql(model, folder):
     assert (folder / "again.owl").read_bytes() == (folder / "there.owl").read_bytes()
 
 
+TQL = Path(__file__).parent / "typeql_files"
+MODELS = {
+    **{name: mission.model for name, mission in MISSIONS.items()},
+    **{one: partial(Model.load, TQL / f"{one}.tql") for one in ("underwater", "mobile_robot", "asserted")},
+    "underwater, extended": partial(Model.load, [TQL / "underwater.tql", TQL / "underwater_extended.tql"]),
+}
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_every_model_there_is_goes_through_owl_and_typeql_and_is_understood_by_others(name, tmp_path):
+    model = MODELS[name]()
+    model.save(tmp_path / "one.owl")
+    model.save(tmp_path / "one.tql")
+    Model.load(tmp_path / "one.owl").save(tmp_path / "two.tql")
+    Model.load(tmp_path / "one.tql").save(tmp_path / "two.owl")
+    for form in (".owl", ".tql"):
+        assert Model.load(tmp_path / f"one{form}") == Model.load(tmp_path / f"two{form}") == model
+    assert (tmp_path / "one.owl").read_bytes() == (tmp_path / "two.owl").read_bytes()
+    graph = parsed((tmp_path / "one.owl").read_text())
+    for kind, table in (("Action", model.actions), ("Component", model.components), ("Attribute", model.attributes)):
+        found = {str(label) for one in graph.subjects(rdflib.RDF.type, WORDS[kind]) for label in names_of(graph, one)}
+        assert found == set(table)
+
+
+def names_of(graph, one):
+    """Return what a viewer such as Protege shows for an individual."""
+    return list(graph.objects(one, rdflib.RDFS.label))
+
+
+def test_every_file_of_typeql_is_among_the_models_that_are_tried():
+    assert {one.stem for one in TQL.glob("*.tql")} == {*MODELS} - {*MISSIONS, "underwater, extended"} | {
+        "underwater_extended"
+    }
+
+
 @given(model=odd_models())
 @settings(max_examples=30, suppress_health_check=[HealthCheck.too_slow])
 def test_an_independent_reader_finds_the_exact_names_and_values(model):
@@ -76,11 +114,11 @@ def test_nothing_is_written_in_words_that_the_ontology_lacks(model):
         for _, predicate, value in graph.triples((subject, None, None)):
             if predicate == rdflib.RDF.type:
                 assert value in declared[OWL.Class] or value == OWL.NamedIndividual
-            elif isinstance(value, rdflib.Literal):
+            elif isinstance(value, rdflib.Literal) and predicate != rdflib.RDFS.label:
                 assert predicate in declared[OWL.DatatypeProperty]
                 (wanted,) = (*graph.objects(predicate, rdflib.RDFS.range), value.datatype)[:1]
                 assert value.datatype == wanted
-            else:
+            elif predicate != rdflib.RDFS.label:
                 assert predicate in declared[OWL.ObjectProperty]
 
 
