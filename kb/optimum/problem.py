@@ -199,12 +199,12 @@ class Problem:
         return all(load <= limit for load, limit in zip(effect.loads, self.limits, strict=True))
 
     def choice(self, picks: Picks) -> Choice:
-        """Return a choice by name."""
+        """Return a choice by name; configurations that use more of a budget than now come after the others."""
         pairs = zip(self.functions, picks.functions, strict=True)
         designs = {one.node: design for one, pick in pairs if (design := one.options[pick].node)}
         needed = {part for design in designs.values() for part in design.parts}
         configurations = {}
-        for one, pick in zip(self.components, picks.components, strict=True):
+        for one, pick in sorted(zip(self.components, picks.components, strict=True), key=_uses_more):
             node = one.options[pick].node if one.is_needed or one.node in needed else one.idle_node
             if node is not None:
                 configurations[one.node.name] = node.name
@@ -252,6 +252,13 @@ def whole(problem: Problem) -> Problem:
             load_units=tuple(one.unit for one in scales),
             resolution=0.0 if scale.is_exact else float(scale.unit * len(effects)),
         )
+
+
+def _uses_more(chosen: tuple[ComponentOptions, int]) -> bool:
+    component, pick = chosen
+    now = next((option.effect.loads for option in component.options if option.is_now), None)
+    loads = component.options[pick].effect.loads
+    return any(loads) if now is None else any(new > old for new, old in zip(loads, now, strict=True))
 
 
 def _now(options: Sequence[Option]) -> int:

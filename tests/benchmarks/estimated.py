@@ -9,7 +9,7 @@ from random import Random
 
 from kb import KnowledgeBase, Model
 
-__all__ = ["PREFERENCE", "power", "robot"]
+__all__ = ["PREFERENCE", "power", "robot", "small_robot"]
 
 PREFERENCE = {"accuracy": 1.0, "speed": 0.5, "wear": -0.8}
 
@@ -35,6 +35,41 @@ def robot(seed: int) -> KnowledgeBase:
     model.action("work", requires=functions)
     kb = KnowledgeBase(model, clock=lambda: 0.0)
     assert kb.request_action("work", PREFERENCE)
+    return kb
+
+
+def small_robot(seed: int) -> KnowledgeBase:
+    """Return a knowledge base of a robot of which every joint choice can be tried; some of it runs already."""
+    draw, model = Random(seed), Model(f"small robot {seed}")
+    for attribute in ("accuracy", "wear", "power"):
+        model.quality_attribute(attribute)
+    components = [
+        model.component(f"component {one}", kind=draw.choice(("plain", "process"))) for one in range(draw.randint(2, 4))
+    ]
+    for component in components:
+        for number in range(draw.randint(0, 3)):
+            component.configuration(f"configuration {number} of {component.name}", priority=draw.choice((1, 2, None)))
+    functions = [model.function(f"function {one}", always_improve=True) for one in range(draw.randint(1, 3))]
+    for function in functions:
+        for number in range(draw.randint(1, 3)):
+            parts = draw.sample(components, draw.randint(1, 2))
+            function.design(f"design {number} of {function.name}", parts, priority=draw.choice((1, 2, None)))
+    for causer in (*model.designs.values(), *components, *model.configurations.values()):
+        for attribute in ("accuracy", "wear", "power"):
+            if draw.random() < 0.6:
+                kind = draw.choice(("positive", "positive", "negative", "absolute"))
+                causer.estimate(attribute, draw.randint(0, 30) / 10, "positive" if attribute == "power" else kind)
+    model.action("work", requires=functions)
+    kb = KnowledgeBase(model, clock=lambda: 0.0)
+    assert kb.request_action("work")
+    for component in kb.components.values():
+        if draw.random() < 0.4:
+            kb.component_active(component.name, True)
+        if component.configurations and draw.random() < 0.4:
+            kb.assert_selected(kb.configurations[draw.choice(component.configurations)], True)
+    for function in kb.functions.values():
+        if draw.random() < 0.4:
+            kb.assert_selected(kb.designs[draw.choice(function.designs)], True)
     return kb
 
 

@@ -1,14 +1,23 @@
-"""How long it takes to find, and to prove, the best configuration."""
+"""How long it takes to find, and to prove, the best configuration; and that it is the best of 1,000 small robots."""
 
+import sys
 import time
+from pathlib import Path
+from random import Random
 from statistics import quantiles
 from typing import NamedTuple
 
 import pytest
-from estimated import power, robot
+from estimated import power, robot, small_robot
 from figures import table
 
 from kb.optimum.planner import OptimalPlanner
+from kb.optimum.solver import best_choice
+from kb.selection import Criterion
+
+sys.path.append(str(Path(__file__).parents[1] / "kb"))  # the twin is the oracle of the tests there
+
+from best_by_trying import best_by_trying
 
 pytestmark = pytest.mark.benchmark
 
@@ -70,6 +79,25 @@ def test_best_configuration_of_100_robots_is_proven(tables):
     tables["5"] = lambda: written(found)
     for times in found.values():
         assert all(one.is_proven for one in times)
+
+
+def test_best_configuration_of_1000_small_robots_is_the_one_found_by_trying_all():
+    nothing = 0
+    for seed in range(1000):
+        kb, draw = small_robot(seed), Random(seed)
+        weights = {name: draw.choice((1.0, 0.5, -0.5, -1.0)) for name in ("accuracy", "wear")}
+        budgets = {"power": draw.randint(0, 100) / 10} if draw.random() < 0.5 else {}
+        criterion = Criterion(weights, draw.choice((0.0, 0.1, 0.5)), budgets)
+        found, expected = best_choice(kb._state, criterion), best_by_trying(kb._state, criterion)
+        assert found.is_proven
+        if expected is None:
+            nothing += 1
+            assert found.choice is None
+        else:
+            worth, *choice = expected
+            assert found.value == pytest.approx(float(worth), abs=1e-12)
+            assert [dict(one) for one in found.choice] == choice
+    assert 20 < nothing < 200
 
 
 def written(found):

@@ -70,7 +70,7 @@ def criteria(draw, budgets=True):
     return Criterion(draw(weights), costs, draw(st.just({}) | limits) if budgets else {})
 
 
-@settings(SLOW, max_examples=200)
+@settings(SLOW, max_examples=300)
 @given(robots(), criteria())
 def test_best_choice_is_the_one_found_by_trying_all(kb, criterion):
     expected = best_by_trying(kb._state, criterion)
@@ -472,3 +472,47 @@ def test_setting_without_a_meaning_is_refused(settings):
 
 def test_preferences_add_up():
     assert summed_weights(["a", None, {"a": -0.5, "b": 2.0}]) == {"a": 0.5, "b": 2.0}
+
+
+class Meter:
+    """A robot that does at once what it is told, and measures what it uses."""
+
+    def __init__(self):
+        self.uses = {}
+        self.most = 0.0
+
+    def activate(self, component):
+        pass
+
+    def deactivate(self, component):
+        del self.uses[component]
+
+    def set_parameters(self, component, parameters):
+        self.uses[component] = parameters["power"]
+        self.most = max(self.most, sum(self.uses.values()))
+
+
+@given(st.permutations(range(3)), st.permutations(range(3)))
+def test_running_components_are_set_to_use_less_before_others_use_more(first, then):
+    model = Model("three")
+    for name in ("power", "x0", "x1", "x2"):
+        model.quality_attribute(name)
+    parts = [model.component(f"part {number}", kind="process", always_improve=True) for number in range(3)]
+    for part, attribute in zip(parts, ("x0", "x1", "x2"), strict=True):
+        for power in (1.0, 4.0, 9.0):
+            one = part.configuration(f"{part.name} at {power:g}", {"power": power})
+            one.estimate("power", power)
+            one.estimate(attribute, power)
+    model.function("work").design("by all", parts)
+    model.action("explore", requires=["work"])
+    clock, meter = Clock(), Meter()
+    kb = KnowledgeBase(model, clock=clock)
+    manager = ConfigurationManager(kb, meter, planner=OptimalPlanner(budgets={"power": 14.0}))
+    for order in (first, then):
+        kb.cancel_action("explore")
+        kb.request_action("explore", {f"x{number}": 10.0**-place for place, number in enumerate(order)})
+        for _ in range(4):
+            clock.now += 1.0
+            manager.update()
+        assert [meter.uses[f"part {number}"] for number in order] == [9.0, 4.0, 1.0]
+    assert meter.most == 14.0
