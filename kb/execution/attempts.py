@@ -95,8 +95,9 @@ class Step:
     @property
     def is_void(self) -> bool:
         """Whether what is commanded, or what it is configured with, is no longer in the model."""
-        command, kb = self.command, self._kb
-        return command.component not in kb.components or command.configuration not in (None, *kb.configurations)
+        component, configuration = self.command.component, self.command.configuration
+        known = self._kb.configurations
+        return component not in self._kb.components or (configuration is not None and configuration not in known)
 
     def begin(self, now: float) -> None:
         """Give the command if it is time for that and it is not under way."""
