@@ -12,7 +12,7 @@ from kb.execution.rehearsal import Rehearsal
 from kb.knowledge_base import KnowledgeBase
 from kb.manager import PriorityPlanner
 from kb.optimum.beside import Beside
-from kb.optimum.posing import pose
+from kb.optimum.posing import check_names, pose
 from kb.optimum.problem import Problem
 from kb.reconfiguration import ReconfigurationPlan, why_activated
 from kb.selection import Criterion, Optimum, summed_weights
@@ -58,6 +58,8 @@ class OptimalPlanner:
 
         if finite_number(effort) <= 0.0:
             raise InvalidValue(f"an effort is more than 0, not {effort!r}")
+        if not isinstance(budgets, Mapping | None):
+            raise InvalidValue(f"budgets are given as the most by name of attribute, not as {budgets!r}")
         if delay is not None and finite_number(delay) < 0.0:
             raise InvalidValue(f"a delay is 0 s or more, or None to choose within the update, not {delay!r}")
         self._solver = solver
@@ -79,6 +81,8 @@ class OptimalPlanner:
         if isinstance(kb, Rehearsal):  # it is answered at once, and not remembered
             found = self.optimum(kb) if self._is_due(kb, kb._kb) else None
             return self._by_priority.plan(kb) if found is None else _select(kb, found)
+        if kb not in self._last:  # a name that is wrong is found at the first update
+            check_names(kb._network, self._given)
         found = None
         if self._is_due(kb, kb):
             problem = self._posed(kb)
@@ -169,8 +173,8 @@ class _Last(NamedTuple):
 
 
 def _select(kb: KnowledgeBase, found: Optimum) -> ReconfigurationPlan | None:
-    """Select what was found; what nothing needs any more is given up even if nothing was."""
-    if found.choice is None:
+    """Select what was found; if that is nothing, what nothing needs any more is given up all the same."""
+    if found.choice is None or not any(found.choice):
         return kb.select() if kb.obsolete() else None
     designs, configurations = found.choice
     chosen = [

@@ -20,7 +20,7 @@ from kb.selection import Criterion, by_priority
 from kb.state import State
 from kb.status import Status
 
-__all__ = ["pose"]
+__all__ = ["check_names", "pose"]
 
 
 def pose(
@@ -38,12 +38,13 @@ def pose(
     Raises:
         UnknownName: the criterion names an attribute or a component that the model does not have.
     """
-    _check_names(state.network, criterion)
+    check_names(state.network, criterion)
     with localcontext(EXACTLY):
         return whole(_Posing(state, criterion, functions, forced).problem())
 
 
-def _check_names(network: Network, criterion: Criterion) -> None:
+def check_names(network: Network, criterion: Criterion) -> None:
+    """Raise `UnknownName` unless the model has all that a criterion names."""
     costs = criterion.switching_cost
     for kind, table, names in (
         ("attribute", network.attributes, (*criterion.weights, *criterion.budgets)),

@@ -455,7 +455,6 @@ def test_every_rival_is_told_to_be_worth_less_or_later_or_not_to_fit(kb, criteri
 
 def test_what_is_not_in_the_model_is_an_error_that_names_what_is(model):
     kb = KnowledgeBase(model, clock=Clock())
-    kb.request_action("explore")
     with pytest.raises(UnknownName, match="did you mean 'power'"):
         OptimalPlanner(budgets={"powr": 1.0}).plan(kb)
     with pytest.raises(UnknownName, match="did you mean 'lidar'"):
@@ -463,7 +462,8 @@ def test_what_is_not_in_the_model_is_an_error_that_names_what_is(model):
 
 
 @pytest.mark.parametrize(
-    "settings", [{"switching_cost": -1.0}, {"budgets": {"power": math.nan}}, {"effort": 0.0}, {"effort": math.inf}]
+    "settings",
+    [{"switching_cost": -1.0}, {"budgets": {"power": math.nan}}, {"budgets": 3}, {"effort": 0.0}, {"effort": math.inf}],
 )
 def test_setting_without_a_meaning_is_refused(settings):
     with pytest.raises(InvalidValue):

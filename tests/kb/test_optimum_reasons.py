@@ -230,3 +230,9 @@ def test_situation_explains_what_was_selected_by_its_reason_too(model):
     kb, _ = at_work(model, OptimalPlanner())
     assert str(kb.situation(failed=["camera"]).explain_choice("see")).startswith("by both is selected for function see")
     assert kb.situation(power=3.0).explain_choice("see") == kb.explain_choice("see")
+
+
+def test_what_is_given_up_when_nothing_is_required_is_not_said_to_be_the_best(model):
+    kb, _ = at_work(model, planner := OptimalPlanner(budgets={"power": 40.0}, switching_cost=0.1))
+    kb.cancel_action("explore")
+    assert planner.plan(kb).reason == "what was active or selected is no longer needed"
