@@ -1,9 +1,9 @@
 """How a model is amended while it is in use: what may change of an element, and what goes when one is removed."""
 
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import fields, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Final, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Final, Protocol, TypeVar, runtime_checkable
 
 from kb.declarations import age, agreement, choice, flag, listed, pid, priority, span
 from kb.declarations import parameters as checked_parameters
@@ -21,7 +21,7 @@ from kb.elements import (
     StalePolicy,
     finite_number,
 )
-from kb.exceptions import InvalidValue, ModelError, UnknownName
+from kb.exceptions import AmbiguousName, InvalidValue, ModelError, UnknownName
 from kb.facts import (
     ActiveFact,
     Fact,
@@ -39,9 +39,54 @@ from kb.status import STATUSES, Status
 if TYPE_CHECKING:
     from kb.model import Model
 
-__all__ = ["Changeable", "KINDS", "Observer", "checked_changes", "checked_fact", "concerns", "description", "removal"]
+__all__ = [
+    "Changeable",
+    "Elements",
+    "KINDS",
+    "Observer",
+    "checked_changes",
+    "checked_fact",
+    "concerns",
+    "description",
+    "named",
+    "removal",
+]
 
 Changeable = Element | Constraint | Estimation
+ElementT = TypeVar("ElementT", bound=Element)
+
+
+class Elements(Mapping[str, ElementT]):
+    """The elements of one kind by name, in order of declaration; an unknown name says which are near it.
+
+    Args:
+        kind: what one of them is called.
+        table: in which they are.
+    """
+
+    __slots__ = ("_kind", "_table")
+
+    def __init__(self, kind: str, table: Mapping[str, ElementT]) -> None:
+        self._kind = kind
+        self._table = table
+
+    def __getitem__(self, name: str) -> ElementT:
+        found = self._table.get(name) if isinstance(name, str) else None
+        if found is None:
+            raise UnknownName(self._kind, name, self._table)
+        return found
+
+    def __contains__(self, name: object) -> bool:
+        return isinstance(name, str) and name in self._table
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._table)
+
+    def __len__(self) -> int:
+        return len(self._table)
+
+    def __repr__(self) -> str:
+        return f"<{self._kind}s {', '.join(map(repr, self._table))}>" if self._table else f"<no {self._kind}s>"
 
 
 @runtime_checkable
@@ -96,6 +141,38 @@ _CHECKS: Final[Mapping[type, Mapping[str, Check]]] = {
     Function: _IMPROVE,
     FunctionDesign: _PRIORITY,
 }
+
+
+def named(model: "Model", name: str) -> Element:
+    """Return the one element that has a name.
+
+    Raises:
+        AmbiguousName: elements of several kinds have it.
+    """
+    tables: dict[str, Mapping[str, Element]] = {
+        "actions": model.actions,
+        "functions": model.functions,
+        "components": model.components,
+        "designs": model.designs,
+        "configurations": model.configurations,
+        "attributes": model.attributes,
+    }
+    found = {word: table[name] for word, table in tables.items() if name in table}
+    if not found:
+        raise UnknownName("element", name, dict.fromkeys(one for table in tables.values() for one in table))
+    if len(found) > 1:
+        kinds = ", ".join(f"{'an' if kind[0] == 'a' else 'a'} {kind}" for kind in map(_kind, found.values()))
+        raise AmbiguousName(f"{name!r} names several things: {kinds}; give the one meant, e.g. {_first(found, name)}")
+    (element,) = found.values()
+    return element
+
+
+def _kind(element: Element) -> str:
+    return KINDS[type(element)]
+
+
+def _first(words: Iterable[str], name: str) -> str:
+    return f"model.{next(iter(words))}[{name!r}]"
 
 
 def checked_changes(element: Changeable, changes: Mapping[str, object]) -> dict[str, object]:

@@ -259,7 +259,7 @@ def _together(causes: Iterable[Explanation]) -> Reasons:
     return (reason,) if reason else ()
 
 
-def why_selected(state: State, chosen: Sequence[Node], now: float, said: str = "") -> str:
+def why_selected(state: State, chosen: Sequence[Node], now: float, said: str = "", ended: Iterable[str] = ()) -> str:
     """Say why designs and configurations are about to be selected.
 
     Args:
@@ -267,6 +267,7 @@ def why_selected(state: State, chosen: Sequence[Node], now: float, said: str = "
         chosen: what is selected.
         now: the present time [s], for the age of measurements.
         said: why whoever selects them prefers them, in words; by default they are said to be preferred.
+        ended: which requests have ended, and why, in words.
     """
     users: dict[Node, list[Node]] = {}
     for design in chosen:
@@ -286,7 +287,32 @@ def why_selected(state: State, chosen: Sequence[Node], now: float, said: str = "
         elif not said:
             reasons.append(f"{node.name} is feasible and preferred to {before.name}")
     reasons += [said] if said else []
-    return "; ".join(dict.fromkeys(reasons)) or "what was active or selected is no longer needed"
+    reasons += _why_lacking(state, chosen, only_told=bool(reasons))
+    return "; ".join(dict.fromkeys(reasons or [*ended, "what was active or selected is no longer needed"]))
+
+
+def _why_lacking(state: State, chosen: Sequence[Node], *, only_told: bool) -> list[str]:
+    """Say why components of designs that stay selected are to be activated: all of them, or where that was told."""
+    anew = {node.wholes[0] for node in chosen}
+    untold: list[Node] = []
+    sentences = []
+    for component in state.lacking.nodes():
+        stay = (one for one in state.users[component.index] if one in chosen or one.wholes[0] not in anew)
+        if not any(state.required[one.wholes[0].index] for one in stay):
+            continue
+        text = state.reason("active", component).text
+        if text:
+            sentences.append(f"{text}; {component.name} is needed by {_needed_by(state, component, ())}")
+        else:
+            untold.append(component)
+    if only_told or not untold:
+        return sentences
+    names = [component.name for component in untold[:_MOST]]
+    if len(untold) > _MOST:
+        names.append(f"{len(untold) - _MOST} more")
+    are = "is" if len(names) == 1 else "are"
+    needed = _needed_by(state, untold[0], ())
+    return [*sentences, f"{' and '.join(names)} {are} not active, and {are} needed by {needed}"]
 
 
 def _needed_by(state: State, node: Node, about: Iterable[Node]) -> str:

@@ -1,10 +1,11 @@
 """The knowledge base: facts come in, statuses follow, actions are requested and configurations selected."""
 
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
+from typing import Final
 
 from kb.amendments import Changeable
 from kb.beginning import past_plan, past_process, past_request, stated
@@ -19,7 +20,7 @@ from kb.inference import settle
 from kb.keeping import KEPT, Keeping
 from kb.model import Model
 from kb.network import Network, Node, is_steady
-from kb.reconfiguration import ReconfigurationPlan, Selection, reselect
+from kb.reconfiguration import ReconfigurationPlan, Selection, planned, reselect
 from kb.recovery import open_store, resume
 from kb.requests import Reply, RequiredAction, check_result
 from kb.situation import Situation, assumptions
@@ -27,6 +28,9 @@ from kb.status import Status
 from kb.telling import status_changes
 
 __all__ = ["KnowledgeBase"]
+
+_ENDED: Final = 4
+"""How many requests that have ended a plan names as its reason at most."""
 
 
 class KnowledgeBase(Keeping):
@@ -62,6 +66,7 @@ class KnowledgeBase(Keeping):
         self._history: list[RequiredAction] = []
         self._plans: list[ReconfigurationPlan] = []
         self._open_plans: list[ReconfigurationPlan] = []
+        self._ended: deque[str] = deque(maxlen=_ENDED)
         if past and not past.store.is_new:
             resume(self, past.facts, clock())
             self._look_at_the_clock()
@@ -115,6 +120,8 @@ class KnowledgeBase(Keeping):
             self._journal.enter(now, self._known, (), [required])
             self._known.requested[node.index] = False
             words = f"{action} is {result}: {reason}" if reason else f"{action} is {result}"
+            if reason:
+                self._ended.append(words)
             self._tell(EventKind.ACTION_UPDATE, now, node, lambda: words)
 
     def situation(
@@ -174,7 +181,7 @@ class KnowledgeBase(Keeping):
                 _owned(self.configurations.node(name), self.components.node(of)) for of, name in _pairs(configurations)
             ]
             now = self._clock()
-            why_these = why_selected(self._state, [*chosen, *given], now, reason)
+            why_these = why_selected(self._state, [*chosen, *given], now, reason, self._ended)
             selection = reselect(self._state, chosen, given)
             reselected = dict.fromkeys([*selection.reselected, *chosen, *given])
             for node in reselected:
@@ -182,13 +189,13 @@ class KnowledgeBase(Keeping):
             if not selection:
                 self._selected(now, reselected, selection)
                 return None
-            activate, deactivate, parameters, changes, _ = selection
-            plan = ReconfigurationPlan(activate, deactivate, parameters, why_these, now)
+            plan = planned(self._known, selection, why_these, now)
+            self._ended.clear()
             self._plans.append(plan)
             self._open_plans.append(plan)
             self._journal.enter(now, self._known, reselected, [plan])
             self._publisher.publish(
-                Event(EventKind.RECONFIGURATION_PLAN, now, "", str(plan), status_changes(changes), plan)
+                Event(EventKind.RECONFIGURATION_PLAN, now, "", str(plan), status_changes(selection.changes), plan)
             )
             return plan
 
@@ -203,8 +210,9 @@ class KnowledgeBase(Keeping):
         if self._publisher:
             selected = self._known.selected
             words = [f"{one.name} is {'' if selected[one.index] else 'not '}selected" for one in changed]
+            subject = changed[0].name if len(changed) == 1 else ""
             told = status_changes(selection.changes)
-            self._publisher.publish(Event(EventKind.MONITORING_DATA, now, "", ", ".join(words), told))
+            self._publisher.publish(Event(EventKind.MONITORING_DATA, now, subject, ", ".join(words), told))
 
     @property
     def plans(self) -> tuple[ReconfigurationPlan, ...]:

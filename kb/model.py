@@ -4,11 +4,9 @@
     light = model.environmental_attribute("light")
     camera = model.component("camera_node", kind="lifecycle")
     camera.configuration("day", {"exposure": 0.01}, priority=1, constraints=[light >= 0.5])
-    camera.configuration("night", {"exposure": 0.20}, priority=2)
     see = model.function("see")
     see.design("by camera", [camera], priority=1)
-    explore = model.action("explore", requires=[see])
-    explore.constrain(light >= 0.05)
+    model.action("explore", requires=[see], constraints=[light >= 0.05])
 
 A name is unique within its kind, not across kinds. Elements refer to one another by name. A model can be changed while
 knowledge bases are at work on it: the next question that they are asked sees it.
@@ -17,11 +15,21 @@ knowledge bases are at work on it: the next question that they are asked sees it
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from types import MappingProxyType, UnionType
+from types import UnionType
 from typing import TYPE_CHECKING, Any, TypeVar, get_args
 from weakref import ref
 
-from kb.amendments import Changeable, Observer, checked_changes, checked_fact, concerns, description, removal
+from kb.amendments import (
+    Changeable,
+    Elements,
+    Observer,
+    checked_changes,
+    checked_fact,
+    concerns,
+    description,
+    named,
+    removal,
+)
 from kb.declarations import age, choice, expressions, flag, identifier, listed, reference, text
 from kb.declarations import agreement as checked_agreement
 from kb.declarations import parameters as checked_parameters
@@ -78,18 +86,26 @@ class Model:
         self._functions: dict[str, Function] = {}
         self._designs: dict[str, FunctionDesign] = {}
         self._actions: dict[str, Action] = {}
+        self._tables: dict[type[Element], dict[str, Any]] = {
+            Attribute: self._attributes,
+            Component: self._components,
+            Configuration: self._configurations,
+            Function: self._functions,
+            FunctionDesign: self._designs,
+            Action: self._actions,
+        }
         self._constraints: dict[Constraint, None] = {}
         self._estimations: dict[Estimation, None] = {}
         self._facts: list[Fact] = []
         self.notes: list[str] = []
         self.places: dict[Element | Constraint, str] = {}
         self._observers: list[ref[Observer]] = []
-        self.attributes: Mapping[str, Attribute] = MappingProxyType(self._attributes)
-        self.components: Mapping[str, Component] = MappingProxyType(self._components)
-        self.configurations: Mapping[str, Configuration] = MappingProxyType(self._configurations)
-        self.functions: Mapping[str, Function] = MappingProxyType(self._functions)
-        self.designs: Mapping[str, FunctionDesign] = MappingProxyType(self._designs)
-        self.actions: Mapping[str, Action] = MappingProxyType(self._actions)
+        self.attributes: Mapping[str, Attribute] = Elements("attribute", self._attributes)
+        self.components: Mapping[str, Component] = Elements("component", self._components)
+        self.configurations: Mapping[str, Configuration] = Elements("configuration", self._configurations)
+        self.functions: Mapping[str, Function] = Elements("function", self._functions)
+        self.designs: Mapping[str, FunctionDesign] = Elements("function design", self._designs)
+        self.actions: Mapping[str, Action] = Elements("action", self._actions)
 
     @property
     def constraints(self) -> tuple[Constraint, ...]:
@@ -277,29 +293,29 @@ class Model:
 
         return check_model(self, names)
 
-    def change(self, element: Changeable, **fields: object) -> None:
+    def change(self, element: Changeable | str, **fields: object) -> None:
         """Change what may change of an element, e.g. `model.change(design, priority=2)`, or nothing if one is refused.
 
         Args:
-            element: of this model; a constraint is one of `constraints`, or what `constrain` returned.
+            element: of this model, or a name that only one has; a constraint is what `constrain` returned.
             fields: new values; of a constraint `value`, `hysteresis` and `dwell`, of a design its `priority`, of a
                 configuration also its `parameters`, of a function or component `always_improve`, of an attribute
                 `max_age`, `when_stale` and `agreement`, of a component also `stops_to_configure`, of an estimation
                 `value` and `kind`.
         """
-        self._owned("changed", element, Changeable)
+        element = self._meant("what is changed", element)
         for name, value in checked_changes(element, fields).items():
             object.__setattr__(element, name, value)
         for observer in self._watching():
             observer.model_changed(element)
 
-    def remove(self, element: Changeable) -> None:
-        """Take an element out of the model, with the constraints and estimations that are of nothing else.
+    def remove(self, element: Changeable | str) -> None:
+        """Take an element, or the only one that has a name, out of the model, with what constrains or estimates it.
 
         Raises:
             ModelError: something else in the model is made of it; the message names what.
         """
-        self._owned("removed", element, Changeable)
+        element = self._meant("what is removed", element)
         removed = removal(self, element)
         for one in removed:
             if isinstance(one, Constraint):
@@ -307,7 +323,7 @@ class Model:
             elif isinstance(one, Estimation):
                 del self._estimations[one]
             else:
-                del self._table(one)[one.name]
+                del self._tables[type(one)][one.name]
         self._facts = [fact for fact in self._facts if not concerns(fact, removed)]
         for observer in self._watching():
             observer.model_shrank(removed)
@@ -362,16 +378,10 @@ class Model:
     def _watching(self) -> list[Observer]:
         return [observer for one in tuple(self._observers) if (observer := one()) is not None]
 
-    def _table(self, element: Element) -> dict[str, Any]:
-        tables: dict[type[Element], dict[str, Any]] = {
-            Attribute: self._attributes,
-            Component: self._components,
-            Configuration: self._configurations,
-            Function: self._functions,
-            FunctionDesign: self._designs,
-            Action: self._actions,
-        }
-        return tables[type(element)]
+    def _meant(self, what: str, element: Changeable | str) -> Changeable:
+        found = named(self, element) if isinstance(element, str) else element
+        self._owned(what, found, Changeable)
+        return found
 
     def _owned(self, what: str, element: object, kinds: UnionType) -> None:
         if not isinstance(element, kinds):
@@ -385,6 +395,6 @@ class Model:
             assert isinstance(element, Element)
             if element.model is not self:
                 raise ModelError(f"{element.name!r} belongs to model {element.model.name!r}, not to {self.name!r}")
-            found, name = self._table(element).get(element.name) is element, repr(element.name)
+            found, name = self._tables[type(element)].get(element.name) is element, repr(element.name)
         if not found:
             raise ModelError(f"{name} is not in model {self.name!r}, or no longer")

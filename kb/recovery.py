@@ -27,7 +27,7 @@ from kb.journal import COLUMNS, Record
 from kb.model import Model
 from kb.network import Node
 from kb.rdfxml import BASE
-from kb.reconfiguration import ReconfigurationPlan
+from kb.reconfiguration import ReconfigurationPlan, plain
 from kb.requests import RequiredAction
 from kb.state import Reason
 from kb.status import Status
@@ -181,7 +181,9 @@ class _Resumption:
             _names(fact, word) for word in ("activates", "deactivates", "setsParametersOf")
         )
         reason, result = _only(fact, "reason", ""), _only(fact, "result")
-        plan = ReconfigurationPlan(activate, deactivate, parameters, reason, *_span(fact), result)
+        known = self.kb._network.components
+        nodes = [known[name] for name in (*activate, *deactivate) if name in known]
+        plan = ReconfigurationPlan(activate, deactivate, parameters, reason, *_span(fact), result, plain(nodes))
         self.plans[fact.id] = plan
         self.kb._plans.append(plan)
         if plan.end is None:

@@ -211,10 +211,15 @@ class Telling(Recording):
         until = self._known.reason("asserted", node).until
         if until is None or until > now:
             return
-        self._known.asserted[node.index] = None
+        status, self._known.asserted[node.index] = self._known.asserted[node.index], None
         self._known.give_reason("asserted", node)
         self._journal.enter(until, self._known, [node])
-        self._tell(EventKind.MONITORING_DATA, now, node, lambda: f"{node.name} is no longer asserted, as was said")
+        self._tell(
+            EventKind.MONITORING_DATA,
+            now,
+            node,
+            lambda: f"{node.name} is no longer asserted {status}: its time is over",
+        )
 
     def _report(self, component: str, failed: bool, reason: str = "") -> None:
         node = self.components.node(component)

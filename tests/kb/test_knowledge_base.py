@@ -430,7 +430,6 @@ def test_the_hint_of_an_ambiguous_name_is_a_view_of_that_very_name():
 WRONG_KIND = [
     (lambda kb: kb.assert_status(kb.attributes["light"], "feasible")),
     (lambda kb: kb.retract_status(kb.attributes["light"])),
-    (lambda kb: kb.explain(kb.attributes["light"])),
     (lambda kb: kb.assert_required(kb.designs["by camera"], True)),
     (lambda kb: kb.assert_required(kb.attributes["light"], True)),
     (lambda kb: kb.assert_selected(kb.actions["explore"], True)),
