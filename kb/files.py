@@ -121,7 +121,8 @@ def write_text(file: Path, text: str) -> None:
     except OSError as error:
         with suppress(OSError):
             part.unlink(missing_ok=True)
-        raise ModelFileError(f"the file cannot be written: {error}", str(file)) from None
+        why = "there is no such folder" if isinstance(error, FileNotFoundError) else error.strerror
+        raise ModelFileError(f"the file cannot be written: {why}", str(file)) from None
 
 
 def _typeql(model: "Model") -> str:

@@ -17,7 +17,7 @@ from kb.elements import (
 from kb.typeql.facts import Elements, facts
 from kb.typeql.store import Store, Thing
 from kb.typeql.values import parameter
-from kb.typeql.words import ROLES, Kind
+from kb.typeql.words import ROLES, SLIPS, Kind
 
 if TYPE_CHECKING:
     from kb.model import Model
@@ -153,6 +153,8 @@ class _Building:
         value = _number(thing, "value", 0.0 if _stated(thing) else None)
         constrained = [self.elements[one] for one in thing.players("constrained")]
         place = (thing.own("operator") or thing).place
+        if sign in SLIPS:
+            raise place.error(f"{sign!r} is no comparison; did you mean {SLIPS[sign]!r}?")
         with place.blamed():
             expression = Expression(attributes[0], sign, value, self.model).steady(
                 hysteresis=_number(thing, "hysteresis", 0.0), dwell=_number(thing, "dwell", 0.0)

@@ -1,5 +1,6 @@
 """From the text of a TypeQL file to what stands there, by the grammar in `grammar.lark`, and on to a model."""
 
+import re
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -29,6 +30,7 @@ from kb.typeql.syntax import (
     TypeDefinition,
     Unsupported,
 )
+from kb.typeql.words import SLIPS
 
 if TYPE_CHECKING:
     from kb.model import Model
@@ -37,6 +39,9 @@ __all__ = ["load_typeql", "parse"]
 
 MAX_DEPTH: Final = 100
 """How deep brackets may nest; what is deeper is no model, and would only fill the memory."""
+
+_QUOTED: Final = re.compile(r"""#[^\r\n]*|"(?:[^"\\]|\\[\s\S])*"|'(?:[^'\\]|\\[\s\S])*'""")
+"""A comment or a text."""
 
 _CHANGING: Final = frozenset({"delete", "update", "undefine"})
 _EXPECTED: Final = {
@@ -106,8 +111,10 @@ def parse(text: str, file: str) -> list[Query]:
     except UnexpectedToken as error:
         if error.token.type == "$END":
             raise _ended(text, file, _wanted(error)) from None
-        raise _unexpected(file, error, f"`{_short(str(error.token))}`") from None
+        raise _slip(text, file, error) or _unexpected(file, error, f"`{_short(str(error.token))}`") from None
     except UnexpectedCharacters as error:
+        if likely := _slip(text, file, error):
+            raise likely from None
         character = text[error.pos_in_stream or 0]
         given = "a text without a closing quote" if character in "'\"" else f"{_short(character)!r}"
         raise _unexpected(file, error, given) from None
@@ -230,6 +237,24 @@ def _parser() -> Lark:
 def _unexpected(file: str, error: UnexpectedToken | UnexpectedCharacters, given: str) -> ModelFileError:
     wanted = _wanted(error)
     return ModelFileError(f"{given} stands here; expected {wanted}", file, error.line, error.column)
+
+
+def _slip(text: str, file: str, error: UnexpectedToken | UnexpectedCharacters) -> ModelFileError | None:
+    """Return what is likely meant: the mistake is found only after it."""
+    at = error.pos_in_stream or 0
+    sign = text[at - 1 : at + 1]
+    if sign in SLIPS:
+        return ModelFileError(
+            f"`{sign}` stands here; did you mean `{SLIPS[sign]}`?", file, error.line, error.column - 1
+        )
+    for quoted in _QUOTED.finditer(text, 0, at):
+        if "\n" in quoted[0] and quoted[0][0] in "'\"" and not text[quoted.end() : at].strip():
+            line = text.count("\n", 0, quoted.start()) + 1
+            column = quoted.start() - text.rfind("\n", 0, quoted.start())
+            return ModelFileError(
+                f"a text begins here and ends only in line {error.line}; is a quote missing?", file, line, column
+            )
+    return None
 
 
 def _ended(text: str, file: str, wanted: str) -> ModelFileError:

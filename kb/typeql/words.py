@@ -9,7 +9,19 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final
 
-__all__ = ["ALIASES", "ENTITIES", "FIELDS", "Field", "Kind", "QUALIFIERS", "RELATIONS", "ROLES", "Role", "Value"]
+__all__ = [
+    "ALIASES",
+    "ENTITIES",
+    "FIELDS",
+    "Field",
+    "Kind",
+    "QUALIFIERS",
+    "RELATIONS",
+    "ROLES",
+    "Role",
+    "SLIPS",
+    "Value",
+]
 
 
 class Kind(StrEnum):
@@ -116,6 +128,10 @@ RELATIONS: Final[Mapping[str, Kind]] = {
     "component-process": Kind.PROCESS,
 }
 """Each relation type, and what we make of it."""
+
+
+SLIPS: Final[Mapping[str, str]] = {"=<": "<=", "=>": ">=", "≤": "<=", "≥": ">="}
+"""What is written for a comparison by mistake, and what is meant."""
 
 
 def _words(text: str) -> tuple[str, ...]:

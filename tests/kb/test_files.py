@@ -202,8 +202,10 @@ def test_save_that_fails_leaves_nothing_half_written(tmp_path):
 
 
 def test_save_into_a_folder_that_is_not_there_is_an_error(tmp_path):
-    with pytest.raises(ModelFileError, match="cannot be written"):
-        Model("rover").save(tmp_path / "nowhere" / "rover.tql")
+    path = tmp_path / "nowhere" / "rover.tql"
+    with pytest.raises(ModelFileError) as caught:
+        Model("rover").save(path)
+    assert str(caught.value) == f"{path}: the file cannot be written: there is no such folder"
 
 
 def test_unknown_suffix_is_an_error_that_lists_the_formats(tmp_path):
