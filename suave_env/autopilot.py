@@ -28,21 +28,25 @@ class Autopilot:
         self._bias = bias
         self._period = settings.control_period_s
         self._periods = 0
+        self._until = 0.0
         self._guidance = Guidance(settings, vehicle.position)
 
     @property
     def position(self) -> Vector:
-        """Where the vehicle is [m], world frame ENU, z up."""
-        return self._vehicle.position
+        """Where the vehicle is [m], world frame ENU, z up; between two control periods it goes on as it was going."""
+        x, y, z = self._vehicle.position
+        vx, vy, vz = self._vehicle.velocity
+        since = self._until - self._periods * self._period
+        return x + since * vx, y + since * vy, z + since * vz
 
     def go_to(self, target: Vector, time: float) -> None:
         """Fly to a setpoint [m], world frame ENU, z up, from now [s] on."""
         x, y, z = target
-        self._guidance.go_to((x, y, z + self._bias), self._vehicle.position, self._vehicle.velocity, time)
+        self._guidance.go_to((x, y, z + self._bias), self.position, self._vehicle.velocity, time)
 
     def hold(self, time: float) -> None:
         """Come to rest where that is soonest, from now [s] on."""
-        position, velocity = self._vehicle.position, self._vehicle.velocity
+        position, velocity = self.position, self._vehicle.velocity
         self._guidance.go_to(self._guidance.stopping_point(position, velocity), position, velocity, time)
 
     def fly(self, until: float) -> None:
@@ -59,7 +63,7 @@ class Autopilot:
                 raise SuaveEnvError(
                     f"the simulation became unstable after {count * period:.3f} s; a setting is far from its default"
                 )
-            east, north, up = guidance.force(pose, motion, count * period, period)
+            east, north, up = guidance.force(pose, motion, (count + 0.5) * period, period)
             yaw = yaw_of(pose[3:])
             cosine, sine = math.cos(yaw), math.sin(yaw)
             turn = -heading_gain * yaw - heading_damping * motion[5]
@@ -68,4 +72,5 @@ class Autopilot:
             left = cosine * north - sine * east + sway_drag * abs(sway) * sway
             up += heave_drag * abs(heave) * heave
             vehicle.push(thrusters.allocate(forward, left, up, -roll_damping * motion[3], turn))
-        self._periods = max(self._periods, last)
+            thrusters.work(period)
+        self._periods, self._until = max(self._periods, last), until

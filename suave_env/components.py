@@ -12,9 +12,10 @@ from suave_env.agenda import Agenda
 from suave_env.autopilot import Autopilot
 from suave_env.guidance import Vector
 from suave_env.messages import COMPONENT_STATUS, MISSION_STATUS, Outbox
+from suave_env.monitors import thruster_words
 from suave_env.pipeline import SEABED_Z_M
 from suave_env.settings import Settings
-from suave_env.thrusters import COUNT, Thrusters
+from suave_env.thrusters import COUNT
 
 __all__ = ["Component", "FollowPipeline", "Recharge", "RecoverThrusters", "SpiralSearch"]
 
@@ -236,7 +237,7 @@ class RecoverThrusters(Component):
 
     Args:
         settings: Constants.
-        thrusters: What is restored.
+        restored: Called with the number of each thruster, 1 to 6, and the time [s] at which it works again.
         agenda: Where the steps are entered.
         outbox: Where each recovery is published.
     """
@@ -244,10 +245,12 @@ class RecoverThrusters(Component):
     name = "recover_thrusters"
     moves = False
 
-    def __init__(self, settings: Settings, thrusters: Thrusters, agenda: Agenda, outbox: Outbox) -> None:
+    def __init__(
+        self, settings: Settings, restored: Callable[[int, float], None], agenda: Agenda, outbox: Outbox
+    ) -> None:
         super().__init__()
         self._settings = settings
-        self._thrusters = thrusters
+        self._restored = restored
         self._agenda = agenda
         self._outbox = outbox
         self._run = 0
@@ -263,8 +266,9 @@ class RecoverThrusters(Component):
         def restore(time: float) -> None:
             if self._settings.recovery_interruptible and (run != self._run or not self.active):
                 return
-            self._thrusters.recover(number)
-            self._outbox.publish(time, self.name, COMPONENT_STATUS, f"c_thruster_{number}", "RECOVERED")
+            self._restored(number, time)
+            for word in thruster_words(self._settings, fails=False):
+                self._outbox.publish(time, self.name, COMPONENT_STATUS, f"c_thruster_{number}", word)
 
         return restore
 

@@ -14,13 +14,13 @@ from suave_env.exceptions import SuaveEnvError
 from suave_env.guidance import Vector
 from suave_env.managed import ManagedSystem
 from suave_env.messages import MISSION_STATUS, Message, Outbox
-from suave_env.metrics import Disturbance, Metrics
+from suave_env.metrics import Disturbance, Metrics, Violations
 from suave_env.monitors import BatteryMonitor, ThrusterMonitor, VisibilityMonitor
 from suave_env.pipeline import SEABED_Z_M, Pipeline
 from suave_env.settings import Settings, ThrusterEvent, parse_thruster_events
 from suave_env.thrusters import Thrusters
-from suave_env.vehicle import Vehicle, yaw_of
-from suave_env.water import THRESHOLDS_M, Water
+from suave_env.vehicle import Vehicle, floated, yaw_of
+from suave_env.water import THRESHOLDS_M, Water, expected_altitude
 
 __all__ = ["Observation", "SuaveEnv"]
 
@@ -82,32 +82,36 @@ class SuaveEnv:
     def __init__(self, settings: Settings, rng: np.random.Generator) -> None:
         self._settings = settings
         east, north, bias = rng.standard_normal(3).tolist()
-        phases = rng.random(7).tolist()
+        phases = rng.random(8).tolist()
         x = settings.start_x_m + settings.start_x_sd_m * east
         y = settings.start_y_m + settings.start_y_sd_m * north
         self._now = 0.0
         self._closed = False
         self._search_time: float | None = None
+        self._guided = phases[7] * settings.guided_period_s
         self._disturbances: list[Disturbance] = []
+        self._violations = Violations()
         self._agenda, self._outbox = Agenda(), Outbox()
         self._water, self._battery, self._thrusters = Water(settings), Battery(settings), Thrusters(settings)
         self.pipeline = Pipeline(settings)
         self.station: Vector = (settings.station_x_m, settings.station_y_m, settings.station_z_m)
-        self._vehicle = Vehicle(settings, x, y, settings.start_z_m)
-        bias = settings.vertical_bias_m + settings.vertical_bias_sd_m * bias
+        self._vehicle = Vehicle(settings, x, y, settings.start_z_m + floated(settings))
+        bias = settings.bias_m + settings.bias_sd_m * bias
         self._autopilot = Autopilot(settings, self._vehicle, self._thrusters, bias)
         self._spiral = SpiralSearch(settings, self._autopilot, (x, y))
         self._follower = FollowPipeline(settings, self._autopilot, self._outbox)
         self._start_nodes(phases[:3])
-        self._start_monitors(phases[3:])
+        self._start_monitors(phases[3:7])
         self._enter_disturbances()
 
     def _start_nodes(self, phases: list[float]) -> None:
         settings, agenda = self._settings, self._agenda
-        recover = RecoverThrusters(settings, self._thrusters, agenda, self._outbox)
+        recover = RecoverThrusters(settings, self._restored, agenda, self._outbox)
         recharge = Recharge(settings, self._autopilot, self._recharge)
         components = (self._spiral, self._follower, recover, recharge)
-        self.managed = ManagedSystem(settings, components, agenda, lambda: self._now, self._autopilot.hold)
+        self.managed = ManagedSystem(
+            settings, components, agenda, lambda: self._now, self._autopilot.hold, self._switched
+        )
         agenda.every(settings.spiral_period_s, phases[0] * settings.spiral_period_s, self._spiral.tick)
         agenda.every(settings.follow_period_s, phases[1] * settings.follow_period_s, self._follower.tick)
         agenda.every(settings.recharge_period_s, phases[2] * settings.recharge_period_s, recharge.tick)
@@ -115,7 +119,7 @@ class SuaveEnv:
     def _start_monitors(self, phases: list[float]) -> None:
         settings, agenda = self._settings, self._agenda
         self._visibility_monitor = VisibilityMonitor(settings, self._water, self._outbox)
-        self._thruster_monitor = ThrusterMonitor(self._outbox)
+        self._thruster_monitor = ThrusterMonitor(settings, self._outbox)
         self._battery_monitor = BatteryMonitor(self._battery, self._outbox)
         visibility_period, thruster_period = settings.visibility_monitor_period_s, settings.thruster_monitor_period_s
         agenda.every(visibility_period, phases[0] * visibility_period, self._visibility_monitor.tick)
@@ -127,7 +131,8 @@ class SuaveEnv:
             agenda.every(settings.battery_period_s, phase + settings.battery_period_s, self._drain)
 
     def _enter_disturbances(self) -> None:
-        for event in parse_thruster_events(self._settings.thruster_events):
+        settings = self._settings
+        for event in parse_thruster_events(settings.thruster_events, settings.thruster_events_chained):
             self._agenda.at(event.time, partial(self._thruster_event, event))
         for threshold in THRESHOLDS_M:
             self._await_crossing(threshold, 0.0)
@@ -145,7 +150,17 @@ class SuaveEnv:
     @property
     def metrics(self) -> Metrics:
         """The figures of the run up to now."""
-        return Metrics(self._search_time, self._follower.distance_m, self._follower.total_m)
+        found = self._search_time
+        return Metrics(
+            search_time_s=None if found is None else max(0, math.floor(found - self._guided)),
+            distance_inspected_m=self._follower.distance_m,
+            found_s=found,
+            total_inspected_m=self._follower.total_m,
+            violation_s=self._violations.seconds(self._now),
+            uncorrected=self._violations.uncorrected,
+            switches=self.managed.switches,
+            energy_j=self._thrusters.energy_j,
+        )
 
     @property
     def disturbances(self) -> list[Disturbance]:
@@ -211,7 +226,7 @@ class SuaveEnv:
         visibility = self._visibility_monitor.visibility
         if self._search_time is not None or visibility is None:
             return
-        index = self.pipeline.first_visible(*self._vehicle.position, visibility)
+        index = self.pipeline.first_visible(*self._autopilot.position, visibility)
         if index is not None:
             self._search_time = time
             self._follower.take_path(self.pipeline.path_from(index))
@@ -222,6 +237,7 @@ class SuaveEnv:
         self._battery.drain(self._settings.battery_period_s)
         if before >= LOW_LEVEL > self._battery.level:
             self._disturb(time, "battery", f"battery level fell below {LOW_LEVEL}")
+            self._judge(time, corrected=False)
         self._battery_monitor.publish(time)
 
     def _recharge(self, time: float) -> None:
@@ -233,6 +249,7 @@ class SuaveEnv:
     def _thruster_event(self, event: ThrusterEvent, time: float) -> None:
         change = self._thrusters.fail if event.fails else self._thrusters.recover
         change(event.thruster)
+        self._judge(time, corrected=False)
         self._thruster_monitor.notice(event.thruster, event.fails)
         self._disturb(time, "thruster", f"thruster {event.thruster} {'failed' if event.fails else 'recovered'}")
 
@@ -245,9 +262,27 @@ class SuaveEnv:
 
         def cross(time: float) -> None:
             self._disturb(time, "visibility", text)
+            self._judge(time + 1e-6, corrected=False)  # a moment later, when the threshold is passed for certain
             self._await_crossing(threshold, time)
 
         self._agenda.at(due, cross)
+
+    def _switched(self, time: float) -> None:
+        self._judge(time, corrected=self._spiral.active)
+
+    def _restored(self, thruster: int, time: float) -> None:
+        self._thrusters.recover(thruster)
+        self._judge(time, corrected=True)
+
+    def _judge(self, time: float, corrected: bool) -> None:
+        """Keep account of what is not as it should be now, and whether what is again was corrected."""
+        note, spiral = self._violations.note, self._spiral
+        expected = expected_altitude(self._water.visibility(time))
+        wrong = spiral.active and spiral.parameters["spiral_altitude"] != expected
+        note(time, "visibility", wrong, corrected)
+        note(time, "thruster", bool(self._thrusters.failed), corrected)
+        low = self._battery.level < LOW_LEVEL and not self.managed.is_active(Recharge.name)
+        note(time, "battery", low, corrected=True)
 
     def _disturb(self, time: float, kind: str, text: str) -> None:
         self._disturbances.append(Disturbance(time, kind, text))

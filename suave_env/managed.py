@@ -43,6 +43,7 @@ class ManagedSystem:
         agenda: Where the end of each change is entered.
         clock: Returns the time [s].
         hold: Called with the time [s] when the last component that moves the vehicle was deactivated.
+        switched: Called with the time [s] after each change that changed something.
     """
 
     def __init__(
@@ -52,21 +53,29 @@ class ManagedSystem:
         agenda: Agenda,
         clock: Callable[[], float],
         hold: Callable[[float], None],
+        switched: Callable[[float], None],
     ) -> None:
         self._settings = settings
         self._components = {component.name: component for component in components}
         self._agenda = agenda
         self._clock = clock
         self._hold = hold
+        self._switched = switched
         self._busy_until = dict.fromkeys(self._components, 0.0)
         self._pending: list[Operation] = []
         self._closed = False
         self._changes = 0
+        self._switches = 0
 
     @property
     def changes(self) -> int:
-        """How many changes have been carried out so far."""
+        """How many changes have been carried out so far, those that changed nothing among them."""
         return self._changes
+
+    @property
+    def switches(self) -> int:
+        """How often a component was activated, deactivated or given other parameters so far."""
+        return self._switches
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -134,12 +143,16 @@ class ManagedSystem:
     def _carry_out(self, name: str, duration: float, change: Callable[[float], None]) -> Operation:
         if self._closed:
             raise SuaveEnvError(f"component {name} cannot be changed: the environment is closed")
-        operation = Operation()
+        component, operation = self._components[name], Operation()
         self._pending.append(operation)
         self._busy_until[name] = max(self._clock(), self._busy_until[name]) + duration
 
         def end(time: float) -> None:
+            before = component.active, dict(component.parameters)
             change(time)
+            if before != (component.active, component.parameters):
+                self._switches += 1
+                self._switched(time)
             self._pending.remove(operation)
             operation._finish()
             self._changes += 1

@@ -5,7 +5,7 @@ from suave_env.messages import COMPONENT_STATUS, EA_MEASUREMENT, QA_STATUS, Outb
 from suave_env.settings import Settings
 from suave_env.water import Water
 
-__all__ = ["BatteryMonitor", "ThrusterMonitor", "VisibilityMonitor"]
+__all__ = ["BatteryMonitor", "ThrusterMonitor", "VisibilityMonitor", "thruster_words"]
 
 
 class VisibilityMonitor:
@@ -61,21 +61,29 @@ class ThrusterMonitor:
     Recoveries brought about by the recovery node are published by that node.
 
     Args:
+        settings: The words.
         outbox: Where failures are published.
     """
 
     name = "thruster_monitor"
 
-    def __init__(self, outbox: Outbox) -> None:
+    def __init__(self, settings: Settings, outbox: Outbox) -> None:
+        self._words = {fails: thruster_words(settings, fails) for fails in (True, False)}
         self._outbox = outbox
         self._news: list[tuple[int, str]] = []
 
     def notice(self, thruster: int, fails: bool) -> None:
         """Take note of an event of a thruster, to be published at the next check."""
-        self._news.append((thruster, "FALSE" if fails else "RECOVERED"))
+        self._news += [(thruster, word) for word in self._words[fails]]
 
     def tick(self, time: float) -> None:
         """Publish what has happened since the last check."""
         for thruster, value in self._news:
             self._outbox.publish(time, self.name, COMPONENT_STATUS, f"c_thruster_{thruster}", value)
         self._news.clear()
+
+
+def thruster_words(settings: Settings, fails: bool) -> tuple[str, ...]:
+    """Return the words in which a failure or a recovery is told, one message each."""
+    words = ("FALSE", "ERROR") if fails else ("RECOVERED", "OK")
+    return words if settings.thruster_told_twice else words[:1]

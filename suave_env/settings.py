@@ -3,9 +3,11 @@
 import dataclasses
 import math
 from dataclasses import dataclass, field, fields
+from itertools import accumulate
 from typing import TypeVar
 
 from suave_env.exceptions import SuaveEnvError, unknown_name
+from suave_env.rules import RULES
 
 __all__ = ["SettingInfo", "Settings", "ThrusterEvent"]
 
@@ -16,7 +18,9 @@ _WORLD = "remaro_worlds 2650f19, min_pipes_environment"
 _MODEL = "vehicle model clydemcqueen/bluerov2_ignition"
 _ARDUPILOT = "ArduPilot, defaults of Sub"
 _OWN = "own choice"
-_CALIBRATED = "own choice, to be calibrated on the published search times of SUAVE"
+_FITTED = "calibrated on three groups of published runs, see docs/sea.md"
+_DRAWN = "calibrated on the table of the ROSA paper, see docs/sea.md"
+_ROS = "of the order seen in ROS 2 (10 to 50 ms)"
 _EXPERIMENT = "extended SUAVE experiment of the ROSA paper (300 s, visibility period 80 s)"
 
 
@@ -65,25 +69,26 @@ class Settings:
     """The constants of the sea, the vehicle and the mission; frozen, so change them with `replace`.
 
     Frames: world frame ENU, z up, surface at z = 0. Times [s] count from GUIDED, the moment at which the vehicle obeys.
-    The rules are those of SUAVE v1.3.0 of 2024; where later versions differ there is a switch.
+    By default the rules are those of SUAVE v1.3.0 of 2024; `replace(rules="2025")` takes those of 2025 (`RULES`).
     """
 
+    rules: str = _setting("2024", "-", "rules of SUAVE that the defaults follow: 2024 or 2025", _SUAVE)
+
     # The loop
-    physics_step_s: float = _setting(0.025, "s", "step of the physics engine", _OWN, 1e-4, 0.1)
-    control_period_s: float = _setting(0.025, "s", "period at which thrust is chosen anew, then held", _OWN, 1e-4, 0.2)
+    physics_step_s: float = _setting(0.02, "s", "step of the physics engine", _OWN, 1e-4, 0.1)
+    control_period_s: float = _setting(0.04, "s", "period at which thrust is chosen anew, then held", _OWN, 1e-4, 0.2)
     pose_period_s: float = _setting(0.05, "s", "period at which the camera looks for the pipeline", _MODEL, 1e-3)
 
-    # Start
+    # Start; each start or bias that is set is exact, unless its standard deviation is set too
     start_x_m: float = _setting(-17.0, "m", "mean start position, east; also the centre of the spiral", _SUAVE)
-    start_y_m: float = _setting(2.4, "m", "mean start position, north; also the centre of the spiral", _CALIBRATED)
-    start_z_m: float = _setting(-18.5, "m", "start position, up", _SUAVE, -19.9, -1.0)
-    start_x_sd_m: float = _setting(0.1, "m", "standard deviation of the start position, east", _CALIBRATED, 0)
-    start_y_sd_m: float = _setting(0.15, "m", "standard deviation of the start position, north", _CALIBRATED, 0)
-    start_delay_s: float = _setting(5.0, "s", "time before the first setpoint is obeyed", _CALIBRATED, 0)
-    vertical_bias_m: float = _setting(
-        0.0, "m", "mean of true minus commanded height (home against origin)", _OWN, -5, 5
-    )
-    vertical_bias_sd_m: float = _setting(0.0, "m", "standard deviation of that bias between runs", _OWN, 0)
+    start_y_m: float = _setting(2.4, "m", "mean start position, north; also the centre of the spiral", _DRAWN)
+    start_z_m: float = _setting(-18.5, "m", "position in which the vehicle is put, up", _SUAVE, -19.9, -1.0)
+    start_x_sd_m: float = _setting(0.1, "m", "standard deviation of the start position, east", _DRAWN, 0)
+    start_y_sd_m: float = _setting(0.15, "m", "standard deviation of the start position, north", _DRAWN, 0)
+    bias_m: float = _setting(0.75, "m", "mean of true minus commanded height (home against origin)", _DRAWN, -5, 5)
+    bias_sd_m: float = _setting(0.15, "m", "standard deviation of that bias between runs", _DRAWN, 0)
+    boot_s: float = _setting(30.0, "s", "time for which the vehicle floats upwards before GUIDED", _SUAVE, 0, 100)
+    start_delay_s: float = _setting(4.0, "s", "time before the first setpoint is obeyed", _FITTED, 0)
 
     # Vehicle
     mass_kg: float = _setting(10.012, "kg", "mass with thrusters", _MODEL, 0.1)
@@ -101,6 +106,9 @@ class Settings:
     drag_pitch: float = _setting(3.992, "N m s2", "quadratic drag about the left axis", _MODEL, 0)
     drag_yaw: float = _setting(3.992, "N m s2", "quadratic drag about the upward axis", _MODEL, 0)
     thrust_limit_n: float = _setting(50.0, "N", "largest thrust of one thruster, either way", _MODEL, 0.1)
+    propeller_m: float = _setting(
+        0.076, "m", "diameter of a propeller, for the energy", "T200 thruster, data sheet", 0.01
+    )
 
     # Guidance and control
     speed_limit_m_s: float = _setting(1.0, "m/s", "horizontal speed limit", f"{_ARDUPILOT}: WPNAV_SPEED", 0.01)
@@ -112,8 +120,8 @@ class Settings:
     climb_acceleration_limit_m_s2: float = _setting(
         1.0, "m/s2", "vertical acceleration limit", f"{_ARDUPILOT}: WPNAV_ACCEL_Z", 0.01
     )
-    jerk_limit_m_s3: float = _setting(0.5, "m/s3", "jerk limit of a move", _CALIBRATED, 0.01)
-    velocity_lag_s: float = _setting(0.5, "s", "time constant of the velocity loop", _CALIBRATED, 0.05)
+    jerk_limit_m_s3: float = _setting(0.39, "m/s3", "jerk limit of a move", _FITTED, 0.01)
+    velocity_lag_s: float = _setting(0.5, "s", "time constant of the velocity loop", _FITTED, 0.05)
     position_gain: float = _setting(1.0, "1/s", "horizontal position gain", f"{_ARDUPILOT}: PSC_POSXY_P", 0)
     height_gain: float = _setting(3.0, "1/s", "vertical position gain", f"{_ARDUPILOT}: PSC_POSZ_P", 0)
     height_lag_s: float = _setting(0.2, "s", "time constant of the vertical velocity loop", _OWN, 0.05)
@@ -137,6 +145,12 @@ class Settings:
     # Thruster failure and its recovery
     thruster_events: str = _setting(
         "1 failure 35", "-", "thruster, failure or recovery, time [s]; separated by commas; empty for none", _EXPERIMENT
+    )
+    thruster_events_chained: bool = _setting(
+        True, "-", "the time of an event counts from the one before, not from GUIDED (later: false)", _SUAVE
+    )
+    thruster_told_twice: bool = _setting(
+        False, "-", "failures are told as FALSE and ERROR, recoveries as RECOVERED and OK (later: true)", _SUAVE
     )
     thruster_monitor_period_s: float = _setting(1.0, "s", "period of the thruster monitor", _SUAVE, 0.05)
     recovery_wait_s: float = _setting(10.0, "s", "wait before the first thruster is restored", _SUAVE, 0)
@@ -172,10 +186,15 @@ class Settings:
     follow_patience: int = _setting(10, "ticks", "waits after which the point is sent again each time", _SUAVE, 0)
     follow_loses_point: bool = _setting(True, "-", "deactivation loses the point under way (later: false)", _SUAVE)
 
-    # Managed components
-    activation_s: float = _setting(0.05, "s", "time that activating a component takes", "of the order seen in ROS 2", 0)
-    deactivation_s: float = _setting(0.05, "s", "time that deactivating one takes", "of the order seen in ROS 2", 0)
-    parameter_s: float = _setting(0.05, "s", "time that setting parameters takes", "of the order seen in ROS 2", 0)
+    # Mission and managers
+    activation_s: float = _setting(0.025, "s", "time that activating a component takes", _ROS, 0)
+    deactivation_s: float = _setting(0.025, "s", "time that deactivating one takes", _ROS, 0)
+    parameter_s: float = _setting(0.025, "s", "time that setting parameters takes", _ROS, 0)
+    guided_period_s: float = _setting(
+        1.0, "s", "period at which nodes are told of GUIDED; their clocks lag", _SUAVE, 0.01
+    )
+    mission_period_s: float = _setting(1.0, "s", "period of the mission node without a tree (later: 0.1)", _SUAVE, 0.01)
+    tree_period_s: float = _setting(0.15, "s", "period of SUAVE's tree: sleeps of 100 and 50 ms", _SUAVE, 0.01)
 
     def __post_init__(self) -> None:
         """Check every value, and the values against each other.
@@ -192,13 +211,17 @@ class Settings:
         period, step = self.control_period_s, self.physics_step_s
         if round(period / step) < 1 or abs(period / step - round(period / step)) > 1e-6:
             raise SuaveEnvError(f"control_period_s {period} is not a whole multiple of physics_step_s {step}")
-        parse_thruster_events(self.thruster_events)
+        if self.rules not in RULES:
+            raise SuaveEnvError(f"there are no rules {self.rules!r}; known are {', '.join(RULES)}")
+        parse_thruster_events(self.thruster_events, self.thruster_events_chained)
 
     def replace(self, **changes: float | int | bool | str) -> "Settings":
         """Return settings with some values changed.
 
         Args:
-            **changes: New values by name; a string is read as the type of the setting, as from a command line.
+            **changes: New values by name; a string is read as the type of the setting, as from a command line. New
+                rules change every setting in which they differ and which is not among the changes. A start or a bias
+                is the same in every run, unless its standard deviation is among the changes too.
 
         Returns:
             The new settings; these stay as they are.
@@ -210,7 +233,9 @@ class Settings:
         for name in changes:
             if name not in known:
                 raise unknown_name("setting", name, known)
-        read = {name: _read(known[name], value) for name, value in changes.items()}
+        values = {**_ruled(str(changes["rules"])), **changes} if "rules" in changes else changes
+        exact = {spread: 0.0 for name, spread in _SPREADS.items() if name in changes and spread not in changes}
+        read = {name: _read(known[name], value) for name, value in {**values, **exact}.items()}
         return dataclasses.replace(self, **read)  # type: ignore[arg-type]  # checked by __post_init__, not by its type
 
     @classmethod
@@ -222,11 +247,22 @@ class Settings:
         )
 
 
-def parse_thruster_events(text: str) -> tuple[ThrusterEvent, ...]:
+_SPREADS = {"start_x_m": "start_x_sd_m", "start_y_m": "start_y_sd_m", "bias_m": "bias_sd_m"}
+
+
+def _ruled(rules: str) -> dict[str, float | int | bool | str]:
+    """Return what some rules say of every setting in which rules differ; nothing for unknown ones."""
+    defaults = {info.name: info.default for info in Settings.describe()}
+    differing = dict.fromkeys(name for said in RULES.values() for name in said)
+    return {name: RULES[rules].get(name, defaults[name]) for name in differing} if rules in RULES else {}
+
+
+def parse_thruster_events(text: str, chained: bool = False) -> tuple[ThrusterEvent, ...]:
     """Read events such as "1 failure 35, 1 recovery 90".
 
     Args:
-        text: Events separated by commas, each a thruster, "failure" or "recovery", and a time since GUIDED [s].
+        text: Events separated by commas, each a thruster, "failure" or "recovery", and a time [s].
+        chained: Whether the time counts from the event before, not from GUIDED.
 
     Returns:
         The events in order of time.
@@ -235,11 +271,16 @@ def parse_thruster_events(text: str) -> tuple[ThrusterEvent, ...]:
         SuaveEnvError: If the text cannot be read.
     """
     events = [_thruster_event(part.split(), text) for part in text.split(",") if part.strip()]
+    if chained:
+        times = accumulate(event.time for event in events)
+        events = [dataclasses.replace(event, time=time) for event, time in zip(events, times, strict=True)]
     return tuple(sorted(events, key=lambda event: event.time))
 
 
 def _thruster_event(words: list[str], text: str) -> ThrusterEvent:
-    allowed = 'allowed are events such as "1 failure 35, 1 recovery 90": thruster 1 to 6, what happens, time [s] from 0'
+    allowed = (
+        'allowed are events such as "1 failure 35, 1 recovery 90": thruster 1 to 6, what happens, time [s] from 0 on'
+    )
     try:
         number, kind, time = int(words[0]), words[1], float(words[2])
     except (ValueError, IndexError):

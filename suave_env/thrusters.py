@@ -1,5 +1,7 @@
 """The six thrusters: how a wanted force is shared among them, their limit, and their failure."""
 
+import math
+
 from suave_env.exceptions import SuaveEnvError
 from suave_env.settings import Settings
 
@@ -11,6 +13,7 @@ COUNT = 6
 _COSINE = 0.7071067811865476
 _YAW_ARM_M = 0.1676  # mean of the arms of the front pair (0.164 m) and the rear pair (0.171 m)
 _ROLL_ARM_M = 0.109
+_DENSITY_KG_M3 = 1000.0  # of the water, as the buoyancy of SUAVE's world has it
 
 
 class Thrusters:
@@ -21,10 +24,14 @@ class Thrusters:
 
     Attributes:
         outputs: Thrusts [N] of thrusters 1 to 6, positive along the direction of each in the model.
+        energy_j: What they have put into the water [J], if the propellers are ideal.
     """
 
     def __init__(self, settings: Settings) -> None:
         self.outputs = [0.0] * COUNT
+        self.energy_j = 0.0
+        # an actuator disc of area A takes |T|^1.5 / sqrt(2 rho A) to push still water of density rho
+        self._power = 1 / math.sqrt(2 * _DENSITY_KG_M3 * math.pi / 4 * settings.propeller_m**2)
         self._limit = settings.thrust_limit_n
         self._stuck: dict[int, float] = {}
 
@@ -73,6 +80,12 @@ class Thrusters:
             outputs[number - 1] = frozen
         self.outputs = outputs
         return outputs
+
+    def work(self, duration: float) -> None:
+        """Add what pushing with the present outputs for a duration [s] takes."""
+        one, two, three, four, five, six = self.outputs
+        thrusts = abs(one) ** 1.5 + abs(two) ** 1.5 + abs(three) ** 1.5 + abs(four) ** 1.5
+        self.energy_j += (thrusts + abs(five) ** 1.5 + abs(six) ** 1.5) * self._power * duration
 
 
 def _checked(number: int) -> int:

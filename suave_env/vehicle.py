@@ -12,7 +12,7 @@ from suave_env.exceptions import SuaveEnvError
 from suave_env.settings import Settings
 from suave_env.thrusters import COUNT
 
-__all__ = ["Vehicle", "yaw_of"]
+__all__ = ["Vehicle", "floated", "yaw_of"]
 
 _log = logging.getLogger(__name__)
 # MuJoCo's own handler prints, and writes a file into the working directory; what matters is raised by the autopilot
@@ -25,7 +25,7 @@ class Vehicle:
     """A rigid body with six thrusters, buoyancy at the centre of buoyancy and quadratic drag along and about its axes.
 
     Drag along each body axis is `-D |v| v` without added mass or linear damping, as in clydemcqueen/bluerov2_ignition.
-    It is an actuator whose force is `-D v ctrl`, with `ctrl = |v|` of the last physics step: MuJoCo treats `v`
+    It is an actuator whose force is `-D v ctrl`, with `ctrl = |v|` at the start of a control period: MuJoCo treats `v`
     implicitly, so drag can only take energy out.
 
     Args:
@@ -88,9 +88,18 @@ class Vehicle:
             thrusts: Thrust of each thruster [N]; (6,).
         """
         self._thrust[:] = thrusts
-        for _ in range(self._substeps):
-            np.abs(self._body_velocity, out=self._flow)
-            self._step(self.model, self.data)
+        np.abs(self._body_velocity, out=self._flow)
+        self._step(self.model, self.data, self._substeps)
+
+
+def floated(settings: Settings) -> float:
+    """Return how far the vehicle, which is lighter than water, has risen by itself before GUIDED [m].
+
+    It rises at the speed at which drag equals the surplus of buoyancy, which it reaches within a second.
+    """
+    surplus = (settings.displaced_mass_kg - settings.mass_kg) * settings.gravity_m_s2
+    speed = math.copysign(math.sqrt(abs(surplus) / settings.drag_heave), surplus) if settings.drag_heave else 0.0
+    return speed * settings.boot_s
 
 
 def yaw_of(quaternion: list[float]) -> float:

@@ -4,10 +4,15 @@ import math
 
 from suave_env.settings import Settings
 
-__all__ = ["THRESHOLDS_M", "Water"]
+__all__ = ["THRESHOLDS_M", "Water", "expected_altitude"]
 
 THRESHOLDS_M = (3.25, 2.25)
 """Visibilities [m] at which the highest useful search altitude changes (3, 2, 1 m); from kas-lab/suave v1.3.0."""
+
+
+def expected_altitude(visibility: float) -> float:
+    """Return the altitude [m] at which to search in water of some visibility [m]; from kas-lab/suave v1.3.0."""
+    return 3.0 if visibility >= THRESHOLDS_M[0] else 2.0 if visibility >= THRESHOLDS_M[1] else 1.0
 
 
 class Water:

@@ -231,7 +231,10 @@ def test_follower_without_a_pipeline_does_nothing():
 
 def recovery_of(**changes):
     agenda, outbox, thrusters = Agenda(), Outbox(), Thrusters(PROMPT)
-    return RecoverThrusters(PROMPT.replace(**changes), thrusters, agenda, outbox), agenda, outbox, thrusters
+    recovery = RecoverThrusters(
+        PROMPT.replace(**changes), lambda number, time: thrusters.recover(number), agenda, outbox
+    )
+    return recovery, agenda, outbox, thrusters
 
 
 def let_happen(agenda):

@@ -101,8 +101,8 @@ def test_recovery_makes_the_thruster_work_again():
     env.advance(37.0)
     env.managed.activate("recover_thrusters")
     heard = env.advance(50.0)
-    assert [time for time, _ in values_of(heard, "c_thruster_1")] == [pytest.approx(47.05)]
-    assert [time for time, _ in values_of(heard, "c_thruster_6")] == [pytest.approx(48.3)]
+    assert [time for time, _ in values_of(heard, "c_thruster_1")] == [pytest.approx(47.025)]
+    assert [time for time, _ in values_of(heard, "c_thruster_6")] == [pytest.approx(48.275)]
     assert env.observe().thrusters_failed == ()
 
 
@@ -182,20 +182,20 @@ def test_the_phases_of_the_timers_differ_from_run_to_run(component, period):
 
 
 def test_the_search_takes_about_a_step_per_second_at_1_m():
-    env = make_env(5, **QUIET, spiral_altitude_m=1.0, start_y_m=40.0)
+    env = make_env(5, **QUIET, spiral_altitude_m=1.0, start_y_m=40.0, bias_m=0.0)
     env.managed.activate("spiral_search")
     env.advance(130.0)
-    # radius after n steps is 0.01838 n; the first setpoint comes after 5 s
+    # radius after n steps is 0.01838 n; the first setpoint comes after 4 s
     here = env.observe()
     steps = math.dist((here.x, here.y), (env._spiral._centre)) / 0.01838
-    assert 125 / steps == pytest.approx(1.05, abs=0.1)
+    assert 126 / steps == pytest.approx(1.05, abs=0.1)
     assert here.altitude == pytest.approx(1.0, abs=0.05)
 
 
 def test_a_vertical_bias_stalls_the_search_until_it_is_corrected():
     heights = {}
     for bias in (0.0, 0.8):
-        env = make_env(5, **QUIET, vertical_bias_m=bias, start_y_m=40.0)
+        env = make_env(5, **QUIET, bias_m=bias, start_y_m=40.0)
         env.managed.activate("spiral_search")
         env.advance(15.0)
         early = env.observe().altitude
@@ -210,7 +210,7 @@ def test_a_vertical_bias_stalls_the_search_until_it_is_corrected():
 def test_the_pipeline_is_followed_at_a_quarter_metre_per_second():
     env = make_env(6, **QUIET, start_y_m=0.0, start_y_sd_m=0.0)
     messages = env.advance(5.0)
-    assert values_of(messages, "pipeline_found") == [(env.metrics.search_time_s, "true")]
+    assert values_of(messages, "pipeline_found") == [(env.metrics.found_s, "true")]
     env.managed.activate("follow_pipeline")
     env.advance(30.0)
     before = env.metrics.distance_inspected_m
@@ -245,7 +245,7 @@ def test_the_way_to_the_station_is_nearly_as_fast_as_allowed_and_ends_there():
 
 
 def test_the_sea_must_not_be_entered():
-    env = make_env(6, **QUIET, vertical_bias_m=-3.0)
+    env = make_env(6, **QUIET, bias_m=-3.0)
     env.managed.activate("spiral_search")
     env.managed.set_parameters("spiral_search", {"spiral_altitude": 1.0})
     env.advance(60.0)
@@ -264,7 +264,7 @@ def test_a_scripted_mission_searches_finds_recharges_and_goes_on(seed):
     order = [list(message["status"][0]["values"]) for message in script.messages if message["time"] == recharged[0][0]]
     assert order.index(["battery_level"]) < order.index(["battery_recharged"])
     metrics = env.metrics
-    assert values_of(script.messages, "pipeline_found") == [(metrics.search_time_s, "true")]
+    assert values_of(script.messages, "pipeline_found") == [(metrics.found_s, "true")]
     assert 0 < metrics.distance_inspected_m <= metrics.total_inspected_m
     published = [float(value) for _, value in values_of(script.messages, "distance_inspected")]
     assert published[-1] == metrics.distance_inspected_m
