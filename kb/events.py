@@ -4,6 +4,7 @@ import logging
 from collections import deque
 from collections.abc import Callable
 from enum import StrEnum
+from threading import get_ident
 from typing import NamedTuple
 
 from kb.exceptions import InvalidValue
@@ -58,6 +59,12 @@ class Publisher:
     def __init__(self) -> None:
         self._subscribers: list[Callable[[Event], None]] = []
         self._events: deque[Event] = deque()
+        self._thread: int | None = None
+
+    @property
+    def is_telling_here(self) -> bool:
+        """Whether the thread that asks is a subscriber's, which hears an event."""
+        return self._thread == get_ident()
 
     def __bool__(self) -> bool:
         return bool(self._subscribers)
@@ -79,11 +86,15 @@ class Publisher:
         self._events.append(event)
         if len(self._events) > 1:
             return
-        while self._events:
-            try:
-                self._tell(self._events[0])
-            finally:  # a subscriber may be interrupted; the next event is told all the same
-                self._events.popleft()
+        self._thread = get_ident()
+        try:
+            while self._events:
+                try:
+                    self._tell(self._events[0])
+                finally:  # a subscriber may be interrupted; the next event is told all the same
+                    self._events.popleft()
+        finally:
+            self._thread = None
 
     def _tell(self, event: Event) -> None:
         for subscriber in tuple(self._subscribers):

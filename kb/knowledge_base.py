@@ -23,7 +23,7 @@ from kb.network import Network, Node, is_steady
 from kb.reconfiguration import ReconfigurationPlan, Selection, planned, reselect
 from kb.recovery import open_store, resume
 from kb.requests import Reply, RequiredAction, check_result
-from kb.situation import Situation, assumptions
+from kb.situation import Situation, assumptions, told_of
 from kb.status import Status
 from kb.telling import status_changes
 
@@ -38,7 +38,8 @@ class KnowledgeBase(Keeping):
 
     Args:
         model: what the robot is made of and can do. It may be amended later: the next question sees it.
-        clock: gives the time [s]; times of facts, requests and plans are its.
+        clock: gives the time [s]; times of facts, requests and plans are its. By default that is the time of day, in
+            seconds since 1970-01-01 UTC.
         store: a file that keeps what is told; the base continues from what is in it. See `flush` and `close`.
         keep: how many measurements of each attribute the store keeps; the newest.
 
@@ -75,6 +76,29 @@ class KnowledgeBase(Keeping):
         self._begin_to_save()
         model.watch(self)
 
+    def flush(self, timeout: float | None = None) -> bool:
+        """Wait until all that was told by now is on disk; returns whether it is.
+
+        Args:
+            timeout: how long to wait at most [s].
+
+        Raises:
+            KnowledgeBaseError: a subscriber asks for it, which holds the base while the writer needs that.
+        """
+        self._check_may_wait()
+        return super().flush(timeout)
+
+    def close(self) -> None:
+        """Save what is left and give the store back: it can still be asked, but not told. Nothing without a store.
+
+        Raises:
+            KnowledgeBaseError: a subscriber asks for it; see `flush`.
+        """
+        self._check_may_wait()
+        with self._lock:
+            self._is_closed = self._store is not None
+        super().close()
+
     def request_action(self, action: str, preference: str | Mapping[str, float] | None = None) -> Reply:
         """Ask that the robot be configured for an action; refused, with the reason, while it is unfeasible.
 
@@ -87,6 +111,7 @@ class KnowledgeBase(Keeping):
         action = node.name
         preference = self._preference(preference)
         with self._lock:
+            self._check_open()
             now = self._clock()
             if action in self._open:
                 return Reply(True, f"{action} is required already")
@@ -112,6 +137,7 @@ class KnowledgeBase(Keeping):
         check_result(result)
         text("the reason why an action ends", reason)
         with self._lock:
+            self._check_open()
             now = self._clock()
             required = self._open.pop(action, None)
             if required is None:
@@ -123,6 +149,9 @@ class KnowledgeBase(Keeping):
             if reason:
                 self._ended.append(words)
             self._tell(EventKind.ACTION_UPDATE, now, node, lambda: words)
+
+    def __repr__(self) -> str:
+        return f"<KnowledgeBase {self.model.name!r}: {told_of(self._known)}>"
 
     def situation(
         self,
@@ -176,6 +205,7 @@ class KnowledgeBase(Keeping):
         """
         text("the reason of a choice", reason)
         with self._lock:
+            self._check_open()
             chosen = [_owned(self.designs.node(name), self.functions.node(of)) for of, name in _pairs(designs)]
             given = [
                 _owned(self.configurations.node(name), self.components.node(of)) for of, name in _pairs(configurations)
@@ -249,6 +279,7 @@ class KnowledgeBase(Keeping):
         """
         check_result(result)
         with self._lock:
+            self._check_open()
             if not isinstance(plan, ReconfigurationPlan) or (plan.end is None and plan not in self._open_plans):
                 raise KnowledgeBaseError(f"{plan!r} is not a plan of this knowledge base; finish one of kb.plans")
             if plan.end is not None:

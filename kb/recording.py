@@ -9,7 +9,7 @@ from kb.declarations import parameters as checked_parameters
 from kb.declarations import pid as checked_pid
 from kb.declarations import text as checked_text
 from kb.elements import Parameters
-from kb.exceptions import InvalidValue
+from kb.exceptions import InvalidValue, KnowledgeBaseError
 from kb.history import KEPT_RECORDS, Attempt, Process, VetoAnswer
 from kb.inference import initial_state
 from kb.journal import Journal
@@ -38,11 +38,13 @@ class Recording(Questions):
         self._processes: list[Process] = []
         self._attempts: deque[Attempt] = deque(maxlen=KEPT_RECORDS)
         self._answers: deque[VetoAnswer] = deque(maxlen=KEPT_RECORDS)
+        self._is_closed = False
 
     def component_configured(self, component: str, parameters: Parameters) -> None:
         """Tell which parameters a component was given; see `parameters_in_force` of its view."""
         node = self.components.node(component)
         with self._lock:
+            self._check_open()
             self._in_force[node.name] = dict(checked_parameters(node.name, parameters))
             self._journal.configured(self._clock(), node, self._in_force[node.name])
 
@@ -51,6 +53,7 @@ class Recording(Questions):
         node = self.components.node(component)
         checked_pid(pid)
         with self._lock:
+            self._check_open()
             process = Process(node.name, pid, self._clock())
             self._processes.append(process)
             self._journal.enter(process.start, self._known, (), [process])
@@ -62,6 +65,7 @@ class Recording(Questions):
         if pid is not None:
             checked_pid(pid)
         with self._lock:
+            self._check_open()
             now = self._clock()
             for process in self._processes:
                 if process.component == node.name and process.end is None and pid in (None, process.pid):
@@ -100,6 +104,7 @@ class Recording(Questions):
         of = None if configuration is None else self.configurations.node(configuration).name
         given = MappingProxyType(dict(checked_parameters(name, parameters or {})))
         with self._lock:
+            self._check_open()
             attempt = Attempt(_checked_plan(plan), name, operation, of, given, number, self._clock())
             self._attempts.append(attempt)
             self._journal.enter(attempt.start, self._known, (), [attempt])
@@ -116,6 +121,7 @@ class Recording(Questions):
         check_result(result)
         checked_text("the reason why an attempt ends", reason)
         with self._lock:
+            self._check_open()
             if attempt.end is not None:
                 return False
             now = self._clock()
@@ -129,10 +135,18 @@ class Recording(Questions):
             raise InvalidValue(f"is_vetoed is True or False, not {is_vetoed!r}")
         checked_text("the reason of an answer", reason)
         with self._lock:
+            self._check_open()
             answer = VetoAnswer(_checked_plan(plan), self._clock(), is_vetoed, reason)
             self._answers.append(answer)
             self._journal.enter(answer.time, self._known, (), [answer])
             return answer
+
+    def _check_open(self) -> None:
+        if self._is_closed:
+            raise KnowledgeBaseError(
+                "this knowledge base is closed: its store is given back, so nothing more can be told. "
+                "Tell before you close it, or make a new one of the same model and store"
+            )
 
     @property
     def attempts(self) -> tuple[Attempt, ...]:

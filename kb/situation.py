@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
 from kb.declarations import listed
-from kb.elements import Constraint, finite_number
+from kb.elements import Constraint, exact, finite_number
 from kb.exceptions import InvalidValue
 from kb.history import History
 from kb.inference import settle
@@ -17,13 +17,18 @@ from kb.steadiness import verdict
 if TYPE_CHECKING:
     from kb.telling import Telling
 
-__all__ = ["Situation"]
+__all__ = ["Situation", "assumptions", "told_of"]
 
 
 class _Assumption(NamedTuple):
     what: str
     node: Node
     value: float | None = None
+
+    def __str__(self) -> str:
+        if self.what != "measured":
+            return f"{self.node.name} {self.what}"
+        return f"{self.node.name} {'not measured' if self.value is None else exact(self.value)}"
 
 
 class Situation(Questions):
@@ -70,6 +75,10 @@ class Situation(Questions):
         more = assumptions(self, measured, attributes, failed, recovered, requested)
         return Situation(self._base, (*self._assumptions, *more))
 
+    def __repr__(self) -> str:
+        supposed = ", ".join(map(str, self._assumptions)) or "nothing else"
+        return f"<Situation of {self._network.model.name!r} with {supposed}: {told_of(self._state)}>"
+
     def _history_of(self, attribute: Node) -> History:
         return self._base._history_of(attribute)
 
@@ -90,6 +99,15 @@ class Situation(Questions):
                     state.asserted[node.index] = None
         settle(state, touched)
         return state
+
+
+def told_of(state: State) -> str:
+    """Say in short what the actions of a state are."""
+    actions = state.network.actions.values()
+    feasible = sum(state.status[action.index] is not Status.UNFEASIBLE for action in actions)
+    required = [action.name for action in actions if state.required[action.index]]
+    told = f"{feasible} of {len(actions)} actions feasible"
+    return f"{told}, required: {', '.join(required)}" if required else told
 
 
 def _suppose_measured(state: State, attribute: Node, value: float | None, now: float) -> list[Node]:

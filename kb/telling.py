@@ -58,6 +58,7 @@ class Telling(Recording):
         node = self.attributes.node(attribute)
         number = value if type(value) is float and math.isfinite(value) else _measured(attribute, value)
         with self._lock:
+            self._check_open()
             now = self._clock()
             if now >= self._measurements.next_change or now >= self._lapses.next:
                 self._look_at_the_clock()
@@ -91,6 +92,7 @@ class Telling(Recording):
         running = _yes("active", active)
         checked_text("the reason why a component is not active", reason)
         with self._lock:
+            self._check_open()
             if self._known.active[node.index] == running:
                 return
             now = self._clock()
@@ -155,6 +157,7 @@ class Telling(Recording):
     def assert_required(self, element: ElementView | Element | Constraint | str, required: bool | None) -> None:
         """State that an element is required; False or None takes that back and hides no inferred requirement."""
         with self._lock:
+            self._check_open()
             node = self._node(element, ("action", "function", "component"), unique=True)
             now = self._clock()
             self._known.asserted_required[node.index] = required is not None and _yes("required", required)
@@ -164,6 +167,7 @@ class Telling(Recording):
     def assert_selected(self, element: ElementView | Element | Constraint | str, selected: bool | None) -> None:
         """State that a design or configuration is the selected one, or is not."""
         with self._lock:
+            self._check_open()
             node = self._node(element, ("function design", "configuration"), unique=True)
             now = self._clock()
             self._known.selected[node.index] = selected is not None and _yes("selected", selected)
@@ -189,6 +193,13 @@ class Telling(Recording):
         for another thread that does. What it raises is logged and reaches nobody else.
         """
         return self._publisher.subscribe(callback)
+
+    def _check_may_wait(self) -> None:
+        if self._publisher.is_telling_here:
+            raise KnowledgeBaseError(
+                "a subscriber cannot wait until what it hears is on disk, for that is written after it has returned; "
+                "flush or close after the call that told"
+            )
 
     def _history_of(self, attribute: Node) -> History:
         return self._measurements.history_of(attribute)
@@ -224,6 +235,7 @@ class Telling(Recording):
     def _report(self, component: str, failed: bool, reason: str = "") -> None:
         node = self.components.node(component)
         with self._lock:
+            self._check_open()
             now, state = self._clock(), self._known
             retracts = not failed and state.asserted[node.index] is Status.FAILURE
             is_known = state.failed[node.index] == failed and reason in ("", state.reason("failed", node).text)
@@ -245,6 +257,7 @@ class Telling(Recording):
         until: float | None = None,
     ) -> None:
         with self._lock:
+            self._check_open()
             node = self._node(element, ELEMENTS, unique=True)
             if status is not None and status not in STATUSES[node.kind]:
                 known = ", ".join(STATUSES[node.kind])
