@@ -2,10 +2,13 @@
 
 from rosa_bt.behaviours import HasStatus, IsActionFeasible, Measurement, RosaAction, WaitForArchitecture
 from rosa_bt.decorators import ForAction
-from rosa_bt.exceptions import RosaBtError, TreeChangeError
+from rosa_bt.exceptions import RosaBtError, TraceError, TreeChangeError
 from rosa_bt.idioms import do_until_unfeasible, feasible_then_act, first_feasible, switch_safely
+from rosa_bt.replay import replay_trace
 from rosa_bt.requests import forget_progress
+from rosa_bt.traces import Trace, read_trace
 from rosa_bt.trees import TreeRunner
+from rosa_bt.visitors import TraceVisitor
 
 __all__ = [
     "ForAction",
@@ -14,6 +17,9 @@ __all__ = [
     "Measurement",
     "RosaAction",
     "RosaBtError",
+    "Trace",
+    "TraceError",
+    "TraceVisitor",
     "TreeChangeError",
     "TreeRunner",
     "WaitForArchitecture",
@@ -21,5 +27,7 @@ __all__ = [
     "feasible_then_act",
     "first_feasible",
     "forget_progress",
+    "read_trace",
+    "replay_trace",
     "switch_safely",
 ]

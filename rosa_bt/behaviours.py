@@ -14,13 +14,24 @@ from rosa_bt.elements import StatusView, find_element, status_of_kind
 from rosa_bt.endings import told
 from rosa_bt.requests import RESULTS, ActionRequest, Patience, Progress, Reason
 
-__all__ = ["ActionBehaviour", "HasStatus", "IsActionFeasible", "Measurement", "RosaAction", "WaitForArchitecture"]
+__all__ = [
+    "ActionBehaviour",
+    "HasStatus",
+    "IsActionFeasible",
+    "KbBehaviour",
+    "Measurement",
+    "RosaAction",
+    "WaitForArchitecture",
+]
 
 _log = logging.getLogger(__name__)
 
 
-class _Leaf(PortsMixin, Behaviour):
-    """A leaf that knows a knowledge base; what its constructor is not given, its ports carry."""
+class KbBehaviour(PortsMixin, Behaviour):
+    """A leaf that knows a knowledge base; what its constructor is not given, its ports carry.
+
+    An exception in it is its FAILURE, with the text as feedback.
+    """
 
     INPUT_PORTS: dict[str, PortInformation] = {}  # noqa: RUF012  # py_trees declares it so
     OUTPUT_PORTS: dict[str, PortInformation] = {}  # noqa: RUF012  # py_trees declares it so
@@ -33,8 +44,43 @@ class _Leaf(PortsMixin, Behaviour):
         super().__init__(name, behaviour_class_name=behaviour_class_name)
         self.kb = kb
 
+    def tick(self) -> Iterator[Behaviour]:
+        """Do what py_trees does at a tick; an exception is a failure."""
+        try:
+            new_status = self._advance()
+        except Exception as error:
+            self.feedback_message = told(error)
+            _log.debug("%s failed", self.name, exc_info=True)
+            new_status = Status.FAILURE
+        if new_status is Status.RUNNING:
+            self.status = new_status
+        else:
+            self.stop(new_status)
+        yield self
 
-class ActionBehaviour(_Leaf):
+    def stop(self, new_status: Status) -> None:
+        """Terminate the round; an exception in that turns success into failure, an interruption stays one."""
+        try:
+            self.terminate(new_status)
+        except Exception as error:
+            self.feedback_message = f"{told(error)} (at the end)"
+            new_status = Status.FAILURE if new_status is Status.SUCCESS else new_status
+        self.status = new_status
+        self.iterator = self.tick()
+
+    def _advance(self) -> Status:
+        if self.status is not Status.RUNNING:
+            self.initialise()
+        return self._updated()
+
+    def _updated(self) -> Status:
+        status = self.update()
+        if type(status) is not Status:
+            raise TypeError(f"update returned {status!r}, which is no py_trees.common.Status")
+        return status
+
+
+class ActionBehaviour(KbBehaviour):
     """A behaviour about one ROSA action, named directly or through the port `action`."""
 
     INPUT_PORTS: dict[str, PortInformation] = {  # noqa: RUF012  # py_trees declares it so
@@ -85,7 +131,7 @@ class IsActionFeasible(ActionBehaviour):
         return Status.FAILURE
 
 
-class HasStatus(_Leaf):
+class HasStatus(KbBehaviour):
     """Condition: SUCCESS while an element of the model has a status, FAILURE with the reason otherwise.
 
     Whether an action can be done is the question of `IsActionFeasible`: one that is being done is not "feasible" but
@@ -133,7 +179,7 @@ class HasStatus(_Leaf):
         return Status.FAILURE
 
 
-class Measurement(_Leaf):
+class Measurement(KbBehaviour):
     """Condition: SUCCESS while the latest measurement of an attribute compares as asked, FAILURE otherwise.
 
     Args:
@@ -297,36 +343,15 @@ class RosaAction(ActionBehaviour):
         """Drop what was saved: the next start is at the beginning."""
         self._progress.forget()
 
-    def tick(self) -> Iterator[Behaviour]:
-        """Request the action when a round begins, wait if asked to, then work; an exception is a failure."""
-        try:
-            new_status = self._advance()
-        except Exception as error:
-            self.feedback_message = told(error)
-            _log.debug("%s failed", self.name, exc_info=True)
-            new_status = Status.FAILURE
-        if new_status is Status.RUNNING:
-            self.status = new_status
-        else:
-            self.stop(new_status)
-        yield self
-
     def stop(self, new_status: Status) -> None:
-        """Save progress, terminate the round and release the request, also when the subclass raises.
-
-        What is raised turns success into failure; an interruption stays one.
-        """
+        """Save progress, terminate the round and release the request, also when the subclass raises."""
         has_begun, self._has_begun = self._has_begun, False
-        try:
-            if has_begun:
-                self._end(new_status)
-        except Exception as error:
-            self.feedback_message = f"{told(error)} (at the end)"
-            new_status = Status.FAILURE if new_status is Status.SUCCESS else new_status
-        finally:
+        if has_begun:
+            self._keep(new_status)
+            super().stop(new_status)
+        else:
             self.status = new_status
-            self.iterator = self.tick()
-            self._request.close(RESULTS[new_status], self.feedback_message if new_status is Status.FAILURE else "")
+        self._request.close(RESULTS[self.status], self.feedback_message if self.status is Status.FAILURE else "")
 
     def shutdown(self) -> None:
         """Stop if still running; called when the tree is shut down."""
@@ -334,6 +359,7 @@ class RosaAction(ActionBehaviour):
             self.stop(Status.INVALID)
 
     def _advance(self) -> Status:
+        """Request the action when a round begins, wait if asked to, then work."""
         if self.status is not Status.RUNNING and not self._ask():
             return Status.FAILURE
         if not self._has_begun:
@@ -342,10 +368,7 @@ class RosaAction(ActionBehaviour):
                 if status is not Status.SUCCESS:
                     return status
             self._begin()
-        status = self.update()
-        if not isinstance(status, Status):
-            raise TypeError(f"update returned {status!r}, which is no py_trees.common.Status")
-        return status
+        return self._updated()
 
     def _ask(self) -> bool:
         reply = self._request.open(self.action, self.preference)
@@ -361,11 +384,11 @@ class RosaAction(ActionBehaviour):
         if saved is not None:
             self.restore_progress(saved)
 
-    def _end(self, new_status: Status) -> None:
+    def _keep(self, new_status: Status) -> None:
         try:
             self._progress.save(self.action, None if new_status is Status.SUCCESS else self.save_progress())
-        finally:
-            self.terminate(new_status)
+        except Exception as error:
+            self.feedback_message = f"{told(error)} (progress is not saved)"
 
 
 def _operator(sign: str) -> str:

@@ -1,14 +1,24 @@
 """What keeps a tree alive: an exception of a behaviour becomes its FAILURE, and nobody changes a tree within a tick."""
 
 from collections.abc import Callable, Iterable, Iterator
+from typing import Final
 
 from py_trees.behaviour import Behaviour
+from py_trees.behaviours import Failure, Running, Success
 from py_trees.common import Status
+from py_trees.composites import Selector, Sequence
 
+from rosa_bt.behaviours import KbBehaviour, RosaAction
+from rosa_bt.decorators import ForAction
 from rosa_bt.endings import halt, told
 from rosa_bt.exceptions import TreeChangeError
 
-__all__ = ["Children", "Lock", "guard"]
+__all__ = ["Children", "Lock", "guard", "is_trusted"]
+
+_TRUSTED: Final = frozenset({Failure, Running, Selector, Sequence, Success})
+"""What raises nothing of its own; a subclass may."""
+_CAREFUL: Final = (KbBehaviour, RosaAction, ForAction)
+"""What deals with exceptions itself, also below a plain tree; unless a subclass ticks in another way."""
 
 
 class Lock:
@@ -59,6 +69,17 @@ for _name in (
     *("__delitem__", "__iadd__", "__imul__", "__setitem__"),
 ):
     setattr(Children, _name, _checked(_name))
+
+
+def is_trusted(behaviour: Behaviour) -> bool:
+    """Tell whether a behaviour needs no guard, which costs a little of each tick."""
+    kind = type(behaviour)
+    if kind in _TRUSTED:
+        return True
+    return any(
+        isinstance(behaviour, careful) and kind.tick is careful.tick and kind.stop is careful.stop
+        for careful in _CAREFUL
+    )
 
 
 class _EndedBadly(Exception):

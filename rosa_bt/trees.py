@@ -13,7 +13,7 @@ from py_trees.trees import BehaviourTree
 from rosa_bt.behaviours import RosaAction
 from rosa_bt.endings import halt
 from rosa_bt.exceptions import TreeChangeError
-from rosa_bt.guards import Children, Lock, guard
+from rosa_bt.guards import Children, Lock, guard, is_trusted
 from rosa_bt.structure import insert, prune, replace
 
 __all__ = ["GuardedTree", "TreeRunner"]
@@ -87,7 +87,8 @@ class GuardedTree(BehaviourTree):
             behaviour = pending.pop()
             found += 1
             if behaviour not in guarded:
-                guarded[behaviour] = guard(behaviour)
+                is_free = behaviour is not self.root and is_trusted(behaviour)
+                guarded[behaviour] = _do_nothing if is_free else guard(behaviour)
             children = behaviour.children
             if children:
                 if type(children) is not Children:
@@ -242,3 +243,7 @@ class TreeRunner:
         for behaviour in self.tree.root.iterate():
             if isinstance(behaviour, RosaAction):
                 behaviour.forget_progress()
+
+
+def _do_nothing() -> None:
+    """Release what was not guarded."""

@@ -82,7 +82,7 @@ class Plain(Unruly, Behaviour):
         self.script, self.raising = script, raising
 
 
-class Rash(Parallel):
+class Rash(Sequence):
     """Raises in every third tick, after its children were ticked."""
 
     count = 0
@@ -123,7 +123,7 @@ class Plan:
         if self.kind == "guarded":
             return feasible_then_act(Acting(kb, self.action, list(self.script), self.raising))
         if self.kind == "rash":
-            return Rash("rash", policy=ParallelPolicy.SuccessOnAll(), children=children)
+            return Rash("rash", memory=False, children=children)
         if self.kind == "condition":
             return IsActionFeasible("feasible?", kb, self.action)
         if self.kind == "selector":

@@ -1,0 +1,130 @@
+"""What asking the knowledge base adds to a tick, beside the same tree with constant leaves under plain py_trees."""
+
+from collections.abc import Callable
+from statistics import median
+from time import perf_counter
+
+import pytest
+from py_trees.behaviour import Behaviour
+from py_trees.behaviours import Failure, Running, Success
+from py_trees.common import Status
+from py_trees.composites import Composite, Selector, Sequence
+from py_trees.decorators import Decorator
+from py_trees.trees import BehaviourTree
+
+from kb import KnowledgeBase, Model
+from missions.senses import Senses
+from missions.suave_extended.model import suave_extended_model
+from missions.suave_extended.tree import suave_extended_tree
+from rosa_bt import IsActionFeasible, TreeRunner
+from rosa_bt.visitors import TraceVisitor
+
+pytestmark = pytest.mark.benchmark(group="trees")
+
+CONSTANT = {Status.SUCCESS: Success, Status.FAILURE: Failure, Status.RUNNING: Running}
+ROUNDS, TICKS = 15, 40
+
+
+def searching() -> tuple[KnowledgeBase, Senses]:
+    """Return a knowledge base and senses of a vehicle that searches, in clear water with a full battery."""
+    kb = KnowledgeBase(suave_extended_model(), clock=lambda: 0.0)
+    kb.measure("water_visibility", 3.5)
+    kb.measure("battery_level", 1.0)
+    return kb, Senses()
+
+
+def inspecting() -> tuple[KnowledgeBase, Senses]:
+    """Return the same when the pipeline is found."""
+    kb, senses = searching()
+    senses.receive({"status": [{"message": "mission status", "values": {"pipeline_found": "true"}}]})
+    return kb, senses
+
+
+def recharging() -> tuple[KnowledgeBase, Senses]:
+    """Return the same when the battery is low."""
+    kb, senses = inspecting()
+    kb.measure("battery_level", 0.2)
+    return kb, senses
+
+
+def with_constant_leaves(tree: Behaviour, built: Behaviour) -> Behaviour:
+    """Turn a tree that was just built into one whose leaves return what those of its twin, which ran, returned."""
+    for child, twin in zip(list(tree.children), built.children, strict=True):
+        constant = CONSTANT.get(twin.status, Running)(child.name)
+        if child.children:
+            with_constant_leaves(child, twin)
+        elif isinstance(tree, Composite):
+            tree.replace_child(child, constant)
+        elif isinstance(tree, Decorator):
+            tree.children[0] = tree.decorated = constant
+            constant.parent = tree
+    return tree
+
+
+def seconds(tick: Callable[[], object]) -> float:
+    started = perf_counter()
+    for _ in range(TICKS):
+        tick()
+    return perf_counter() - started
+
+
+def ratio(ours: Callable[[], object], plain: Callable[[], object]) -> float:
+    """Return how many times as long ours takes, the two by turns so that both meet the same machine."""
+    seconds(ours), seconds(plain)
+    pairs = [(seconds(ours), seconds(plain)) for _ in range(ROUNDS)]
+    return median(one / other for one, other in pairs)
+
+
+def report(what: str, found: float, limit: float) -> None:
+    print(f"\n{what}: {found:.2f} times (at most {limit})")
+    assert found <= limit
+
+
+@pytest.mark.parametrize("situation", [searching, inspecting, recharging])
+def test_tree_that_asks_ticks_nearly_as_fast_as_one_of_constants(situation):
+    kb, senses = situation()
+    runner = TreeRunner(suave_extended_tree(kb, senses), clock=lambda: 0.0)
+    runner.tick()
+    runner.tick()
+    plain = BehaviourTree(with_constant_leaves(suave_extended_tree(*situation()), runner.tree.root))
+    report(f"asking while {situation.__name__}", ratio(runner.tick, plain.tick), 1.3)
+    assert runner.status is plain.root.status is Status.RUNNING
+
+
+@pytest.mark.parametrize("situation", [searching, inspecting, recharging])
+def test_tree_that_is_traced_ticks_at_most_twice_as_long_as_one_of_constants(situation, tmp_path):
+    kb, senses = situation()
+    runner = TreeRunner(suave_extended_tree(kb, senses), clock=lambda: 0.0)
+    runner.tick()
+    runner.tick()
+    plain = BehaviourTree(with_constant_leaves(suave_extended_tree(*situation()), runner.tree.root))
+    with TraceVisitor(kb, tmp_path / "run.jsonl") as visitor:
+        runner.tree.add_visitor(visitor)
+        report(f"traced while {situation.__name__}", ratio(runner.tick, plain.tick), 2.0)
+
+
+def big(conditions: int, condition: Callable[[int], Behaviour]) -> Behaviour:
+    """Return a tree of 1,000 nodes, all ticked each time: so many conditions, the rest constant."""
+    root = Sequence("root", memory=False)
+    number = 0
+    for group in range(111):
+        selector = Selector(f"group {group}", memory=False)
+        for place in range(8):
+            leaf = condition(number) if place == 7 and number < conditions else None
+            number += place == 7
+            selector.add_child(leaf or (Success if place == 7 else Failure)(f"leaf {group} {place}"))
+        root.add_child(selector)
+    return root
+
+
+def test_thousand_nodes_with_a_hundred_conditions_tick_nearly_as_fast_as_plain_ones():
+    model = Model("many")
+    level = model.quality_attribute("level")
+    for number in range(100):
+        model.action(f"action_{number}", constraints=[level >= number / 1000])
+    kb = KnowledgeBase(model, clock=lambda: 0.0)
+    kb.measure("level", 1.0)
+    asking = big(100, lambda number: IsActionFeasible(f"feasible {number}?", kb, f"action_{number}"))
+    plain = BehaviourTree(big(100, lambda number: Success(f"feasible {number}?")))
+    assert len(list(asking.iterate())) == 1000
+    report("1,000 nodes", ratio(TreeRunner(asking, clock=lambda: 0.0).tick, plain.tick), 1.3)
