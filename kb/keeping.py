@@ -48,7 +48,8 @@ class Keeping(Telling):
         self._keep = keep
         self._store = past.store if past else None
         self._book: Book | None = None
-        self._book_of = (0, 0, 0, False)
+        self._book_of = (0, 0, 0)
+        self._is_copy = False
         self._asking = Lock()
         self._journal = Journal(network.model, most=_UNSAVED)
         if past:
@@ -81,11 +82,17 @@ class Keeping(Telling):
         return self._store is not None and self._store.flush(timeout)
 
     def close(self) -> None:
-        """Save what is left and give the store back; what is told later is in memory only."""
-        if self._store is not None:
-            self._store.close()
-            with self._lock:
-                self._keep_in_memory()
+        """Save what is left and give the store back; what was in it is copied first, for it can still be asked for."""
+        if self._store is None or self._store.is_closed:
+            return
+        with self._asking:
+            self._store.finish()
+            if self._book is None or self._is_copy:
+                self._book = self._new_book(list(individuals(self._network.model, self._journal.serials)))
+                self._book_of, self._is_copy = (0, 0, 0), False
+            self._store.release()
+        with self._lock:
+            self._keep_in_memory()
 
     def query(self, sparql: str, timeout: float = 10.0) -> "list[tuple[Answer, ...]]":
         """Answer a SPARQL query over the model, all that was told, and the statuses that follow from it.
@@ -132,15 +139,15 @@ class Keeping(Telling):
         with self._lock:
             saving = self._journal.keeps_measurements
             samples = () if saving else tuple(self._samples())
-            now = (self._journal.told, self.revision, len(samples), saving)
-            if self._book is not None and now == self._book_of:
+            now = (self._journal.told, self.revision, len(samples))
+            if self._book is not None and now == self._book_of and saving == self._is_copy:
                 return self._book
             inferred = [self._inferred(node) for node in self._elements()]
             model = list(individuals(self._network.model, self._journal.serials))
             waiting = [] if saving else [one for one in self._journal.waiting if isinstance(one, Group)]
             if not saving:
                 self._journal.waiting.clear()
-        if self._book is None or saving or self._book_of[-1]:
+        if self._book is None or saving or self._is_copy:
             self._book = self._new_book(model)
         self._book.write_model(model)
         self._book.write(entry for group in waiting for entry in group.entries)
@@ -149,7 +156,7 @@ class Keeping(Telling):
             self._book.write(measurement(one) for one in samples)
         self._book.write_inferred(inferred)
         self._book.commit()
-        self._book_of = now
+        self._book_of, self._is_copy = now, saving
         return self._book
 
     def _new_book(self, model: list[Individual]) -> "Book":

@@ -171,10 +171,19 @@ class Store:
         with self._using:
             self.book.copy_to(other)
 
+    @property
+    def is_closed(self) -> bool:
+        """Whether the file is given back."""
+        return self._closing
+
     def close(self) -> None:
         """Write what is left, and give the file back."""
-        if self._closing:
-            return
+        if not self._closing:
+            self.finish()
+            self.release()
+
+    def finish(self) -> None:
+        """Write what is left; `release` has to follow."""
         self._closing = True
         self.wake()
         if self._thread is not None and self._thread is not threading.current_thread():
@@ -182,7 +191,6 @@ class Store:
         with self._using, suppress(sqlite3.Error):
             if self.error is None:
                 self._connection.execute("PRAGMA journal_mode=DELETE")
-        self.release()
 
     def release(self) -> None:
         """Give the file back as it is."""

@@ -2,12 +2,14 @@
 
 import random
 import sys
+from functools import partial
 
 from models import Clock
 
 from kb import KnowledgeBase, Model, PriorityPlanner
 
 KEPT = 50
+LOST = "nobody saw what came of it"
 
 
 def answers(kb, *, ended=False):
@@ -31,6 +33,9 @@ def answers(kb, *, ended=False):
         "plans": [plan(one, ended) for one in kb.plans],
         "requests": [request(one) for one in kb.action_history],
         "open": [one.action for one in kb.required_actions],
+        "attempts": [attempt(one, ended) for one in kb.attempts],
+        "answers": [(kb.plans.index(one.plan), one.time, one.is_vetoed, one.reason) for one in kb.answers],
+        "reasons": [one.reason for one in (*kb.designs.values(), *kb.configurations.values())],
         "processes": [(one.component, one.pid, one.start, one.end) for one in kb.processes],
         "adaptable": (kb.adaptable_functions(), kb.adaptable_components(), kb.obsolete()),
     }
@@ -39,6 +44,11 @@ def answers(kb, *, ended=False):
 def plan(one, ended):
     result = "abandoned" if ended and one.end is None else one.result
     return (one.activate, one.deactivate, one.parameters, one.reason, one.start, result)
+
+
+def attempt(one, ended):
+    told = (str(one.plan), one.component, one.operation, one.configuration, dict(one.parameters), one.number, one.start)
+    return (*told, *(("abandoned", LOST) if ended and one.end is None else (one.result, one.reason)))
 
 
 def request(one):
@@ -83,8 +93,10 @@ class Life:
         kb, chance = self.kb, self.chance
         if what < 5:
             yield kb.measure, chance.choice(("light", "energy", "load")), chance.random()
+        elif what == 5 and chance.random() < 0.5:
+            yield kb.component_failed, chance.choice(("camera", "lidar")), chance.choice(("", "no 'luck'", "rain"))
         elif what == 5:
-            yield chance.choice((kb.component_failed, kb.component_recovered)), chance.choice(("camera", "lidar"))
+            yield kb.component_recovered, chance.choice(("camera", "lidar"))
         elif what == 6:
             preference = chance.choice((None, "energy", {"energy": 2.0}))
             yield kb.request_action, chance.choice(("explore", "rest")), preference
@@ -111,22 +123,24 @@ class Life:
                 )
             )
         elif what == 11:
-            status = chance.choice(("failure", "solved", None))
-            yield (
-                (kb.assert_status, kb.components["lidar"], status)
-                if status
-                else (
-                    kb.retract_status,
-                    kb.components["lidar"],
-                )
-            )
+            lidar, status = kb.components["lidar"], chance.choice(("failure", "solved", None))
+            until = chance.choice((None, self.clock.now + 5.0))
+            yield (kb.assert_status, lidar, status, "seen", until) if status else (kb.retract_status, lidar)
             yield kb.assert_required, kb.functions["see"], chance.choice((True, None))
             yield kb.assert_selected, kb.designs["by lidar"], chance.choice((True, False))
 
     def carrying_out(self, plan):
-        for name in (*plan.deactivate, *plan.activate):
-            yield self.kb.component_active, name, name in plan.activate
-        yield self.kb.finish_plan, plan, self.chance.choice(("completed", "failed"))
+        kb, chance = self.kb, self.chance
+        is_vetoed = chance.random() < 0.2
+        yield (partial(kb.record_answer, plan, is_vetoed=is_vetoed, reason="not now" if is_vetoed else ""),)
+        for name in () if is_vetoed else (*plan.deactivate, *plan.activate):
+            operation = "activate" if name in plan.activate else "deactivate"
+            yield (partial(kb.record_attempt, plan, name, operation, parameters={"speed": 0.5}),)
+            result = chance.choice(("completed", "completed", "failed", None))
+            if result:
+                yield kb.finish_attempt, kb.attempts[-1], result, "as told"
+            yield kb.component_active, name, name in plan.activate
+        yield kb.finish_plan, plan, chance.choice(("completed", "failed"))
 
 
 def live(path, seed):

@@ -313,16 +313,17 @@ def test_store_that_others_lock_is_left_alone(tmp_path):
     other.close()
 
 
-def test_closed_base_goes_on_in_memory(tmp_path):
+def test_closed_base_can_be_asked_and_is_told_nothing_more(tmp_path):
     path = tmp_path / "m.sqlite3"
     with kept(robot(), path) as kb:
         kb.measure("load", 1.0)
-        kb.close()
-        kb.measure("load", 2.0)
         kb.component_failed("camera")
-        assert kb.attributes["load"].value == 2.0
+        kb.close()
+        with pytest.raises(KnowledgeBaseError, match="closed"):
+            kb.measure("load", 2.0)
+        assert kb.attributes["load"].value == 1.0
         assert kb.query("SELECT ?s { ?f a :Failure ; :start ?s }") == [(5.0,)]
-        assert not kb.flush(0.1)
+        assert (kb.flush(0.1), kb.saved, kb.store_error) == (True, kb.told, None)
         kb.close()
     assert [one.name for one in tmp_path.iterdir()] == ["m.sqlite3"]
     with kept(robot(), path) as kb:
