@@ -20,14 +20,14 @@ from kb import KnowledgeBaseError
 from kb.judge.findings import Severity
 from missions.checking import inconsistencies, judge, print_judgement
 from missions.live import Narrator, Pace, Recorder
-from missions.mission import Mission, MissionError, Verdict
+from missions.managers import OURS, open_run
+from missions.mission import MissionError, Verdict
 from missions.output import OutputFile
 from missions.recording import header, line_of
 from missions.registry import MISSIONS, find_mission
 from missions.report import adaptation_table, as_json, summary, timing
 from missions.runner import Listener, MissionRun
-from missions.settings import RunSettings, describe, split_settings
-from missions.task import check_task
+from missions.settings import describe, split_settings
 from rosa_pddl import RosaPddlError
 
 __all__ = ["app", "main"]
@@ -72,7 +72,9 @@ def list_settings(mission: str) -> None:
 @app.command("run")
 def run_mission(
     mission: str,
-    task: Annotated[str, typer.Option(help="Task layer: bt (behaviour tree) or pddl (planned).")] = "bt",
+    task: Annotated[str, typer.Option(help="Task layer of ours: bt (behaviour tree) or pddl (planned).")] = "bt",
+    manager: Annotated[str, typer.Option(help="ours, none, bt, or one of your own: package:Class.")] = "ours",
+    rules: Annotated[str | None, typer.Option(help="Rules of SUAVE: 2024 (the ROSA paper) or 2025.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of all chance in the run.")] = 0,
     json: Annotated[Path | None, typer.Option(help="Write the result as JSON.")] = None,
     plot: Annotated[Path | None, typer.Option(help="Draw the run as a PNG picture.")] = None,
@@ -84,9 +86,8 @@ def run_mission(
 ) -> None:
     """Run a mission, say what happened and why, and exit with 0 if it did what it was for."""
     found = find_mission(mission)
-    check_task(task)
-    changed = _assignments(settings or [])
-    run_settings, world_settings = split_settings(found, changed)
+    changed = _assignments(settings or []) | ({} if rules is None else {"rules": rules})
+    run_settings, _ = split_settings(found, changed)
     console = _console()
     wanted = {"json": json, "plot": plot, "timing": timing_file, "record": record}
     with ExitStack() as stack:
@@ -99,17 +100,17 @@ def run_mission(
         narrator = Narrator(console, run_settings.duration_s)
         if progress:
             listeners.append(narrator)
-        run = _opened(found, task, seed, run_settings, world_settings, tuple(listeners))
+        run = open_run(found, manager=manager, task=task, seed=seed, settings=changed, listeners=tuple(listeners))
         if "record" in files:
             files["record"].write(line_of(header(run, seed)))
         with narrator if progress else nullcontext():
-            console.print(f"[bold]{found.name}[/] (task layer: {task}, seed {seed})")
+            console.print(f"[bold]{found.name}[/] ({_doing(task, manager)}, seed {seed})")
             start = time.perf_counter()
             verdict = _run(run)
             wall_s = time.perf_counter() - start
         _print_result(console, run, wall_s)
         _print_verdict(console, run, verdict)
-        data = summary(run, verdict, seed, changed)
+        data = summary(run, verdict, seed, changed) | {"manager": manager}
         texts = {"json": as_json(data), "timing": as_json(timing(run, wall_s)), "record": ""}
         for name in texts.keys() & files.keys():
             files[name].write(texts[name])
@@ -183,18 +184,8 @@ def _files(paths: Mapping[str, Path], stack: ExitStack) -> dict[str, OutputFile]
     return {name: stack.enter_context(OutputFile(path)) for name, path in paths.items()}
 
 
-def _opened(
-    mission: Mission,
-    task: str,
-    seed: int,
-    settings: RunSettings,
-    world_settings: Mapping[str, str],
-    listeners: tuple[Listener, ...],
-) -> MissionRun:
-    import numpy
-
-    world = mission.world.open(world_settings, numpy.random.default_rng(seed))
-    return MissionRun(mission, task, world, settings, listeners)
+def _doing(task: str, manager: str) -> str:
+    return f"task layer: {task}" if manager == OURS else f"manager: {manager}"
 
 
 def _run(run: MissionRun) -> Verdict:
@@ -227,9 +218,9 @@ def _print_result(console: Console, run: MissionRun, wall_s: float) -> None:
 
 
 def _with_unit(name: str) -> str:
-    """Return "search time [s]" for "search_time_s"."""
+    """Return "search time [s]" for "search_time_s", and what has no unit as it is."""
     words, _, unit = name.rpartition("_")
-    return f"{words.replace('_', ' ')} [{unit}]"
+    return f"{words.replace('_', ' ')} [{'J' if unit == 'j' else unit}]" if words else name
 
 
 def _print_verdict(console: Console, run: MissionRun, verdict: Verdict) -> None:

@@ -1,16 +1,17 @@
 """The simulated sea as a world of missions; the simulator is imported when a mission is run in it, not before."""
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from numpy.random import Generator
 
-from kb import KnowledgeBase, ManagedSystem
+from kb import KnowledgeBase
 from missions.mission import Message, MissionError, Sample, Setting, Verdict, World, WorldKind
 from missions.senses import Senses
 
 if TYPE_CHECKING:
-    from suave_env import SuaveEnv
+    from suave_env import ManagedSystem, Settings, SuaveEnv
 
 __all__ = ["SEA", "Sea"]
 
@@ -30,9 +31,14 @@ class Sea(World):
         return self._env.now
 
     @property
-    def managed(self) -> ManagedSystem:
+    def managed(self) -> "ManagedSystem":
         """The nodes of the vehicle."""
         return self._env.managed
+
+    @property
+    def settings(self) -> "Settings":
+        """The constants of the sea."""
+        return self._env.settings
 
     def advance(self, until: float) -> list[Message]:
         """Simulate until something is published or switched, at most to the time `until` [s]."""
@@ -51,13 +57,8 @@ class Sea(World):
         }
 
     def results(self) -> Mapping[str, float | None]:
-        """Return search time and inspected distances."""
-        metrics = self._env.metrics
-        return {
-            "search_time_s": metrics.search_time_s,
-            "distance_inspected_m": metrics.distance_inspected_m,
-            "total_inspected_m": metrics.total_inspected_m,
-        }
+        """Return the metrics."""
+        return asdict(self._env.metrics)
 
     def sample(self) -> Sample:
         """Return position, visibility, battery and altitude."""
@@ -90,7 +91,7 @@ class _SeaKind(WorldKind):
 
         return Settings.describe()
 
-    def open(self, values: Mapping[str, str], rng: Generator) -> World:
+    def open(self, values: Mapping[str, str], rng: Generator) -> Sea:
         """Open a sea."""
         from suave_env import Settings, SuaveEnv, SuaveEnvError
 
@@ -100,15 +101,18 @@ class _SeaKind(WorldKind):
             raise MissionError(str(error)) from error
 
     def verdict(self, senses: Senses, results: Mapping[str, float | None], kb: KnowledgeBase) -> Verdict:
-        """Judge by the goal: the pipeline found, more than 0 m of it inspected, a recharge done if one was needed."""
+        """Judge by the goal: the pipeline found, more than 0 m of it inspected, a recharge done if one was begun."""
+        return self.judge(senses, results, any(one.action == "recharge" for one in kb.action_history))
+
+    def judge(self, senses: Senses, results: Mapping[str, float | None], needed_recharge: bool) -> Verdict:
+        """Judge by the goal, given whether a recharge was begun."""
         if senses.holds("pipeline_inspected"):
             return Verdict("inspected_all", "the whole pipeline is inspected")
         if not senses.holds("pipeline_found"):
             return Verdict("not_found", "the pipeline was not found in time")
         if not results.get("total_inspected_m"):
             return Verdict("aborted", "time ran out before any of the pipeline was inspected")
-        needed = any(one.action == "recharge" for one in kb.action_history)
-        if needed and not senses.count("battery_recharged"):
+        if needed_recharge and not senses.count("battery_recharged"):
             return Verdict("aborted", "time ran out before a recharge that was needed had ended")
         return Verdict("time_limit", "the pipeline was found and inspected up to the time limit")
 

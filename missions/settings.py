@@ -48,19 +48,31 @@ def describe(mission: Mission) -> tuple[Setting, ...]:
 def split_settings(mission: Mission, values: Mapping[str, str]) -> tuple[RunSettings, dict[str, str]]:
     """Return how to run, and what remains for the world, whose values the world checks.
 
+    Args:
+        mission: whose settings.
+        values: by name; a unit at the end of a name may be left out, as in start_y for start_y_m.
+
     Raises:
         MissionError: an unknown name or a value that is not allowed.
     """
     own = {one.name for one in fields(RunSettings)}
-    known = own | {setting.name for setting in describe(mission)}
+    full = {_without_unit(setting): setting.name for setting in describe(mission)}
+    full |= {name: name for name in full.values()}
     for name in values:
-        if name not in known:
-            near = get_close_matches(name, sorted(known), n=3)
+        if name not in full:
+            near = get_close_matches(name, sorted(full.values()), n=3)
             hint = f"did you mean {' or '.join(near)}?" if near else f"`rosa settings {mission.name}` lists them"
             raise MissionError(f"unknown setting {name!r} of mission {mission.name}; {hint}")
+        if full[name] != name and full[name] in values:
+            raise MissionError(f"{name} and {full[name]} are the same setting; give it once")
+    values = {full[name]: value for name, value in values.items()}
     least = {one.name: float(one.metadata["least"]) for one in fields(RunSettings)}
     run = RunSettings(**{name: _seconds_of(name, values[name], least[name]) for name in values if name in own})
     return run, {name: value for name, value in {**mission.fixed, **values}.items() if name not in own}
+
+
+def _without_unit(setting: Setting) -> str:
+    return setting.name.removesuffix("_" + setting.unit.replace("/", "_").replace(" ", "_"))
 
 
 def _seconds_of(name: str, text: str, least: float) -> float:

@@ -1,0 +1,8 @@
+"""The managers of the vehicle: ours, those that the ROSA paper compares it with, and any of your own."""
+
+from missions.managers.manager import Manager, Robot, Task
+from missions.managers.opening import open_run
+from missions.managers.registry import MANAGERS, OURS, find_manager
+from missions.managers.run import ManagedRun
+
+__all__ = ["MANAGERS", "OURS", "ManagedRun", "Manager", "Robot", "Task", "find_manager", "open_run"]

@@ -1,0 +1,159 @@
+"""What a manager of the vehicle is: the few lines to write for one of your own."""
+
+from abc import ABC
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from numpy.random import Generator
+
+from missions.mission import Message
+
+if TYPE_CHECKING:
+    from suave_env import ManagedSystem, Settings
+
+__all__ = ["Manager", "Robot", "Task"]
+
+MEASUREMENTS = ("ea measurement", "qa status")
+COMPONENT_STATUS = "component status"
+
+
+@dataclass(slots=True)
+class Task:
+    """A task of the mission that was begun.
+
+    Attributes:
+        action: its name, such as "search_pipeline".
+        start: when it was begun [s].
+        end: when it ended [s]; None while it is being done.
+        result: "completed", "abandoned" or "failed"; None while it is being done.
+        reason: why it ended.
+    """
+
+    action: str
+    start: float
+    end: float | None = None
+    result: str | None = None
+    reason: str = ""
+
+
+class Robot:
+    """What a manager knows of the vehicle, and how it acts on it.
+
+    Switching takes as long as the settings of the sea say, whoever asks for it.
+
+    Args:
+        managed: the components.
+        settings: the constants of the sea and of SUAVE's nodes.
+        rng: all the manager's chance.
+        clock: gives the time [s].
+
+    Attributes:
+        settings: the constants of the sea and of SUAVE's nodes.
+        rng: all the manager's chance.
+        measured: last published number by key, e.g. {"water_visibility": 3.1, "battery_level": 0.9}.
+        told: last published word by component, e.g. {"c_thruster_1": "FALSE"}.
+        noticed: how often something else was published, by key, e.g. {"pipeline_found": 1}.
+        tasks: every task that was begun, in order.
+    """
+
+    def __init__(
+        self, managed: "ManagedSystem", settings: "Settings", rng: Generator, clock: Callable[[], float]
+    ) -> None:
+        self.settings = settings
+        self.rng = rng
+        self.measured: dict[str, float] = {}
+        self.told: dict[str, str] = {}
+        self.noticed: dict[str, int] = {}
+        self.tasks: list[Task] = []
+        self._managed = managed
+        self._clock = clock
+
+    @property
+    def now(self) -> float:
+        """The time since the vehicle obeys [s]."""
+        return self._clock()
+
+    @property
+    def task(self) -> str | None:
+        """The task that is being done."""
+        return self.tasks[-1].action if self.tasks and self.tasks[-1].end is None else None
+
+    def activate(self, component: str) -> None:
+        """Ask for a component to become active."""
+        self._managed.activate(component)
+
+    def deactivate(self, component: str) -> None:
+        """Ask for a component to become inactive."""
+        self._managed.deactivate(component)
+
+    def set_parameters(self, component: str, parameters: Mapping[str, Any]) -> None:
+        """Ask for parameters of a component to be set."""
+        self._managed.set_parameters(component, parameters)
+
+    def is_active(self, component: str) -> bool:
+        """Return whether a component is active by now."""
+        return self._managed.is_active(component)
+
+    def parameters(self, component: str) -> dict[str, float]:
+        """Return the parameters in force of a component."""
+        return self._managed.parameters(component)
+
+    def begin(self, task: str) -> None:
+        """Take down that a task is begun; called by whoever decides about tasks."""
+        self.tasks.append(Task(task, self.now))
+
+    def end(self, result: str, reason: str = "") -> None:
+        """Take down that the task has ended."""
+        task = self.tasks[-1]
+        task.end, task.result, task.reason = self.now, result, reason
+
+    def receive(self, message: Message) -> None:
+        """Take in what was published; called before the manager hears of it."""
+        for status in message["status"]:
+            text = status["message"].casefold()
+            for key, value in status["values"].items():
+                if text in MEASUREMENTS:
+                    self.measured[key] = float(value)
+                elif text == COMPONENT_STATUS:
+                    self.told[key] = value
+                else:
+                    self.noticed[key] = self.noticed.get(key, 0) + 1
+
+
+class Manager(ABC):  # noqa: B024  # a manager that does nothing is one too
+    """Keeps the vehicle configured for the task that is being done; run with `rosa run suave --manager package:Class`.
+
+    By default the mission is that of SUAVE's mission node: search until the pipeline is found, then inspect it. A
+    manager that decides about tasks itself says so in `decides_tasks`, and calls `robot.begin` and `robot.end`.
+
+    Args:
+        robot: what is managed.
+
+    Attributes:
+        robot: what is managed.
+        period_s: from one update to the next [s]; the first comes at a moment of chance within it.
+    """
+
+    decides_tasks: ClassVar[bool] = False
+    period_s: float = 0.1
+
+    def __init__(self, robot: Robot) -> None:
+        self.robot = robot
+
+    def begin(self, task: str) -> None:  # noqa: B027  # what nobody needs need not be written
+        """Configure the vehicle for a task that begins: "search_pipeline" or "inspect_pipeline"."""
+
+    def end(self, task: str) -> None:  # noqa: B027  # what nobody needs need not be written
+        """Undo what was done for a task, which has ended."""
+
+    def receive(self, message: Message) -> None:  # noqa: B027  # what nobody needs need not be written
+        """Hear of what was published, at once."""
+
+    def update(self) -> None:  # noqa: B027  # what nobody needs need not be written
+        """Look at the vehicle and change what needs to be changed; called every `period_s`, and never waits."""
+
+    @property
+    def is_done(self) -> bool:
+        """Whether a manager that decides about tasks has done all of them."""
+        return False

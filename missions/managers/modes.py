@@ -1,0 +1,116 @@
+"""Modes of functions in the manner of ROS 2 System Modes: names for what is active with which parameters."""
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from missions.managers.manager import Robot
+from missions.mission import MissionError
+
+__all__ = ["Mode", "SystemModes"]
+
+UNGROUND = "fd_unground"
+
+
+@dataclass(frozen=True, slots=True)
+class Mode:
+    """What a mode means.
+
+    Attributes:
+        active: whether the component is active in it.
+        parameters: values by parameter name.
+    """
+
+    active: bool
+    parameters: Mapping[str, float]
+
+
+class SystemModes:
+    """Switches components by the modes of their functions, and tells modes from components.
+
+    Args:
+        robot: what is switched.
+        path: a TOML file: a table for each function with its `component` and its `modes`.
+
+    Raises:
+        MissionError: the file is not as it should be.
+    """
+
+    def __init__(self, robot: Robot, path: Path | None = None) -> None:
+        self._robot = robot
+        self._components, self._modes = _read(path or Path(__file__).with_name("modes.toml"))
+        self._requested: dict[str, str] = {}
+
+    @property
+    def functions(self) -> tuple[str, ...]:
+        """The names of the functions."""
+        return tuple(self._modes)
+
+    def of(self, function: str) -> tuple[str, ...]:
+        """Return the names of the modes of a function."""
+        return tuple(self._known(function))
+
+    def request(self, function: str, mode: str) -> None:
+        """Ask for a mode; one that was asked for last already is ignored.
+
+        Raises:
+            MissionError: there is no such function or mode.
+        """
+        modes = self._known(function)
+        if mode not in modes:
+            raise MissionError(f"function {function} has no mode {mode!r}; there are {', '.join(modes)}")
+        before = self._requested.get(function)
+        if mode == before:
+            return
+        self._requested[function] = mode
+        self._switch(self._components[function], modes.get(before or ""), modes[mode])
+
+    def unground(self, function: str) -> None:
+        """Ask for the mode in which the function's component is inactive."""
+        self.request(function, UNGROUND)
+
+    def infer(self, function: str) -> str | None:
+        """Return the first mode that the component is in, by what is in force; None if it is in none of them."""
+        component, robot = self._components[function], self._robot
+        active, parameters = robot.is_active(component), robot.parameters(component)
+        for name, mode in self._known(function).items():
+            if mode.active == active and all(parameters.get(key) == value for key, value in mode.parameters.items()):
+                return name
+        return None
+
+    def _switch(self, component: str, before: Mode | None, mode: Mode) -> None:
+        if mode.parameters and (before is None or before.parameters != mode.parameters):
+            self._robot.set_parameters(component, mode.parameters)
+        if mode.active and (before is None or not before.active):
+            self._robot.activate(component)
+        elif not mode.active and before is not None and before.active:
+            self._robot.deactivate(component)
+
+    def _known(self, function: str) -> Mapping[str, Mode]:
+        if function not in self._modes:
+            raise MissionError(f"there is no function {function!r}; there are {', '.join(self._modes)}")
+        return self._modes[function]
+
+
+def _read(path: Path) -> tuple[dict[str, str], dict[str, dict[str, Mode]]]:
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        components = {function: str(table["component"]) for function, table in content.items()}
+        modes = {
+            function: {name: _mode(dict(values)) for name, values in table["modes"].items()}
+            for function, table in content.items()
+        }
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise MissionError(
+            f"cannot read the modes in {path}: {type(error).__name__}: {error}; expected is, for each function, a "
+            "component and modes such as fd_high = { active = true, altitude = 3.0 }"
+        ) from error
+    return components, modes
+
+
+def _mode(values: dict[str, float]) -> Mode:
+    active = values.pop("active")
+    if not isinstance(active, bool):
+        raise TypeError(f"active is {active!r}, not true or false")
+    return Mode(active, {name: float(value) for name, value in values.items()})

@@ -1,0 +1,39 @@
+"""The managers there are, by name."""
+
+from collections.abc import Mapping
+from importlib import import_module
+from types import MappingProxyType
+
+from missions.managers.bt import TreeManager
+from missions.managers.manager import Manager
+from missions.managers.none import NoManager
+from missions.mission import MissionError
+
+__all__ = ["MANAGERS", "OURS", "find_manager"]
+
+OURS = "ours"
+"""The name under which the knowledge base and its configuration manager run, with the task layer that is asked for."""
+
+MANAGERS: Mapping[str, type[Manager]] = MappingProxyType({"none": NoManager, "bt": TreeManager})
+"""All but ours."""
+
+
+def find_manager(name: str) -> type[Manager]:
+    """Return a manager by its name, or as "package:Class" from anywhere that Python imports from.
+
+    Raises:
+        MissionError: no such manager; the message lists those there are.
+    """
+    if name in MANAGERS:
+        return MANAGERS[name]
+    module, colon, attribute = name.partition(":")
+    if not colon:
+        known = ", ".join((OURS, *MANAGERS))
+        raise MissionError(f"unknown manager {name!r}; there are {known}; one of your own is given as package:Class")
+    try:
+        found = getattr(import_module(module), attribute)
+    except (ImportError, AttributeError, ValueError, SyntaxError) as error:
+        raise MissionError(f"cannot import manager {name!r}: {type(error).__name__}: {error}") from error
+    if not (isinstance(found, type) and issubclass(found, Manager)):
+        raise MissionError(f"{name!r} is no subclass of missions.managers.Manager")
+    return found
