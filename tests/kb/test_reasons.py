@@ -1,0 +1,396 @@
+"""What whoever tells a fact says of it: why it is so and until when, in explanations, in plans and in the store."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from models import Clock
+
+from kb import InvalidValue, KnowledgeBase, KnowledgeBaseError, Model, PriorityPlanner, Status
+from kb.history import KEPT_RECORDS
+
+
+def rover():
+    model = Model("rover")
+    light = model.environmental_attribute("light")
+    camera = model.component("camera", kind="lifecycle", always_improve=True)
+    camera.configuration("day", {"exposure": 0.01}, priority=1, constraints=[light >= 0.5])
+    camera.configuration("night", {"exposure": 0.2}, priority=2)
+    model.component("lidar", kind="process")
+    see = model.function("see", always_improve=True)
+    see.design("by camera", [camera], priority=1)
+    see.design("by lidar", ["lidar"], priority=2)
+    model.action("explore", requires=[see])
+    return model
+
+
+class Lives:
+    """A knowledge base, and the same one after its end: with the store it was given, or going on in memory."""
+
+    def __init__(self, store):
+        self.clock, self.store, self.kb = Clock(300.0), store, None
+        self.begin()
+
+    def begin(self):
+        if self.kb is None or self.store is not None:
+            self.kb = KnowledgeBase(rover(), clock=self.clock, store=self.store)
+        return self.kb
+
+    def again(self):
+        if self.store is not None:
+            self.kb.close()
+        return self.begin()
+
+
+@pytest.fixture(params=["in memory", "in a store"])
+def lives(request, tmp_path):
+    found = Lives(None if request.param == "in memory" else tmp_path / "mission.sqlite3")
+    yield found
+    found.kb.close()
+
+
+# asserted statuses
+
+steps = st.lists(
+    st.tuples(st.sampled_from((0.5, 1.0, 4.0)), st.sampled_from((None, "retract", 0.5, 1.0, 3.0, math.inf))),
+    max_size=20,
+)
+
+
+@given(steps)
+def test_an_asserted_status_holds_until_its_time_and_no_longer(story):
+    clock = Clock(0.0)
+    kb = KnowledgeBase(rover(), clock=clock)
+    until = -math.inf
+    for pause, what in story:
+        if what == "retract":
+            kb.retract_status(kb.configurations["night"])
+            until = -math.inf
+        elif what is not None:
+            until = clock.now + what
+            kb.assert_status(kb.configurations["night"], "unfeasible", until=until)
+        for _ in range(round(pause / 0.25)):
+            clock.now += 0.25
+            assert (kb.configurations["night"].status is Status.UNFEASIBLE) == (clock.now < until)
+
+
+def test_a_status_that_lapses_is_told_like_one_that_is_retracted():
+    clock, heard = Clock(300.0), []
+    kb = KnowledgeBase(rover(), clock=clock)
+    kb.assert_status("camera", "unfeasible", until=312.0)
+    kb.subscribe(heard.append)
+    before = kb.revision
+    clock.now = 312.0
+    assert kb.revision == before + 1
+    (event,) = heard
+    assert (event.subject, event.text) == ("camera", "camera is no longer asserted unfeasible: its time is over")
+    assert ("camera", Status.UNFEASIBLE, Status.FEASIBLE) in [change[1:] for change in event.changes]
+
+
+@pytest.mark.parametrize("until", [math.nan, -math.inf, 300.0, 299.0, "soon", True])
+def test_a_time_that_is_none_or_over_is_refused_and_the_status_stays(until):
+    kb = KnowledgeBase(rover(), clock=Clock(300.0))
+    with pytest.raises(InvalidValue):
+        kb.assert_status("camera", "unfeasible", until=until)
+    assert kb.components["camera"].status is Status.FEASIBLE
+
+
+def test_why_a_status_is_asserted_and_until_when_is_explained(lives):
+    lives.kb.assert_status("night", "unfeasible", "its parameters could not be set", until=312.0)
+    kb = lives.again()
+    explanation = kb.explain("night")
+    assert explanation.sentence == (
+        "night is unfeasible because it is asserted so until 312 s (its parameters could not be set)"
+    )
+    assert explanation.reason == "its parameters could not be set"
+    constraint = kb.configurations["day"].constraints[0]
+    kb.assert_status(constraint, "violated", "fog")
+    assert kb.explain(constraint).fact == "light >= 0.5 is asserted violated (fog)"
+
+
+@pytest.mark.parametrize("reopened", [305.0, 312.0, 400.0])
+def test_a_status_lapses_also_while_nobody_is_there(lives, reopened):
+    lives.kb.assert_status("night", "unfeasible", "it failed", until=312.0)
+    lives.clock.now = reopened
+    kb = lives.again()
+    assert (kb.configurations["night"].status is Status.UNFEASIBLE) == (reopened < 312.0)
+    lives.clock.now = 500.0
+    assert kb.configurations["night"].status is Status.FEASIBLE
+    asserted = "?s a :AssertedStatus ; :reason ?why ; :until ?until ; :start ?start ; :end ?end"
+    assert kb.query(f"SELECT ?why ?until ?start ?end {{ {asserted} }}") == [("it failed", 312.0, 300.0, 312.0)]
+
+
+def test_the_last_word_on_a_status_stands(lives):
+    lives.kb.assert_status("night", "unfeasible", "once", until=310.0)
+    lives.kb.assert_status("night", "unfeasible", "twice", until=330.0)
+    kb = lives.again()
+    lives.clock.now = 320.0
+    assert "until 330 s (twice)" in kb.explain("night").sentence
+    kb.assert_status("night", "unfeasible")
+    assert kb.explain("night").sentence == "night is unfeasible because it is asserted so"
+
+
+# failures
+
+
+def test_why_a_component_failed_is_explained_until_it_recovers(lives):
+    lives.kb.component_failed("lidar", "it gave no answer")
+    kb = lives.again()
+    assert kb.explain("by lidar").sentence == (
+        "by lidar is unfeasible because component lidar has failed (it gave no answer)"
+    )
+    assert kb.query("SELECT ?why { ?f a :Failure ; :reason ?why }") == [("it gave no answer",)]
+    kb.component_recovered("lidar")
+    kb.component_failed("lidar")
+    assert kb.explain("lidar").sentence == "lidar has failed"
+
+
+def test_a_failure_that_is_reported_again_keeps_its_reason_unless_another_is_given():
+    kb = KnowledgeBase(rover())
+    kb.component_failed("lidar", "dust")
+    kb.component_failed("lidar")
+    assert kb.explain("lidar").reason == "dust"
+    kb.component_failed("lidar", "water")
+    assert kb.explain("lidar").reason == "water"
+
+
+def test_why_a_component_is_not_active_is_explained_and_is_the_reason_of_the_plan():
+    kb = KnowledgeBase(rover())
+    kb.request_action("explore")
+    kb.component_failed("camera")
+    carry_out(kb, PriorityPlanner().plan(kb))
+    kb.component_active("lidar", False, "its process ended by itself (exit status 3)")
+    assert "it is required and not active (its process ended by itself (exit status 3))" in str(kb.explain("lidar"))
+    plan = PriorityPlanner().plan(kb)
+    assert plan.activate == ("lidar",)
+    assert plan.reason == "its process ended by itself (exit status 3); lidar is needed by explore"
+    carry_out(kb, plan)
+    kb.component_active("lidar", False)
+    assert PriorityPlanner().plan(kb).reason == "lidar is not active, and is needed by explore"
+
+
+# selections
+
+
+def carry_out(kb, plan):
+    for name in plan.activate:
+        kb.component_active(name, True)
+    for name in plan.deactivate:
+        kb.component_active(name, False)
+    kb.finish_plan(plan, "completed")
+
+
+def test_the_reason_of_a_choice_is_kept_with_what_is_chosen_and_with_the_plan(lives):
+    lives.kb.request_action("explore")
+    carry_out(lives.kb, lives.kb.select({"see": "by camera"}, {"camera": "day"}, "the least energy"))
+    kb = lives.again()
+    (plan,) = kb.plans
+    assert plan.reason.endswith("; the least energy")
+    assert kb.designs["by camera"].reason == kb.configurations["day"].reason == "the least energy"
+    assert str(kb.explain("day")).endswith("; why it was selected: the least energy")
+    chosen = "?s a :Selection ; :about ?x ; :reason ?why . ?x :name ?name"
+    assert set(kb.query(f"SELECT ?name ?why {{ {chosen} }}")) == {
+        ("by camera", "the least energy"),
+        ("day", "the least energy"),
+    }
+    plan = kb.select({}, {"camera": "night"}, "the sharpest picture")
+    assert plan.reason == "the sharpest picture"
+    assert (kb.configurations["day"].reason, kb.configurations["night"].reason) == ("", "the sharpest picture")
+    assert kb.select({}, {"camera": "day"}).reason == "day is feasible and preferred to night"
+    assert kb.configurations["day"].reason == ""
+
+
+def test_a_selection_that_needs_no_plan_counts_as_news_once():
+    kb, heard = KnowledgeBase(rover()), []
+    kb.request_action("explore")
+    kb.component_active("lidar", True)
+    kb.subscribe(heard.append)
+    before = kb.revision
+    assert kb.select({"see": "by lidar"}) is None
+    assert kb.revision == before + 1
+    assert [event.text for event in heard] == ["by lidar is selected"]
+    assert ("see", Status.UNSOLVED, Status.SOLVED) in [change[1:] for change in heard[0].changes]
+    assert kb.select({"see": "by lidar"}) is None
+    kb.cancel_action("explore")
+    now = kb.revision
+    assert kb.select({}, {"camera": "day"}).parameters == ()  # selected and obsolete at once
+    assert kb.revision == now
+
+
+def test_a_plan_says_which_request_has_ended_and_why():
+    kb = KnowledgeBase(rover())
+    kb.request_action("explore")
+    carry_out(kb, PriorityPlanner().plan(kb))
+    kb.model.remove("explore")
+    assert PriorityPlanner().plan(kb).reason == (
+        "explore is abandoned: it is no longer in the model; what was active or selected is no longer needed"
+    )
+
+
+# attempts and answers
+
+
+def test_attempts_and_answers_are_on_record_and_can_be_asked_for(lives):
+    kb = lives.kb
+    kb.request_action("explore")
+    plan = kb.select({"see": "by camera"}, {"camera": "night"})
+    first = kb.record_attempt(plan, "camera", "activate")
+    second = kb.record_attempt(
+        plan, "camera", "configure", configuration="night", parameters={"exposure": 0.2}, number=2
+    )
+    lives.clock.now = 301.0
+    assert kb.finish_attempt(first, "failed", "too slow")
+    assert not kb.finish_attempt(first, "completed")
+    assert kb.finish_attempt(second, "completed")
+    kb.record_answer(plan, is_vetoed=True, reason="not at night")
+    kb.finish_plan(plan, "abandoned")
+    assert [str(one) for one in kb.attempts] == [
+        "activate camera, attempt 1: failed: too slow",
+        "configure camera, attempt 2: completed",
+    ]
+    described = [attempt(one) for one in kb.attempts], [answer(one) for one in kb.answers]
+    kb = lives.again()
+    assert ([attempt(one) for one in kb.attempts], [answer(one) for one in kb.answers]) == described
+    assert kb.attempts[0].plan is kb.answers[0].plan is kb.plans[0]
+    asked = (
+        "?a a :Attempt ; :ofPlan ?plan ; :about ?c ; :operation ?what ; :number ?n ; :start ?s ; :end ?e ; :result ?r"
+    )
+    rows = kb.query(f"SELECT ?name ?what ?n ?s ?e ?r {{ {asked} . ?c :name ?name }} ORDER BY ?n")
+    assert rows == [
+        ("camera", "activate", 1, 300.0, 301.0, "failed"),
+        ("camera", "configure", 2, 300.0, 301.0, "completed"),
+    ]
+    vetoed = "?v a :VetoAnswer ; :ofPlan ?plan ; :isVetoed true ; :reason ?why ; :time ?t . ?plan :result ?result"
+    assert kb.query(f"SELECT ?why ?t ?result {{ {vetoed} }}") == [("not at night", 301.0, "abandoned")]
+
+
+def attempt(one):
+    told = (one.component, one.operation, one.configuration, dict(one.parameters), one.number)
+    return (*told, one.start, one.end, one.result, one.reason, one.plan.reason)
+
+
+def answer(one):
+    return one.plan.reason, one.time, one.is_vetoed, one.reason
+
+
+def test_an_attempt_that_was_under_way_is_abandoned_when_a_store_is_opened_again(tmp_path):
+    lives = Lives(tmp_path / "mission.sqlite3")
+    lives.kb.request_action("explore")
+    lives.kb.record_attempt(lives.kb.select({"see": "by camera"}, {"camera": "night"}), "camera", "activate")
+    lives.kb.flush()
+    lives.clock.now = 350.0
+    (one,) = lives.again().attempts
+    assert (one.end, one.result, one.plan.result) == (350.0, "abandoned", "abandoned")
+    lives.kb.close()
+
+
+def test_the_newest_attempts_and_answers_are_remembered():
+    kb = KnowledgeBase(rover())
+    kb.request_action("explore")
+    plan = kb.select({"see": "by camera"})
+    for number in range(1, KEPT_RECORDS + 3):
+        kb.record_attempt(plan, "camera", "activate", number=number)
+        kb.record_answer(plan, is_vetoed=False, reason=str(number))
+    assert [one.number for one in kb.attempts] == list(range(3, KEPT_RECORDS + 3))
+    assert [one.reason for one in kb.answers] == [str(number) for number in range(3, KEPT_RECORDS + 3)]
+
+
+WRONG = [
+    lambda kb, plan: kb.record_attempt("plan", "camera", "activate"),
+    lambda kb, plan: kb.record_attempt(plan, "camra", "activate"),
+    lambda kb, plan: kb.record_attempt(plan, "camera", "explode"),
+    lambda kb, plan: kb.record_attempt(plan, "camera", "configure", configuration="noon"),
+    lambda kb, plan: kb.finish_attempt(kb.record_attempt(plan, "camera", "activate"), "done"),
+    lambda kb, plan: kb.record_answer(None, is_vetoed=True),
+    lambda kb, plan: kb.record_answer(plan, is_vetoed="no"),
+    lambda kb, plan: kb.record_answer(plan, is_vetoed=True, reason=3),
+    lambda kb, plan: kb.component_failed("camera", None),
+    lambda kb, plan: kb.assert_status("camera", "failure", reason=3),
+    lambda kb, plan: kb.select({"see": "by lidar"}, reason=None),
+]
+
+
+@pytest.mark.parametrize("tell", WRONG)
+def test_what_makes_no_sense_is_refused_and_nothing_is_changed(tell):
+    kb = KnowledgeBase(rover())
+    kb.request_action("explore")
+    plan = kb.select({"see": "by camera"})
+    with pytest.raises(KnowledgeBaseError):
+        tell(kb, plan)
+    assert kb.answers == ()
+    assert kb.components["camera"].status is Status.UNSOLVED
+    assert kb.designs["by camera"].is_selected
+
+
+# the end
+
+
+def test_a_closed_base_can_be_asked_but_not_told(tmp_path):
+    lives = Lives(tmp_path / "mission.sqlite3")
+    kb = lives.kb
+    kb.measure("light", 0.7)
+    kb.assert_status("night", "unfeasible", until=310.0)
+    kb.close()
+    kb.close()
+    for tell in (
+        lambda: kb.measure("light", 0.1),
+        lambda: kb.component_failed("lidar"),
+        lambda: kb.request_action("explore"),
+        lambda: kb.select({"see": "by camera"}),
+        lambda: kb.component_started("lidar", 4),
+        lambda: kb.assert_selected("day", True),
+    ):
+        with pytest.raises(KnowledgeBaseError, match="closed"):
+            tell()
+    lives.clock.now = 310.0
+    assert kb.configurations["night"].status is Status.FEASIBLE
+    assert (kb.attributes["light"].value, kb.is_feasible("explore")) == (0.7, True)
+    assert kb.query("SELECT ?v { ?m a :Measurement ; :value ?v }") == [(0.7,)]
+
+
+@pytest.mark.parametrize("wait", ["flush", "close"])
+def test_a_subscriber_that_would_wait_for_the_disk_is_told_so(tmp_path, wait):
+    kb, told = KnowledgeBase(rover(), store=tmp_path / "mission.sqlite3"), []
+
+    def impatient(event):
+        with pytest.raises(KnowledgeBaseError, match="subscriber"):
+            getattr(kb, wait)()
+        told.append(event.text)
+
+    leave = kb.subscribe(impatient)
+    kb.measure("light", 0.4)
+    leave()
+    assert told == ["light is 0.4"]
+    assert kb.flush(10.0)
+    kb.close()
+
+
+# in short
+
+
+def test_a_base_and_a_situation_say_in_short_what_they_are():
+    kb = KnowledgeBase(rover())
+    assert repr(kb) == "<KnowledgeBase 'rover': 1 of 1 actions feasible>"
+    kb.request_action("explore")
+    situation = kb.situation(light=0.3, failed=["camera", "lidar"])
+    assert repr(situation) == (
+        "<Situation of 'rover' with light 0.3, camera failed, lidar failed: 0 of 1 actions feasible, required: explore>"
+    )
+
+
+def test_the_time_is_that_of_the_clock(lives):
+    assert lives.kb.now == lives.kb.situation().now == 300.0
+
+
+def test_an_attribute_is_explained_by_what_is_known_of_it_and_what_needs_it():
+    clock = Clock(10.0)
+    kb = KnowledgeBase(rover(), clock=clock)
+    assert str(kb.explain("light")) == "light is not measured; configuration day needs light >= 0.5: not evaluated"
+    kb.measure("light", 0.5 - 1e-15)
+    clock.now = 12.0
+    explanation = kb.explain(kb.attributes["light"])
+    assert str(explanation) == (
+        "light is just below 0.5 (measured 2.0 s ago); configuration day needs light >= 0.5: violated"
+    )
+    assert (explanation.status, explanation.causes[0].measurement.value) == (None, 0.5 - 1e-15)
