@@ -13,8 +13,7 @@ from kb.execution.gate import Gate, Veto
 from kb.execution.rehearsal import Rehearsal
 from kb.knowledge_base import KnowledgeBase
 from kb.managed import ManagedSystem
-from kb.network import Node
-from kb.reconfiguration import ReconfigurationPlan, why_activated
+from kb.reconfiguration import ReconfigurationPlan
 from kb.selection import first_by_priority
 
 __all__ = ["ConfigurationManager", "Executor", "Monitor", "Planner", "PriorityPlanner"]
@@ -58,15 +57,7 @@ class PriorityPlanner:
                 configurations[component] = choice
         if not designs and not configurations and not kb.obsolete():
             return None
-        nodes = [*map(kb.designs.node, designs.values()), *map(kb.configurations.node, configurations.values())]
-        if all(_is_selected(kb, node) for node in nodes):
-            return kb.select(reason=why_activated(kb._state))
         return kb.select(designs, configurations)
-
-
-def _is_selected(kb: KnowledgeBase, node: Node) -> bool:
-    """Tell whether a design or configuration is the one that is selected."""
-    return [rival for rival in node.wholes[0].parts if kb._state.selected[rival.index]] == [node]
 
 
 class ConfigurationManager:

@@ -69,7 +69,7 @@ class Rehearsal(Situation):
                 for of, name in (configurations or {}).items()
             ]
             now, state = self._clock(), self._state
-            why_these = why_selected(state, [*chosen, *given], now, reason)
+            why_these = why_selected(state, [*chosen, *given], now, reason, self._kb._ended)
             selection = reselect(state, chosen, given)
             return planned(state, selection, why_these, now) if selection else None
 

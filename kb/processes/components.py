@@ -130,7 +130,9 @@ class ProcessComponents:
                 left = [run for run in left if not run.stop(kill=is_over)]
                 if left:
                     time.sleep(_PERIOD_OF_CLOSING_S)
-            self._dismiss_guardian()
+            for one in (self._guardian, *self._tidiers.values()):
+                if one is not None:
+                    _dismiss(one, self._grace)
         if self._told is not None:
             self._tell_the_end(self._told)
 
@@ -196,21 +198,8 @@ class ProcessComponents:
         if self._guardian is not None:
             if self._guardian.poll() is None:
                 return
-            self._guardian.wait()
+            _dismiss(self._guardian, self._grace)
         self._guardian = _guard(self._mark, self._grace, os.getpid())
-
-    def _dismiss_guardian(self) -> None:
-        """Have the guardian end what has left its process group, and end itself."""
-        for one in (self._guardian, *self._tidiers.values()):
-            if one is None:
-                continue
-            assert one.stdin is not None
-            one.stdin.close()
-            try:
-                one.wait(self._grace + _TO_DIE_S)
-            except subprocess.TimeoutExpired:
-                one.kill()
-                one.wait()
 
 
 def _guard(mark: str, grace: float, parent: int) -> subprocess.Popen[bytes]:
@@ -223,6 +212,17 @@ def _guard(mark: str, grace: float, parent: int) -> subprocess.Popen[bytes]:
         env={name: value for name, value in os.environ.items() if name != MARK},
         start_new_session=True,
     )
+
+
+def _dismiss(one: subprocess.Popen[bytes], grace: float) -> None:
+    """Have a guardian end what has left its process group, and end itself."""
+    assert one.stdin is not None
+    one.stdin.close()
+    try:
+        one.wait(grace + _TO_DIE_S)
+    except subprocess.TimeoutExpired:
+        one.kill()
+        one.wait()
 
 
 class _Start:

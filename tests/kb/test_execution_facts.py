@@ -75,7 +75,7 @@ def test_a_plan_that_starts_again_what_is_not_active_says_so_and_leaves_the_reas
     assert manager.update().reason == plan.reason
     assert kb.designs["by camera"].reason == kb.configurations["day"].reason == ""
     kb.component_active("camera", False)
-    assert manager.update().reason == "camera is not active; camera is needed by explore"
+    assert manager.update().reason == "camera is not active, and is needed by explore"
     kb.cancel_action("explore")
     assert "no longer needed" in manager.update().reason
 
@@ -90,7 +90,7 @@ def test_a_plan_for_many_actions_names_a_few():
     turn(manager, clock)
     kb.component_active("camera", False)
     named = ", ".join(f"explore {number}" for number in range(4))
-    assert manager.update().reason == f"camera is not active; camera is needed by {named}, others"
+    assert manager.update().reason == f"camera is not active, and is needed by {named}, others"
 
 
 # what is not commanded
@@ -121,13 +121,19 @@ def test_a_dry_run_tells_to_activate_and_deactivate_exactly_what_is_commanded(mo
             assert plan.plain == booked
 
 
-def test_what_is_only_noted_is_told_apart():
-    kb, clock, _, manager = start()
+def test_what_is_only_noted_is_told_apart_also_after_the_knowledge_base_is_opened_again(tmp_path):
+    clock = Clock(100.0)
+    kb, _, _, manager = start(kb=opened(tmp_path / "store", clock))
     kb.request_action("explore")
-    assert str(manager.dry_run()) == "activate camera; configure day; note as active: lamp"
-    turn(manager, clock)
+    foreseen = str(manager.dry_run())
+    assert foreseen == "activate camera; configure day; note as active: lamp"
+    assert str(manager.update()) == foreseen
     kb.cancel_action("explore")
     assert str(manager.dry_run()) == "deactivate camera; note as inactive: lamp"
+    kb.close()
+    kb = opened(tmp_path / "store", clock)
+    assert [str(plan) for plan in kb.plans] == [foreseen]
+    kb.close()
 
 
 # attempts and answers
