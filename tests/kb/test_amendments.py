@@ -8,7 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from models import NUMBERS, OPERATORS, Clock, Twins, compare, events, models, mostly_some, stories
 
-from kb import KnowledgeBase, Model, ModelError, PriorityPlanner, Status, UnknownName
+from kb import AmbiguousName, KnowledgeBase, Model, ModelError, PriorityPlanner, Status, UnknownName
 
 SLOW = [HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much]
 
@@ -346,3 +346,20 @@ def test_a_view_of_what_is_removed_cannot_be_asserted(kb):
 def test_what_watches_a_model_can_be_told():
     with pytest.raises(ModelError, match="model_grew"):
         rover().watch(print)
+
+
+def test_elements_are_changed_and_removed_by_a_name_that_only_one_has():
+    model = Model("rover")
+    function = model.function("explore")
+    model.action("explore", requires=[function])
+    camera = model.component("camera")
+    night = camera.configuration("night", priority=2)
+    model.change("night", priority=1)
+    assert night.priority == 1
+    model.remove("night")
+    assert list(model.configurations) == []
+    with pytest.raises(AmbiguousName, match=r"an action, a function; .* model.actions\['explore'\]"):
+        model.remove("explore")
+    with pytest.raises(UnknownName, match="did you mean 'camera'"):
+        model.change("camra", always_improve=True)
+    assert list(model.actions) == list(model.functions) == ["explore"]

@@ -449,3 +449,31 @@ def test_declared_elements_are_listed_in_order_of_declaration(declared):
         model.component(name)
     assert list(model.components) == declared
     assert list(KnowledgeBase(model).components) == declared
+
+
+TABLES = ("actions", "attributes", "components", "configurations", "designs", "functions")
+
+
+@pytest.mark.parametrize("table", TABLES)
+def test_an_unknown_name_of_a_model_says_what_is_near(table):
+    model = Model("rover")
+    wheels = model.component("wheels")
+    wheels.configuration("wheels")
+    model.quality_attribute("wheels")
+    move = model.function("wheels")
+    move.design("wheels", [wheels])
+    model.action("wheels", requires=[move])
+    elements = getattr(model, table)
+    with pytest.raises(UnknownName, match="'wheel'; did you mean 'wheels'"):
+        elements["wheel"]
+    with pytest.raises(UnknownName):
+        elements[3]
+    assert elements.get("wheel") is None
+    assert ("wheels" in elements, "wheel" in elements, 3 in elements, list(elements)) == (
+        True,
+        False,
+        False,
+        ["wheels"],
+    )
+    assert repr(elements).endswith("s 'wheels'>")
+    assert "no " in repr(getattr(Model("empty"), table))
