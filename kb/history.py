@@ -8,7 +8,7 @@ from typing import Final
 from kb.elements import Parameters
 from kb.reconfiguration import ReconfigurationPlan
 
-__all__ = ["KEPT_RECORDS", "Attempt", "History", "Process", "VetoAnswer"]
+__all__ = ["Attempt", "History", "KEPT_RECORDS", "Process", "VetoAnswer"]
 
 KEPT_RECORDS: Final = 10_000
 """How many attempts and how many answers are remembered; the newest."""

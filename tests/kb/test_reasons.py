@@ -394,3 +394,16 @@ def test_an_attribute_is_explained_by_what_is_known_of_it_and_what_needs_it():
         "light is just below 0.5 (measured 2.0 s ago); configuration day needs light >= 0.5: violated"
     )
     assert (explanation.status, explanation.causes[0].measurement.value) == (None, 0.5 - 1e-15)
+
+
+def test_what_was_said_of_an_element_goes_with_it():
+    clock, heard = Clock(0.0), []
+    kb = KnowledgeBase(rover(), clock=clock)
+    kb.assert_status("night", "unfeasible", "it failed", until=10.0)
+    kb.model.remove("night")
+    kb.model.components["camera"].configuration("night")
+    kb.subscribe(heard.append)
+    clock.now = 20.0
+    assert kb.configurations["night"].status is Status.FEASIBLE
+    assert "failed" not in str(kb.explain("night"))
+    assert heard == []
