@@ -1,0 +1,235 @@
+"""Pictures of a tree with what can be done, and why not, drawn in: as text, for Graphviz, and as SVG.
+
+A picture shows the last tick, and for each action what the knowledge base says of it at this moment.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from html import escape
+from textwrap import wrap
+from typing import Final
+
+from py_trees.behaviour import Behaviour
+from py_trees.common import Status
+from py_trees.composites import Parallel, Selector, Sequence
+from py_trees.decorators import Decorator
+
+from rosa_bt.behaviours import ActionBehaviour
+from rosa_bt.composites import DoUntilUnfeasible, SafeSwitch
+from rosa_bt.decorators import ForAction
+
+__all__ = ["ascii_tree", "dot_tree", "svg_tree"]
+
+_MARKS: Final = {Status.SUCCESS: "o", Status.FAILURE: "x", Status.RUNNING: "*", Status.INVALID: "-"}
+_FILLS: Final = {
+    Status.SUCCESS: "#d5ecd4",
+    Status.FAILURE: "#f6d0cb",
+    Status.RUNNING: "#cfe0f5",
+    Status.INVALID: "#f2f2f2",
+}
+_FEASIBLE, _UNFEASIBLE, _PLAIN = "#2e7d32", "#c62828", "#8a8a8a"
+_WIDTH: Final = 44
+"""After how many characters a line of a note is broken."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Drawn:
+    """What is drawn of a behaviour.
+
+    Attributes:
+        kind: what it is, e.g. "->" for a sequence; empty for a leaf.
+        name: its name.
+        status: of the last tick.
+        edge: colour: whether its action is feasible.
+        notes: feasibility with the reason, and feedback that says something else.
+        children: what is drawn below it.
+    """
+
+    kind: str
+    name: str
+    status: Status
+    edge: str
+    notes: tuple[str, ...]
+    children: tuple["_Drawn", ...]
+
+
+def ascii_tree(root: Behaviour) -> str:
+    """Return a tree as text: one line for each behaviour, with its status, feasibility and feedback.
+
+    `*` is RUNNING, `o` SUCCESS, `x` FAILURE, `-` not ticked; `->` is a sequence, `?` a selector, `=>` a parallel, `^` a
+    decorator, `?!` a task that gives way; an `m` is for memory.
+    """
+    return "".join(f"{line}\n" for line in _lines(_drawn(root), "", ""))
+
+
+def dot_tree(root: Behaviour) -> str:
+    """Return a tree as a graph for Graphviz: `dot -Tsvg` draws it."""
+    lines = ["digraph tree {", "  rankdir=LR;", '  node [shape=box, style="rounded,filled", fontname="sans-serif"];']
+    pending, number = [(_drawn(root), -1)], 0
+    while pending:
+        drawn, parent = pending.pop(0)
+        label = "\\n".join(_quoted(line) for line in _text(drawn))
+        lines.append(f'  n{number} [label="{label}", fillcolor="{_FILLS[drawn.status]}", color="{drawn.edge}"];')
+        if parent >= 0:
+            lines.append(f"  n{parent} -> n{number};")
+        pending += [(child, number) for child in drawn.children]
+        number += 1
+    return "\n".join([*lines, "}", ""])
+
+
+def svg_tree(root: Behaviour) -> str:
+    """Return a tree as an SVG picture of its own: root at the left, one column for each depth."""
+    placed = list(_placed(_drawn(root)))
+    width = max(box.x + box.width for box in placed) + _GAP
+    height = max(box.y + box.height for box in placed) + _GAP
+    body = [line for box in placed for line in box.edges()] + [line for box in placed for line in box.shape()]
+    head = f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:g}" height="{height:g}" {_FONT}>'
+    return "\n".join([head, f'<rect width="{width:g}" height="{height:g}" fill="white"/>', *body, "</svg>", ""])
+
+
+def _drawn(behaviour: Behaviour, told: set[str] | None = None) -> _Drawn:
+    """Return what is drawn of a behaviour and of all below it; a reason told already is not told again."""
+    told = set() if told is None else told
+    reason = _feasibility(behaviour)
+    is_told = reason in told
+    told.add(reason)
+    feasibility = "unfeasible" if is_told and reason != "feasible" and reason else reason
+    feedback = _plain(behaviour.feedback_message)
+    notes = [feasibility, feedback] if feedback and feedback not in told else [feasibility]
+    edge = _PLAIN if not feasibility else _FEASIBLE if feasibility == "feasible" else _UNFEASIBLE
+    return _Drawn(
+        _kind(behaviour),
+        _plain(behaviour.name),
+        behaviour.status,
+        edge,
+        tuple(note for note in notes if note),
+        tuple(_drawn(child, told) for child in behaviour.children),
+    )
+
+
+def _plain(text: str) -> str:
+    """Return a text as one line of what can be shown."""
+    return "".join(letter if letter.isprintable() else "?" for letter in " ".join(text.split()))
+
+
+def _feasibility(behaviour: Behaviour) -> str:
+    """Return what the knowledge base says of the behaviour's action; empty if it has none."""
+    if not isinstance(behaviour, ActionBehaviour | ForAction):
+        return ""
+    kb, action = behaviour.kb, behaviour.action
+    return "feasible" if kb.is_feasible(action) else kb.why(kb.actions[action])
+
+
+def _kind(behaviour: Behaviour) -> str:
+    memory = "m" if getattr(behaviour, "memory", False) else ""
+    for kind, sign in (
+        (Sequence, "->"),
+        (Selector, "?"),
+        (DoUntilUnfeasible, "?!"),
+        (SafeSwitch, "->"),
+        (Parallel, "=>"),
+        (Decorator, "^"),
+    ):
+        if isinstance(behaviour, kind):
+            return sign + memory
+    return "+" if behaviour.children else ""
+
+
+def _lines(drawn: _Drawn, lead: str, below: str) -> Iterator[str]:
+    notes = f"  ({'; '.join(drawn.notes)})" if drawn.notes else ""
+    yield f"{lead}{_title(drawn)}{notes}"
+    for child in drawn.children:
+        is_last = child is drawn.children[-1]
+        yield from _lines(child, below + ("`-- " if is_last else "|-- "), below + ("    " if is_last else "|   "))
+
+
+def _title(drawn: _Drawn) -> str:
+    return " ".join(filter(None, [f"[{_MARKS[drawn.status]}]", drawn.kind, drawn.name]))
+
+
+def _text(drawn: _Drawn) -> list[str]:
+    """Return the lines in a box: what it is first, then its notes, broken."""
+    return [_title(drawn), *(line for note in drawn.notes for line in wrap(note, _WIDTH))]
+
+
+def _quoted(text: str) -> str:
+    return text.replace("\\", "\\\\").replace('"', '\\"')
+
+
+_FONT: Final = 'font-family="sans-serif" font-size="12"'
+_GAP: Final = 12.0
+_COLUMN_GAP: Final = 40.0
+_LINE: Final = 16.0
+_LETTER: Final = 6.9
+"""Sizes in pixels; a letter is as wide as it is on average, with something to spare."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Box:
+    """Where something is drawn, in pixels from the upper left corner, and what it is joined to."""
+
+    drawn: _Drawn
+    x: float
+    y: float
+    width: float
+    height: float
+    children: tuple["_Box", ...]
+
+    @property
+    def middle(self) -> float:
+        return self.y + self.height / 2
+
+    def edges(self) -> Iterator[str]:
+        start = self.x + self.width
+        for child in self.children:
+            bend = child.x - _COLUMN_GAP / 2
+            path = f"M{start:g} {self.middle:g}H{bend:g}V{child.middle:g}H{child.x:g}"
+            yield f'<path d="{path}" fill="none" stroke="{_PLAIN}"/>'
+
+    def shape(self) -> Iterator[str]:
+        place = f'x="{self.x:g}" y="{self.y:g}" width="{self.width:g}" height="{self.height:g}"'
+        fill, edge = _FILLS[self.drawn.status], self.drawn.edge
+        yield f'<rect {place} rx="5" fill="{fill}" stroke="{edge}" stroke-width="{1 if edge == _PLAIN else 2}"/>'
+        for number, line in enumerate(_text(self.drawn)):
+            style = 'font-weight="bold"' if number == 0 else 'fill="#444444"'
+            yield f'<text x="{self.x + 8:g}" y="{self.y + 17 + number * _LINE:g}" {style}>{escape(line)}</text>'
+
+
+def _placed(root: _Drawn) -> Iterator[_Box]:
+    """Place every behaviour: children below one another at the right of their parent, which is in their middle."""
+    columns: dict[int, float] = {}
+    _measure(root, 0, columns)
+    starts = [_GAP]
+    for depth in sorted(columns):
+        starts.append(starts[depth] + columns[depth] + _COLUMN_GAP)
+    box, _ = _place(root, 0, _GAP, starts)
+    pending = [box]
+    while pending:
+        box = pending.pop()
+        yield box
+        pending += box.children
+
+
+def _measure(drawn: _Drawn, depth: int, columns: dict[int, float]) -> None:
+    columns[depth] = max(columns.get(depth, 0.0), _size(drawn)[0])
+    for child in drawn.children:
+        _measure(child, depth + 1, columns)
+
+
+def _size(drawn: _Drawn) -> tuple[float, float]:
+    lines = _text(drawn)
+    return 16 + _LETTER * max(len(line) * (1.1 if line is lines[0] else 1.0) for line in lines), 10 + _LINE * len(lines)
+
+
+def _place(drawn: _Drawn, depth: int, top: float, starts: list[float]) -> tuple[_Box, float]:
+    """Return the box of a subtree that may begin at this height, and the height at which the next may."""
+    width, height = _size(drawn)
+    boxes: list[_Box] = []
+    bottom = top
+    for child in drawn.children:
+        box, bottom = _place(child, depth + 1, bottom, starts)
+        boxes.append(box)
+    if not boxes:
+        return _Box(drawn, starts[depth], top, width, height, ()), top + height + _GAP
+    y = max(top, (boxes[0].middle + boxes[-1].middle - height) / 2)
+    return _Box(drawn, starts[depth], y, width, height, tuple(boxes)), max(bottom, y + height + _GAP)
