@@ -1,16 +1,18 @@
 """Queries in SPARQL see the model, all that was told and what follows from it, and change nothing."""
 
 import json
+import shutil
 from decimal import Decimal
 
 import pytest
 from hypothesis import HealthCheck, given, settings
-from kept import robot
+from kept import Life, robot
 from models import Clock, Twins, stories
 from test_files import odd_models
 
 from kb import InvalidValue, KnowledgeBase, KnowledgeBaseError, Model, PriorityPlanner, UnknownName
-from kb.rdfxml import ROSA
+from kb.owl import inconsistency
+from kb.rdfxml import BASE, ROSA, metamodel
 
 CLASSES = {
     "action": "Action",
@@ -252,9 +254,44 @@ QUESTIONS = [
 ]
 
 
+def as_graph(kb):
+    """Return all that a base tells, as another library holds it."""
+    rdflib = pytest.importorskip("rdflib")
+    graph = rdflib.Graph()
+    for triple in kb.query("SELECT ?s ?p ?o { ?s ?p ?o }"):
+        iris = (str(one).startswith(("http://", "_:")) for one in triple)
+        graph.add(
+            tuple(rdflib.URIRef(one) if iri else rdflib.Literal(one) for one, iri in zip(triple, iris, strict=True))
+        )
+    return graph
+
+
+def test_all_that_a_life_tells_is_in_the_words_of_the_ontology_and_contradicts_nothing(tmp_path):
+    rdflib = pytest.importorskip("rdflib")
+    life = Life(tmp_path / "m.sqlite3", 4)
+    for _ in zip(range(400), life.moves(), strict=False):
+        pass
+    graph, kinds = as_graph(life.kb), set()
+    declared = set(graph.subjects(rdflib.RDF.type))
+    words = {one for triple in graph for one in triple if str(one).startswith(ROSA)}
+    assert words <= declared
+    for kind in life.kb.query("SELECT DISTINCT ?k { ?x a ?k . ?k rdfs:subClassOf+ :Fact }"):
+        kinds.add(kind[0].removeprefix(ROSA))
+    assert kinds == {
+        *("Measurement", "RequiredAction", "ReconfigurationPlan", "Attempt", "VetoAnswer", "ComponentProcess"),
+        *("Activity", "Failure", "Selection", "AssertedStatus", "AssertedRequirement", "ParametersInForce", "Verdict"),
+    }
+    if shutil.which("java"):
+        told = rdflib.Graph().parse(data=metamodel(), format="xml")
+        for triple in graph:
+            if triple[0].startswith(BASE):
+                told.add(triple)
+        assert inconsistency(told.serialize(format="xml")) is None
+    life.kb.close()
+
+
 @pytest.mark.parametrize("question", QUESTIONS)
 def test_answers_are_those_of_an_independent_engine(question, base):
-    rdflib = pytest.importorskip("rdflib")
     clock = Clock(0.0)
     kb = base(robot(), clock)
     for clock.now, light in ((1.0, 0.75), (2.0, 0.25), (3.0, 0.5)):
@@ -263,13 +300,8 @@ def test_answers_are_those_of_an_independent_engine(question, base):
         kb.request_action("explore")
         kb.component_failed("camera")
         kb.component_recovered("camera")
-    graph = rdflib.Graph()
-    for triple in kb.query("SELECT ?s ?p ?o { ?s ?p ?o }"):
-        iris = (str(one).startswith(("http://", "_:")) for one in triple)
-        graph.add(
-            tuple(rdflib.URIRef(one) if iri else rdflib.Literal(one) for one, iri in zip(triple, iris, strict=True))
-        )
-    words = {"": ROSA, "rdfs": str(rdflib.RDFS)}
+    graph = as_graph(kb)
+    words = {"": ROSA, "rdfs": "http://www.w3.org/2000/01/rdf-schema#"}
     expected = sorted((tuple(map(plain, row)) for row in graph.query(question, initNs=words)), key=str)
     found = sorted(kb.query(question), key=str)
     assert expected
