@@ -31,7 +31,7 @@ class SearchPipeline(RosaAction):
     """Search until the camera has seen the pipeline."""
 
     def __init__(self, kb: KnowledgeBase, senses: Senses) -> None:
-        super().__init__("search pipeline", kb, "search_pipeline")
+        super().__init__("search", kb, "search_pipeline")
         self._senses = senses
 
     def update(self) -> Status:
@@ -43,7 +43,7 @@ class InspectPipeline(RosaAction):
     """Follow the pipeline until all of it is inspected."""
 
     def __init__(self, kb: KnowledgeBase, senses: Senses) -> None:
-        super().__init__("inspect pipeline", kb, "inspect_pipeline")
+        super().__init__("inspect", kb, "inspect_pipeline")
         self._senses = senses
 
     def update(self) -> Status:

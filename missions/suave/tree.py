@@ -2,8 +2,8 @@
 
 until inspected
 └── search and inspect
-├── find: pipeline found?, or else (search feasible? -> search pipeline)
-└── inspect feasible? -> inspect pipeline
+    ├── find: pipeline found?, or else search if feasible
+    └── inspect if feasible
 """
 
 from py_trees.behaviour import Behaviour
@@ -12,7 +12,7 @@ from py_trees.composites import Selector, Sequence
 from kb import KnowledgeBase
 from missions.senses import Senses
 from missions.suave.actions import InspectPipeline, PipelineFound, SearchPipeline
-from rosa_bt import IsActionFeasible
+from rosa_bt import feasible_then_act
 from rosa_bt.decorators import UntilSuccess
 
 __all__ = ["search_and_inspect", "suave_tree"]
@@ -25,16 +25,8 @@ def suave_tree(kb: KnowledgeBase, senses: Senses) -> Behaviour:
 
 def search_and_inspect(kb: KnowledgeBase, senses: Senses) -> Behaviour:
     """Build the part that does the work; it fails as soon as what it is doing becomes unfeasible."""
-    search = Sequence(
-        "search if feasible",
-        memory=False,
-        children=[IsActionFeasible("search feasible?", kb, "search_pipeline"), SearchPipeline(kb, senses)],
-    )
+    search = feasible_then_act(SearchPipeline(kb, senses))
     # With memory, a search under way ends by itself, as a success, rather than being cut short by the condition.
     find = Selector("find", memory=True, children=[PipelineFound("pipeline found?", senses), search])
-    inspect = Sequence(
-        "inspect if feasible",
-        memory=False,
-        children=[IsActionFeasible("inspect feasible?", kb, "inspect_pipeline"), InspectPipeline(kb, senses)],
-    )
+    inspect = feasible_then_act(InspectPipeline(kb, senses))
     return Sequence("search and inspect", memory=False, children=[find, inspect])
