@@ -4,6 +4,7 @@ from rosa_bt.behaviours import HasStatus, IsActionFeasible, Measurement, RosaAct
 from rosa_bt.decorators import ForAction
 from rosa_bt.exceptions import RosaBtError, TraceError, TreeChangeError
 from rosa_bt.idioms import do_until_unfeasible, feasible_then_act, first_feasible, switch_safely
+from rosa_bt.parsers import BehaviourRegistry, XmlError, export_xml, load_xml
 from rosa_bt.replay import replay_trace
 from rosa_bt.requests import forget_progress
 from rosa_bt.traces import Trace, read_trace
@@ -11,6 +12,7 @@ from rosa_bt.trees import TreeRunner
 from rosa_bt.visitors import TraceVisitor
 
 __all__ = [
+    "BehaviourRegistry",
     "ForAction",
     "HasStatus",
     "IsActionFeasible",
@@ -23,10 +25,13 @@ __all__ = [
     "TreeChangeError",
     "TreeRunner",
     "WaitForArchitecture",
+    "XmlError",
     "do_until_unfeasible",
+    "export_xml",
     "feasible_then_act",
     "first_feasible",
     "forget_progress",
+    "load_xml",
     "read_trace",
     "replay_trace",
     "switch_safely",

@@ -1,0 +1,316 @@
+"""The control nodes, each with the semantics of BehaviorTree.CPP 4.10, not of py_trees' namesake."""
+
+from collections.abc import Iterable
+from typing import ClassVar, Final
+
+from py_trees.common import Status
+from py_trees.ports import PortInformation
+
+from rosa_bt.parsers.nodes import Control, NodeError, Slot, Ticking
+from rosa_bt.parsers.ports import Ports
+
+__all__ = ["CONTROLS"]
+
+SUCCESS: Final = Status.SUCCESS
+FAILURE: Final = Status.FAILURE
+RUNNING: Final = Status.RUNNING
+SKIPPED: Final = Status.INVALID
+
+
+class _InOrder(Control):
+    """One child after the other; `current_child` is where it has got to, None is the beginning."""
+
+    goes_on: ClassVar[Status]
+    is_async: ClassVar = False
+    _all_skipped = True
+
+    def initialise(self) -> None:
+        self._all_skipped = True
+
+    def forget(self) -> None:
+        self.current_child = None
+
+    def decide(self) -> Ticking:
+        slots = self.slots
+        index = self.children.index(self.current_child) if self.current_child in self.children else 0
+        while index < len(slots):
+            slot = slots[index]
+            was_idle = slot.status is SKIPPED
+            verdict = yield from slot.tick()
+            self._all_skipped &= verdict is SKIPPED
+            if verdict is RUNNING:
+                self.current_child = slot.node
+                return RUNNING
+            if verdict not in (self.goes_on, SKIPPED):
+                self._give_up(index)
+                return verdict
+            index += 1
+            if index < len(slots):
+                self.current_child = slots[index].node
+                if self.is_async and was_idle and verdict is not SKIPPED:
+                    return RUNNING
+        self.reset_children()
+        self.current_child = None
+        return SKIPPED if self._all_skipped else self.goes_on
+
+    def _give_up(self, index: int) -> None:
+        self.reset_children()
+        self.current_child = None
+
+
+class Sequence(_InOrder):
+    """Until one fails; goes on where it was while a child is running."""
+
+    goes_on = SUCCESS
+
+
+class AsyncSequence(Sequence):
+    """Like Sequence; RUNNING between two children of which the first succeeded in its first tick."""
+
+    is_async = True
+
+
+class SequenceWithMemory(AsyncSequence):
+    """Like AsyncSequence; keeps its place when a child fails and when it is halted."""
+
+    def forget(self) -> None:
+        """Keep the place."""
+
+    def _give_up(self, index: int) -> None:
+        slots = self.slots
+        self.current_child = slots[index].node
+        for slot in slots[index:]:
+            slot.reset()
+
+
+class Fallback(_InOrder):
+    """Until one succeeds; goes on where it was while a child is running."""
+
+    goes_on = FAILURE
+
+
+class AsyncFallback(Fallback):
+    """Like Fallback; RUNNING between two children of which the first failed in its first tick."""
+
+    is_async = True
+
+
+class _Reactive(Control):
+    """Every child from the first at each tick; one that is running halts and resets the others."""
+
+    goes_on: ClassVar[Status]
+
+    def decide(self) -> Ticking:
+        all_skipped = True
+        slots = self.slots
+        for slot in slots:
+            self.current_child = slot.node
+            verdict = yield from slot.tick()
+            all_skipped &= verdict is SKIPPED
+            if verdict is RUNNING:
+                for other in slots:
+                    if other is not slot:
+                        other.reset()
+                return RUNNING
+            if verdict is SKIPPED:
+                slot.reset()
+            elif verdict is not self.goes_on:
+                self.reset_children()
+                return verdict
+        self.reset_children()
+        return SKIPPED if all_skipped else self.goes_on
+
+
+class ReactiveSequence(_Reactive):
+    """Until one fails or is running."""
+
+    goes_on = SUCCESS
+
+
+class ReactiveFallback(_Reactive):
+    """Until one succeeds or is running."""
+
+    goes_on = FAILURE
+
+
+class _Together(Control):
+    """All children at each tick, but those that have finished."""
+
+    _ended: dict[Slot, Status]
+
+    def __init__(self, name: str, slots: Iterable[Slot], ports: Ports) -> None:
+        super().__init__(name, list(slots), ports)
+        self._ended = {}
+
+    def forget(self) -> None:
+        self._ended = {}
+
+    def count(self, threshold: int) -> int:
+        """Return a number of children; a negative one counts from all of them: -1 is all."""
+        return threshold if threshold >= 0 else max(len(self.children) + threshold + 1, 0)
+
+    def ended(self, verdict: Status) -> int:
+        return sum(self._ended.get(slot) is verdict for slot in self.slots)
+
+    def end(self, verdict: Status) -> Status:
+        self.forget()
+        self.reset_children()
+        return verdict
+
+
+class Parallel(_Together):
+    """SUCCESS or FAILURE as soon as enough children have succeeded or failed; the rest are halted, or not ticked."""
+
+    PORTS: ClassVar = {
+        "success_count": PortInformation(int, default_value=-1),
+        "failure_count": PortInformation(int, default_value=1),
+    }
+
+    def decide(self) -> Ticking:
+        enough = self.ports.get("success_count")
+        successes, failures = self.count(enough), self.count(self.ports.get("failure_count"))
+        if max(successes, failures) > len(self.children):
+            raise NodeError(f"{self.name!r} has {len(self.children)} children; neither count can be more")
+        skipped = 0
+        for slot in self.slots:
+            if slot not in self._ended:
+                verdict = yield from slot.tick()
+                skipped += verdict is SKIPPED
+                if verdict in (SUCCESS, FAILURE):
+                    self._ended[slot] = verdict
+            succeeded, failed = self.ended(SUCCESS), self.ended(FAILURE)
+            if succeeded >= successes or (enough < 0 and succeeded + skipped >= successes):
+                return self.end(SUCCESS)
+            if len(self.children) - failed < successes or failed == failures:
+                return self.end(FAILURE)
+        return SKIPPED if skipped == len(self.children) else RUNNING
+
+
+class ParallelAll(_Together):
+    """Until all children have finished; FAILURE if too many failed."""
+
+    PORTS: ClassVar = {"max_failures": PortInformation(int, default_value=1)}
+
+    def decide(self) -> Ticking:
+        failures = self.count(self.ports.get("max_failures"))
+        if failures > len(self.children):
+            raise NodeError(f"{self.name!r} has {len(self.children)} children; max_failures cannot be more")
+        skipped = 0
+        for slot in self.slots:
+            if slot not in self._ended:
+                verdict = yield from slot.tick()
+                skipped += verdict is SKIPPED
+                if verdict in (SUCCESS, FAILURE):
+                    self._ended[slot] = verdict
+        if skipped == len(self.children):
+            return SKIPPED
+        if skipped + self.ended(SUCCESS) + self.ended(FAILURE) < len(self.children):
+            return RUNNING
+        return self.end(FAILURE if self.ended(FAILURE) >= failures else SUCCESS)
+
+
+class IfThenElse(Control):
+    """The condition once, then the second child or the third to its end."""
+
+    CHILDREN = (2, 3)
+    has_fixed_children = True
+    _chosen = 0
+
+    def forget(self) -> None:
+        self._chosen = 0
+
+    def decide(self) -> Ticking:
+        slots = self.slots
+        if self._chosen == 0:
+            verdict = yield from slots[0].tick()
+            if verdict is RUNNING:
+                return RUNNING
+            if verdict is SKIPPED:
+                raise NodeError(f"the condition of {self.name!r} was skipped, so there is nothing to choose by")
+            if verdict is FAILURE and len(slots) == 2:
+                return FAILURE  # the condition stays finished: an action is not started again
+            self._chosen = 1 if verdict is SUCCESS else 2
+        verdict = yield from slots[self._chosen].tick()
+        if verdict is not RUNNING:
+            self.reset_children()
+            self.forget()
+        return verdict
+
+
+class WhileDoElse(Control):
+    """The condition at each tick; the second child while it succeeds, the third while it fails."""
+
+    CHILDREN = (2, 3)
+    has_fixed_children = True
+
+    def decide(self) -> Ticking:
+        condition, *rest = self.slots
+        verdict = yield from condition.tick()
+        if verdict is RUNNING:
+            return RUNNING
+        if verdict is SKIPPED:
+            raise NodeError(f"the condition of {self.name!r} was skipped, so there is nothing to choose by")
+        chosen = 0 if verdict is SUCCESS else 1
+        for index, other in enumerate(rest):
+            if index != chosen:
+                other.reset()
+        if chosen < len(rest):
+            verdict = yield from rest[chosen].tick()
+        if verdict is not RUNNING:
+            self.reset_children()
+        return verdict
+
+
+class Switch(Control):
+    """The child whose case equals the variable, or else the last; a subclass says how many cases there are."""
+
+    has_fixed_children = True
+    _running: Slot | None = None
+
+    def forget(self) -> None:
+        self._running = None
+
+    def decide(self) -> Ticking:
+        chosen = self._matching()
+        if self._running is not None and self._running is not chosen:
+            self._running.reset()
+        verdict = yield from chosen.tick()
+        self._running = chosen if verdict is RUNNING else None
+        if verdict in (SUCCESS, FAILURE):
+            self.reset_children()
+        return verdict
+
+    def _matching(self) -> Slot:
+        *cases, default = self.slots
+        if self.ports.exists("variable"):
+            variable = self.ports.get("variable")
+            for number, slot in enumerate(cases, start=1):
+                case = f"case_{number}"
+                if self.ports.exists(case) and _is_same(variable, self.ports.get(case)):
+                    return slot
+        return default
+
+
+def _is_same(one: object, other: object) -> bool:
+    if str(one) == str(other):
+        return True
+    try:
+        return float(str(one)) == float(str(other))
+    except ValueError:
+        return False
+
+
+def _switch(cases: int) -> type[Switch]:
+    names = ["variable", *(f"case_{number}" for number in range(1, cases + 1))]
+    ports = {name: PortInformation(object, required=False) for name in names}
+    return type(f"Switch{cases}", (Switch,), {"PORTS": ports, "CHILDREN": (cases + 1, cases + 1)})
+
+
+_BASIC: Final[tuple[type[Control], ...]] = (
+    *(Sequence, AsyncSequence, SequenceWithMemory, ReactiveSequence),
+    *(Fallback, AsyncFallback, ReactiveFallback),
+    *(IfThenElse, WhileDoElse),
+)
+_COUNTING: Final[tuple[type[Control], ...]] = (Parallel, ParallelAll, *map(_switch, range(2, 7)))
+CONTROLS: Final[dict[str, type[Control]]] = {kind.__name__: kind for kind in (*_BASIC, *_COUNTING)}
+"""By tag."""

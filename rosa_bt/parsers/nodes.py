@@ -1,0 +1,272 @@
+"""What every imported node has in common: a place that keeps its status until the parent resets it, and halting.
+
+A py_trees behaviour knows one status. BehaviorTree.CPP asks more of it: a child that has finished stays finished until
+its parent resets it, a node that was skipped is idle, and only what is RUNNING is halted. A `Slot` keeps that for a
+child, so that the behaviours themselves stay plain py_trees ones. SKIPPED and IDLE are INVALID here: py_trees has no
+other word.
+"""
+
+from collections.abc import Generator, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import ClassVar, Final
+
+from py_trees.behaviour import Behaviour
+from py_trees.common import Status
+from py_trees.composites import Composite
+from py_trees.decorators import Decorator
+
+from rosa_bt.behaviours import RosaAction
+from rosa_bt.parsers.blackboard import Blackboard
+from rosa_bt.parsers.ports import Declared, Ports
+from rosa_bt.parsers.scripts import Script, truth
+
+__all__ = ["DONE", "Branch", "Control", "NodeError", "OneChild", "Rules", "Slot", "Source", "Ticking", "XmlNode"]
+
+DONE: Final = (Status.SUCCESS, Status.FAILURE)
+
+Ticking = Generator[Behaviour, None, Status]
+"""Yields what is visited on the way, as py_trees' `tick` does, and returns the outcome."""
+
+
+class NodeError(RuntimeError):
+    """A node was told what it cannot follow; BehaviorTree.CPP throws a LogicError there."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """How a node was written: enough to write it again."""
+
+    tag: str
+    attributes: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class Rules:
+    """Pre- and post-conditions of a node, and the blackboard that they speak of.
+
+    Attributes:
+        blackboard: of the SubTree that the node is in.
+        scripts: by attribute, e.g. `_skipIf`.
+    """
+
+    blackboard: Blackboard
+    scripts: Mapping[str, Script]
+
+    NAMES: ClassVar = (
+        "_failureIf",
+        "_successIf",
+        "_skipIf",
+        "_while",
+        "_onHalted",
+        "_onFailure",
+        "_onSuccess",
+        "_post",
+    )
+    _IF: ClassVar = {"_failureIf": Status.FAILURE, "_successIf": Status.SUCCESS, "_skipIf": Status.INVALID}
+
+    def judge(self, status: Status) -> Status | None:
+        """Return what a pre-condition says instead of the node; None if the node is to be ticked."""
+        if status is Status.INVALID:
+            for name, verdict in self._IF.items():
+                if name in self.scripts and truth(self.scripts[name](self.blackboard)):
+                    return verdict
+        if status in (Status.INVALID, Status.RUNNING) and "_while" in self.scripts:
+            return None if truth(self.scripts["_while"](self.blackboard)) else Status.INVALID
+        return None
+
+    def follow(self, *names: str) -> None:
+        """Run post-conditions."""
+        for name in names:
+            if name in self.scripts:
+                self.scripts[name](self.blackboard)
+
+
+@dataclass(eq=False)
+class Slot:
+    """The place of a child in its parent.
+
+    Attributes:
+        node: the child.
+        is_condition: a leaf that is asked again after it has finished; any other leaf stays finished until it is reset.
+        source: how it was written; None for a behaviour that came later.
+        rules: its pre- and post-conditions.
+        status: INVALID is idle; kept until the parent resets it.
+    """
+
+    node: Behaviour
+    is_condition: bool = False
+    source: Source | None = None
+    rules: Rules | None = None
+    status: Status = field(default=Status.INVALID, init=False)
+
+    def tick(self) -> Ticking:
+        """Tick the child; INVALID if it was skipped."""
+        verdict = self.rules.judge(self.status) if self.rules else None
+        if verdict is None:
+            yield from self._ticks()
+            verdict = self.status if self.node.status is not Status.INVALID else Status.INVALID
+        else:
+            self.reset()
+            self.node.status = self.status = verdict
+            yield self.node
+        if self.rules and verdict in DONE:
+            self.rules.follow("_onSuccess" if verdict is Status.SUCCESS else "_onFailure", "_post")
+        return verdict
+
+    def _ticks(self) -> Iterator[Behaviour]:
+        node = self.node
+        if isinstance(node, XmlNode):
+            if self.status is Status.INVALID:
+                node.initialise()
+            if node.runs:
+                self.status = Status.RUNNING
+            yield from node.tick()
+            if node.status is not Status.INVALID:  # one that was skipped stays as it is until it is reset
+                self.status = node.status
+        elif self.is_condition or self.status not in DONE:
+            yield from node.tick()
+            self.status = node.status
+
+    def reset(self) -> None:
+        """Make the child idle; halt it if it is running."""
+        if self.status is Status.RUNNING:
+            if self.node.status is Status.RUNNING or isinstance(self.node, XmlNode):
+                self.node.stop(Status.INVALID)
+            if self.rules:
+                self.rules.follow("_onHalted")
+        self.status = Status.INVALID
+
+
+class XmlNode(Behaviour):
+    """A node of BehaviorTree.CPP with children.
+
+    Attributes:
+        PORTS: what can be said in its attributes.
+        CHILDREN: how many it takes, at least and at most.
+        has_fixed_children: its children have parts to play: none is added or taken away.
+    """
+
+    PORTS: ClassVar[Declared] = {}
+    CHILDREN: ClassVar[tuple[int, int]] = (1, 10_000)
+    has_fixed_children: ClassVar = False
+
+    ports: Ports
+    _slots: list[Slot]
+
+    @property
+    def slots(self) -> list[Slot]:
+        """Return the places of the children; a behaviour that came later gets one of its own."""
+        if [slot.node for slot in self._slots] != self.children:
+            known = {slot.node: slot for slot in self._slots}
+            self._slots = [known.get(child) or Slot(child, is_condition=is_plain(child)) for child in self.children]
+        return self._slots
+
+    @property
+    def runs(self) -> bool:
+        """Whether a tick makes the node RUNNING before it does anything else, so that it has to be reset if skipped."""
+        return True
+
+    def decide(self) -> Ticking:
+        """Tick children and return the outcome."""
+        raise NotImplementedError
+
+    def forget(self) -> None:
+        """Begin anew next time: counters and places that halting resets."""
+
+    def settle(self) -> None:
+        """Do what is to be done after each tick."""
+
+    def tick(self) -> Iterator[Behaviour]:
+        """Tick once."""
+        self.status = Status.RUNNING
+        verdict = yield from self.decide()
+        self.settle()
+        self.status = verdict
+        yield self
+
+    def update(self) -> Status:
+        """Return the status; what it is was decided in `tick`."""
+        return self.status
+
+    def stop(self, new_status: Status = Status.INVALID) -> None:
+        """Halt: the children that are running, and they only; then forget."""
+        self.forget()
+        self.reset_children()
+        self.status = new_status
+        self.iterator = self.tick()
+
+    def reset_children(self) -> None:
+        """Make every child idle; halt those that are running."""
+        for slot in self.slots:
+            slot.reset()
+
+
+class Control(XmlNode, Composite):
+    """A node with several children.
+
+    Args:
+        name: what the node is called.
+        slots: the places of its children.
+        ports: what is said in its attributes.
+    """
+
+    def __init__(self, name: str, slots: Sequence[Slot], ports: Ports) -> None:
+        Composite.__init__(self, name, [slot.node for slot in slots])
+        self._slots = list(slots)
+        self.ports = ports
+
+
+class OneChild(XmlNode, Decorator):
+    """A node with one child.
+
+    Args:
+        name: what the node is called.
+        slots: the place of its child.
+        ports: what is said in its attributes.
+    """
+
+    CHILDREN = (1, 1)
+
+    def __init__(self, name: str, slots: Sequence[Slot], ports: Ports) -> None:
+        Decorator.__init__(self, name, slots[0].node)
+        self._slots = list(slots)
+        self.ports = ports
+
+    @property
+    def child(self) -> Slot:
+        """The place of the child."""
+        return self.slots[0]
+
+    def settle(self) -> None:
+        """A child that has finished is idle again, whatever the decorator does."""
+        child = self.child
+        if child.status in DONE:
+            child.reset()
+
+
+class Branch(OneChild):
+    """Its child, for somebody who is not of this kind: the caller of a whole tree, or a decorator of the user's.
+
+    Args:
+        name: what the branch is called.
+        slot: the place of its child.
+        blackboard: what its nodes read and write.
+    """
+
+    def __init__(self, name: str, slot: Slot, blackboard: Blackboard) -> None:
+        super().__init__(name, [slot], Ports({}, {}, blackboard))
+        self.blackboard = blackboard
+
+    def decide(self) -> Ticking:
+        """Tick the child."""
+        return (yield from self.child.tick())
+
+
+def is_plain(behaviour: Behaviour) -> bool:
+    """Tell whether a leaf keeps nothing from tick to tick: it neither begins nor ends, so it is a condition."""
+    if isinstance(behaviour, RosaAction):
+        return False
+    kind = type(behaviour)
+    begins = kind.initialise is not Behaviour.initialise
+    ends = kind.terminate is not Behaviour.terminate
+    return not (begins or ends or behaviour.children)

@@ -1,0 +1,256 @@
+"""The decorators, each with the semantics of BehaviorTree.CPP 4.10, not of py_trees' namesake."""
+
+from collections.abc import Callable
+from enum import Enum
+from typing import ClassVar, Final
+
+from py_trees.common import Status
+from py_trees.ports import PortInformation
+
+from rosa_bt.parsers.blackboard import Blackboard
+from rosa_bt.parsers.nodes import DONE, Branch, OneChild, Slot, Ticking
+from rosa_bt.parsers.reading import Element
+from rosa_bt.parsers.scripts import Script, truth
+
+__all__ = ["DECORATORS", "Clock", "Precondition", "SubTree", "Timed"]
+
+SUCCESS: Final = Status.SUCCESS
+FAILURE: Final = Status.FAILURE
+RUNNING: Final = Status.RUNNING
+SKIPPED: Final = Status.INVALID
+
+Clock = Callable[[], float]
+"""Gives the time [s]."""
+
+
+class _Translated(OneChild):
+    """The outcome of the child, called something else."""
+
+    outcomes: ClassVar[dict[Status, Status]]
+
+    def decide(self) -> Ticking:
+        verdict = yield from self.child.tick()
+        return self.outcomes.get(verdict, verdict)
+
+
+class Inverter(_Translated):
+    """Success is failure, and failure success."""
+
+    outcomes: ClassVar = {SUCCESS: FAILURE, FAILURE: SUCCESS}
+
+
+class ForceSuccess(_Translated):
+    """Failure is success."""
+
+    outcomes: ClassVar = {FAILURE: SUCCESS}
+
+
+class ForceFailure(_Translated):
+    """Success is failure."""
+
+    outcomes: ClassVar = {SUCCESS: FAILURE}
+
+
+class KeepRunningUntilFailure(_Translated):
+    """Success is RUNNING, and so is having been skipped: the child begins anew at the next tick."""
+
+    outcomes: ClassVar = {SUCCESS: RUNNING, SKIPPED: RUNNING}
+
+
+class _Again(OneChild):
+    """The child again and again: in the same tick if it has been RUNNING, at the next tick if it ended in its first."""
+
+    once_more: ClassVar[Status]
+    port: ClassVar[str]
+    _count = 0
+
+    def forget(self) -> None:
+        self._count = 0
+
+    def decide(self) -> Ticking:
+        child = self.child
+        while self._is_left():
+            was_idle = child.status is SKIPPED
+            verdict = yield from child.tick()
+            if verdict is RUNNING:
+                return RUNNING
+            child.reset()
+            if verdict is not self.once_more:
+                self._count = self._count if verdict is SKIPPED else 0
+                return verdict
+            self._count += 1
+            if was_idle and self._is_left():
+                return RUNNING
+        self._count = 0
+        return self.once_more
+
+    def _is_left(self) -> bool:
+        times: int = self.ports.get(self.port)
+        return times == -1 or self._count < times
+
+
+class Repeat(_Again):
+    """Until the child fails, or has succeeded so many times; -1 is for ever."""
+
+    once_more, port = SUCCESS, "num_cycles"
+    PORTS: ClassVar = {"num_cycles": PortInformation(int)}
+
+
+class RetryUntilSuccessful(_Again):
+    """Until the child succeeds, or has failed so many times; -1 is for ever."""
+
+    once_more, port = FAILURE, "num_attempts"
+    PORTS: ClassVar = {"num_attempts": PortInformation(int)}
+
+
+class RunOnce(OneChild):
+    """The child to its end, once; after that skipped, or with then_skip="false" the same outcome again."""
+
+    PORTS: ClassVar = {"then_skip": PortInformation(bool, default_value=True)}
+    _outcome = SKIPPED
+
+    @property
+    def runs(self) -> bool:
+        """Whether the child is still to be ticked."""
+        return self._outcome is SKIPPED
+
+    def decide(self) -> Ticking:
+        """Tick the child unless it has finished."""
+        if not self.runs:
+            return SKIPPED if self.ports.get("then_skip") else self._outcome
+        verdict = yield from self.child.tick()
+        if verdict in DONE:
+            self._outcome = verdict
+        return verdict
+
+
+class Timed(OneChild):
+    """A decorator that has a clock; the time counts from the tick in which it begins.
+
+    Attributes:
+        clock: gives the time [s].
+    """
+
+    port: ClassVar[str]
+    clock: Clock
+    _since: float | None = None
+
+    def forget(self) -> None:
+        """Count the time anew at the next start."""
+        self._since = None
+
+    def is_over(self) -> bool:
+        """Begin if need be, and tell whether the time is over."""
+        now = self.clock()
+        if self._since is None:
+            self._since = now
+        milliseconds: int = self.ports.get(self.port)
+        return now - self._since >= milliseconds / 1000 - 1e-9
+
+
+class Delay(Timed):
+    """Waits first; then ticks the child."""
+
+    port = "delay_msec"
+    PORTS: ClassVar = {"delay_msec": PortInformation(int)}
+
+    def decide(self) -> Ticking:
+        """Tick the child if the time is over."""
+        if not self.is_over():
+            return RUNNING
+        verdict = yield from self.child.tick()
+        if verdict in DONE:
+            self.forget()
+        return verdict
+
+
+class Timeout(Timed):
+    """FAILURE if the child is still running when the time is over: it is halted then. 0 is no limit."""
+
+    port = "msec"
+    PORTS: ClassVar = {"msec": PortInformation(int)}
+    _is_spent = False
+
+    def forget(self) -> None:
+        """Count the time anew at the next start."""
+        self._since, self._is_spent = None, False
+
+    def decide(self) -> Ticking:
+        """Halt the child if the time is over, or else tick it."""
+        is_new = self._since is None
+        if self.is_over() and not is_new and not self._is_spent and self.ports.get("msec") > 0:
+            self._is_spent = True
+            if self.child.status is RUNNING:
+                self.child.reset()
+                self.forget()
+                return FAILURE
+        verdict = yield from self.child.tick()
+        if verdict in DONE:
+            self.forget()
+        return verdict
+
+
+class Otherwise(Enum):
+    """What a Precondition can say instead of its child."""
+
+    SUCCESS = SUCCESS
+    FAILURE = FAILURE
+    RUNNING = RUNNING
+    SKIPPED = SKIPPED
+
+
+class Precondition(OneChild):
+    """The child if a script says so when it begins; otherwise what `else` says.
+
+    Attributes:
+        condition: the script.
+        blackboard: that the script speaks of.
+    """
+
+    PORTS: ClassVar = {
+        "if": PortInformation(str),
+        "else": PortInformation(Otherwise, default_value=Otherwise.FAILURE),
+    }
+    condition: Script
+    blackboard: Blackboard
+    _is_begun = False
+
+    def forget(self) -> None:
+        """Ask the script at the next tick."""
+        self._is_begun = False
+
+    def decide(self) -> Ticking:
+        """Ask the script unless the child is running, and tick the child."""
+        self._is_begun = self._is_begun or truth(self.condition(self.blackboard))
+        if not self._is_begun:
+            otherwise: Otherwise = self.ports.get("else")
+            return otherwise.value
+        verdict = yield from self.child.tick()
+        self._is_begun = verdict is RUNNING
+        return verdict
+
+
+class SubTree(Branch):
+    """A tree in its place: below another one, or as the whole that is ticked.
+
+    Attributes:
+        tree: its ID.
+        blackboard: what its nodes read and write; a mapping.
+        models: of the file that it was read from.
+    """
+
+    def __init__(
+        self, name: str, slot: Slot, blackboard: Blackboard, tree: str, models: tuple[Element, ...] = ()
+    ) -> None:
+        super().__init__(name, slot, blackboard)
+        self.tree = tree
+        self.models = models
+
+
+DECORATORS: Final[dict[str, type[OneChild]]] = {
+    kind.__name__: kind
+    for kind in (
+        *(Inverter, ForceSuccess, ForceFailure, KeepRunningUntilFailure, Repeat, RetryUntilSuccessful, RunOnce),
+        *(Delay, Timeout, Precondition),
+    )
+}

@@ -1,0 +1,174 @@
+"""From behaviours back to XML: what was read from it, and what of py_trees means exactly the same there."""
+
+import inspect
+from collections.abc import Mapping
+from typing import Final
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
+
+from py_trees.behaviour import Behaviour
+from py_trees.behaviours import Failure, Success
+from py_trees.composites import Selector, Sequence
+from py_trees.decorators import FailureIsSuccess, Inverter, SuccessIsFailure
+from py_trees.ports import PortsMixin
+
+from rosa_bt.behaviours import ActionBehaviour, RosaAction
+from rosa_bt.parsers.exceptions import ExportError, XmlError
+from rosa_bt.parsers.nodes import Branch, Slot, XmlNode
+from rosa_bt.parsers.reading import Element as Read
+from rosa_bt.parsers.reading import read_document
+from rosa_bt.parsers.registry import BUILT_IN, BehaviourRegistry
+from rosa_bt.parsers.wrappers import SubTree
+
+__all__ = ["export_xml"]
+
+_SAME: Final[Mapping[type[Behaviour], str]] = {
+    Inverter: "Inverter",
+    FailureIsSuccess: "ForceSuccess",
+    SuccessIsFailure: "ForceFailure",
+    Success: "AlwaysSuccess",
+    Failure: "AlwaysFailure",
+}
+_BY_MEMORY: Final[Mapping[type[Behaviour], Mapping[bool, str]]] = {
+    Sequence: {True: "Sequence", False: "ReactiveSequence"},
+    Selector: {True: "Fallback", False: "ReactiveFallback"},
+}
+
+
+def export_xml(behaviour: Behaviour, registry: BehaviourRegistry | None = None) -> str:
+    """Write a tree as XML of BehaviorTree.CPP 4.
+
+    Written are trees that `load_xml` made, also changed ones, and trees of these behaviours of py_trees, which mean
+    exactly the same: Sequence and Selector (with and without memory), Inverter, FailureIsSuccess, SuccessIsFailure,
+    Success, Failure, and leaves that need no arguments but a name, a knowledge base and the action. What is on the
+    blackboards is not written.
+
+    Args:
+        behaviour: the root of the tree.
+        registry: gives the leaves of py_trees trees their tags; without it, a leaf's tag is the name of its class.
+
+    Raises:
+        ExportError: a behaviour has no exact counterpart; the message names it.
+    """
+    writer = _Writer(registry)
+    if isinstance(behaviour, SubTree):
+        main = writer.tree(behaviour)
+    else:
+        main = "MainTree"
+        writer.trees[main] = writer.element(_slot_of(behaviour))
+    root = Element("root", BTCPP_format="4", main_tree_to_execute=main)
+    for name, content in writer.trees.items():
+        SubElement(root, "BehaviorTree", ID=name).append(content)
+    if writer.models:
+        SubElement(root, "TreeNodesModel").extend(_copied(model) for model in writer.models.values())
+    indent(root)
+    text = tostring(root, encoding="unicode") + "\n"
+    try:
+        read_document(text)
+    except XmlError as error:
+        raise ExportError(f"{behaviour.name!r} cannot be written so that it can be read again: {error}") from error
+    return text
+
+
+class _Writer:
+    def __init__(self, registry: BehaviourRegistry | None) -> None:
+        self._registry = registry
+        self.trees: dict[str, Element] = {}
+        self.models: dict[str, Read] = {}
+
+    def tree(self, subtree: SubTree) -> str:
+        """Write a tree; return the ID, which is another one if a tree with that ID has other content by now."""
+        self.models.update({model.attributes["ID"]: model for model in subtree.models})
+        place = len(self.trees)
+        content = self.element(subtree.child)
+        number, name = 1, subtree.tree
+        while name in self.trees and tostring(self.trees[name]) != tostring(content):
+            number += 1
+            name = f"{subtree.tree}_{number}"
+        items = list(self.trees.items())
+        if name not in self.trees:
+            items.insert(place, (name, content))
+        self.trees = dict(items)
+        return name
+
+    def element(self, slot: Slot) -> Element:
+        """Write what stands in a slot."""
+        node, source = slot.node, slot.source
+        if type(node) is Branch:
+            return self.element(node.child)
+        if source is None:
+            return self._of_py_trees(node)
+        element = Element(source.tag, dict(source.attributes))
+        if isinstance(node, SubTree):
+            if source.tag == "SubTree":
+                element.set("ID", self.tree(node))
+        elif isinstance(node, XmlNode):
+            element.extend(self.element(child) for child in node.slots)
+        else:
+            element.extend(self.element(child.child) for child in node.children if type(child) is Branch)
+        return element
+
+    def _of_py_trees(self, node: Behaviour) -> Element:
+        kind = type(node)
+        if kind in _BY_MEMORY and node.children:
+            memory: bool = getattr(node, "memory")  # noqa: B009  # both kinds have it
+            tag = _BY_MEMORY[kind][memory]
+        elif kind in _SAME:
+            tag = _SAME[kind]
+        elif node.children or isinstance(node, XmlNode) or kind in _BY_MEMORY:
+            known = ", ".join(sorted(one.__name__ for one in (*_BY_MEMORY, *_SAME)))
+            childless = " without children" if not node.children else ""
+            raise ExportError(
+                f"{kind.__name__} {node.name!r}{childless} has no exact counterpart in BehaviorTree.CPP; of py_trees, "
+                f"written are {known}"
+            )
+        else:
+            return self._leaf(node)
+        element = Element(tag, name=node.name)
+        element.extend(self.element(_slot_of(child)) for child in node.children)
+        return element
+
+    def _leaf(self, leaf: Behaviour) -> Element:
+        tag = type(leaf).__name__ if self._registry is None else self._registry.name_of(leaf)
+        if tag is None:
+            raise ExportError(f"{type(leaf).__name__} {leaf.name!r} is not registered; register its class")
+        if tag in BUILT_IN:
+            raise ExportError(f"{tag!r} is a node of BehaviorTree.CPP itself; register the class under another name")
+        if self._registry is None or self._registry[tag].factory is type(leaf):
+            self._check_arguments(leaf)
+        element = Element(tag, name=leaf.name)
+        if isinstance(leaf, ActionBehaviour):
+            element.set("action", leaf.action)
+            if isinstance(leaf, RosaAction) and leaf.preference:
+                element.set("preference", leaf.preference)
+        return element
+
+    def _check_arguments(self, leaf: Behaviour) -> None:
+        bound = {"kb"} if self._registry is None else set(self._registry.bound)
+        known = {"name", "self", "behaviour_class_name", *bound}
+        if isinstance(leaf, ActionBehaviour):
+            waits = isinstance(leaf, RosaAction) and leaf._patience is not None
+            known |= {"action", "preference"} if waits else {"action", "preference", "wait", "timeout"}
+        elif isinstance(leaf, PortsMixin) and {**leaf.input_ports(), **leaf.output_ports()}:
+            raise ExportError(f"{leaf.name!r} has ports on py_trees' own blackboard, which cannot be written")
+        signature = inspect.signature(type(leaf))
+        unknown = [
+            one.name for one in signature.parameters.values() if one.name not in known and one.kind not in (2, 4)
+        ]
+        if unknown:
+            raise ExportError(
+                f"{type(leaf).__name__} {leaf.name!r} was made with {', '.join(unknown)}, which cannot be written; "
+                "register a function under the name of the leaf that makes it, and hand the registry to export_xml"
+            )
+
+
+def _slot_of(behaviour: Behaviour) -> Slot:
+    parent = behaviour.parent
+    if isinstance(parent, XmlNode):
+        return next(slot for slot in parent.slots if slot.node is behaviour)
+    return Slot(behaviour)
+
+
+def _copied(model: Read) -> Element:
+    element = Element(model.tag, dict(model.attributes))
+    element.extend(_copied(child) for child in model.children)
+    return element
