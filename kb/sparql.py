@@ -81,6 +81,8 @@ def read_question(given: str) -> Question:
     Raises:
         InvalidValue: it does not.
     """
+    if not isinstance(given, str):
+        raise InvalidValue(f"a query is a text in SPARQL, not {given!r}")
     tokens = [_Token(found.lastgroup or "", found[0], found.start()) for found in _TOKEN.finditer(given)]
     told = [one for one in tokens if one.kind != "space"]
     _only_asks(given, told)

@@ -147,6 +147,7 @@ def test_query_that_would_change_something_is_refused(update, base):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
+        (None, "a query is a text in SPARQL, not None"),
         ("", "there is none"),
         ("PREFIX x: <http://x#>", "there is none"),
         ("what can it do?", "line 1, column 1 of the query: a query begins with SELECT, not with what"),
