@@ -9,7 +9,7 @@ from rosa_pddl.exceptions import (
     UnsupportedPddlError,
 )
 from rosa_pddl.executor import PlanExecutor, PlanRecord
-from rosa_pddl.planner import Outcome, Planner, PlanningResult
+from rosa_pddl.planning import Outcome, Planner, PlanningResult
 from rosa_pddl.problem import Problem, feasible_atoms, initial_state
 from rosa_pddl.reader import load_domain
 

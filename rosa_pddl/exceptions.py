@@ -40,6 +40,17 @@ class MissingBehaviourError(RosaPddlError):
     """A PDDL action has no factory that makes its behaviour."""
 
 
+class PlannerSettingError(RosaPddlError):
+    """A planner was set up in a way that makes no sense."""
+
+
+class PlanningBudgetError(RosaPddlError):
+    """In lock-step simulation a planning took more wall-clock time than it was given.
+
+    Going on would make the run depend on how quick the machine is, so it ends instead.
+    """
+
+
 def nearest(name: str, known: Iterable[str]) -> str:
     """Half a sentence that answers "what did I mean?": the names nearest to a misspelt one, or all of a few."""
     names = sorted(set(known))

@@ -10,7 +10,7 @@ from py_trees.common import Status
 
 from rosa_pddl.domain import Domain, Feasibility, State, Step
 from rosa_pddl.exceptions import MissingBehaviourError, nearest
-from rosa_pddl.planner import Outcome, Planner, PlanningResult
+from rosa_pddl.planning import Outcome, Planner, PlanningResult
 from rosa_pddl.problem import Problem, feasible_atoms, initial_state, sensed_into, without_feasibility
 from rosa_pddl.validate import because, ended, flaw, goal_holds, missing_at_end, missing_meanwhile, started
 

@@ -1,7 +1,8 @@
 """From what the knowledge base says and the mission senses to the problem that a planner gets."""
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from fractions import Fraction
 
 from rosa_pddl.domain import Domain, Feasibility, Schema, State, UpThing
 from rosa_pddl.exceptions import UnsupportedPddlError
@@ -9,15 +10,25 @@ from rosa_pddl.exceptions import UnsupportedPddlError
 
 @dataclass(frozen=True)
 class Problem:
-    """What to plan: the goal of a domain from a state.
+    """What to plan: a goal from a state.
 
     Args:
         domain: what `load_domain` returned.
         state: the atoms that are true now, feasibility included.
+        goals: what shall hold, as unified-planning expressions; by default the goal of the problem file.
+        costs: values of numeric facts that costs are made of, such as `{"(travel_cost a b)": 3.5}`; the others are
+            those of the problem file.
     """
 
     domain: Domain
     state: State
+    goals: tuple[UpThing, ...] | None = None
+    costs: Mapping[str, float] = field(default_factory=dict, hash=False)
+
+    @property
+    def wanted(self) -> tuple[UpThing, ...]:
+        """What shall hold, as unified-planning expressions."""
+        return tuple(self.domain.up_problem.goals) if self.goals is None else self.goals
 
     def build(self) -> UpThing:
         """Make the same for unified-planning, with every action instantaneous.
@@ -29,6 +40,14 @@ class Problem:
         true = problem.environment.expression_manager.TRUE()
         for atom in sorted(self.state):
             problem.set_initial_value(self.domain.expression(atom), true)
+        for text, value in sorted(self.costs.items()):
+            expression = self.domain.expression(self.domain.atom(text))
+            if problem.has_fluent(expression.fluent().name):
+                problem.set_initial_value(expression, Fraction(value).limit_denominator(1000))
+        if self.goals is not None:
+            problem.clear_goals()
+            for goal in self.goals:
+                problem.add_goal(goal)
         return problem
 
 

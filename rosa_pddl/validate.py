@@ -1,28 +1,31 @@
 """What a formula, an effect and a plan mean in a state: the judge of every plan, independent of the planner."""
 
 from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Set as AbstractSet
 from itertools import product
 
 from rosa_pddl.domain import Domain, State, Step, UpThing
 
 Binding = Mapping[str, str]
+Facts = AbstractSet[str]
 
 
-def goal_holds(domain: Domain, state: State) -> bool:
-    """Whether the goal of the problem file holds in a state."""
-    return all(_holds(domain, goal, {}, state) for goal in domain.up_problem.goals)
+def goal_holds(domain: Domain, state: Facts, goals: Iterable[UpThing] | None = None) -> bool:
+    """Whether a goal holds in a state: a list of unified-planning expressions, or else that of the problem file."""
+    return all(holds(domain, goal, {}, state) for goal in (domain.up_problem.goals if goals is None else goals))
 
 
-def missing_at_start(domain: Domain, step: Step, state: State) -> str | None:
+def missing_at_start(domain: Domain, step: Step, state: Facts) -> str | None:
     """Return the first condition that keeps a step from starting, as text; None if it can start.
 
     As nothing else happens while a step runs, what must hold later must hold once its effects at start are so.
     """
-    schema, binding = domain.schema_of[step.schema], _binding(domain, step)
-    missing = _missing(domain, schema.start, binding, state)
+    schema, binding = domain.schema_of[step.schema], binding_of(domain, step)
+    missing = missing_of(domain, schema.start, binding, state)
     if missing is not None:
         return missing
-    return _missing(domain, schema.over_all + schema.end, binding, started(domain, step, state))
+    after = _after(domain, schema.start_effects, binding, state) if schema.start_effects else state
+    return missing_of(domain, schema.over_all + schema.end, binding, after)
 
 
 def missing_meanwhile(domain: Domain, step: Step, state: State) -> str | None:
@@ -32,32 +35,43 @@ def missing_meanwhile(domain: Domain, step: Step, state: State) -> str | None:
     """
     schema = domain.schema_of[step.schema]
     timely = [formula for formula in schema.start + schema.end if _is_feasibility(domain, formula)]
-    return _missing(domain, (*schema.over_all, *timely), _binding(domain, step), state)
+    return missing_of(domain, (*schema.over_all, *timely), binding_of(domain, step), state)
 
 
 def missing_at_end(domain: Domain, step: Step, state: State) -> str | None:
     """Return the first condition that keeps a running step from ending well, as text."""
-    return _missing(domain, domain.schema_of[step.schema].end, _binding(domain, step), state)
+    return missing_of(domain, domain.schema_of[step.schema].end, binding_of(domain, step), state)
 
 
 def started(domain: Domain, step: Step, state: State) -> State:
     """Return the state after the effects at the start of a step."""
-    return _after(domain, domain.schema_of[step.schema].start_effects, _binding(domain, step), state)
+    return _after(domain, domain.schema_of[step.schema].start_effects, binding_of(domain, step), state)
 
 
 def ended(domain: Domain, step: Step, state: State) -> State:
     """Return the state of a running step after the effects at its end."""
-    return _after(domain, domain.schema_of[step.schema].end_effects, _binding(domain, step), state)
+    return _after(domain, domain.schema_of[step.schema].end_effects, binding_of(domain, step), state)
 
 
-def flaw(domain: Domain, steps: Iterable[Step], state: State) -> str | None:
-    """Why a plan does not lead from a state to the goal, in words; None if it does."""
+def flaw(domain: Domain, steps: Iterable[Step], state: State, goals: Iterable[UpThing] | None = None) -> str | None:
+    """Why a plan does not lead from a state to the goal, in words; None if it does.
+
+    Args:
+        domain: what `load_domain` returned.
+        steps: the plan, whose steps follow one another.
+        state: the true atoms.
+        goals: what shall hold in the end, as unified-planning expressions; by default the goal of the problem file.
+    """
+    facts = set(state)
     for step in steps:
-        missing = missing_at_start(domain, step, state)
+        schema, binding = domain.schema_of[step.schema], binding_of(domain, step)
+        missing = missing_of(domain, schema.start, binding, facts)
+        _change(domain, schema.start_effects, binding, facts)
+        missing = missing or missing_of(domain, schema.over_all + schema.end, binding, facts)
         if missing is not None:
             return because(domain, step, missing)
-        state = ended(domain, step, started(domain, step, state))
-    return None if goal_holds(domain, state) else "the rest of the plan does not reach the goal"
+        _change(domain, schema.end_effects, binding, facts)
+    return None if goal_holds(domain, facts, goals) else "the rest of the plan does not reach the goal"
 
 
 def because(domain: Domain, step: Step, missing: str, verb: str = "is") -> str:
@@ -71,19 +85,22 @@ def _is_feasibility(domain: Domain, formula: UpThing) -> bool:
     return bool(formula.is_fluent_exp()) and domain.is_feasibility(f"({domain.outside[formula.fluent().name]})")
 
 
-def _binding(domain: Domain, step: Step) -> Binding:
+def binding_of(domain: Domain, step: Step) -> Binding:
+    """Return what the parameters of a step's action are bound to."""
     names = (name for name, _ in domain.schema_of[step.schema].parameters)
     return dict(zip(names, step.arguments, strict=True))
 
 
-def _missing(domain: Domain, formulas: Iterable[UpThing], binding: Binding, state: State) -> str | None:
+def missing_of(domain: Domain, formulas: Iterable[UpThing], binding: Binding, state: Facts) -> str | None:
+    """Return the first formula that does not hold in a state, as text."""
     for formula in formulas:
-        if not _holds(domain, formula, binding, state):
+        if not holds(domain, formula, binding, state):
             return _text(domain, formula, binding)
     return None
 
 
-def _holds(domain: Domain, formula: UpThing, binding: Binding, state: State) -> bool:
+def holds(domain: Domain, formula: UpThing, binding: Binding, state: Facts) -> bool:
+    """Whether a formula holds in a state, its parameters being what they are bound to."""
     if formula.is_fluent_exp():
         return _text(domain, formula, binding) in state
     if formula.is_bool_constant():
@@ -93,9 +110,9 @@ def _holds(domain: Domain, formula: UpThing, binding: Binding, state: State) -> 
         return left == right
     if formula.is_exists() or formula.is_forall():
         bindings = _bindings(domain, formula.variables(), binding)
-        results = (_holds(domain, formula.arg(0), inner, state) for inner in bindings)
+        results = (holds(domain, formula.arg(0), inner, state) for inner in bindings)
         return any(results) if formula.is_exists() else all(results)
-    return _connective(formula, [_holds(domain, part, binding, state) for part in formula.args])
+    return _connective(formula, [holds(domain, part, binding, state) for part in formula.args])
 
 
 def _connective(formula: UpThing, parts: list[bool]) -> bool:
@@ -120,16 +137,77 @@ def _bindings(domain: Domain, variables: Iterable[UpThing], binding: Binding) ->
         yield {**binding, **{variable.name: name for variable, name in zip(listed, chosen, strict=True)}}
 
 
-def _after(domain: Domain, effects: Iterable[UpThing], binding: Binding, state: State) -> State:
-    """Effects of one moment together: what is added wins over what is deleted, as PDDL says."""
+def literals(domain: Domain, formula: UpThing, binding: Binding | None = None) -> list[tuple[str, bool]] | None:
+    """Return the atoms that a formula asks for, and whether they shall be true; None if it is no conjunction."""
+    binding = binding or {}
+    if formula.is_and():
+        return _joined([literals(domain, part, binding) for part in formula.args])
+    if formula.is_forall():
+        bindings = _bindings(domain, formula.variables(), binding)
+        return _joined([literals(domain, formula.arg(0), inner) for inner in bindings])
+    atom = formula.arg(0) if formula.is_not() else formula
+    if atom.is_fluent_exp():
+        return [(_text(domain, atom, binding), not formula.is_not())]
+    if atom.is_equals() or atom.is_bool_constant():
+        return [] if holds(domain, formula, binding, frozenset()) else None
+    return None
+
+
+def _joined(parts: Iterable[list[tuple[str, bool]] | None]) -> list[tuple[str, bool]] | None:
+    joined: list[tuple[str, bool]] = []
+    for part in parts:
+        if part is None:
+            return None
+        joined += part
+    return joined
+
+
+def _after(domain: Domain, effects: Iterable[UpThing], binding: Binding, state: Facts) -> State:
+    facts = set(state)
+    _change(domain, effects, binding, facts)
+    return frozenset(facts)
+
+
+def _change(domain: Domain, effects: Iterable[UpThing], binding: Binding, facts: set[str]) -> None:
+    deleted, added = changes(domain, effects, binding, facts)
+    facts -= deleted
+    facts |= added
+
+
+def changes(
+    domain: Domain, effects: Iterable[UpThing], binding: Binding, state: Facts
+) -> tuple[AbstractSet[str], AbstractSet[str]]:
+    """Return what effects of one moment make false, and what they make true, which wins, as PDDL says."""
     added: set[str] = set()
     deleted: set[str] = set()
     for effect in effects:
-        for inner in _bindings(domain, effect.forall, binding):
-            if _holds(domain, effect.condition, inner, state):
-                target = added if _holds(domain, effect.value, inner, state) else deleted
+        for inner in _bindings(domain, effect.forall, binding) if effect.forall else (binding,):
+            if holds(domain, effect.condition, inner, state):
+                target = added if holds(domain, effect.value, inner, state) else deleted
                 target.add(_text(domain, effect.fluent, inner))
-    return (state - deleted) | added
+    return deleted, added
+
+
+def mentioned_atoms(
+    domain: Domain, conditions: Iterable[UpThing], effects: Iterable[UpThing], binding: Binding
+) -> Iterator[str]:
+    """Yield the atoms that conditions and the conditions of effects look at."""
+    for formula in conditions:
+        yield from _atoms(domain, formula, binding)
+    for effect in effects:
+        for inner in _bindings(domain, effect.forall, binding):
+            yield from _atoms(domain, effect.condition, inner)
+
+
+def _atoms(domain: Domain, formula: UpThing, binding: Binding) -> Iterator[str]:
+    if formula.is_fluent_exp():
+        yield _text(domain, formula, binding)
+    elif formula.is_exists() or formula.is_forall():
+        for inner in _bindings(domain, formula.variables(), binding):
+            yield from _atoms(domain, formula.arg(0), inner)
+    elif not formula.is_equals():
+        for part in formula.args:
+            yield from _atoms(domain, part, binding)
 
 
 def _text(domain: Domain, formula: UpThing, binding: Binding) -> str:

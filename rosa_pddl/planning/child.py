@@ -1,0 +1,59 @@
+"""Runs an engine of unified-planning in a process of its own: a problem comes in pickled, the answer goes out as JSON.
+
+It is started as a program and imports nothing of this package.
+"""
+
+import json
+import os
+import pickle
+import sys
+from typing import Any
+
+
+def main() -> None:
+    """Read one problem, solve it, write one answer."""
+    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    # what an engine prints is a complaint, not an answer
+    os.dup2(2, 1)
+    try:
+        answer = _solved(**pickle.load(sys.stdin.buffer))
+    except MemoryError:
+        answer = {"status": "MEMOUT"}
+    except Exception as error:  # an engine may raise anything; its name and text are the answer
+        answer = {"status": "INTERNAL_ERROR", "said": f"{type(error).__name__}: {error}"}
+    json.dump(answer, answers)
+    answers.close()
+    # engines may leave threads behind that would keep this process from ending
+    os._exit(0)
+
+
+def _solved(engine: str, problem: Any) -> dict[str, Any]:  # noqa: ANN401  # unified-planning ships no types
+    import unified_planning.environment as module
+
+    # some engines look at the global environment, whatever they are given
+    module.GLOBAL_ENVIRONMENT = problem.environment
+    problem.environment.credits_stream = None
+    made = problem.environment.factory.engine(engine)()
+    made.skip_checks = True
+    answer = made.solve(problem)
+    logs = "\n".join(log.message for log in answer.log_messages or ())
+    return {"status": answer.status.name, "plan": _written(answer.plan), "said": logs[-1000:]}
+
+
+def _written(plan: Any) -> list[Any] | None:  # noqa: ANN401  # unified-planning ships no types
+    if plan is None:
+        return None
+    if hasattr(plan, "timed_actions"):
+        return [
+            [*_named(one), float(start), float(duration or 0)]
+            for start, one, duration in sorted(plan.timed_actions, key=lambda timed: timed[0])
+        ]
+    return [_named(one) for one in plan.actions]
+
+
+def _named(one: Any) -> list[Any]:  # noqa: ANN401  # unified-planning ships no types
+    return [one.action.name, [argument.object().name for argument in one.actual_parameters]]
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,134 @@
+"""Engines of unified-planning, each asked in a process of its own, so that none can hang or crash this one."""
+
+import json
+import os
+import pickle
+import sys
+from pathlib import Path
+from typing import Any
+
+from rosa_pddl.domain import Domain, UpThing
+from rosa_pddl.exceptions import nearest
+from rosa_pddl.planning.downward import SEARCHES, Trouble, install_advice, missing_part
+from rosa_pddl.planning.grounding import lock_of
+from rosa_pddl.planning.outcomes import Outcome, TimedStep
+from rosa_pddl.planning.processes import Leash
+from rosa_pddl.problem import Problem
+
+__all__ = ["asked", "missing"]
+
+_OUTCOMES = {
+    "SOLVED_SATISFICING": Outcome.SOLVED,
+    "SOLVED_OPTIMALLY": Outcome.SOLVED_OPTIMALLY,
+    "UNSOLVABLE_PROVEN": Outcome.UNSOLVABLE_PROVEN,
+    "UNSOLVABLE_INCOMPLETELY": Outcome.UNSOLVABLE_AS_FAR_AS_KNOWN,
+    "TIMEOUT": Outcome.OUT_OF_TIME,
+    "MEMOUT": Outcome.OUT_OF_MEMORY,
+    "UNSUPPORTED_PROBLEM": Outcome.UNSUPPORTED,
+}
+
+
+def missing(engine: str, domain: Domain) -> str | None:
+    """Return what to install if an engine is not there, None if it is."""
+    factory = domain.up_problem.environment.factory
+    if engine in SEARCHES:
+        part = missing_part()
+        return None if part is None else _missing(engine, factory, f"{part} is not installed")
+    return None if engine in factory.engines else _missing(engine, factory, "is not installed")
+
+
+def _missing(engine: str, factory: UpThing, what: str) -> str:
+    from unified_planning.engines.factory import DEFAULT_ENGINES
+
+    usable = sorted(name for name in factory.engines if factory.engine(name).is_oneshot_planner())
+    if engine in DEFAULT_ENGINES:
+        package = DEFAULT_ENGINES[engine][0].split(".")[0].replace("_", "-")
+        advice = f"{what}; try 'pip install {package}'"
+    else:
+        advice = f"is not one of unified-planning; {nearest(engine, DEFAULT_ENGINES)}"
+    return f"the planning engine {engine!r} {advice}; installed planners: {', '.join(usable) or 'none'}"
+
+
+def asked(
+    engine: str, problem: Problem, leash: Leash, *, limit_s: float, memory_bytes: int | None, overlapping: bool
+) -> tuple[Outcome, tuple[TimedStep, ...]]:
+    """Ask an engine for a plan.
+
+    Args:
+        engine: its name in unified-planning.
+        problem: what is to be planned.
+        leash: runs the process.
+        limit_s: wall-clock time that it may take [s].
+        memory_bytes: how much data it may hold [B].
+        overlapping: whether steps may overlap: durations are kept then, else each step is an instant.
+
+    Returns:
+        How it ended, and the plan; its times mean nothing unless steps may overlap.
+
+    Raises:
+        UnsupportedPddlError: the problem cannot be told.
+        Trouble: there is no answer.
+        Cut: the leash was cut.
+    """
+    with lock_of(problem.domain):
+        up_problem = _timed(problem) if overlapping else problem.build()
+        supported = up_problem.environment.factory.engine(engine).supported_kind()
+        unsupported = up_problem.kind.features - supported.features
+        if unsupported:
+            message = f"{engine} does not support {', '.join(sorted(unsupported)).lower()} ({problem.domain.file})"
+            raise Trouble(Outcome.UNSUPPORTED, message)
+        given = pickle.dumps({"engine": engine, "problem": up_problem})
+    try:
+        ended = leash.run(
+            [sys.executable, "-P", str(Path(__file__).with_name("child.py"))],
+            given=given,
+            limit_s=limit_s,
+            memory_bytes=memory_bytes,
+            environment={"PYTHONPATH": os.pathsep.join(sys.path)},
+        )
+    except OSError as error:
+        message = f"no process for it can be started ({error}); {install_advice()}"
+        raise Trouble(Outcome.ENGINE_MISSING, message) from error
+    if ended.is_late:
+        message = f"no answer after {limit_s:.3g} s; allow more time or ask for less"
+        raise Trouble(Outcome.OUT_OF_TIME, message)
+    try:
+        answer = json.loads(ended.output)
+        outcome = _OUTCOMES.get(answer["status"], Outcome.ENGINE_CRASHED)
+        plan = tuple(_timed_step(problem, *written) for written in answer.get("plan") or ())
+        has_plan = answer.get("plan") is not None
+    except (ValueError, KeyError, TypeError) as error:
+        message = f"it ended with exit code {ended.code} and no answer. It said: {ended.last_words}"
+        raise Trouble(Outcome.ENGINE_CRASHED, message) from error
+    if outcome.is_solved and not has_plan:
+        raise Trouble(Outcome.ENGINE_CRASHED, "it promised a plan but gave none")
+    if outcome.is_trouble:
+        raise Trouble(
+            outcome, f"it said: {' / '.join(answer.get('said', '').split(chr(10))[-3:]).strip() or 'nothing'}"
+        )
+    return outcome, plan
+
+
+def _timed_step(
+    problem: Problem, action: str, objects: list[str], start_s: float = 0.0, duration_s: float = 0.0
+) -> TimedStep:
+    outside = problem.domain.outside
+    step = problem.domain.step(outside[action], [outside[name] for name in objects])
+    return TimedStep(step, float(start_s), float(duration_s))
+
+
+def _timed(problem: Problem) -> Any:  # noqa: ANN401  # unified-planning ships no types
+    """Make the problem for unified-planning with the durations of its actions."""
+    domain = problem.domain
+    read = domain.up_problem.clone()
+    constants = read.environment.expression_manager
+    for expression, value in list(read.explicit_initial_values.items()):
+        if value.is_bool_constant():
+            read.set_initial_value(expression, constants.FALSE())
+    for atom in sorted(problem.state):
+        read.set_initial_value(domain.expression(atom), constants.TRUE())
+    if problem.goals is not None:
+        read.clear_goals()
+        for goal in problem.goals:
+            read.add_goal(goal)
+    return read

@@ -1,0 +1,107 @@
+"""How a planning can end, and what is reported of it."""
+
+from dataclasses import dataclass, field
+from enum import Enum
+
+from rosa_pddl.domain import Step
+
+__all__ = ["Attempt", "Outcome", "PlanningResult", "TimedStep"]
+
+
+class Outcome(Enum):
+    """How a planning ended."""
+
+    SOLVED = "solved"
+    SOLVED_OPTIMALLY = "solved optimally"
+    UNSOLVABLE_PROVEN = "unsolvable proven"
+    UNSOLVABLE_AS_FAR_AS_KNOWN = "unsolvable as far as known"
+    OUT_OF_TIME = "out of time"
+    OUT_OF_MEMORY = "out of memory"
+    UNSUPPORTED = "unsupported"
+    ENGINE_MISSING = "engine missing"
+    ENGINE_CRASHED = "engine crashed"
+
+    @property
+    def is_solved(self) -> bool:
+        """Whether there is a plan."""
+        return self in (Outcome.SOLVED, Outcome.SOLVED_OPTIMALLY)
+
+    @property
+    def is_trouble(self) -> bool:
+        """Whether the engine, not the problem, is why there is no plan."""
+        unsolvable = (Outcome.UNSOLVABLE_PROVEN, Outcome.UNSOLVABLE_AS_FAR_AS_KNOWN)
+        return not self.is_solved and self not in unsolvable
+
+    def __str__(self) -> str:
+        return self.value
+
+
+@dataclass(frozen=True)
+class TimedStep:
+    """A step of a plan in which steps overlap.
+
+    Args:
+        step: what is done.
+        start_s: when it starts, from the start of the plan [s].
+        duration_s: how long it takes [s]; 0 for an instantaneous action.
+    """
+
+    step: Step
+    start_s: float
+    duration_s: float
+
+    @property
+    def end_s(self) -> float:
+        """When it ends, from the start of the plan [s]."""
+        return self.start_s + self.duration_s
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """One way of planning that was tried.
+
+    Args:
+        way: `warm`, `cold`, `cache`, or the name of an engine of unified-planning.
+        outcome: how it ended.
+        message: what went wrong and what to do about it; empty when solved.
+        took_s: how long it took by the wall clock [s]; not compared, as it is never the same twice.
+    """
+
+    way: str
+    outcome: Outcome
+    message: str = ""
+    took_s: float = field(default=0.0, compare=False)
+
+    def __str__(self) -> str:
+        return f"{self.way}: {self.outcome}" + (f" ({self.message})" if self.message else "")
+
+
+@dataclass(frozen=True)
+class PlanningResult:
+    """The answer of a planner.
+
+    Args:
+        outcome: how it ended.
+        steps: the plan, in the order of their starts; empty unless solved.
+        engine: the engine that answered, or the one that was to answer.
+        message: what was tried and what to do about it; empty when solved.
+        cost: of the plan: the sum of its action costs if the problem has a metric, else the number of its steps.
+        schedule: when each step starts and how long it takes, if steps may overlap; empty if they follow one another.
+        attempts: what was tried, in order.
+        safe_step: what to do while there is no plan; None if there is a plan, or no such step was named or can start.
+    """
+
+    outcome: Outcome
+    steps: tuple[Step, ...] = ()
+    engine: str = ""
+    message: str = ""
+    cost: float | None = None
+    schedule: tuple[TimedStep, ...] = ()
+    attempts: tuple[Attempt, ...] = ()
+    safe_step: Step | None = None
+
+    @property
+    def hangs_on_the_clock(self) -> bool:
+        """Whether something ran out of wall-clock time, so that a quicker machine might have answered otherwise."""
+        outcomes = {self.outcome, *(attempt.outcome for attempt in self.attempts)}
+        return Outcome.OUT_OF_TIME in outcomes

@@ -1,0 +1,215 @@
+"""One planning: the ways in order, each within its budget, and what is reported of all of them."""
+
+import time
+from collections.abc import Iterator, Mapping
+from concurrent.futures import Future
+from dataclasses import dataclass
+from functools import cached_property
+
+from rosa_pddl.domain import Step
+from rosa_pddl.exceptions import UnsupportedPddlError
+from rosa_pddl.planning.costs import Numbers
+from rosa_pddl.planning.downward import SEARCHES, Answer, Trouble, search
+from rosa_pddl.planning.engines import asked, missing
+from rosa_pddl.planning.grounded import Grounded, NotRepresentableError, UnreachableGoalError
+from rosa_pddl.planning.grounding import instantaneous, translated
+from rosa_pddl.planning.outcomes import Attempt, Outcome, PlanningResult, TimedStep
+from rosa_pddl.planning.processes import Cut, Leash
+from rosa_pddl.planning.schedule import schedule_flaw
+from rosa_pddl.problem import Problem
+from rosa_pddl.validate import flaw, missing_at_start
+
+__all__ = ["Settings", "Trial"]
+
+# Of several troubles, the first of these that was met is the outcome of all.
+_TELLING_FIRST = (
+    Outcome.OUT_OF_TIME,
+    Outcome.OUT_OF_MEMORY,
+    Outcome.ENGINE_CRASHED,
+    Outcome.UNSUPPORTED,
+    Outcome.ENGINE_MISSING,
+)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How to plan; the arguments are those of `Planner`, and the ways in order."""
+
+    engine: str
+    ways: tuple[str, ...]
+    timeout_s: float
+    budgets_s: Mapping[str, float]
+    overlapping: bool
+    memory_bytes: int
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What one way gave."""
+
+    outcome: Outcome
+    steps: tuple[Step, ...] = ()
+    schedule: tuple[TimedStep, ...] = ()
+
+
+class Trial:
+    """One planning.
+
+    Args:
+        settings: how.
+        problem: what.
+        grounding: the translated task of the domain, or what will be it; None if there is no warm way.
+        leash: runs the programs.
+        safe_step: what to do if there is no plan.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        problem: Problem,
+        grounding: "Future[Grounded] | None",
+        leash: Leash,
+        safe_step: Step | None,
+    ) -> None:
+        self._settings, self._problem = settings, problem
+        self._grounding, self._leash, self._safe_step = grounding, leash, safe_step
+
+    def result(self) -> PlanningResult:
+        """Try one way after the other until there is a plan, or none is possible.
+
+        Raises:
+            Cut: the leash was cut.
+        """
+        attempts: list[Attempt] = []
+        for way, budget_s in self._budgeted():
+            began = time.monotonic()
+            found, message = self._tried(way, budget_s)
+            attempts.append(Attempt(way, found.outcome, message, time.monotonic() - began))
+            if found.outcome.is_solved or found.outcome is Outcome.UNSOLVABLE_PROVEN:
+                return self._report(found, way, attempts)
+        return self._report(_Found(_outcome_of(attempts)), self._settings.engine, attempts)
+
+    def _budgeted(self) -> Iterator[tuple[str, float]]:
+        """Yield each way with the wall-clock time that it may take [s]."""
+        settings = self._settings
+        deadline = time.monotonic() + settings.timeout_s
+        ways = settings.ways
+        if settings.engine in SEARCHES and self._grounding is None:
+            # what is missing for one of the two is missing for both
+            ways = ways[1:]
+        for number, way in enumerate(ways, start=1):
+            left_s = max(deadline - time.monotonic(), 0.0)
+            yield way, min(settings.budgets_s.get(way, left_s if number == len(ways) else left_s / 2), left_s)
+
+    def _tried(self, way: str, budget_s: float) -> tuple[_Found, str]:
+        """Return what a way gave, and what to say if that is no plan."""
+        engine = self._settings.engine if way in ("warm", "cold") else way
+        missed = missing(engine, self._problem.domain)
+        if missed is not None:
+            return _Found(Outcome.ENGINE_MISSING), missed
+        if budget_s <= 0.0:
+            return _Found(Outcome.OUT_OF_TIME), f"of {self._settings.timeout_s:g} s no time was left for it"
+        try:
+            found = self._found(way, time.monotonic() + budget_s)
+        except Trouble as trouble:
+            return _Found(trouble.outcome), trouble.message
+        except UnsupportedPddlError as error:
+            return _Found(Outcome.UNSUPPORTED), str(error)
+        except Cut:
+            raise
+        except Exception as error:  # whatever goes wrong here must not stop the tree; it is told by name
+            return _Found(Outcome.ENGINE_CRASHED), f"{type(error).__name__}: {error}"
+        wrong = self._wrong(found)
+        if wrong is not None:
+            return _Found(Outcome.ENGINE_CRASHED), f"{engine} returned a plan that does not work: {wrong}"
+        return found, ""
+
+    def _found(self, way: str, deadline: float) -> _Found:
+        if way == "warm":
+            return self._warm(deadline)
+        if way == "cold":
+            memory_bytes = self._settings.memory_bytes
+            task = translated(self._problem, None, self._leash, _left_s(deadline), memory_bytes)
+            return self._searched(task, deadline)
+        outcome, schedule = asked(
+            way,
+            self._problem,
+            self._leash,
+            limit_s=_left_s(deadline),
+            memory_bytes=self._settings.memory_bytes,
+            overlapping=self._settings.overlapping,
+        )
+        steps = tuple(timed.step for timed in schedule)
+        return _Found(outcome, steps, schedule if self._settings.overlapping else ())
+
+    def _warm(self, deadline: float) -> _Found:
+        assert self._grounding is not None
+        try:
+            task = self._leash.wait(self._grounding, _left_s(deadline))
+        except TimeoutError as error:
+            message = f"the task of {self._problem.domain.name} was not translated in time; allow more or ask for less"
+            raise Trouble(Outcome.OUT_OF_TIME, message) from error
+        if not task.is_patchable:
+            raise Trouble(Outcome.UNSUPPORTED, "the translated task has axioms, which hold for one state only")
+        try:
+            return self._searched(task, deadline)
+        except NotRepresentableError as error:
+            raise Trouble(Outcome.UNSUPPORTED, f"the translated task does not fit: {error}") from error
+
+    def _searched(self, task: Grounded, deadline: float) -> _Found:
+        try:
+            patched = task.patched(self._problem, self._numbers)
+        except UnreachableGoalError:
+            return _Found(Outcome.UNSOLVABLE_PROVEN)
+        answer: Answer = search(
+            patched,
+            self._settings.engine,
+            self._leash,
+            limit_s=_left_s(deadline),
+            memory_bytes=self._settings.memory_bytes,
+        )
+        return _Found(answer.outcome, tuple(task.step(number) for number in answer.numbers))
+
+    def _wrong(self, found: _Found) -> str | None:
+        if not found.outcome.is_solved:
+            return None
+        problem = self._problem
+        if found.schedule:
+            return schedule_flaw(problem.domain, found.schedule, problem.state, problem.wanted)
+        return flaw(problem.domain, found.steps, problem.state, problem.wanted)
+
+    def _report(self, found: _Found, way: str, attempts: list[Attempt]) -> PlanningResult:
+        engine = self._settings.engine if way in ("warm", "cold") else way
+        if found.outcome.is_solved:
+            cost = self._cost(found)
+            return PlanningResult(found.outcome, found.steps, engine, "", cost, found.schedule, tuple(attempts))
+        message = f"{engine}: {found.outcome}"
+        if found.outcome.is_trouble:
+            message = "; ".join(
+                f"{engine}, {attempt}" if engine != attempt.way else str(attempt) for attempt in attempts
+            )
+        safe = self._safe_step
+        if safe is not None and missing_at_start(self._problem.domain, safe, self._problem.state) is not None:
+            safe = None
+        return PlanningResult(found.outcome, (), engine, message, attempts=tuple(attempts), safe_step=safe)
+
+    @cached_property
+    def _numbers(self) -> Numbers:
+        return instantaneous(self._problem.domain)[1].numbers(self._problem)
+
+    def _cost(self, found: _Found) -> float | None:
+        try:
+            return instantaneous(self._problem.domain)[1].total(found.steps, self._numbers)
+        except UnsupportedPddlError:
+            return None
+
+
+def _left_s(deadline: float) -> float:
+    return max(deadline - time.monotonic(), 0.0)
+
+
+def _outcome_of(attempts: list[Attempt]) -> Outcome:
+    outcomes = [attempt.outcome for attempt in attempts]
+    if Outcome.UNSOLVABLE_AS_FAR_AS_KNOWN in outcomes:
+        return Outcome.UNSOLVABLE_AS_FAR_AS_KNOWN
+    return next(outcome for outcome in _TELLING_FIRST if outcome in outcomes)
