@@ -293,6 +293,8 @@ def why_selected(state: State, chosen: Sequence[Node], now: float, said: str = "
 
 def _why_lacking(state: State, chosen: Sequence[Node], *, only_told: bool) -> list[str]:
     """Say why components of designs that stay selected are to be activated: all of them, or where that was told."""
+    if not state.lacking:
+        return []
     anew = {node.wholes[0] for node in chosen}
     untold: list[Node] = []
     sentences = []

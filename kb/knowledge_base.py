@@ -224,9 +224,9 @@ class KnowledgeBase(Keeping):
             self._plans.append(plan)
             self._open_plans.append(plan)
             self._journal.enter(now, self._known, reselected, [plan])
-            self._publisher.publish(
-                Event(EventKind.RECONFIGURATION_PLAN, now, "", str(plan), status_changes(selection.changes), plan)
-            )
+            if self._publisher:
+                changes = status_changes(selection.changes)
+                self._publisher.publish(Event(EventKind.RECONFIGURATION_PLAN, now, "", str(plan), changes, plan))
             return plan
 
     def _selected(self, now: float, nodes: Iterable[Node], selection: Selection) -> None:

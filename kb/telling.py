@@ -206,7 +206,9 @@ class Telling(Recording):
 
     def _look_at_the_clock(self) -> None:
         """Take note of what has become so with time since somebody last looked."""
-        next_change = min(self._measurements.next_change, self._lapses.next)
+        next_change, lapse = self._measurements.next_change, self._lapses.next
+        if lapse < next_change:
+            next_change = lapse
         if next_change == math.inf or self._clock() < next_change:
             return
         with self._lock:
