@@ -2,13 +2,14 @@
 
 from suave_env.env import Observation, SuaveEnv
 from suave_env.exceptions import SuaveEnvError
-from suave_env.managed import ManagedSystem, Operation
+from suave_env.managed import Change, ManagedSystem, Operation
 from suave_env.messages import Message, Status
 from suave_env.metrics import Disturbance, Metrics
 from suave_env.pipeline import Pipeline
 from suave_env.settings import SettingInfo, Settings
 
 __all__ = [
+    "Change",
     "Disturbance",
     "ManagedSystem",
     "Message",

@@ -158,7 +158,7 @@ class SuaveEnv:
             total_inspected_m=self._follower.total_m,
             violation_s=self._violations.seconds(self._now),
             uncorrected=self._violations.uncorrected,
-            switches=self.managed.switches,
+            switches=len(self.managed.history),
             energy_j=self._thrusters.energy_j,
         )
 

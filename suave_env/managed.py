@@ -2,16 +2,34 @@
 
 import math
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 
 from suave_env.agenda import Agenda
 from suave_env.components import Component
 from suave_env.exceptions import SuaveEnvError, unknown_name
 from suave_env.settings import Settings
 
-__all__ = ["HIGHEST_ALTITUDE_M", "ManagedSystem", "Operation"]
+__all__ = ["Change", "HIGHEST_ALTITUDE_M", "ManagedSystem", "Operation"]
 
 HIGHEST_ALTITUDE_M = 19.0
 """Altitude above the seabed [m] that a parameter may command at most: 1 m below the surface."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """A component that was activated, deactivated or given other parameters.
+
+    Attributes:
+        time: When that was carried out [s].
+        component: Its name.
+        active: Whether it is active from then on.
+        parameters: Its parameters from then on.
+    """
+
+    time: float
+    component: str
+    active: bool
+    parameters: Mapping[str, float]
 
 
 class Operation:
@@ -65,7 +83,7 @@ class ManagedSystem:
         self._pending: list[Operation] = []
         self._closed = False
         self._changes = 0
-        self._switches = 0
+        self._history: list[Change] = []
 
     @property
     def changes(self) -> int:
@@ -73,9 +91,9 @@ class ManagedSystem:
         return self._changes
 
     @property
-    def switches(self) -> int:
-        """How often a component was activated, deactivated or given other parameters so far."""
-        return self._switches
+    def history(self) -> tuple[Change, ...]:
+        """Every change so far that changed something, in order of time."""
+        return tuple(self._history)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -151,7 +169,7 @@ class ManagedSystem:
             before = component.active, dict(component.parameters)
             change(time)
             if before != (component.active, component.parameters):
-                self._switches += 1
+                self._history.append(Change(time, name, component.active, dict(component.parameters)))
                 self._switched(time)
             self._pending.remove(operation)
             operation._finish()

@@ -84,9 +84,9 @@ class Settings:
     start_y_m: float = _setting(2.4, "m", "mean start position, north; also the centre of the spiral", _DRAWN)
     start_z_m: float = _setting(-18.5, "m", "position in which the vehicle is put, up", _SUAVE, -19.9, -1.0)
     start_x_sd_m: float = _setting(0.1, "m", "standard deviation of the start position, east", _DRAWN, 0)
-    start_y_sd_m: float = _setting(0.15, "m", "standard deviation of the start position, north", _DRAWN, 0)
+    start_y_sd_m: float = _setting(0.25, "m", "standard deviation of the start position, north", _DRAWN, 0)
     bias_m: float = _setting(0.75, "m", "mean of true minus commanded height (home against origin)", _DRAWN, -5, 5)
-    bias_sd_m: float = _setting(0.15, "m", "standard deviation of that bias between runs", _DRAWN, 0)
+    bias_sd_m: float = _setting(0.18, "m", "standard deviation of that bias between runs", _DRAWN, 0)
     boot_s: float = _setting(30.0, "s", "time for which the vehicle floats upwards before GUIDED", _SUAVE, 0, 100)
     start_delay_s: float = _setting(4.0, "s", "time before the first setpoint is obeyed", _FITTED, 0)
 
