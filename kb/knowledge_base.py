@@ -85,16 +85,14 @@ class KnowledgeBase(Keeping):
         Raises:
             KnowledgeBaseError: a subscriber asks for it, which holds the base while the writer needs that.
         """
-        self._check_may_wait()
+        if self._store is not None:
+            self._check_may_wait()
         return super().flush(timeout)
 
     def close(self) -> None:
-        """Save what is left and give the store back: it can still be asked, but not told. Nothing without a store.
-
-        Raises:
-            KnowledgeBaseError: a subscriber asks for it; see `flush`.
-        """
-        self._check_may_wait()
+        """Save what is left and give the store back: it can still be asked, but not told; see `flush`."""
+        if self._store is not None:
+            self._check_may_wait()
         with self._lock:
             self._is_closed = self._store is not None
         super().close()

@@ -198,7 +198,7 @@ class Telling(Recording):
         if self._publisher.is_telling_here:
             raise KnowledgeBaseError(
                 "a subscriber cannot wait until what it hears is on disk, for that is written after it has returned; "
-                "flush or close after the call that told"
+                "flush, close or query after the call that told"
             )
 
     def _history_of(self, attribute: Node) -> History:
