@@ -1,15 +1,20 @@
-"""A stream of diagnostics as a file: one message per line, as JSON, with its time; written live, read for a replay."""
+"""A stream of diagnostics as a file: one message per line, as JSON, with its time; written live, read for a replay.
+
+A short stream for a test is written by hand, in Python:
+
+    [measured(0.5, water_visibility=3.75), failed(35.5, "c_thruster_1"), sensed(100.0, pipeline_found=True)]
+"""
 
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict
 from pathlib import Path
 
 from missions.mission import Message, MissionError
 from missions.runner import MissionRun
 
-__all__ = ["header", "line_of", "read_recording"]
+__all__ = ["failed", "header", "line_of", "measured", "read_recording", "recovered", "sensed"]
 
 
 def line_of(message: Message) -> str:
@@ -32,32 +37,80 @@ def header(run: MissionRun, seed: int) -> Message:
     }
 
 
-def read_recording(path: str | Path) -> Iterator[Message]:
+def measured(time: float, **values: float) -> Message:
+    """Return the message that attributes were measured.
+
+    Args:
+        time: when [s].
+        values: by name, in their units.
+    """
+    return _said(time, "attribute measurement", {name: repr(value) for name, value in values.items()})
+
+
+def failed(time: float, *components: str) -> Message:
+    """Return the message that components have failed at that time [s]."""
+    return _said(time, "component status", dict.fromkeys(components, "failure"))
+
+
+def recovered(time: float, *components: str) -> Message:
+    """Return the message that components are recovered at that time [s]."""
+    return _said(time, "component status", dict.fromkeys(components, "recovered"))
+
+
+def sensed(time: float, **news: object) -> Message:
+    """Return the message of what else there is, for the mission's senses only.
+
+    Args:
+        time: when [s].
+        news: by name, e.g. pipeline_found=True.
+    """
+    return _said(time, "mission status", {name: str(value).lower() for name, value in news.items()})
+
+
+def read_recording(source: str | Path | Iterable[Message]) -> Iterator[Message]:
     """Yield the messages of a recording in order of time.
+
+    Args:
+        source: a file, or the messages themselves.
 
     Raises:
         MissionError: the file cannot be read, or a line is no message; names the line and what was expected.
     """
-    try:
-        lines = Path(path).read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise MissionError(f"cannot read the recording {path}: {error}") from error
     last = float("-inf")
-    for number, line in enumerate(lines, start=1):
-        if not line.strip():
-            continue
-        message = _message(line, f"{path}:{number}")
+    for message, where in _from_file(source) if isinstance(source, str | Path) else _from_messages(source):
         if message["time"] < last:
-            raise MissionError(f"{path}:{number}: time {message['time']} comes after {last}; order the lines by time")
+            raise MissionError(f"{where}: time {message['time']} comes after {last}; order them by time")
         last = message["time"]
         yield message
 
 
-def _message(line: str, where: str) -> Message:
+def _said(time: float, what: str, values: dict[str, str]) -> Message:
+    return {"time": float(time), "status": [{"name": "by hand", "message": what, "values": values}]}
+
+
+def _from_file(path: str | Path) -> Iterator[tuple[Message, str]]:
     try:
-        message = json.loads(line)
+        lines = Path(path).read_text(encoding="utf-8-sig").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise MissionError(f"cannot read the recording {path}: {error}") from error
+    for number, line in enumerate(lines, start=1):
+        if line.strip():
+            yield _checked(_parsed(line, f"{path}:{number}"), f"{path}:{number}"), f"{path}:{number}"
+
+
+def _from_messages(messages: Iterable[Message]) -> Iterator[tuple[Message, str]]:
+    for number, message in enumerate(messages, start=1):
+        yield _checked(message, f"message {number}"), f"message {number}"
+
+
+def _parsed(line: str, where: str) -> object:
+    try:
+        return json.loads(line)
     except json.JSONDecodeError as error:
         raise MissionError(f"{where}:{error.colno}: not JSON ({error.msg}); one message per line is expected") from None
+
+
+def _checked(message: object, where: str) -> Message:
     if not isinstance(message, dict) or not _is_time(message.get("time")):
         raise MissionError(f'{where}: a message is an object with a number "time" [s] from 0 and a list "status"')
     statuses = message.get("status")

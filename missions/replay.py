@@ -1,4 +1,4 @@
-"""A recorded mission decided once more, without a simulator.
+"""A recorded stream of diagnostics decided once more, without a simulator.
 
 The knowledge base, the manager and the task layer hear the recorded messages at their times, and decide; nothing is
 measured anew. What they command takes as long as it did, and has no effect on the recording.
@@ -7,138 +7,91 @@ measured anew. What they command takes as long as it did, and has no effect on t
 
     def test_it_recharges_when_the_battery_drops():
         decisions = replay("battery_drop.jsonl", "suave_extended", task="bt")
-        assert [name for _, name in decisions.requested][:3] == ["search_pipeline", "inspect_pipeline", "recharge"]
+        decisions.assert_adapts(at=150.0, from_="inspect_pipeline", to="recharge", within=0.2)
 """
 
+import math
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Protocol, runtime_checkable
 
-from kb import DiagnosticProblem, ManagedSystem, ReconfigurationPlan
-from missions.adaptations import Adaptation
-from missions.mission import Message, Mission, World
+from numpy.random import Generator
+from py_trees.behaviour import Behaviour
+
+from kb import Event, KnowledgeBase, Model
+from missions.mission import Message, Mission, MissionError, Verdict, World, WorldKind
 from missions.recording import read_recording
 from missions.registry import find_mission
 from missions.runner import MissionRun
+from missions.senses import Senses
 from missions.settings import RunSettings
+from missions.testing.clock import FakeClock
+from missions.testing.decisions import Decisions
+from missions.testing.managed import VERBS, ScriptedManaged
+from missions.testing.timeline import timeline
+from rosa_bt import TraceVisitor
 
 if TYPE_CHECKING:
     from rosa_pddl import PlanRecord
 
-__all__ = ["Decisions", "Recording", "replay"]
+__all__ = ["Decisions", "Recording", "TaskFactory", "replay"]
 
-VERBS: Final = ("activate", "deactivate", "set_parameters")
+TaskFactory = Callable[[KnowledgeBase, Senses], Behaviour]
+"""Makes what decides about actions: a tree, or a plan executor (whose clock is then `lambda: kb.now`)."""
+
 SWITCHING_S: Final = 0.05
 """How long a command takes where a recording does not say [s]."""
 AFTERMATH_S: Final = 1.0
 """How long a replay goes on after the last message, for what that set off [s]."""
 
 
-@dataclass(frozen=True, slots=True)
-class Decisions:
-    """What was decided, task and architecture, in order; times in [s].
+@runtime_checkable
+class _Plans(Protocol):
+    """A behaviour that plans: `rosa_pddl.PlanExecutor`."""
 
-    Attributes:
-        actions: (name, start, end, result) of every action; end and result None where the recording ends first.
-        plans: every reconfiguration plan.
-        adaptations: every adaptation with its reason.
-        task_plans: every task plan; none for a tree.
-        problems: (time, what) of every part of a message that could not be used.
-    """
-
-    actions: tuple[tuple[str, float, float | None, str | None], ...]
-    plans: tuple[ReconfigurationPlan, ...]
-    adaptations: tuple[Adaptation, ...]
-    task_plans: tuple["PlanRecord", ...]
-    problems: tuple[tuple[float, DiagnosticProblem], ...]
+    def catch_up(self) -> None: ...
 
     @property
-    def requested(self) -> tuple[tuple[float, str], ...]:
-        """(time, name) of every action that was begun."""
-        return tuple((start, name) for name, start, _, _ in self.actions)
+    def plans(self) -> tuple["PlanRecord", ...]: ...
 
 
 def replay(
-    path: str | Path,
-    mission: Mission | str,
+    source: str | Path | Iterable[Message],
+    mission: Mission | Model | str,
+    behaviour: TaskFactory | None = None,
     *,
     task: str = "bt",
     settings: RunSettings | None = None,
     switching_s: float | None = None,
+    managed: ScriptedManaged | None = None,
 ) -> Decisions:
-    """Decide a recorded mission once more.
+    """Decide once more what was recorded.
 
     Args:
-        path: a recording, as `rosa run MISSION --record FILE` writes it, or written by hand.
-        mission: whose model and task layer decide, or its name.
-        task: the kind of task layer, "bt" or "pddl".
+        source: a recording, as `rosa run MISSION --record FILE` writes it, or written by hand; or its messages.
+        mission: whose model and task layer decide, or its name; or a model alone, for a behaviour that is handed in.
+        behaviour: makes what decides instead of the mission's task layer, given the knowledge base and the senses.
+        task: the kind of the mission's task layer, "bt" or "pddl".
         settings: how it is run, by default as it was recorded; it ends a second after the recording at the latest.
         switching_s: how long a command to a component takes [s], by default as it was recorded, or 0.05.
+        managed: what takes the commands, with its clock at 0; by default a system that does what it is told.
 
     Raises:
         MissionError: the recording cannot be read, or there is no such mission or task layer.
+        kb.UnknownName: there is a script for a component that the model does not have.
     """
-    wanted = find_mission(mission) if isinstance(mission, str) else mission
-    messages = list(read_recording(path))
+    messages = list(read_recording(source))
     recorded = messages[0].get("run", {}) if messages else {}
-    limits = settings or RunSettings(**recorded.get("settings", {}))
     takes_s = recorded.get("switching_s", {}) if switching_s is None else {}
     default_s = SWITCHING_S if switching_s is None else switching_s
-    world = Recording(messages, {verb: takes_s.get(verb, default_s) for verb in VERBS})
+    world = Recording(messages, managed or ScriptedManaged(FakeClock()))
+    world.managed.take({verb: takes_s.get(verb, default_s) for verb in VERBS})
     end_s = max((message["time"] for message in messages), default=0.0) + AFTERMATH_S
+    limits = settings or RunSettings(**{"duration_s": end_s, **recorded.get("settings", {})})
     limits = replace(limits, duration_s=min(limits.duration_s, end_s))
-    run = MissionRun(wanted, task, world, limits)
-    run.run()
-    return Decisions(
-        actions=tuple((one.action, one.start, one.end, one.result) for one in run.kb.action_history),
-        plans=run.kb.plans,
-        adaptations=tuple(run.adaptations),
-        task_plans=run.plans,
-        problems=tuple(run.problems),
-    )
-
-
-class _Command:
-    """A command that ends at a set time; carried out without a robot."""
-
-    def __init__(self, end_s: float, clock: Callable[[], float]) -> None:
-        self.end_s = end_s
-        self._clock = clock
-
-    def done(self) -> bool:
-        return self._clock() >= self.end_s
-
-    def exception(self) -> None:
-        return None
-
-
-class _Commanded:
-    """A managed system in which every command succeeds after a set time, one after the other for each component."""
-
-    def __init__(self, clock: Callable[[], float], switching_s: Mapping[str, float]) -> None:
-        self._clock = clock
-        self._switching_s = switching_s
-        self._busy_until: dict[str, float] = {}
-
-    def next_end(self) -> float:
-        """When the next command that is under way ends [s], infinity if none is."""
-        return min((end for end in self._busy_until.values() if end > self._clock()), default=float("inf"))
-
-    def activate(self, component: str) -> _Command:
-        return self._command("activate", component)
-
-    def deactivate(self, component: str) -> _Command:
-        return self._command("deactivate", component)
-
-    def set_parameters(self, component: str, parameters: object) -> _Command:
-        return self._command("set_parameters", component)
-
-    def _command(self, verb: str, component: str) -> _Command:
-        begin = max(self._clock(), self._busy_until.get(component, 0.0))
-        self._busy_until[component] = begin + self._switching_s[verb]
-        return _Command(self._busy_until[component], self._clock)
+    return _decide(_asked(mission, behaviour, world), "bt" if behaviour else task, world, limits)
 
 
 class Recording(World):
@@ -146,29 +99,89 @@ class Recording(World):
 
     Args:
         messages: in order of time.
-        switching_s: how long a command takes, by its verb [s].
+        managed: what takes the commands; its clock, which has to show 0, is that of the world.
+
+    Raises:
+        MissionError: the clock does not show 0.
     """
 
-    def __init__(self, messages: Iterable[Message], switching_s: Mapping[str, float]) -> None:
+    def __init__(self, messages: Iterable[Message], managed: ScriptedManaged) -> None:
+        self._clock = managed.clock
+        if self._clock.now != 0.0:
+            raise MissionError(f"a replay begins at 0 s, not at {self._clock.now:g} s; hand in a new managed system")
         self._messages = deque(messages)
-        self._now = 0.0
-        self._managed = _Commanded(lambda: self._now, switching_s)
+        self._managed = managed
+        self.planners: tuple[_Plans, ...] = ()
 
     @property
     def now(self) -> float:
         """The time of the recording [s]."""
-        return self._now
+        return self._clock.now
 
     @property
-    def managed(self) -> ManagedSystem:
+    def managed(self) -> ScriptedManaged:
         """What takes the commands."""
         return self._managed
 
     def advance(self, until: float) -> list[Message]:
         """Go on to the next message or end of a command, at most to the time `until` [s]."""
-        following = self._messages[0]["time"] if self._messages else float("inf")
-        self._now = max(self._now, min(until, following, self._managed.next_end()))
+        following = self._messages[0]["time"] if self._messages else math.inf
+        self._clock.advance_to(max(self.now, min(until, following, self._managed.next_event())))
+        for planner in self.planners:  # a tick never waits, so what is due by now is waited for here
+            planner.catch_up()
         heard = []
-        while self._messages and self._messages[0]["time"] <= self._now:
+        while self._messages and self._messages[0]["time"] <= self.now:
             heard.append(self._messages.popleft())
         return heard
+
+
+class _Nowhere(WorldKind):
+    """The world of a model that is handed in without a mission; only recordings happen there."""
+
+    def open(self, values: Mapping[str, str], rng: Generator) -> World:
+        raise MissionError("a model alone has no world; replay a recording to it")
+
+    def verdict(self, senses: Senses, results: Mapping[str, float | None], kb: KnowledgeBase) -> Verdict:
+        return Verdict("replayed", "")
+
+
+def _asked(mission: Mission | Model | str, behaviour: TaskFactory | None, world: Recording) -> Mission:
+    """Return the mission to run; the planners in its tree are made known to the world."""
+    if isinstance(mission, Model):
+        model = mission
+        if behaviour is None:
+            raise MissionError(f"the model {model.name} decides nothing by itself; replay(source, model, behaviour)")
+        wanted = Mission(model.name, "", lambda: model, behaviour, _Nowhere())
+    else:
+        wanted = find_mission(mission) if isinstance(mission, str) else mission
+    build = behaviour or wanted.tree
+
+    def tree(kb: KnowledgeBase, senses: Senses) -> Behaviour:
+        root = build(kb, senses)
+        if isinstance(root, Behaviour):
+            world.planners = tuple(one for one in root.iterate() if isinstance(one, _Plans))
+        return root
+
+    return replace(wanted, tree=tree)
+
+
+def _decide(mission: Mission, task: str, world: Recording, limits: RunSettings) -> Decisions:
+    run = MissionRun(mission, task, world, limits)
+    for component in world.managed.scripted():
+        _ = run.kb.components[component]  # a script for nobody is a slip
+    events: list[Event] = []
+    run.kb.subscribe(events.append)
+    with TraceVisitor(run.kb) as visitor:
+        run._runner.tree.add_visitor(visitor)
+        run.run()
+        trace = visitor.trace
+    return Decisions(
+        actions=tuple((one.action, one.start, one.end, one.result) for one in run.kb.action_history),
+        plans=run.kb.plans,
+        adaptations=tuple(run.adaptations),
+        task_plans=run.plans or tuple(plan for planner in world.planners for plan in planner.plans),
+        problems=tuple(run.problems),
+        timeline=timeline(run.kb, events, run.adaptations),
+        trace=trace,
+        kb=run.kb,
+    )

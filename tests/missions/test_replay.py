@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 from running import run_mission
 
-from missions.live import Recorder
 from missions.mission import MissionError
-from missions.output import OutputFile
+from missions.recording import header, line_of
 from missions.replay import replay
+from missions.runner import Listener
 
 BATTERY_DROP = Path(__file__).with_name("battery_drop.jsonl")
 
@@ -24,6 +24,14 @@ for task in ("bt", "pddl"):
     print([name for _, name in decisions.requested])
 assert not any(name.startswith("suave_env") for name in sys.modules)
 """
+
+
+class Hearing(Listener):
+    def __init__(self):
+        self.messages = []
+
+    def message(self, message):
+        self.messages.append(message)
 
 
 def switched(decisions):
@@ -64,10 +72,9 @@ def test_decisions_of_the_tree_are_exactly_these():
 
 @pytest.mark.parametrize("task", ["bt", "pddl"])
 def test_replay_of_a_live_run_decides_the_same_at_the_same_times(task, tmp_path):
-    path = tmp_path / "run.jsonl"
-    with OutputFile(path) as output:
-        run, _, _ = run_mission("suave_extended", task, 7, listeners=[Recorder(output)])
-        output.keep()
+    path, heard = tmp_path / "run.jsonl", Hearing()
+    run, _, _ = run_mission("suave_extended", task, 7, listeners=[heard])
+    path.write_text("".join(line_of(message) for message in [header(run, 7), *heard.messages]))
     decisions = replay(path, "suave_extended", task=task)
     live = [(one.at_s, one.kind, one.change, one.reason, one.reaction_s) for one in run.adaptations]
     assert len(live) >= 6

@@ -1,0 +1,247 @@
+"""What was decided in a replay, and what a test says of it: assertions that show the timeline when they fail."""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from difflib import ndiff
+from typing import TYPE_CHECKING, Final
+
+from kb import DiagnosticProblem, KnowledgeBase, ReconfigurationPlan
+from missions.adaptations import Adaptation
+from missions.testing.timeline import Moment, around, seconds
+
+if TYPE_CHECKING:
+    from rosa_bt import Trace
+    from rosa_pddl import PlanRecord
+
+__all__ = ["Decisions"]
+
+SLACK_S: Final = 1e-6
+"""Sums of ticks miss a time by rounding [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Decisions:
+    """What was decided, task and architecture, in order; times in [s].
+
+    The assertions take `at`, when something is to happen at the earliest, and `within`, how long after that it has to
+    be in force. A name that the model does not have is an error, never a silent success.
+
+    Attributes:
+        actions: (name, start, end, result) of every action; end and result None where the recording ends first.
+        plans: every reconfiguration plan.
+        adaptations: every adaptation with its reason.
+        task_plans: every task plan; none for a tree.
+        problems: (time, what) of every part of a message that could not be used.
+        timeline: what was heard and decided, for people.
+        trace: every tick of the task layer, as data.
+        kb: the knowledge base as it is at the end, for anything else that a test wants to know.
+    """
+
+    actions: tuple[tuple[str, float, float | None, str | None], ...]
+    plans: tuple[ReconfigurationPlan, ...]
+    adaptations: tuple[Adaptation, ...]
+    task_plans: tuple["PlanRecord", ...]
+    problems: tuple[tuple[float, DiagnosticProblem], ...]
+    timeline: tuple[Moment, ...] = field(repr=False)
+    trace: "Trace" = field(repr=False)
+    kb: KnowledgeBase = field(repr=False)
+
+    def __str__(self) -> str:
+        return "\n".join(map(str, self.timeline))
+
+    @property
+    def requested(self) -> tuple[tuple[float, str], ...]:
+        """(time, name) of every action that was begun."""
+        return tuple((start, name) for name, start, _, _ in self.actions)
+
+    def assert_actions(self, *names: str) -> None:
+        """Assert that exactly these actions were begun, in this order."""
+        __tracebackhide__ = True
+        for name in names:
+            self._check("actions", name)
+        begun = [name for name, *_ in self.actions]
+        if begun != list(names):
+            actions = "\n".join(str(moment) for moment in self.timeline if moment.what == "action")
+            diff = "\n".join(line.rstrip() for line in ndiff(names, begun) if not line.startswith("?"))
+            raise _failure(
+                "other actions were begun (-: expected, +: what was done)", f"{diff}\n\nwhat happened:\n{actions}"
+            )
+
+    def assert_begins(self, action: str, *, at: float, within: float = 1.0) -> None:
+        """Assert that an action begins."""
+        __tracebackhide__ = True
+        self._check("actions", action)
+        starts = [start for name, start, _, _ in self.actions if name == action]
+        if not any(_is_in(start, at, within) for start in starts):
+            raise self._failure(f"{action} begins", at, within, [f"it begins at {seconds(start)}" for start in starts])
+
+    def assert_ends(self, action: str, result: str = "completed", *, at: float, within: float = 1.0) -> None:
+        """Assert that an action ends "completed", "failed" or "abandoned"."""
+        __tracebackhide__ = True
+        self._check("actions", action)
+        ends = [(end, how) for name, _, end, how in self.actions if name == action and end is not None]
+        if not any(how == result and _is_in(end, at, within) for end, how in ends):
+            raise self._failure(
+                f"{action} is {result}", at, within, [f"it is {how} at {seconds(end)}" for end, how in ends]
+            )
+
+    def assert_adapts(
+        self, *, at: float, from_: str | None = None, to: str | None = None, within: float = 1.0
+    ) -> Adaptation:
+        """Assert that the robot gives up what it is doing for something else, and that this is in force in time.
+
+        Args:
+            at: when what calls for it happens [s].
+            from_: the action that is given up, or has ended; None for any.
+            to: the action that takes its place; None for any.
+            within: how long after `at` the robot is configured for it [s].
+
+        Returns:
+            The adaptation, for its reason and the like.
+        """
+        __tracebackhide__ = True
+        for name in (from_, to):
+            if name is not None:
+                self._check("actions", name)
+        found = [one for one in self.adaptations if one.kind == "task" and _changes(one, from_, to)]
+        for one in found:
+            if one.at_s >= at - SLACK_S and _in_force(one) <= at + within + SLACK_S:
+                return one
+        raise self._failure(f"{from_ or 'any'} -> {to or 'any'}", at, within, [_told(one) for one in found])
+
+    def assert_reconfigures(
+        self,
+        *,
+        at: float,
+        activate: str | Iterable[str] = (),
+        deactivate: str | Iterable[str] = (),
+        configure: str | Iterable[str] = (),
+        within: float = 1.0,
+    ) -> ReconfigurationPlan:
+        """Assert that a plan does at least this, and has been carried out in time.
+
+        Args:
+            at: when what calls for it happens [s].
+            activate: names of components.
+            deactivate: names of components.
+            configure: names of configurations.
+            within: how long after `at` the plan is carried out [s].
+
+        Returns:
+            The plan, for its reason and the like.
+        """
+        __tracebackhide__ = True
+        wanted = self._steps(activate, deactivate, configure)
+        found = [plan for plan in self.plans if all(set(names) <= set(_done(plan)[verb]) for verb, names in wanted)]
+        for plan in found:
+            is_done = plan.result == "completed" and plan.end is not None
+            if is_done and plan.start >= at - SLACK_S and (plan.end or 0.0) <= at + within + SLACK_S:
+                return plan
+        raise self._failure(_worded(wanted), at, within, [_ended(plan) for plan in found])
+
+    def assert_never(
+        self,
+        *,
+        action: str | Iterable[str] = (),
+        activate: str | Iterable[str] = (),
+        deactivate: str | Iterable[str] = (),
+        configure: str | Iterable[str] = (),
+        since: float = 0.0,
+        until: float = math.inf,
+    ) -> None:
+        """Assert that none of this is begun from `since` until `until` [s]."""
+        __tracebackhide__ = True
+        actions = _names(action)
+        for name in actions:
+            self._check("actions", name)
+        unwanted = self._steps(activate, deactivate, configure, least=0 if actions else 1)
+        begun = [(start, f"{name} is requested") for name, start, _, _ in self.actions if name in actions]
+        for plan in self.plans:
+            done = [f"{verb} {name}" for verb, names in unwanted for name in names if name in _done(plan)[verb]]
+            begun += [(plan.start, text) for text in done]
+        found = sorted((time, text) for time, text in begun if since - SLACK_S <= time <= until + SLACK_S)
+        if found:
+            never = "never " + " or ".join([*(f"begin {name}" for name in actions), *_phrases(unwanted)])
+            time = found[0][0]
+            told = [f"{text} at {seconds(time)}" for time, text in found]
+            raise _failure(
+                f"expected: {never}", f"{_list(told)}\n\nwhat happened:\n{around(self.timeline, time, time, never)}"
+            )
+
+    def _steps(
+        self,
+        activate: str | Iterable[str],
+        deactivate: str | Iterable[str],
+        configure: str | Iterable[str],
+        least: int = 1,
+    ) -> list[tuple[str, tuple[str, ...]]]:
+        """Return what is asked for by verb, with names that the model has."""
+        steps = [("activate", activate), ("deactivate", deactivate), ("configure", configure)]
+        asked = [(verb, _names(names)) for verb, names in steps if names]
+        if len(asked) < least:
+            raise ValueError("say what to look for: activate=..., deactivate=... or configure=...")
+        for verb, names in asked:
+            for name in names:
+                self._check("configurations" if verb == "configure" else "components", name)
+        return asked
+
+    def _check(self, kind: str, name: str) -> None:
+        """Raise unless the model has that name; the message says which are near."""
+        getattr(self.kb, kind)[name]
+
+    def _failure(self, expected: str, at: float, within: float, instead: list[str]) -> AssertionError:
+        headline = f"expected between {seconds(at)} and {seconds(at + within)}: {expected}"
+        instead = instead or ["it never does"]
+        shown = around(self.timeline, at, at + within, expected)
+        return _failure(headline, f"{_list(instead)}\n\nwhat happened around {seconds(at)}:\n{shown}")
+
+
+def _failure(headline: str, rest: str) -> AssertionError:
+    return AssertionError(f"{headline}\n{rest}")
+
+
+def _list(items: Iterable[str]) -> str:
+    return "\n".join(f"  but {item}" for item in items)
+
+
+def _names(names: str | Iterable[str]) -> tuple[str, ...]:
+    return (names,) if isinstance(names, str) else tuple(names)
+
+
+def _is_in(time: float, at: float, within: float) -> bool:
+    return at - SLACK_S <= time <= at + within + SLACK_S
+
+
+def _changes(adaptation: Adaptation, from_: str | None, to: str | None) -> bool:
+    before, _, after = adaptation.change.split("; ")[0].partition(" -> ")
+    return from_ in (None, before) and to in (None, after)
+
+
+def _in_force(adaptation: Adaptation) -> float:
+    """When an adaptation is in force [s]; infinity for never."""
+    return math.inf if adaptation.reaction_s is None else adaptation.news_s + adaptation.reaction_s
+
+
+def _told(adaptation: Adaptation) -> str:
+    force = _in_force(adaptation)
+    soon = "is never in force" if math.isinf(force) else f"is in force at {seconds(force)}"
+    change = adaptation.change.split("; ")[0]
+    return f"{change} is decided at {seconds(adaptation.at_s)} and {soon} (because {adaptation.why})"
+
+
+def _done(plan: ReconfigurationPlan) -> dict[str, tuple[str, ...]]:
+    return {"activate": plan.activate, "deactivate": plan.deactivate, "configure": plan.parameters}
+
+
+def _phrases(steps: Iterable[tuple[str, tuple[str, ...]]]) -> list[str]:
+    return [f"{verb} {', '.join(names)}" for verb, names in steps]
+
+
+def _worded(steps: Iterable[tuple[str, tuple[str, ...]]]) -> str:
+    return "; ".join(_phrases(steps))
+
+
+def _ended(plan: ReconfigurationPlan) -> str:
+    how = "is still open at the end" if plan.end is None else f"is {plan.result} at {seconds(plan.end)}"
+    return f"the plan of {seconds(plan.start)} {how} (because {plan.reason})"

@@ -1,0 +1,100 @@
+"""Golden traces: what a tree did the last time that somebody looked at it and found it right."""
+
+import re
+from collections.abc import Iterator
+from difflib import unified_diff
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from rosa_bt import Trace
+
+__all__ = ["check_golden", "golden_path", "readable"]
+
+MOST: Final = 40
+"""How many lines of a difference are shown."""
+FOLDER: Final = "golden"
+
+
+def golden_path(test_file: Path, test: str, name: str = "") -> Path:
+    """Return where the golden trace of a test is kept: in a folder beside its file.
+
+    Args:
+        test_file: the file that the test is in.
+        test: the name of the test, with its parameters.
+        name: tells several traces of one test apart.
+    """
+    parts = [test_file.stem, test, *([name] if name else [])]
+    return (
+        test_file.parent / FOLDER / (".".join(re.sub(r"[^\w\-]+", "_", part).strip("_") for part in parts) + ".trace")
+    )
+
+
+def check_golden(trace: "Trace", path: Path, *, update: bool, command: str) -> bool:
+    """Compare a trace with the golden one.
+
+    Args:
+        trace: what was done now.
+        path: of the golden trace.
+        update: write it instead, if it differs.
+        command: what a person runs to have it written.
+
+    Returns:
+        Whether it was written.
+
+    Raises:
+        AssertionError: it differs, or there is none; says how, and how to update.
+        rosa_bt.TraceError: what is there is no trace.
+        TypeError: what is to be compared is none.
+    """
+    __tracebackhide__ = True
+    from rosa_bt import Trace, read_trace
+
+    if not isinstance(trace, Trace):
+        raise TypeError(f"a golden trace is a rosa_bt.Trace, such as decisions.trace, not a {type(trace).__name__}")
+    text = str(trace)
+    if path.exists() and path.read_text(encoding="utf-8") == text:
+        return False
+    if update:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+        return True
+    if not path.exists():
+        shown = _shortened(readable(trace))
+        raise AssertionError(
+            f"there is no golden trace {path}\nif this is as it should be, write it: {command}\n\n{shown}"
+        )
+    golden = [*readable(read_trace(path))]
+    difference = unified_diff(golden, [*readable(trace)], "golden", "now", lineterm="", n=4)
+    raise AssertionError(
+        f"not as in the golden trace {path}\n"
+        f"if this is as it should be, update it: {command}\n\n{_shortened(difference)}"
+    )
+
+
+def readable(trace: "Trace") -> Iterator[str]:
+    """Yield a trace as lines for people: for each tick in which something is new, what is told, done and decided."""
+    yield f"model {trace.model}"
+    before = None
+    for tick in trace.ticks:
+        lines = [f"  told     {fact.verb} {', '.join(map(str, fact.arguments))}" for fact in tick.facts]
+        if before is None or tick.tree != before.tree:
+            lines += [f"  tree     {'  ' * node.depth}{node.kind} {node.name}" for node in tick.tree]
+        if before is None or tick.visited != before.visited:
+            for visit in tick.visited:
+                feedback = f" ({visit.feedback})" if visit.feedback else ""
+                lines.append(f"  ticked   {tick.tree[visit.node].name}: {visit.status}{feedback}")
+        for decision in tick.decisions:
+            reason = f": {decision.reason}" if decision.reason else ""
+            lines.append(f"  decided  {decision.action} is {decision.what}{reason}")
+        if lines:
+            yield f"tick {tick.number} at {tick.time:.2f} s"
+            yield from lines
+        before = tick
+    yield f"{len(trace.ticks)} ticks"
+
+
+def _shortened(lines: Iterator[str]) -> str:
+    every = list(lines)
+    more = [f"... and {len(every) - MOST} more lines"] if len(every) > MOST else []
+    return "\n".join([*every[:MOST], *more])
