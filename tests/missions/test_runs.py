@@ -128,7 +128,7 @@ def test_battery_that_lasts_needs_no_recharge():
 
 
 def test_battery_that_drops_while_searching_resumes_the_search():
-    _, _, data = run_mission("suave_extended", discharge_time_s=100, duration_s=150)
+    _, _, data = run_mission("suave_extended", discharge_time_s=50, duration_s=150)
     names = [one["name"] for one in data["actions"]]
     assert names[:3] == ["search_pipeline", "recharge", "search_pipeline"]
     resumed = [one for one in data["adaptations"] if one["kind"] == "task"]

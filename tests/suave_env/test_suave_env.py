@@ -280,7 +280,7 @@ def test_the_adaptive_search_finds_the_pipeline(seed):
     script = Script(make_env(seed, battery=False))
     while not script.found and script.env.now < 250:
         script.run(script.env.now + 10)
-    assert 20 < script.env.metrics.search_time_s < 250
+    assert 0 < script.env.metrics.found_s < 250
 
 
 def test_time_moves_forward_only():
