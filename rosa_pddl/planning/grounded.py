@@ -156,8 +156,8 @@ class Grounded:
             costs = [one.value(numbers) if one.terms else one.constant for one in sums]
         except KeyError as error:
             raise self._costs.missing(error, numbers) from error
-        worst = min(costs, default=0.0)
-        if not 0.0 <= worst <= max(costs, default=0.0) < math.inf:
+        if min(costs, default=0.0) < 0.0 or not math.isfinite(sum(costs)):
+            worst = next(cost for cost in costs if not 0.0 <= cost < math.inf)
             raise UnsupportedPddlError(f"a step costs {worst:g}; costs are 0 or more", self._domain.problem_file)
         if not all(cost.is_integer() for cost in costs):
             costs = [round(cost * _FINENESS) for cost in costs]

@@ -43,6 +43,7 @@ class Planner:
         overlapping: whether steps may overlap: the engine gets durations, and the plan is a schedule. It must be a
             temporal engine of unified-planning, such as `aries`.
         safe_step: what to do while there is no plan, such as `(surface)`.
+        warm: whether Fast Downward is tried on a task that was translated before.
         memory_mb: how much data each program may hold [MB].
         translate_s: wall-clock time for the translation that the warm way needs once [s]. It goes on beside everything
             else when a planning that waited for it is out of time.
@@ -61,15 +62,18 @@ class Planner:
         budgets_s: Mapping[str, float] | None = None,
         overlapping: bool = False,
         safe_step: str | None = None,
+        warm: bool = True,
         memory_mb: int = 4096,
         translate_s: float = 60.0,
         cached: int = 256,
     ) -> None:
         self.engine = engine
         self.timeout_s = timeout_s
-        ways = (("warm", "cold") if engine in SEARCHES else (engine,)) + tuple(fallback)
+        own = (("warm",) if warm else ()) + ("cold",) if engine in SEARCHES else (engine,)
         memory_bytes = memory_mb * _MEGABYTE
-        self._settings = Settings(engine, ways, timeout_s, dict(budgets_s or {}), overlapping, memory_bytes)
+        self._settings = Settings(
+            engine, (*own, *fallback), timeout_s, dict(budgets_s or {}), overlapping, memory_bytes
+        )
         _check(self._settings)
         self._safe_step = safe_step
         self._groundings = Groundings(translate_s, memory_bytes)
@@ -90,7 +94,7 @@ class Planner:
         Raises:
             UnknownNameError: an atom is not one of the domain.
         """
-        if self.engine in SEARCHES:
+        if "warm" in self._settings.ways and self.missing(problem.domain) is None:
             self._groundings.ask(problem, [problem.domain.atom(text) for text in changing])
 
     def plan(self, problem: Problem) -> PlanningResult:
@@ -122,7 +126,7 @@ class Planner:
             leash.cut()
 
     def _ask(self, problem: Problem) -> "Future[Grounded] | None":
-        if self.engine not in SEARCHES or self.missing(problem.domain) is not None:
+        if "warm" not in self._settings.ways or self.missing(problem.domain) is not None:
             return None
         return self._groundings.ask(problem)
 

@@ -9,7 +9,7 @@ from functools import cached_property
 from rosa_pddl.domain import Step
 from rosa_pddl.exceptions import UnsupportedPddlError
 from rosa_pddl.planning.costs import Numbers
-from rosa_pddl.planning.downward import SEARCHES, Answer, Trouble, search
+from rosa_pddl.planning.downward import Answer, Trouble, search
 from rosa_pddl.planning.engines import asked, missing
 from rosa_pddl.planning.grounded import Grounded, NotRepresentableError, UnreachableGoalError
 from rosa_pddl.planning.grounding import instantaneous, translated
@@ -93,10 +93,8 @@ class Trial:
         """Yield each way with the wall-clock time that it may take [s]."""
         settings = self._settings
         deadline = time.monotonic() + settings.timeout_s
-        ways = settings.ways
-        if settings.engine in SEARCHES and self._grounding is None:
-            # what is missing for one of the two is missing for both
-            ways = ways[1:]
+        # without a translation to wait for, what keeps the warm way keeps the cold one, which says so
+        ways = [way for way in settings.ways if way != "warm" or self._grounding is not None]
         for number, way in enumerate(ways, start=1):
             left_s = max(deadline - time.monotonic(), 0.0)
             yield way, min(settings.budgets_s.get(way, left_s if number == len(ways) else left_s / 2), left_s)

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from pddl_world import ROOMS_DOMAIN, ROOMS_PROBLEM, FakeKb, load_mission, load_text
 
 from rosa_pddl import Outcome, Planner, Problem, Step, feasible_atoms, initial_state
+from rosa_pddl.planning import downward
 from rosa_pddl.reader import _as_global
 from rosa_pddl.validate import ended, flaw, goal_holds, missing_at_start, started
 
@@ -103,13 +104,12 @@ def test_a_metric_that_cannot_be_kept_is_unsupported(tmp_path):
 
 
 def test_an_engine_that_is_not_installed_is_named_with_what_to_install(extended, monkeypatch):
-    factory = extended.up_problem.environment.factory
-    installed = {name: engine for name, engine in factory._engines.items() if not name.startswith("fast-downward")}
-    monkeypatch.setattr(factory, "_engines", installed)
+    monkeypatch.setattr(downward, "_program", lambda: None)
     result = Planner().plan(problem_of(extended))
     assert result.outcome is Outcome.ENGINE_MISSING
     assert "pip install up-fast-downward" in result.message
     assert "installed planners: " in result.message
+    assert Planner().missing(extended) in result.message
 
 
 def test_an_unknown_engine_gets_the_nearest_names(extended):
@@ -139,22 +139,56 @@ def test_an_engine_that_crashes_says_what_it_said(extended, monkeypatch, tmp_pat
     assert "oh dear" in result.message
 
 
+def program(tmp_path, script):
+    file = tmp_path / "program"
+    file.write_text(f"#!/bin/sh\n{script}\n")
+    file.chmod(0o755)
+    return file
+
+
 def test_a_plan_that_does_not_work_is_the_engines_fault(rooms, monkeypatch, tmp_path):
-    broken = tmp_path / "python"
-    broken.write_text('#!/bin/sh\nwhile [ "$1" != "--plan-file" ]; do shift; done\necho "(clean robby)" > "$2"\n')
-    broken.chmod(0o755)
-    monkeypatch.setattr(sys, "executable", str(broken))
+    search = program(tmp_path, "echo '0 (1)'; echo 'Plan length: 1 step(s).'")
+    monkeypatch.setattr(downward, "_program", lambda: search)
     result = Planner().plan(problem_of(rooms))
     assert result.outcome is Outcome.ENGINE_CRASHED
     assert "does not work" in result.message
 
 
-def slow_interpreter(tmp_path):
+@pytest.mark.parametrize(
+    ("script", "outcome", "words"),
+    [
+        ("echo no plan here", Outcome.ENGINE_CRASHED, "promised a plan but showed none"),
+        ("echo '999999 (1)'; echo 'Plan length: 1 step(s).'", Outcome.ENGINE_CRASHED, "IndexError"),
+        ("exit 12", Outcome.UNSOLVABLE_AS_FAR_AS_KNOWN, "unsolvable as far as known"),
+        ("exit 22", Outcome.OUT_OF_MEMORY, "out of memory"),
+        ("exit 23", Outcome.OUT_OF_TIME, "out of time"),
+        ("echo not this; exit 34", Outcome.UNSUPPORTED, "not this"),
+        ("echo oh dear; kill -9 $$", Outcome.ENGINE_CRASHED, "killed by signal 9"),
+        ("cat /dev/zero", Outcome.ENGINE_CRASHED, "printed without end"),
+    ],
+)
+def test_whatever_the_search_does_has_a_name(extended, monkeypatch, tmp_path, script, outcome, words):
+    search = program(tmp_path, script)
+    monkeypatch.setattr(downward, "_program", lambda: search)
+    result = Planner().plan(problem_of(extended))
+    assert (result.outcome, result.steps) == (outcome, ())
+    assert words in result.message
+    assert [attempt.way for attempt in result.attempts] == ["warm", "cold"]
+
+
+@pytest.mark.parametrize("text", ["", "rubbish", "begin_version\n3\nend_version\nbegin_metric\n0\nend_metric\n7"])
+def test_a_translator_that_writes_rubbish_has_crashed(extended, monkeypatch, tmp_path, text):
+    written = tmp_path / "text"
+    written.write_text(text)
+    monkeypatch.setattr(sys, "executable", str(program(tmp_path, f"cp {written} output.sas")))
+    result = Planner().plan(problem_of(extended))
+    assert result.outcome is Outcome.ENGINE_CRASHED
+    assert "the translator wrote rubbish" in result.message
+
+
+def slow_program(tmp_path):
     """It starts a child that never ends, so that a kill has to reach the whole group."""
-    slow = tmp_path / "python"
-    slow.write_text(f"#!/bin/sh\nsleep 1000 &\necho $! > {tmp_path}/child\nwait\n")
-    slow.chmod(0o755)
-    return str(slow)
+    return str(program(tmp_path, f"sleep 1000 &\necho $! > {tmp_path}/child\nwait"))
 
 
 def is_alive(pid):
@@ -164,28 +198,65 @@ def is_alive(pid):
         return False
 
 
+def child_of(tmp_path):
+    while not (tmp_path / "child").exists() or not (tmp_path / "child").read_text().strip():
+        threading.Event().wait(0.01)
+    return int((tmp_path / "child").read_text())
+
+
+def wait_until_dead(pid):
+    for _ in range(1000):
+        if not is_alive(pid):
+            return
+        threading.Event().wait(0.01)
+    raise AssertionError(f"process {pid} lives on")
+
+
 def test_out_of_time_ends_every_process_of_the_engine(extended, monkeypatch, tmp_path):
-    monkeypatch.setattr(sys, "executable", slow_interpreter(tmp_path))
-    result = Planner(timeout_s=0.5).plan(problem_of(extended))
+    monkeypatch.setattr(sys, "executable", slow_program(tmp_path))
+    result = Planner(timeout_s=0.5, translate_s=0.2).plan(problem_of(extended))
     assert result.outcome is Outcome.OUT_OF_TIME
-    assert "0.5 s" in result.message
-    assert not is_alive(int((tmp_path / "child").read_text()))
+    assert result.hangs_on_the_clock
+    assert [attempt.outcome for attempt in result.attempts] == [Outcome.OUT_OF_TIME] * 2
+    wait_until_dead(child_of(tmp_path))
 
 
 def test_cancelling_ends_every_process_of_the_engine(extended, monkeypatch, tmp_path):
-    monkeypatch.setattr(sys, "executable", slow_interpreter(tmp_path))
+    monkeypatch.setattr(downward, "_program", lambda: slow_program(tmp_path))
     before = set(threading.enumerate())
     future = Planner(timeout_s=1000.0).start(problem_of(extended))
     worker = next(thread for thread in set(threading.enumerate()) - before if thread.name.startswith("planner fast"))
-    while not (tmp_path / "child").exists() or not (tmp_path / "child").read_text().strip():
-        worker.join(0.01)
-        assert worker.is_alive()
+    child = child_of(tmp_path)
     assert future.cancel()
     worker.join(30.0)
     assert not worker.is_alive()
-    assert not is_alive(int((tmp_path / "child").read_text()))
+    wait_until_dead(child)
     with pytest.raises(CancelledError):
         future.result()
+
+
+def test_cancelling_does_not_wait_for_the_translation(extended, monkeypatch, tmp_path):
+    monkeypatch.setattr(sys, "executable", slow_program(tmp_path))
+    planner = Planner(timeout_s=1000.0)
+    before = set(threading.enumerate())
+    future = planner.start(problem_of(extended))
+    worker = next(thread for thread in set(threading.enumerate()) - before if thread.name.startswith("planner fast"))
+    child = child_of(tmp_path)
+    assert future.cancel()
+    worker.join(30.0)
+    assert not worker.is_alive()
+    planner.close()
+    wait_until_dead(child)
+
+
+def test_closing_the_planner_ends_what_runs(extended, monkeypatch, tmp_path):
+    monkeypatch.setattr(downward, "_program", lambda: slow_program(tmp_path))
+    planner = Planner(timeout_s=1000.0)
+    future = planner.start(problem_of(extended))
+    child = child_of(tmp_path)
+    planner.close()
+    assert "closed" in future.result(30.0).message
+    wait_until_dead(child)
 
 
 def test_planning_leaves_no_file_and_no_process_behind(extended, monkeypatch, tmp_path):
