@@ -124,7 +124,7 @@ class SuaveEnv:
         visibility_period, thruster_period = settings.visibility_monitor_period_s, settings.thruster_monitor_period_s
         agenda.every(visibility_period, phases[0] * visibility_period, self._visibility_monitor.tick)
         agenda.every(thruster_period, phases[1] * thruster_period, self._thruster_monitor.tick)
-        agenda.every(settings.pose_period_s, phases[2] * settings.pose_period_s, self._look)
+        agenda.at(phases[2] * settings.pose_period_s, self._look)
         if settings.battery:
             phase = phases[3] * settings.battery_period_s
             agenda.at(phase, self._battery_monitor.publish)
@@ -222,15 +222,16 @@ class SuaveEnv:
         self.managed.close()
 
     def _look(self, time: float) -> None:
-        """Look for the pipeline until it is found, whichever component is active."""
-        visibility = self._visibility_monitor.visibility
-        if self._search_time is not None or visibility is None:
+        """Look for the pipeline, whichever component is active, and again a period later until it is found."""
+        visibility, index = self._visibility_monitor.visibility, None
+        if visibility is not None:
+            index = self.pipeline.first_visible(*self._autopilot.position, visibility)
+        if index is None:
+            self._agenda.at(time + self._settings.pose_period_s, self._look)
             return
-        index = self.pipeline.first_visible(*self._autopilot.position, visibility)
-        if index is not None:
-            self._search_time = time
-            self._follower.take_path(self.pipeline.path_from(index))
-            self._outbox.publish(time, "pipeline_detection", MISSION_STATUS, "pipeline_found", "true")
+        self._search_time = time
+        self._follower.take_path(self.pipeline.path_from(index))
+        self._outbox.publish(time, "pipeline_detection", MISSION_STATUS, "pipeline_found", "true")
 
     def _drain(self, time: float) -> None:
         before = self._battery.level

@@ -30,7 +30,8 @@ class Guidance:
         self._settings = settings
         self._gains = (settings.position_gain, settings.position_gain, settings.height_gain)
         self._stiffness = (settings.mass_kg / settings.velocity_lag_s, settings.mass_kg / settings.height_lag_s)
-        self._integral = [0.0, 0.0, 0.0]
+        self._integral_gain, self._integral_limit = settings.integral_gain, settings.integral_limit_n
+        self._integral: Vector = (0.0, 0.0, 0.0)
         self.go_to(position, position, (0.0, 0.0, 0.0), 0.0)
 
     def go_to(self, target: Vector, position: Vector, velocity: Vector, time: float) -> None:
@@ -69,20 +70,16 @@ class Guidance:
         ex, ey, ez = self._direction
         kx, ky, kz = self._gains
         level, upright = self._stiffness
-        vx, vy, vz = velocity[0], velocity[1], velocity[2]
-        wx = ex * speed + kx * (ox + ex * along - position[0]) - vx
-        wy = ey * speed + ky * (oy + ey * along - position[1]) - vy
-        wz = ez * speed + kz * (oz + ez * along - position[2]) - vz
-        ix, iy, iz = self._accumulate(wx * duration, wy * duration, wz * duration)
+        wx = ex * speed + kx * (ox + ex * along - position[0]) - velocity[0]
+        wy = ey * speed + ky * (oy + ey * along - position[1]) - velocity[1]
+        wz = ez * speed + kz * (oz + ez * along - position[2]) - velocity[2]
+        gain, limit = self._integral_gain * duration, self._integral_limit
+        ix, iy, iz = self._integral
+        ix, iy, iz = ix + gain * wx, iy + gain * wy, iz + gain * wz
+        if not (-limit <= ix <= limit and -limit <= iy <= limit and -limit <= iz <= limit):
+            ix, iy, iz = (min(limit, max(-limit, part)) for part in (ix, iy, iz))
+        self._integral = (ix, iy, iz)
         return level * wx + ix, level * wy + iy, upright * wz + iz
-
-    def _accumulate(self, wx: float, wy: float, wz: float) -> list[float]:
-        gain, limit = self._settings.integral_gain, self._settings.integral_limit_n
-        sums = self._integral
-        sums[0] = min(limit, max(-limit, sums[0] + gain * wx))
-        sums[1] = min(limit, max(-limit, sums[1] + gain * wy))
-        sums[2] = min(limit, max(-limit, sums[2] + gain * wz))
-        return sums
 
     def _limits(self) -> tuple[float, float]:
         """Return the limits on speed [m/s] and acceleration [m/s2] along the move's direction."""
