@@ -59,7 +59,7 @@ def export_xml(behaviour: Behaviour, registry: BehaviourRegistry | None = None) 
     for name, content in writer.trees.items():
         SubElement(root, "BehaviorTree", ID=name).append(content)
     if writer.models:
-        SubElement(root, "TreeNodesModel").extend(_copied(model) for model in writer.models.values())
+        SubElement(root, "TreeNodesModel").extend([_copied(model) for model in writer.models.values()])
     indent(root)
     text = tostring(root, encoding="unicode") + "\n"
     try:
@@ -102,9 +102,9 @@ class _Writer:
             if source.tag == "SubTree":
                 element.set("ID", self.tree(node))
         elif isinstance(node, XmlNode):
-            element.extend(self.element(child) for child in node.slots)
+            element.extend([self.element(child) for child in node.slots])
         else:
-            element.extend(self.element(child.child) for child in node.children if type(child) is Branch)
+            element.extend([self.element(child.child) for child in node.children if type(child) is Branch])
         return element
 
     def _of_py_trees(self, node: Behaviour) -> Element:
@@ -124,7 +124,7 @@ class _Writer:
         else:
             return self._leaf(node)
         element = Element(tag, name=node.name)
-        element.extend(self.element(_slot_of(child)) for child in node.children)
+        element.extend([self.element(_slot_of(child)) for child in node.children])
         return element
 
     def _leaf(self, leaf: Behaviour) -> Element:
@@ -137,6 +137,8 @@ class _Writer:
             self._check_arguments(leaf)
         element = Element(tag, name=leaf.name)
         if isinstance(leaf, ActionBehaviour):
+            if leaf._action is None:
+                raise ExportError(f"{leaf.name!r} names no action; make it with one")
             element.set("action", leaf.action)
             if isinstance(leaf, RosaAction) and leaf.preference:
                 element.set("preference", leaf.preference)
@@ -170,5 +172,5 @@ def _slot_of(behaviour: Behaviour) -> Slot:
 
 def _copied(model: Read) -> Element:
     element = Element(model.tag, dict(model.attributes))
-    element.extend(_copied(child) for child in model.children)
+    element.extend([_copied(child) for child in model.children])
     return element

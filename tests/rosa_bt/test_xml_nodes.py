@@ -1,0 +1,247 @@
+"""Each node that is read, by example: one for each row of the table in docs/trees_in_xml.md."""
+
+import re
+from itertools import cycle
+from pathlib import Path
+
+import pytest
+from py_trees import common, composites, decorators
+from py_trees.common import Status
+from xml_leaves import Action, Condition, registry_of, trace, wrapped
+
+from rosa_bt import load_xml
+from rosa_bt.parsers.controls import CONTROLS
+from rosa_bt.parsers.leaves import LEAVES
+from rosa_bt.parsers.nav2 import NAV2
+from rosa_bt.parsers.wrappers import DECORATORS
+
+PAGE = Path(__file__).parents[2] / "docs" / "trees_in_xml.md"
+
+EXAMPLES = {
+    "Sequence": ("<Sequence><c/><a/><b/></Sequence>", "a:RS b:RF c:S", "c:S a:s:R | a:r:S b:s:R | b:r:F => F"),
+    "AsyncSequence": ("<AsyncSequence><c/><a/><b/></AsyncSequence>", "a:S b:S c:S", "c:S | a:s:S | b:s:S => S"),
+    "SequenceWithMemory": (
+        "<SequenceWithMemory><a/><b/></SequenceWithMemory>",
+        "a:S b:FS",
+        "a:s:S | b:s:F => F | b:s:S => S | a:s:S",
+    ),
+    "ReactiveSequence": (
+        "<ReactiveSequence><c/><a/></ReactiveSequence>",
+        "a:RR c:SSF",
+        "c:S a:s:R | c:S a:r:R | c:F a:halt => F",
+    ),
+    "Fallback": ("<Fallback><c/><a/><b/></Fallback>", "a:RF b:RS c:F", "c:F a:s:R | a:r:F b:s:R | b:r:S => S"),
+    "AsyncFallback": ("<AsyncFallback><c/><a/></AsyncFallback>", "a:S c:F", "c:F | a:s:S => S"),
+    "ReactiveFallback": (
+        "<ReactiveFallback><c/><a/></ReactiveFallback>",
+        "a:RR c:FFS",
+        "c:F a:s:R | c:F a:r:R | c:S a:halt => S",
+    ),
+    "Parallel": (
+        '<Parallel success_count="2" failure_count="1"><a/><b/><c/></Parallel>',
+        "a:SR b:RRS c:F",
+        "a:s:S b:s:R c:F b:halt => F | a:s:R b:s:R c:F a:halt b:halt => F | a:s:S b:s:S => S",
+    ),
+    "ParallelAll": (
+        '<ParallelAll max_failures="2"><a/><b/><c/></ParallelAll>',
+        "a:RF b:RRS c:F",
+        "a:s:R b:s:R c:F | a:r:F b:r:R | b:r:S => F",
+    ),
+    "IfThenElse": (
+        "<IfThenElse><c/><a/><b/></IfThenElse>",
+        "a:RS b:RF c:SF",
+        "c:S a:s:R | a:r:S => S | c:F b:s:R | b:r:F => F",
+    ),
+    "WhileDoElse": (
+        "<WhileDoElse><c/><a/><b/></WhileDoElse>",
+        "a:R b:R c:SSFS",
+        "c:S a:s:R | c:S a:r:R | c:F a:halt b:s:R | c:S b:halt a:s:R",
+    ),
+    "Switch2 … Switch6": (
+        '<Switch2 variable="{v}" case_1="1" case_2="up"><a/><b/><c/></Switch2>',
+        "a:R b:S c:F",
+        "v=1.0 a:s:R | v=up a:halt b:s:S => S | v=down c:F => F",
+    ),
+    "Inverter": ("<Inverter><a/></Inverter>", "a:RSF", "a:s:R | a:r:S => F | a:s:F => S"),
+    "ForceSuccess, ForceFailure": (
+        "<Sequence><ForceSuccess><a/></ForceSuccess><ForceFailure><b/></ForceFailure></Sequence>",
+        "a:RF b:S",
+        "a:s:R | a:r:F b:s:S => F",
+    ),
+    "KeepRunningUntilFailure": (
+        "<KeepRunningUntilFailure><a/></KeepRunningUntilFailure>",
+        "a:SRSF",
+        "a:s:S | a:s:R | a:r:S | a:s:F => F",
+    ),
+    "Repeat": (
+        '<Repeat num_cycles="3"><a/></Repeat>',
+        "a:SRSF",
+        "a:s:S | a:s:R | a:r:S a:s:F => F",
+    ),
+    "RetryUntilSuccessful": (
+        '<RetryUntilSuccessful num_attempts="-1"><a/></RetryUntilSuccessful>',
+        "a:FRFS",
+        "a:s:F | a:s:R | a:r:F a:s:S => S",
+    ),
+    "RunOnce": (
+        '<Fallback><RunOnce><a/></RunOnce><RunOnce then_skip="false"><b/></RunOnce></Fallback>',
+        "a:F b:RS",
+        "a:s:F b:s:R | b:r:S => S | => S",
+    ),
+    "Delay": (
+        '<Delay delay_msec="1000"><a/></Delay>',
+        "a:RS",
+        "t=0 | t=0.9 | t=1.0 a:s:R | t=1.1 a:r:S => S | t=1.2",
+    ),
+    "Timeout": (
+        '<Timeout msec="1000"><a/></Timeout>',
+        "a:R",
+        "t=0 a:s:R | t=0.9 a:r:R | t=1.0 a:halt => F | t=1.1 a:s:R | t=2.0 a:r:R",
+    ),
+    "Precondition": (
+        '<Precondition if="v == 1" else="SUCCESS"><a/></Precondition>',
+        "a:RRS",
+        "v=0 => S | v=1 a:s:R | v=0 a:r:R | v=0 a:r:S => S | v=0 => S",
+    ),
+    "SubTree": ('<SubTree ID="Other" x="1" y="{v}"/>', "a:RS", "v=7 a:s:R | v=8 a:r:S => S"),
+    "AlwaysSuccess, AlwaysFailure": ("<Sequence><AlwaysSuccess/><AlwaysFailure/></Sequence>", "", "=> F"),
+    "Script": ('<Sequence><Script code="x := 2; x = 3"/><a _skipIf="x != 3"/></Sequence>', "a:S", "a:s:S => S"),
+    "ScriptCondition": ('<ScriptCondition code="v &gt; 1 &amp;&amp; v &lt;= 3"/>', "", "v=1 => F | v=2 => S"),
+    "SetBlackboard, UnsetBlackboard": (
+        '<Sequence><SetBlackboard value="{v}" output_key="w"/><ScriptCondition code="w == 5"/>'
+        '<UnsetBlackboard key="v"/></Sequence>',
+        "",
+        "v=5 => S | v=6 => F",
+    ),
+    "Sleep": ('<Sleep msec="500"/>', "", "t=0 | t=0.4 | t=0.5 => S | t=0.6"),
+    "RecoveryNode": (
+        '<RecoveryNode number_of_retries="1"><a/><b/></RecoveryNode>',
+        "a:RF b:S",
+        "a:s:R | a:r:F b:s:S a:s:R | a:r:F => F",
+    ),
+    "PipelineSequence": (
+        "<PipelineSequence><a/><b/></PipelineSequence>",
+        "a:SRRS b:RRF",
+        "a:s:S b:s:R | b:r:R | b:r:F => F | a:s:R | a:r:R | a:r:S b:s:R",
+    ),
+    "RoundRobin": ("<RoundRobin><a/><b/></RoundRobin>", "a:SF b:FS", "a:s:S => S | b:s:F a:s:F => F | a:s:S => S"),
+}
+SHORT = {"S": "SUCCESS", "F": "FAILURE"}
+
+
+class Hand:
+    """A clock that is turned by hand [s]."""
+
+    now = 0.0
+
+    def __call__(self):
+        return self.now
+
+
+def leaves_of(scripts):
+    """Return leaves by tag, of scripts such as `a:RS c:F`; c is a condition, the others are actions."""
+    split = [leaf.split(":") for leaf in scripts.split()]
+    return {name: ("C" if name == "c" else "A", script) for name, script in split}
+
+
+def perform(tree, said, told, clock):
+    """Tick a tree as often as is told, and return what happened in the words in which it is told."""
+    happened = []
+    for step in told.split(" | "):
+        given = [word for word in step.split() if "=" in word and word != "=>"]
+        for word in given:
+            name, value = word.split("=")
+            if name == "t":
+                clock.now = float(value)
+            else:
+                tree.blackboard[name] = float(value) if value.replace(".", "").isdigit() else value
+        said.clear()
+        tree.tick_once()
+        words = [*given, *(word.replace(":c:", ":") for word in said)]
+        if tree.status is not Status.RUNNING:
+            words += ["=>", tree.status.name[0] if tree.status is not Status.INVALID else "SKIPPED"]
+        happened.append(" ".join(words))
+    return " | ".join(happened)
+
+
+@pytest.mark.parametrize("row", EXAMPLES)
+def test_node_does_what_its_row_says(row):
+    text, leaves, told = EXAMPLES[row]
+    said, clock = [], Hand()
+    other = '<Sequence><a _while="x == 1 &amp;&amp; y >= 7"/></Sequence>'
+    tree = load_xml(wrapped(text, Other=other), registry_of(leaves_of(leaves), said), clock=clock)
+    assert perform(tree, said, told, clock) == " ".join(told.split())
+
+
+def test_every_row_of_the_page_has_an_example_and_every_node_a_row():
+    rows = re.findall(r"^\| `([^|]+)` \|", PAGE.read_text(), re.MULTILINE)
+    rows = [row.replace("`", "") for row in rows]
+    assert sorted(rows) == sorted(EXAMPLES)
+    words = [*re.findall(r"\w+", " ".join(rows)), "Switch3", "Switch4", "Switch5"]
+    assert sorted(words) == sorted([*CONTROLS, *NAV2, *DECORATORS, *LEAVES, "SubTree"])
+
+
+RULES = {
+    "_skipIf": ('<Sequence><a _skipIf="v == 1"/><b/></Sequence>', "v=1 b:s:S => S | v=0 a:s:R | v=1 a:r:R"),
+    "_failureIf": ('<Sequence><a _failureIf="v == 1"/><b/></Sequence>', "v=1 => F | v=0 a:s:R"),
+    "_successIf": ('<Sequence><a _successIf="v == 1"/><b/></Sequence>', "v=1 b:s:S => S"),
+    "_while": ('<Sequence><a _while="v == 1"/><b/></Sequence>', "v=1 a:s:R | v=1 a:r:R | v=0 a:halt b:s:S => S"),
+    "_onSuccess": ('<Sequence><b _onSuccess="n := 1"/><ScriptCondition code="n == 1"/></Sequence>', "b:s:S => S"),
+    "_onFailure": ('<Fallback><c _onFailure="n := 1"/><ScriptCondition code="n == 1"/></Fallback>', "c:F => S"),
+    "_post": ('<Fallback><c _post="n := 1"/><ScriptCondition code="n == 1"/></Fallback>', "c:F => S"),
+    "_onHalted": (
+        '<Sequence><ScriptCondition code="v == 1 || h == 1"/><SubTree ID="Other" v="{v}" h="{h}"/></Sequence>',
+        "v=1 h=0 a:s:R | v=0 a:halt => F | v=0 a:s:R",
+    ),
+    "several": ('<a _failureIf="v == 1" _skipIf="v >= 1" _while="v == 0"/>', "v=1 => F | v=2 => SKIPPED | v=0 a:s:R"),
+}
+
+
+@pytest.mark.parametrize("rule", RULES)
+def test_condition_before_or_after_a_node_is_kept(rule):
+    text, told = RULES[rule]
+    said, clock = [], Hand()
+    other = '<ReactiveSequence><ScriptCondition code="v == 1 || h == 1"/><a _onHalted="h := 1"/></ReactiveSequence>'
+    leaves = {"a": ("A", "R"), "b": ("A", "S"), "c": ("C", "F")}
+    tree = load_xml(wrapped(text, Other=other), registry_of(leaves, said))
+    assert perform(tree, said, told, clock) == told
+
+
+def test_action_that_failed_as_a_condition_is_not_started_again():
+    said = []
+    tree = load_xml(wrapped("<IfThenElse><a/><b/></IfThenElse>"), registry_of({"a": ("A", "F"), "b": ("A", "S")}, said))
+    assert perform(tree, said, "a | b", Hand()) == "a:s:F => F | => F"
+
+
+@pytest.mark.parametrize(
+    ("tag", "leaves", "namesake"),
+    [
+        ("SequenceWithMemory", "a:S b:FS", lambda a, b: composites.Sequence("s", memory=True, children=[a, b])),
+        (
+            'Parallel success_count="1"',
+            "a:S b:R",
+            lambda a, b: composites.Parallel("p", common.ParallelPolicy.SuccessOnOne(), [a, b]),
+        ),
+        ('Repeat num_cycles="2"', "a:RS", lambda a: decorators.Repeat("r", a, num_success=2)),
+        ('RetryUntilSuccessful num_attempts="2"', "a:RF", lambda a: decorators.Retry("r", a, num_failures=2)),
+        ("RunOnce", "a:S", lambda a: decorators.OneShot("o", a, common.OneShotPolicy.ON_COMPLETION)),
+        ("ReactiveSequence", "a:S b:R", lambda a, b: composites.Sequence("s", memory=False, children=[a, b])),
+        ("Sequence", "c:S a:RF", lambda c, a: composites.Sequence("s", memory=True, children=[c, a])),
+        ("Fallback", "c:F a:RS", lambda c, a: composites.Selector("f", memory=True, children=[c, a])),
+        ("ReactiveFallback", "c:FS a:R", lambda c, a: composites.Selector("f", memory=False, children=[c, a])),
+        ("KeepRunningUntilFailure", "a:SF", lambda a: decorators.SuccessIsRunning("k", a)),
+        ("ForceSuccess", "a:RF", lambda a: decorators.FailureIsSuccess("f", a)),
+        ("Inverter", "a:RF", lambda a: decorators.Inverter("i", a)),
+    ],
+)
+def test_namesake_in_py_trees_differs_where_the_page_says_so(tag, leaves, namesake):
+    said, scripts = [], leaves_of(leaves)
+    content = "".join(f"<{name}/>" for name in scripts)
+    tree = load_xml(wrapped(f"<{tag}>{content}</{tag.split()[0]}>"), registry_of(scripts, said))
+    ours = trace(tree.tick_once, tree, said, 6)
+    kinds = {"A": Action, "C": Condition}
+    made = {name: kinds[kind](name, cycle(script), said) for name, (kind, script) in scripts.items()}
+    theirs = namesake(*made.values())
+    row = next(line for line in PAGE.read_text().splitlines() if re.match(rf"\| `.*\b{tag.split()[0]}\b.*` \|", line))
+    says_same = row.split("|")[-2].strip().startswith("the same")
+    assert (trace(theirs.tick_once, theirs, said, 6) == ours) == says_same
