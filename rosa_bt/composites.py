@@ -14,12 +14,10 @@ __all__ = ["DoUntilUnfeasible", "Posture", "SafeSwitch", "gave_way"]
 
 
 def gave_way(task: Behaviour) -> bool:
-    """Tell whether a task that failed did so because an action in it is unfeasible."""
-    return any(
-        behaviour.status is Status.FAILURE and not behaviour.kb.is_feasible(behaviour.action)
-        for behaviour in task.iterate()
-        if isinstance(behaviour, ActionBehaviour | ForAction)
-    )
+    """Tell whether a task that failed did so because an action in it is unfeasible, or no longer in the model."""
+    failed = [one for one in task.iterate() if one.status is Status.FAILURE]
+    asking = [one for one in failed if isinstance(one, ActionBehaviour | ForAction)]
+    return any(one.action not in one.kb.actions or not one.kb.is_feasible(one.action) for one in asking)
 
 
 class _Fixed(Composite):

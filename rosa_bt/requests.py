@@ -62,7 +62,7 @@ class ActionRequest:
             return
         holders = _ledger(self._kb).holders
         holders[action] -= 1
-        if not holders[action]:
+        if not holders[action] and action in self._kb.actions:  # one that left the model was cancelled with it
             self._kb.cancel_action(action, result, reason)
 
 

@@ -320,6 +320,17 @@ def test_task_may_be_a_subtree_of_several_actions(kb):
     assert root.feedback_message == "instead of both"
 
 
+def test_task_whose_action_is_taken_out_of_the_model_gives_way_too(kb):
+    runner = TreeRunner(do_until_unfeasible(Act(kb, "search"), Act(kb, "charge")), clock=lambda: 0.0)
+    runner.tick()
+    kb.model.remove(kb.model.actions["search"])
+    runner.tick()
+    assert required(kb) == ["charge"]
+    assert runner.status is Status.RUNNING
+    runner.shutdown()
+    assert history(kb) == [("search", "abandoned"), ("charge", "abandoned")]
+
+
 # ---------------------------------------------------------------- safe switching
 
 
