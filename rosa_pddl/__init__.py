@@ -4,16 +4,20 @@ from rosa_pddl.domain import Domain, Feasibility, Schema, State, Step
 from rosa_pddl.exceptions import (
     MissingBehaviourError,
     PddlError,
+    PlannerSettingError,
+    PlanningBudgetError,
     RosaPddlError,
     UnknownNameError,
     UnsupportedPddlError,
 )
 from rosa_pddl.executor import PlanExecutor, PlanRecord
-from rosa_pddl.planning import Outcome, Planner, PlanningResult
+from rosa_pddl.planning import Attempt, Outcome, Planner, PlanningResult, TimedStep, awaited, schedule_flaw
 from rosa_pddl.problem import Problem, feasible_atoms, initial_state
 from rosa_pddl.reader import load_domain
+from rosa_pddl.validate import flaw
 
 __all__ = [
+    "Attempt",
     "Domain",
     "Feasibility",
     "MissingBehaviourError",
@@ -22,15 +26,21 @@ __all__ = [
     "PlanExecutor",
     "PlanRecord",
     "Planner",
+    "PlannerSettingError",
+    "PlanningBudgetError",
     "PlanningResult",
     "Problem",
     "RosaPddlError",
     "Schema",
     "State",
     "Step",
+    "TimedStep",
     "UnknownNameError",
     "UnsupportedPddlError",
+    "awaited",
     "feasible_atoms",
+    "flaw",
     "initial_state",
     "load_domain",
+    "schedule_flaw",
 ]
