@@ -40,16 +40,16 @@ class Children(list[Behaviour]):
     def __init__(self, children: Iterable[Behaviour], parent: Behaviour, lock: Lock) -> None:
         super().__init__(children)
         self._parent = parent
-        self._lock = lock
+        self.lock = lock
 
     def _check(self) -> None:
-        if not self._lock.is_closed:
+        if not self.lock.is_closed:
             return
         error = TreeChangeError(
             f"the children of {self._parent.name!r} were to be changed in the middle of a tick; ask the runner "
             "instead (insert, replace, prune): it changes them before the next tick"
         )
-        self._lock.refused.append(error)
+        self.lock.refused.append(error)
         raise error
 
 
@@ -116,8 +116,9 @@ def guard(behaviour: Behaviour) -> Callable[[], None]:
                 raise _EndedBadly from error
 
     def release() -> None:
-        del behaviour.__dict__["tick"], behaviour.__dict__["stop"]
-        behaviour.__dict__.update(own)
+        if behaviour.__dict__.get("tick") is guarded_tick:  # else another tree has taken the behaviour over
+            del behaviour.__dict__["tick"], behaviour.__dict__["stop"]
+            behaviour.__dict__.update(own)
 
     behaviour.__dict__.update(tick=guarded_tick, stop=guarded_stop)
     return release

@@ -91,7 +91,7 @@ class GuardedTree(BehaviourTree):
                 guarded[behaviour] = _do_nothing if is_free else guard(behaviour)
             children = behaviour.children
             if children:
-                if type(children) is not Children:
+                if not isinstance(children, Children) or children.lock is not self._lock:
                     behaviour.children = Children(children, behaviour, self._lock)
                 pending += children
         if found != len(guarded):

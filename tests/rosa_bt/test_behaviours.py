@@ -11,7 +11,7 @@ from py_trees.composites import Parallel, Selector, Sequence
 from py_trees.parsers.behaviour_tree_xml import parse_behaviour_tree_xml
 
 from kb import KnowledgeBase, Model, UnknownName
-from rosa_bt import IsActionFeasible, RosaAction, TreeRunner
+from rosa_bt import HasStatus, IsActionFeasible, Measurement, RosaAction, TreeRunner
 
 
 def rover() -> Model:
@@ -245,3 +245,55 @@ def test_no_request_is_left_open_or_released_twice_whatever_a_tree_does(scripts,
     assert kb.required_actions == ()
     assert len(released) == len(kb.action_history)
     assert all(node.status is not Status.RUNNING for node in root.iterate())
+
+
+def test_conditions_take_their_arguments_from_typed_ports_too(kb):
+    Blackboard.clear()
+    status, light = HasStatus("resting?", kb), Measurement("light enough?", kb)
+    status.setup_ports({"element": "__const_rest", "status": "__const_solved"})
+    light.setup_ports(
+        {"attribute": "__const_light", "operator": "__const_>=", "value": f"__const_{'0.5'.replace('.', '__DOT__')}"}
+    )
+    for value, expected in ((0.4, Status.FAILURE), (0.6, Status.SUCCESS)):
+        kb.measure("light", value)
+        status.tick_once()
+        light.tick_once()
+        assert (status.status, light.status) == (expected, expected)
+        kb.request_action("rest")
+    Blackboard.clear()
+
+
+def test_condition_whose_port_carries_nothing_or_nonsense_fails_with_the_text(kb):
+    Blackboard.clear()
+    empty, wrong = IsActionFeasible("empty", kb), IsActionFeasible("wrong", kb)
+    empty.setup_ports({})
+    wrong.setup_ports({"action": "__const_scam"})
+    for condition, text in ((empty, "NoDataAvailable"), (wrong, "UnknownName: unknown action 'scam'; did you mean")):
+        condition.tick_once()
+        assert condition.status is Status.FAILURE
+        assert condition.feedback_message.startswith(text)
+    Blackboard.clear()
+
+
+def test_update_that_returns_no_status_is_a_failure_that_says_so(kb):
+    action = Scripted(kb, "rest", [None])
+    action.tick_once()
+    assert action.status is Status.FAILURE
+    assert action.feedback_message == "TypeError: update returned None, which is no py_trees.common.Status"
+    assert results(kb) == [("rest", "failed")]
+
+
+def test_reason_is_asked_for_again_when_what_is_known_has_changed(kb):
+    condition = IsActionFeasible("scan?", kb, "scan")
+    reasons = []
+    for what, value in (("light", 0.3), (None, None), ("light", 0.9), ("light", 0.1)):
+        if what:
+            kb.measure(what, value)
+        condition.tick_once()
+        reasons.append(condition.feedback_message[:47])
+    assert reasons == [
+        "scan is unfeasible because light 0.3 violates >",
+        "scan is unfeasible because light 0.3 violates >",
+        "",
+        "scan is unfeasible because light 0.1 violates >",
+    ]

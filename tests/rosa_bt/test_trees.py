@@ -234,3 +234,21 @@ def test_visitors_and_handlers_are_called_as_by_py_trees():
     assert heard[runner.tree] == heard[plain]
     assert heard[plain]
     assert root.status is Status.RUNNING
+
+
+def test_another_runner_may_take_a_tree_over_and_either_may_be_shut_down_first():
+    rash = Probe("rash", raises_at=3)
+    root, first = running(rash)
+    first.tick()
+    second = TreeRunner(root, clock=lambda: 0.0)
+    second.tick()
+    first.shutdown()
+    second.tick()
+    assert rash.feedback_message == "RuntimeError: boom"
+    second.shutdown()
+    assert root.status is not Status.RUNNING
+
+
+def test_runner_needs_a_behaviour_to_run():
+    with pytest.raises(TypeError, match="root node must be an instance of"):
+        TreeRunner("root", clock=lambda: 0.0)
