@@ -5,6 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from suave_env import Settings, SuaveEnvError
+from suave_env.rules import RULES
 from suave_env.settings import ThrusterEvent, parse_thruster_events
 
 NAMES = {info.name for info in fields(Settings)}
@@ -99,3 +100,33 @@ def test_thruster_events_are_read_in_order_of_time():
 def test_thruster_events_that_cannot_be_read_are_refused_with_an_example(text):
     with pytest.raises(SuaveEnvError, match="1 failure 35, 1 recovery 90"):
         Settings().replace(thruster_events=text)
+
+
+def test_rules_of_2025_change_what_they_differ_in_and_nothing_else():
+    first, later = Settings(), Settings().replace(rules="2025")
+    assert set(RULES) == {"2024", "2025"}
+    assert len(RULES["2025"]) > 10
+    for name in NAMES - {"rules"}:
+        assert getattr(later, name) == RULES["2025"].get(name, getattr(first, name)), name
+    assert all(getattr(first, name) != value for name, value in RULES["2025"].items())
+    assert later.replace(rules="2024") == first
+
+
+def test_what_is_set_stands_whatever_the_rules_say_of_it():
+    settings = Settings().replace(visibility_period_s="80", rules="2025", bias_m=0.3)
+    assert (settings.visibility_period_s, settings.bias_m, settings.pipe_point_offset_m) == (80.0, 0.3, 0.0)
+    with pytest.raises(SuaveEnvError, match="there are no rules '2030'; known are 2024, 2025"):
+        Settings().replace(rules="2030")
+
+
+@pytest.mark.parametrize("name", ["start_x_m", "start_y_m", "bias_m"])
+def test_a_start_or_bias_that_is_set_is_the_same_in_every_run_unless_its_spread_is_set_too(name):
+    spread = name.replace("_m", "_sd_m")
+    assert getattr(Settings(), spread) > 0
+    assert getattr(Settings().replace(**{name: 0.5}), spread) == 0
+    assert getattr(Settings().replace(**{name: 0.5, spread: 0.2}), spread) == 0.2
+
+
+def test_times_of_chained_thruster_events_add_up():
+    events = parse_thruster_events("1 failure 35, 1 recovery 20", chained=True)
+    assert [event.time for event in events] == [35.0, 55.0]

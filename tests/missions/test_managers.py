@@ -1,0 +1,271 @@
+"""Managers of the vehicle: what is measured on the published runs, their modes, and one of a user's own."""
+
+import json
+from functools import cache
+from statistics import mean
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from missions.managers import MANAGERS, find_manager, open_run
+from missions.managers.manager import Robot
+from missions.managers.modes import SystemModes
+from missions.mission import MissionError
+from missions.registry import find_mission
+from missions.report import as_json, summary
+from missions.runner import Listener
+
+# start y [m], visibility shift [s]; then search time [s] and distance [m] as published, of none and of the tree:
+# rules of 2025, 250 s, visibility period 120 s, no thruster failure
+PUBLISHED = {
+    (2.80, 84.7): {"none": (181.5, 16.6), "bt": (44.5, 60.1)},
+    (3.15, 9.6): {"none": (183.5, 16.0), "bt": (111.0, 37.7)},
+    (3.28, 40.2): {"none": (184.5, 15.6), "bt": (122.0, 35.4)},
+}
+
+
+class Heard(Listener):
+    def __init__(self):
+        self.messages = []
+
+    def message(self, message):
+        self.messages.append(message)
+
+
+def managed(manager, mission="suave", seed=0, listeners=(), **changed):
+    changes = {name: str(value) for name, value in changed.items()}
+    run = open_run(find_mission(mission), manager=manager, seed=seed, settings=changes, listeners=tuple(listeners))
+    return run, run.run()
+
+
+@cache
+def extended(manager, seed=0):
+    heard = Heard()
+    run, verdict = managed(manager, "suave_extended", seed, [heard])
+    return run, verdict, heard.messages
+
+
+@pytest.mark.parametrize("manager", ["none", "bt"])
+@pytest.mark.parametrize("group", PUBLISHED)
+def test_search_time_and_distance_are_those_of_the_published_runs(group, manager):
+    start_y, shift = group
+    search_s, distance_m = PUBLISHED[group][manager]
+    changed = {"start_y": start_y, "visibility_shift": shift, "bias": 0, "duration_s": 250}
+    results = [managed(manager, seed=seed, rules="2025", **changed)[0].world.results() for seed in range(2)]
+    assert mean(one["search_time_s"] for one in results) == pytest.approx(search_s, abs=4)
+    assert mean(one["distance_inspected_m"] for one in results) == pytest.approx(distance_m, rel=0.1)
+
+
+@pytest.mark.parametrize("manager", MANAGERS)
+def test_same_seed_gives_the_same_bytes_under_every_manager(manager):
+    texts = []
+    for _ in range(2):
+        run, verdict = managed(manager, "suave_extended", 5, duration_s=120)
+        texts.append(as_json(summary(run, verdict, 5, {})))
+    assert texts[0] == texts[1]
+    assert json.loads(texts[0])["actions"]
+
+
+def test_managers_meet_the_same_world():
+    first = {}
+    for manager in ("ours", *MANAGERS):
+        heard = Heard()
+        managed(manager, seed=3, listeners=[heard], duration_s=20)
+        first[manager] = [m for m in heard.messages if m["status"][0]["name"] == "water_visibility_monitor"]
+    assert len(first["ours"]) > 10
+    assert all(messages == first["ours"] for messages in first.values())
+
+
+def test_without_adaptation_the_altitude_stays_and_no_thruster_recovers():
+    run, _ = managed("none", seed=1, duration_s=120)
+    history = run.world.managed.history
+    assert {change.component for change in history} <= {"spiral_search", "follow_pipeline"}
+    assert {change.parameters["spiral_altitude"] for change in history if change.component == "spiral_search"} == {1.0}
+    assert run.world.results()["uncorrected"] > 0
+
+
+def test_the_tree_follows_the_visibility_and_recovers_the_thruster():
+    run, _, messages = extended("bt")
+    altitudes = [
+        change.parameters["spiral_altitude"]
+        for change in run.world.managed.history
+        if change.component == "spiral_search" and change.active
+    ]
+    assert set(altitudes) == {1.0, 2.0, 3.0}
+    assert run.world.results()["uncorrected"] <= 1  # at most that the search ended before it was corrected
+    assert any("RECOVERED" in status["values"].values() for message in messages for status in message["status"])
+
+
+def test_the_tree_recharges_once_and_then_inspects_what_is_left():
+    run, verdict, _ = extended("bt")
+    assert verdict.outcome == "time_limit"
+    assert [(task.action, task.result) for task in run.robot.tasks] == [
+        ("search_pipeline", "completed"),
+        ("inspect_pipeline", "abandoned"),
+        ("recharge", "completed"),
+        ("inspect_pipeline", "abandoned"),
+    ]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_tree_misses_the_first_low_level_because_it_compares_single_precision(seed):
+    run, _, messages = extended("bt", seed)
+    levels = [
+        (message["time"], float(status["values"]["battery_level"]))
+        for message in messages
+        for status in message["status"]
+        if "battery_level" in status["values"]
+    ]
+    low_s = next(time for time, level in levels if level < 0.25)
+    begun_s = next(change.time for change in run.world.managed.history if change.component == "recharge")
+    assert 1.0 < begun_s - low_s < 1.2
+
+
+def test_mission_node_polls_once_a_second_by_the_rules_of_2024_and_ten_times_by_those_of_2025():
+    waits = {}
+    for rules in ("2024", "2025"):
+        run, _ = managed("none", seed=2, rules=rules, start_y=0.0, duration_s=10)
+        inspect = next(task for task in run.robot.tasks if task.action == "inspect_pipeline")
+        waits[rules] = inspect.start - run.world.results()["found_s"]
+    assert 0.1 < waits["2024"] < 2.0  # twice the period at most, if it is found before the search is begun
+    assert 0 <= waits["2025"] < 0.2
+
+
+OWN = '''
+from missions.managers import Manager
+
+
+class Cautious(Manager):
+    """Searches as high as the water allows with half a metre to spare, and recovers thrusters."""
+
+    period_s = 0.5
+
+    def begin(self, task):
+        self.robot.activate("spiral_search" if task == "search_pipeline" else "follow_pipeline")
+
+    def end(self, task):
+        self.robot.deactivate("spiral_search" if task == "search_pipeline" else "follow_pipeline")
+
+    def update(self):
+        altitude = max(1.0, self.robot.measured.get("water_visibility", 0.0) - 0.5)
+        if self.robot.task == "search_pipeline":
+            self.robot.set_parameters("spiral_search", {"spiral_altitude": altitude})
+        if "FALSE" in self.robot.told.values() and not self.robot.is_active("recover_thrusters"):
+            self.robot.activate("recover_thrusters")
+'''
+
+
+def test_manager_of_ones_own_is_run_by_its_name(tmp_path, monkeypatch):
+    (tmp_path / "cautious.py").write_text(OWN)
+    monkeypatch.syspath_prepend(tmp_path)
+    run, verdict = managed("cautious:Cautious", seed=1)
+    assert verdict.success
+    altitudes = {c.parameters["spiral_altitude"] for c in run.world.managed.history if c.component == "spiral_search"}
+    assert len(altitudes) > 10
+    assert any(change.component == "recover_thrusters" for change in run.world.managed.history)
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("bd", "unknown manager 'bd'; there are ours, none, bt; one of your own is given as package:Class"),
+        ("nowhere:Thing", "cannot import manager 'nowhere:Thing': ModuleNotFoundError"),
+        ("json:Thing", "cannot import manager 'json:Thing': AttributeError"),
+        ("json:loads", "'json:loads' is no subclass of missions.managers.Manager"),
+    ],
+)
+def test_manager_that_cannot_be_had_is_refused_with_those_there_are(name, message):
+    with pytest.raises(MissionError) as refusal:
+        find_manager(name)
+    assert message in str(refusal.value)
+
+
+def test_manager_with_a_task_layer_of_ours_or_rules_that_do_not_exist_are_refused():
+    suave = find_mission("suave")
+    with pytest.raises(MissionError, match="--manager bt comes without one"):
+        open_run(suave, manager="bt", task="pddl")
+    with pytest.raises(MissionError, match="there are no rules '2023'; known are 2024, 2025"):
+        open_run(suave, settings={"rules": "2023"})
+    with pytest.raises(MissionError, match="bias and bias_m are the same setting"):
+        open_run(suave, settings={"bias": "0", "bias_m": "1"})
+
+
+class Nodes:
+    """Components that obey at once, and count what they are asked for."""
+
+    def __init__(self):
+        self.active, self.values, self.asked = {}, {}, 0
+
+    def activate(self, name):
+        self.active[name], self.asked = True, self.asked + 1
+
+    def deactivate(self, name):
+        self.active[name], self.asked = False, self.asked + 1
+
+    def set_parameters(self, name, values):
+        self.values.setdefault(name, {}).update(values)
+        self.asked += 1
+
+    def is_active(self, name):
+        return self.active.get(name, False)
+
+    def parameters(self, name):
+        return self.values.get(name, {})
+
+
+def modes_of(nodes):
+    return SystemModes(Robot(nodes, settings=None, rng=None, clock=lambda: 0.0))
+
+
+FUNCTIONS = {function: modes_of(Nodes()).of(function) for function in modes_of(Nodes()).functions}
+REQUESTS = st.sampled_from([(function, mode) for function, modes in FUNCTIONS.items() for mode in modes])
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(REQUESTS, min_size=1, max_size=12))
+def test_mode_asked_for_last_is_the_one_inferred_or_means_the_same(requests):
+    nodes = Nodes()
+    modes = modes_of(nodes)
+    for function, mode in requests:
+        modes.request(function, mode)
+    for function, mode in dict(requests).items():
+        inferred = modes.infer(function)
+        again = Nodes()
+        twin = modes_of(again)
+        twin.request(function, inferred)
+        assert twin.infer(function) == inferred
+        assert FUNCTIONS[function].index(inferred) <= FUNCTIONS[function].index(mode)
+        assert nodes.is_active(component_of(function)) == again.is_active(component_of(function))
+
+
+def component_of(function):
+    return {
+        "f_generate_search_path": "spiral_search",
+        "f_follow_pipeline": "follow_pipeline",
+        "f_maintain_motion": "recover_thrusters",
+        "f_generate_recharge_path": "recharge",
+    }[function]
+
+
+@given(REQUESTS)
+def test_mode_asked_for_twice_is_asked_for_once(request_):
+    nodes = Nodes()
+    modes = modes_of(nodes)
+    modes.request(*request_)
+    asked = nodes.asked
+    modes.request(*request_)
+    assert nodes.asked == asked
+
+
+def test_unknown_functions_and_modes_are_named_and_a_bad_file_says_what_is_expected(tmp_path):
+    modes = modes_of(Nodes())
+    with pytest.raises(MissionError, match="there is no function 'fly'; there are f_generate_search_path"):
+        modes.request("fly", "high")
+    with pytest.raises(MissionError, match="has no mode 'high'; there are __DEFAULT__, fd_spiral_high"):
+        modes.request("f_generate_search_path", "high")
+    bad = tmp_path / "bad.toml"
+    for content in ("[f]\n", "not toml", '[f]\ncomponent = "x"\n[f.modes]\nm = { active = 1 }\n'):
+        bad.write_text(content)
+        with pytest.raises(MissionError, match="expected is, for each function, a component and modes"):
+            SystemModes(Robot(Nodes(), settings=None, rng=None, clock=lambda: 0.0), bad)
