@@ -34,12 +34,14 @@ class Patched:
 
     Args:
         text: the task.
+        is_done: whether the goal holds already, so that there is nothing to search.
         states: how many states there are at most.
         is_conditional: whether an operator has conditional effects.
         has_axioms: whether anything is derived by axioms.
     """
 
     text: bytes
+    is_done: bool
     states: float
     is_conditional: bool
     has_axioms: bool = False
@@ -104,7 +106,8 @@ class Grounded:
         text += ["end_goal\n", str(len(ready)), "\n"]
         text += [one.text + cost for one, cost in zip(ready, costs, strict=True)]
         text.append(task.axioms if not self.is_patchable else "0\n")
-        return Patched("".join(text).encode(), math.prod(map(float, self._sizes)), self.is_conditional, task.has_axioms)
+        states = math.prod(map(float, self._sizes))
+        return Patched("".join(text).encode(), not goal, states, self.is_conditional, task.has_axioms)
 
     def _values(self, state: State) -> list[int]:
         """Return the value of each variable in a state."""

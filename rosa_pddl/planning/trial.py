@@ -159,6 +159,8 @@ class Trial:
             patched = task.patched(self._problem, self._numbers)
         except UnreachableGoalError:
             return _Found(Outcome.UNSOLVABLE_PROVEN)
+        if patched.is_done:
+            return _Found(Outcome.SOLVED_OPTIMALLY)
         answer: Answer = search(
             patched,
             self._settings.engine,

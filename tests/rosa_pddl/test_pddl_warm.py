@@ -29,6 +29,7 @@ def ways(result):
 
 
 def answer(result):
+    assert Outcome.ENGINE_CRASHED not in {attempt.outcome for attempt in result.attempts}, result.attempts
     assert not result.outcome.is_trouble, result.message
     return result.outcome, result.cost
 
@@ -147,6 +148,13 @@ def test_a_task_with_axioms_is_left_to_the_cold_way(tmp_path):
     assert ways(result) == ["warm", "cold"]
     assert "axioms" in result.attempts[0].message
     assert (result.outcome, result.cost) == (Outcome.SOLVED_OPTIMALLY, 2.0)
+
+
+def test_a_goal_that_holds_already_needs_no_search(rooms):
+    for goals in ((rooms.expression("(at robby hall)"),), (rooms.expression("(go_action go)"),), ()):
+        for planner in (Planner(cached=0), cold_planner()):
+            result = planner.plan(Problem(rooms, initial_state(rooms), goals=goals))
+            assert (answer(result), result.steps) == ((Outcome.SOLVED_OPTIMALLY, 0.0), ())
 
 
 def test_goals_change_without_a_new_translation(rooms):

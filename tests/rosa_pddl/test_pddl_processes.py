@@ -1,0 +1,104 @@
+"""Programs of others are started, read and ended, and leave nothing behind."""
+
+import os
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+from pddl_world import load_mission
+
+from rosa_pddl import Planner, Problem, initial_state
+from rosa_pddl.planning.processes import Cut, Leash
+
+
+def run(script, **settings):
+    return Leash().run(["/bin/sh", "-c", script], **{"limit_s": 60.0, **settings})
+
+
+def programs_running():
+    """The programs of the children of this process."""
+    pids = Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children").read_text().split()
+    return [str(link.readlink()) for link in (Path(f"/proc/{pid}/exe") for pid in pids) if link.exists()]
+
+
+def files():
+    links = list(Path("/proc/self/fd").iterdir())
+    return sorted(str(link.readlink()) for link in links if link.is_symlink())
+
+
+def test_a_program_is_given_its_input_and_its_output_is_read():
+    text = os.urandom(3_000_000)
+    ended = run("cat; echo oops >&2; exit 7", given=text)
+    assert (ended.code, ended.output, ended.complaints) == (7, text, b"oops\n")
+    assert not ended.is_late
+
+
+def test_a_program_that_reads_nothing_still_ends():
+    assert run("exit 0", given=b"x" * 10_000_000).code == 0
+
+
+def test_a_program_that_leaves_a_child_with_its_output_is_not_waited_for():
+    ended = run("echo $$; sleep 1000 & echo done")
+    assert ended.output.endswith(b"done\n")
+    assert not ended.is_late
+
+
+def test_a_program_that_closes_its_output_is_waited_for():
+    assert run("exec >&- 2>&-; sleep 0.2; exit 3").code == 3
+
+
+def test_a_late_program_is_killed():
+    ended = run("echo begun; sleep 1000", limit_s=0.2)
+    assert ended.is_late
+    assert (ended.code, ended.output) == (-9, b"begun\n")
+
+
+def test_a_program_may_hold_so_much_and_no_more():
+    fat = [sys.executable, "-c", "x = bytearray(1 << 29)"]
+    assert Leash().run(fat, limit_s=60.0).code == 0
+    assert b"MemoryError" in Leash().run(fat, limit_s=60.0, memory_bytes=1 << 27).complaints
+
+
+def test_a_cut_leash_lets_nothing_run():
+    leash = Leash()
+    leash.cut()
+    with pytest.raises(Cut):
+        leash.run(["/bin/true"], limit_s=1.0)
+
+
+def test_cutting_the_leash_ends_what_runs_and_what_waits():
+    leash = Leash()
+    timer = threading.Timer(0.1, leash.cut)
+    timer.start()
+    with pytest.raises(Cut):
+        leash.run(["/bin/sleep", "1000"], limit_s=600.0)
+    timer.join()
+
+
+def test_what_cannot_be_started_says_so_and_leaves_nothing():
+    before = files()
+    with pytest.raises(FileNotFoundError):
+        Leash().run(["/no/such/program"], limit_s=1.0)
+    assert files() == before
+
+
+def test_many_replans_leave_no_process_file_or_thread(monkeypatch, tmp_path):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    extended = load_mission("suave_extended")
+    planner = Planner(cached=0)
+    states = [initial_state(extended) | {f"(action_feasible {action})"} for action in extended.rosa_actions]
+    for state in states:
+        planner.plan(Problem(extended, state))
+    before, threads = files(), threading.active_count()
+    for number in range(40):
+        future = planner.start(Problem(extended, states[number % len(states)]))
+        if number % 3 == 0:
+            future.cancel()
+        else:
+            assert not future.result(60.0).outcome.is_trouble
+    while threading.active_count() > threads:
+        threading.Event().wait(0.01)
+    assert files() == before
+    assert list(tmp_path.iterdir()) == []
+    assert [program for program in programs_running() if "downward" in program] == []
