@@ -1,5 +1,6 @@
 """The simulated sea of the (extended) SUAVE mission: a BlueROV2 in MuJoCo looks for a pipeline and follows it."""
 
+from suave_env.checker import BrokenEnvError, check_env
 from suave_env.env import Observation, SuaveEnv
 from suave_env.exceptions import SuaveEnvError
 from suave_env.managed import Change, ManagedSystem, Operation
@@ -9,6 +10,7 @@ from suave_env.pipeline import Pipeline
 from suave_env.settings import SettingInfo, Settings
 
 __all__ = [
+    "BrokenEnvError",
     "Change",
     "Disturbance",
     "ManagedSystem",
@@ -22,4 +24,5 @@ __all__ = [
     "Status",
     "SuaveEnv",
     "SuaveEnvError",
+    "check_env",
 ]
