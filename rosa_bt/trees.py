@@ -86,13 +86,13 @@ class GuardedTree(BehaviourTree):
         while pending:
             behaviour = pending.pop()
             found += 1
-            if behaviour not in guarded:
+            children, is_new = behaviour.children, behaviour not in guarded
+            if is_new:
                 is_free = behaviour is not self.root and is_trusted(behaviour)
                 guarded[behaviour] = _do_nothing if is_free else guard(behaviour)
-            children = behaviour.children
+            if is_new or (children and type(children) is not Children):
+                behaviour.children = Children(children, behaviour, self._lock)
             if children:
-                if not isinstance(children, Children) or children.lock is not self._lock:
-                    behaviour.children = Children(children, behaviour, self._lock)
                 pending += children
         if found != len(guarded):
             present = set(self.root.iterate())
@@ -159,8 +159,8 @@ class TreeRunner:
         now = self._clock()
         if now < self.due:
             return False
-        self.tick()
         self._ticks = int((now - self._start) / self._period + 1e-9) + 1
+        self.tick()
         return True
 
     def tick(self) -> None:
@@ -186,7 +186,7 @@ class TreeRunner:
         """Add a subtree to the children of a composite before the next tick.
 
         Args:
-            child: the subtree; it has no parent yet.
+            child: the subtree; it has no parent yet, and is set up if it needs to be.
             parent: the composite.
             index: before which child; None for after the last.
         """

@@ -3,6 +3,8 @@
 import math
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from py_trees.behaviours import Failure, Running, StatusQueue, Success
 from py_trees.common import Status
 from py_trees.composites import Sequence
@@ -269,6 +271,32 @@ def test_first_feasible_action_is_done_and_a_preferred_one_takes_over_unless_the
 
 
 # ---------------------------------------------------------------- do it, or else
+
+
+@given(
+    st.lists(
+        st.tuples(st.sampled_from([0.1, 0.9]), st.sampled_from([Status.RUNNING, Status.SUCCESS])),
+        min_size=1,
+        max_size=12,
+    ),
+    st.booleans(),
+)
+def test_exactly_one_action_is_required_after_every_tick_and_the_task_whenever_it_can_be(moments, memory):
+    kb = KnowledgeBase(drone(), clock=Clock())
+    charge = Act(kb, "charge")
+    root = do_until_unfeasible(Act(kb, "search"), charge, memory=memory)
+    runner = TreeRunner(root, clock=lambda: 0.0)
+    for level, charge.result in moments:
+        was_charging = charge.status is Status.RUNNING
+        kb.measure("energy", level)
+        runner.tick()
+        if kb.is_feasible("search"):
+            goes_on = memory and was_charging and charge.result is Status.RUNNING
+            assert required(kb) == ["charge" if goes_on else "search"]
+        else:
+            assert required(kb) == (["charge"] if charge.result is Status.RUNNING else [])
+    runner.shutdown()
+    assert required(kb) == []
 
 
 @pytest.mark.parametrize("memory", [False, True])

@@ -252,3 +252,20 @@ def test_another_runner_may_take_a_tree_over_and_either_may_be_shut_down_first()
 def test_runner_needs_a_behaviour_to_run():
     with pytest.raises(TypeError, match="root node must be an instance of"):
         TreeRunner("root", clock=lambda: 0.0)
+
+
+def test_composite_without_children_takes_none_in_the_middle_of_a_tick_either():
+    empty = Sequence("empty", memory=False)
+
+    class Meddler(Probe):
+        def update(self):
+            empty.add_child(Probe("new"))
+            return Status.RUNNING
+
+    now = [0.0]
+    root = Parallel("root", policy=ParallelPolicy.SuccessOnAll(), children=[empty, Meddler("meddler")])
+    runner = TreeRunner(root, clock=lambda: now[0])
+    with pytest.raises(TreeChangeError, match="children of 'empty'"):
+        runner.update()
+    assert empty.children == []
+    assert not runner.update(), "the tick that was refused is over all the same"
