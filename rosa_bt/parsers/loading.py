@@ -232,7 +232,10 @@ def _check_children(element: Element, least: int, most: int) -> None:
         return
     wanted = f"{least}" if least == most else f"at least {least}" if most >= MAX_NODES else f"{least} to {most}"
     advice = "; put a Sequence around them" if most == 1 and count > 1 else ""
-    raise XmlError(element.where, f"<{_tag(element)}> has {count} children; it takes {wanted}{advice}")
+    raise XmlError(
+        element.where,
+        f"<{_tag(element)}> has {count} {'child' if count == 1 else 'children'}; it takes {wanted}{advice}",
+    )
 
 
 def _check_reactive(element: Element, tag: str) -> None:

@@ -1,11 +1,12 @@
-"""The control nodes that Nav2 adds, each with Nav2's semantics."""
+"""Nodes that Nav2 adds, each with Nav2's semantics; those that ask the robot or a map are the user's to register."""
 
 from typing import ClassVar, Final
 
 from py_trees.common import Status
 from py_trees.ports import PortInformation
 
-from rosa_bt.parsers.nodes import Control, Ticking
+from rosa_bt.parsers.nodes import DONE, Control, OneChild, Ticking
+from rosa_bt.parsers.wrappers import Timed
 
 __all__ = ["NAV2"]
 
@@ -109,5 +110,79 @@ class RoundRobin(Control):
         return SKIPPED if skipped == len(slots) else FAILURE
 
 
-NAV2: Final[dict[str, type[Control]]] = {kind.__name__: kind for kind in (RecoveryNode, PipelineSequence, RoundRobin)}
+class RateController(Timed):
+    """The child at its start, while it is running, and when a period has passed since it last succeeded."""
+
+    port = "hz"
+    PORTS: ClassVar = {"hz": PortInformation(float, default_value=10.0)}
+    _is_first = True
+
+    def initialise(self) -> None:
+        """Tick the child at once."""
+        self._is_first, self._since = True, self.clock()
+
+    def is_over(self) -> bool:
+        """Tell whether a period has passed."""
+        frequency: float = self.ports.get("hz")
+        return self._since is not None and (self.clock() - self._since) * frequency >= 1 - 1e-9
+
+    def decide(self) -> Ticking:
+        """Tick the child if it is its turn."""
+        if not (self._is_first or self.child.status is RUNNING or self.is_over()):
+            return RUNNING
+        self._is_first = False
+        verdict = yield from self.child.tick()
+        if verdict is SUCCESS:
+            self._since = self.clock()
+        return verdict
+
+
+class SingleTrigger(OneChild):
+    """The child to its end, once until this node is reset; FAILURE after that."""
+
+    _is_first = True
+
+    def initialise(self) -> None:
+        """Let the child be ticked."""
+        self._is_first = True
+
+    def decide(self) -> Ticking:
+        """Tick the child unless it has finished."""
+        if not self._is_first:
+            return FAILURE
+        verdict = yield from self.child.tick()
+        self._is_first = verdict not in DONE
+        return verdict
+
+
+class GoalUpdatedController(OneChild):
+    """The child at its start, while it is running, and when `goal` or `goals` has changed."""
+
+    PORTS: ClassVar = {name: PortInformation(object, required=False) for name in ("goal", "goals")}
+    _seen: object = None
+    _is_due = True
+
+    def initialise(self) -> None:
+        """Tick the child at once."""
+        self._is_due, self._seen = True, self._goals()
+
+    def decide(self) -> Ticking:
+        """Tick the child if it is its turn."""
+        goals = self._goals()
+        if goals != self._seen:
+            self._is_due, self._seen = True, goals
+        if not (self._is_due or self.child.status is RUNNING):
+            return RUNNING
+        self._is_due = False
+        return (yield from self.child.tick())
+
+    def _goals(self) -> list[object]:
+        return [self.ports.get(name) if self.ports.exists(name) else None for name in ("goal", "goals")]
+
+
+_KINDS: Final[tuple[type[Control] | type[OneChild], ...]] = (
+    *(RecoveryNode, PipelineSequence, RoundRobin),
+    *(RateController, SingleTrigger, GoalUpdatedController),
+)
+NAV2: Final[dict[str, type[Control] | type[OneChild]]] = {kind.__name__: kind for kind in _KINDS}
 """By tag."""

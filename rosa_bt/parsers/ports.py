@@ -40,7 +40,7 @@ class Ports:
         self._literals: dict[str, Any] = {}
         for name, text in written.items():
             if name not in declared:
-                raise PortError(f"it has no port {name!r}; {hint(name, declared, 'its ports')}")
+                raise PortError(f"it has no port {name!r}; {hint(name, declared, 'ports')}")
             key = key_of(text, name)
             if key is None:
                 self._literals[name] = self._converted(name, text)

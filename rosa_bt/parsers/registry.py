@@ -12,7 +12,6 @@ from rosa_bt.behaviours import IsActionFeasible
 from rosa_bt.parsers.controls import CONTROLS
 from rosa_bt.parsers.exceptions import RegistryError
 from rosa_bt.parsers.leaves import LEAVES
-from rosa_bt.parsers.nav2 import NAV2
 from rosa_bt.parsers.nodes import Branch
 from rosa_bt.parsers.ports import Declared
 from rosa_bt.parsers.wrappers import DECORATORS
@@ -22,21 +21,8 @@ __all__ = ["BUILT_IN", "BehaviourRegistry", "Entry", "Kind"]
 Factory = Callable[..., Behaviour]
 Kind = Literal["action", "condition"]
 
-BUILT_IN: Final = frozenset(
-    {
-        *CONTROLS,
-        *NAV2,
-        *DECORATORS,
-        *LEAVES,
-        "SubTree",
-        "Action",
-        "Condition",
-        "Control",
-        "Decorator",
-        "BehaviorTree",
-        "root",
-    }
-)
+_FORMS: Final = ("Action", "BehaviorTree", "Condition", "Control", "Decorator", "SubTree", "root")
+BUILT_IN: Final = frozenset({*CONTROLS, *DECORATORS, *LEAVES, *_FORMS})
 """Names that have their meaning already."""
 _ROLES: Final = frozenset({"name", "child", "children", "behaviour_class_name"})
 """Parameters that no attribute is meant for."""

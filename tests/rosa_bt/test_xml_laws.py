@@ -176,6 +176,30 @@ def test_runner_does_what_ticking_by_hand_does(file):
     assert trace(each_second(clock, runner.tick), tree, said, TICKS) == run(file)
 
 
+@given(files(), st.sampled_from(["initialise", "update", "terminate"]), st.integers(1, 5))
+def test_leaf_that_raises_ends_alone_and_the_tree_goes_on(file, hook, at):
+    tree, said, clock = loaded(file)
+    count = 0
+
+    def burst(*_):
+        nonlocal count
+        count += 1
+        if count % at == 0:
+            raise RuntimeError("burst")
+
+    for leaf in tree.iterate():
+        if isinstance(leaf, Action | Condition):
+            own = getattr(leaf, hook)
+            setattr(leaf, hook, lambda *given, own=own: (own(*given), burst())[0])
+    runner = TreeRunner(tree, clock=clock)
+    for _ in range(TICKS):
+        each_second(clock, runner.tick)()
+        if tree.status is not Status.RUNNING:
+            assert all(one.status is not Status.RUNNING for one in tree.iterate())
+    runner.shutdown()
+    assert all(one.status is not Status.RUNNING for one in tree.iterate())
+
+
 @st.composite
 def py_trees_trees(draw):
     """Draw a function that makes a tree of what py_trees shares with BehaviorTree.CPP, and its leaves."""

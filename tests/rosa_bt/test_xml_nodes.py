@@ -124,6 +124,21 @@ EXAMPLES = {
         "a:SRRS b:RRF",
         "a:s:S b:s:R | b:r:R | b:r:F => F | a:s:R | a:r:R | a:r:S b:s:R",
     ),
+    "RateController": (
+        '<PipelineSequence><RateController hz="0.5"><a/></RateController><b/></PipelineSequence>',
+        "a:RSF b:RRRRR",
+        "t=0 a:s:R | t=1 a:r:S b:s:R | t=2 b:r:R | t=3 a:s:F b:halt => F",
+    ),
+    "SingleTrigger": (
+        "<PipelineSequence><SingleTrigger><a/></SingleTrigger><b/></PipelineSequence>",
+        "a:RS b:RR",
+        "a:s:R | a:r:S b:s:R | b:halt => F | a:s:R",
+    ),
+    "GoalUpdatedController": (
+        '<PipelineSequence><GoalUpdatedController goal="{g}"><a/></GoalUpdatedController><b/></PipelineSequence>',
+        "a:RSS b:R",
+        "g=1 a:s:R | g=1 a:r:S b:s:R | g=1 b:r:R | g=2 a:s:S b:r:R | g=2 b:r:R",
+    ),
     "RoundRobin": ("<RoundRobin><a/><b/></RoundRobin>", "a:SF b:FS", "a:s:S => S | b:s:F a:s:F => F | a:s:S => S"),
 }
 SHORT = {"S": "SUCCESS", "F": "FAILURE"}

@@ -1,0 +1,339 @@
+"""Ports, blackboards and the registry: what leaves are told, and what they tell each other."""
+
+import pytest
+from py_trees.behaviour import Behaviour
+from py_trees.blackboard import Blackboard as ProcessBlackboard
+from py_trees.common import Status
+from py_trees.decorators import Decorator
+from py_trees.ports import PortInformation, PortsMixin
+from xml_leaves import registry_of, trace, wrapped
+
+from kb import KnowledgeBase, Model
+from rosa_bt import BehaviourRegistry, IsActionFeasible, RosaAction, TreeRunner, XmlError, load_xml
+from rosa_bt.parsers import Port, RegistryError
+
+
+class Add(PortsMixin, Behaviour, register=False):
+    """Adds two numbers."""
+
+    INPUT_PORTS = {  # noqa: RUF012  # py_trees declares it so
+        "one": PortInformation(float),
+        "other": PortInformation(float, default_value=10.0),
+    }
+    OUTPUT_PORTS = {"total": PortInformation(float, required=False)}  # noqa: RUF012  # py_trees declares it so
+
+    def update(self):
+        self._set_output("total", self.get_input("one") + self.get_input("other"))
+        return Status.SUCCESS
+
+
+class Say(Behaviour):
+    """Keeps what it is told."""
+
+    heard: list
+
+    def __init__(self, name, heard, what: Port, times: int = 1, loud: bool = False):
+        super().__init__(name)
+        self.heard, self.what, self.times, self.loud = heard, what, times, loud
+
+    def update(self):
+        self.heard.append((self.what.get(), self.times, self.loud))
+        return Status.SUCCESS
+
+
+def load(content, heard=None, **trees):
+    registry = BehaviourRegistry(heard=[] if heard is None else heard)
+    registry.register("Add", Add)
+    registry.register("Say", Say)
+    return load_xml(wrapped(content, **trees), registry)
+
+
+def hear(content, **trees):
+    heard = []
+    tree = load(content, heard, **trees)
+    tree.blackboard["x"] = 1
+    tree.tick_once()
+    assert tree.status is Status.SUCCESS
+    return [what for what, _, _ in heard]
+
+
+def test_literals_keys_and_defaults_reach_the_leaf_as_the_types_that_it_declares():
+    heard = []
+    tree = load('<Sequence><Add one="2" total="{sum}"/><Say what="{sum}" times="3" loud="true"/></Sequence>', heard)
+    tree.tick_once()
+    assert heard == [(12.0, 3, True)]
+    assert dict(tree.blackboard) == {"sum": 12.0}
+
+
+def test_key_is_read_when_the_leaf_asks():
+    heard = []
+    tree = load('<Say what="{now}"/>', heard)
+    for value in (1, "two"):
+        tree.blackboard["now"] = value
+        tree.tick_once()
+    assert [what for what, _, _ in heard] == [1, "two"]
+
+
+def test_text_on_the_blackboard_is_converted_by_the_leaf_that_reads_it():
+    assert hear('<Sequence><SetBlackboard value="4.5" output_key="t"/><Add one="{t}" other="{x}" total="{=}"/>'
+                '<Say what="{total}"/></Sequence>') == [5.5]  # fmt: skip
+
+
+SCOPES = {
+    '<SubTree ID="Sub" y="{x}"/>': ('<Say what="{y}"/>', [1]),
+    '<SubTree ID="Sub" x="{=}"/>': ('<Say what="{x}"/>', [1]),
+    '<SubTree ID="Sub" y="text"/>': ('<Say what="{y}"/>', ["text"]),
+    '<SubTree ID="Sub" _autoremap="true"/>': ('<Say what="{x}"/>', [1]),
+    '<SubTree ID="Sub" x="7" _autoremap="true"/>': ('<Say what="{x}"/>', ["7"]),
+    '<SubTree ID="Sub"/>': ('<Sequence><Say what="{@x}"/><Script code="x := 5"/><Say what="{x}"/></Sequence>', [1, 5]),
+    '<Sequence><SubTree ID="Sub" out="{z}"/><Say what="{z}"/></Sequence>': ('<Script code="out := 3"/>', [3]),
+    '<Sequence><SubTree ID="Sub"/><Say what="{x}"/></Sequence>': ('<Script code="x := 5"/>', [1]),
+    '<Sequence><SubTree ID="Sub" _autoremap="1"/><Say what="{x}"/></Sequence>': (
+        '<Script code="x := 5; _x := 6"/>',
+        [5],
+    ),
+    '<Sequence><SubTree ID="Sub" x="7"/><Say what="{x}"/></Sequence>': ('<Script code="x := 5"/>', [1]),
+    '<Sequence><SubTree ID="Sub" y="{@x}"/><Say what="{x}"/></Sequence>': ('<Script code="@x := 5; y := 6"/>', [6]),
+}
+
+
+@pytest.mark.parametrize("content", SCOPES)
+def test_subtree_sees_what_it_is_given_and_nothing_else(content):
+    inner, heard = SCOPES[content]
+    assert hear(content, Sub=inner) == heard
+
+
+def test_private_keys_are_never_remapped_automatically():
+    tree = load('<SubTree ID="Sub" _autoremap="true"/>', Sub='<Script code="_own := 1; all := 2"/>')
+    tree.tick_once()
+    assert dict(tree.blackboard) == {"all": 2}
+
+
+def test_keys_reach_through_several_subtrees():
+    inner = '<SubTree ID="Deep" b="{a}"/>'
+    assert hear('<SubTree ID="Sub" a="{x}"/>', Sub=inner, Deep='<Say what="{b}"/>') == [1]
+
+
+def test_two_subtrees_of_one_tree_and_two_loaded_trees_share_nothing():
+    before = dict(ProcessBlackboard.storage)
+    content = '<Sequence><SubTree ID="Sub" v="1"/><SubTree ID="Sub" v="2"/></Sequence>'
+    one, other = (load(content, Sub='<Script code="seen := v"/>') for _ in range(2))
+    one.tick_once()
+    one.blackboard["x"] = 1
+    first, second = (node.blackboard["seen"] for node in one.child.node.children)
+    assert (first, second) == ("1", "2")
+    assert dict(other.blackboard) == {}
+    assert ProcessBlackboard.storage == before
+
+
+def test_model_of_a_tree_gives_defaults_and_says_what_is_needed():
+    model = '<SubTree ID="Sub"><input_port name="v" default="4"/><input_port name="w"/></SubTree>'
+    text = wrapped('<SubTree ID="Sub" {0}/>', Sub='<Sequence><Say what="{v}"/><Say what="{w}"/></Sequence>')
+    text = text.replace("</root>", f"<TreeNodesModel>{model}</TreeNodesModel></root>")
+    heard = []
+    registry = BehaviourRegistry(heard=heard)
+    registry.register("Say", Say)
+    load_xml(text.replace("{0}", 'w="5"'), registry).tick_once()
+    assert [what for what, _, _ in heard] == ["4", "5"]
+    with pytest.raises(XmlError, match="needs w="):
+        load_xml(text.replace("{0}", ""), registry)
+
+
+BAD_PORTS = {
+    "<Add/>": "the port 'one' is missing; write one=...",
+    '<Add one="x"/>': "the port 'one' takes a value of type float, not 'x'",
+    '<Add one="1" twoo="1"/>': "it has no port 'twoo'; ports: one, other, total",
+    "<Say/>": "'what' is missing",
+    '<Say what="1" times="{n}"/>': "'times' is needed when the tree is made, but {n} is known when it is ticked",
+    '<Say what="1" loud="maybe"/>': "the port 'loud' takes a value of type bool, not 'maybe'",
+    '<Say what="1" volume="3"/>': "it has no port 'volume'; ports: loud, times, what",
+}
+
+
+@pytest.mark.parametrize("content", BAD_PORTS)
+def test_port_that_cannot_be_is_refused_when_the_tree_is_made(content):
+    with pytest.raises(XmlError) as caught:
+        load(content)
+    assert BAD_PORTS[content] in str(caught.value)
+
+
+def test_key_that_nobody_has_written_is_told_by_name():
+    tree = load('<Add one="{nobody}"/>')
+    runner = TreeRunner(tree, clock=lambda: 0.0)
+    runner.tick()
+    assert tree.status is Status.FAILURE
+    assert "no data available" in tree.child.node.feedback_message
+
+
+def test_functions_make_leaves_too_and_take_what_they_declare():
+    registry = BehaviourRegistry(heard=[])
+    heard = []
+
+    @registry.register("any")
+    def make(name, **ports):
+        heard.append((name, {key: one.get() if isinstance(one, Port) else one for key, one in ports.items()}))
+        return Say(name, heard, Port, 1)
+
+    load_xml(wrapped('<any name="n" a="1" b-c="x"/>'), registry)
+    assert heard == [("n", {"a": "1", "b-c": "x"})]
+
+
+def test_decorators_of_the_user_decorate_what_is_in_them():
+    class EveryOther(Decorator):
+        """Ticks its child at every other tick, as a controller of rates does."""
+
+        def __init__(self, name, child, first: int = 0):
+            super().__init__(name, child)
+            self.count = first
+
+        def tick(self):
+            self.count += 1
+            if self.count % 2:
+                yield from super().tick()
+            else:
+                self.status = Status.RUNNING
+                yield self
+
+        def update(self):
+            return self.decorated.status
+
+    said = []
+    registry = registry_of({"a": ("A", "RRS"), "c": ("C", "SSSF")}, said)
+    registry.register("EveryOther", EveryOther)  # as any other name that BehaviorTree.CPP itself does not have
+    tree = load_xml(
+        wrapped('<ReactiveSequence><c/><EveryOther first="0"><a/></EveryOther></ReactiveSequence>'), registry
+    )
+    assert trace(tree.tick_once, tree, said, 4) == [
+        "0| c:c:S a:s:R => RUNNING",
+        "1| c:c:S => RUNNING",
+        "2| c:c:S a:r:R => RUNNING",
+        "3| c:c:F a:halt => FAILURE",
+    ]
+
+
+class Finished(Behaviour):
+    """Succeeds, and counts how often it was asked."""
+
+    def __init__(self, name, asked):
+        super().__init__(name)
+        self.asked = asked
+
+    def update(self):
+        self.asked.append(self.name)
+        return Status.SUCCESS
+
+
+class Prepared(Finished):
+    """The same, but it prepares something."""
+
+    def initialise(self):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("factory", "kind", "element", "model", "is_condition"),
+    [
+        (Finished, None, "<leaf/>", "", True),
+        (Prepared, None, "<leaf/>", "", False),
+        (Finished, "action", '<Condition ID="leaf"/>', "", False),
+        (Prepared, "condition", "<leaf/>", "", True),
+        (Prepared, None, '<Condition ID="leaf"/>', "", True),
+        (Finished, None, '<Action ID="leaf"/>', "", False),
+        (Prepared, None, "<leaf/>", '<Condition ID="leaf"/>', True),
+        (Finished, None, "<leaf/>", '<Action ID="leaf"><input_port name="x"/></Action>', False),
+    ],
+)
+def test_only_conditions_are_asked_again_before_they_are_reset(factory, kind, element, model, is_condition):
+    asked = []
+    registry = registry_of({"b": ("A", "R")}, [])
+    registry.register("leaf", lambda name: factory(name, asked), kind=kind)
+    text = wrapped(f"<WhileDoElse>{element}<b/></WhileDoElse>")
+    text = text.replace("</root>", f"<TreeNodesModel>{model}</TreeNodesModel></root>")
+    tree = load_xml(text, registry)
+    for _ in range(3):
+        tree.tick_once()
+    assert len(asked) == (3 if is_condition else 1)
+
+
+@pytest.mark.parametrize(
+    ("name", "factory", "kind", "message"),
+    [
+        ("Sequence", Finished, None, "'Sequence' is a node of BehaviorTree.CPP itself"),
+        ("SubTree", Finished, None, "choose another name"),
+        ("taken", Finished, None, "'taken' is registered already"),
+        ("new", "Finished", None, "not 'Finished'"),
+        ("new", Finished, "leaf", "an 'action' or a 'condition', not 'leaf'"),
+    ],
+)
+def test_registration_that_means_nothing_is_refused(name, factory, kind, message):
+    registry = BehaviourRegistry()
+    registry.register("taken", Finished)
+    with pytest.raises(RegistryError, match=message):
+        registry.register(name, factory, kind=kind)
+
+
+def test_what_a_behaviour_raises_when_it_is_made_is_told_with_file_and_line():
+    registry = BehaviourRegistry()
+
+    @registry.register("broken")
+    class Broken(Finished):
+        def __init__(self, name):
+            raise OSError("no camera")
+
+    with pytest.raises(XmlError, match="<text>:1: <broken> cannot be made: OSError: no camera"):
+        load_xml(wrapped("<broken/>"), registry)
+
+
+class Scan(RosaAction):
+    """Scans for ever."""
+
+    def update(self):
+        return Status.RUNNING
+
+
+def rover():
+    model = Model("rover")
+    light = model.environmental_attribute("light")
+    model.action("scan", constraints=[light >= 0.5])
+    kb = KnowledgeBase(model, clock=lambda: 0.0)
+    registry = BehaviourRegistry(kb=kb)
+    registry.register("scan", Scan)
+    return kb, registry
+
+
+PATTERN = '<ReactiveSequence><IsActionFeasible action="{a}"/><scan action="{a}"/></ReactiveSequence>'
+
+
+def test_our_leaves_ask_and_tell_the_knowledge_base_that_the_registry_is_bound_to():
+    kb, registry = rover()
+    tree = load_xml(wrapped('<SubTree ID="Sub" a="scan"/>', Sub=PATTERN), registry)
+    runner = TreeRunner(tree, clock=lambda: kb.now)
+    runner.tick()
+    assert [one.action for one in kb.required_actions] == ["scan"]
+    kb.measure("light", 0.1)
+    runner.tick()
+    assert list(kb.required_actions) == []
+    assert tree.status is Status.FAILURE
+    condition = next(one for one in tree.iterate() if isinstance(one, IsActionFeasible))
+    assert "scan is unfeasible" in condition.feedback_message
+
+
+def test_action_that_the_model_does_not_have_is_found_when_the_tree_is_made():
+    _, registry = rover()
+    with pytest.raises(
+        XmlError, match=r"<text>:1: <scan> cannot be made: .*unknown action 'scann'; did you mean 'scan'"
+    ):
+        load_xml(wrapped('<scan action="scann"/>'), registry)
+
+
+def test_times_are_those_of_the_knowledge_base_unless_a_clock_is_handed_in():
+    now = 0.0
+    kb = KnowledgeBase(Model("rover"), clock=lambda: now)
+    tree = load_xml(wrapped('<Sleep msec="1000"/>'), BehaviourRegistry(kb=kb))
+    tree.tick_once()
+    now = 0.5
+    tree.tick_once()
+    assert tree.status is Status.RUNNING
+    now = 1.0
+    tree.tick_once()
+    assert tree.status is Status.SUCCESS

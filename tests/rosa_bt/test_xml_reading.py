@@ -1,0 +1,187 @@
+"""What is read, and what is refused: each refusal says where, what, and what to do."""
+
+import re
+
+import pytest
+from xml_leaves import registry_of, trace, wrapped
+
+from rosa_bt import RosaBtError, XmlError, load_xml
+from rosa_bt.parsers.loading import MAX_NODES
+from rosa_bt.parsers.reading import MAX_DEPTH, MAX_SIZE
+
+LEAVES = {"a": ("A", "S"), "b": ("A", "RS"), "ok": ("C", "S")}
+
+
+def load(text, **given):
+    return load_xml(text, registry_of(LEAVES, []), **given)
+
+
+REFUSED = {
+    "<aa/>": "<text>:2: <aa> is unknown; did you mean 'a'? registered behaviours: a, b, ok",
+    "<Sequense><a/></Sequense>": "did you mean the node 'Sequence'",
+    "<Other/>": '<Other> is a tree; write <SubTree ID="Other"/>',
+    "<SubTreePlus ID='Other'/>": "<SubTreePlus> is not read: version 4 writes",
+    "<ManualSelector><a/></ManualSelector>": "register a behaviour of your own under another name",
+    "<a/><b/>": "a tree has one child, not 2; put a Sequence around",
+    "": "a tree has one child, not 0",
+    "<Inverter><a/><b/></Inverter>": "<Inverter> has 2 children; it takes 1; put a Sequence around them",
+    "<Inverter/>": "<Inverter> has 0 children; it takes 1",
+    "<Sequence/>": "<Sequence> has 0 children; it takes at least 1",
+    "<IfThenElse><a/></IfThenElse>": "<IfThenElse> has 1 child; it takes 2 to 3",
+    "<RecoveryNode><a/></RecoveryNode>": "it takes 2",
+    "<Switch2><a/><b/></Switch2>": "it takes 3",
+    "<a><b/></a>": "<a> has 1 child; it takes 0",
+    "<Script code='x := 1'><b/></Script>": "it takes 0",
+    "<SubTree ID='Other'><b/></SubTree>": "it takes 0",
+    "<SubTree ID='Othr'/>": "no tree has the ID 'Othr'; did you mean 'Other'?",
+    "<SubTree/>": "<SubTree> has no ID",
+    "<Action/>": "<Action> has no ID",
+    "<SubTree ID='Main'/>": "a tree is in itself: Main -> Main",
+    "<SubTree ID='Other' _autoremap='maybe'/>": "_autoremap is true or false, not 'maybe'",
+    "<Repeat><a/></Repeat>": "the port 'num_cycles' is missing",
+    "<Repeat num_cycle='2'><a/></Repeat>": "it has no port 'num_cycle'; did you mean 'num_cycles'?",
+    "<Repeat num_cycles='two'><a/></Repeat>": "the port 'num_cycles' takes a value of type int, not 'two'",
+    "<a speed='2'/>": "<a> cannot be made: it has no port 'speed'; ports: cls, steps, tag",
+    "<a _skipif='x == 1'/>": "did you mean '_skipIf'?",
+    "<a _skipIf='x + 1 == 2'/>": "'+' in the script 'x + 1 == 2' is not read",
+    "<Script code='x += 1'/>": "'+=' in the script 'x += 1' is not read",
+    "<Script code='x := y ? 1 : 2'/>": "is not read; scripts here are assignments",
+    "<Script code='1 &lt; x &lt; 3'/>": "'<' in the script",
+    "<Script code=''/>": "the script is empty",
+    "<Script code='(((x'/>": "'the end' in the script",
+    "<Precondition if='x'/>": "it takes 1",
+    "<Precondition if='true' else='MAYBE'><a/></Precondition>": "the port 'else' takes a value of type Otherwise",
+    "<ReactiveSequence><AsyncSequence><a/></AsyncSequence><AsyncSequence><b/></AsyncSequence></ReactiveSequence>": (
+        "a ReactiveSequence has at most one asynchronous child"
+    ),
+}
+
+
+@pytest.mark.parametrize("content", REFUSED)
+def test_what_cannot_be_made_is_refused_with_file_and_line(content):
+    text = wrapped(f"\n{content}", Other="<ok/>")
+    with pytest.raises(XmlError) as caught:
+        load(text)
+    assert re.match(r"<text>:[12]: ", str(caught.value))
+    assert REFUSED[content] in str(caught.value)
+    assert isinstance(caught.value, RosaBtError)
+
+
+NO_FILES = {
+    "<root": "<text>:1: it is no XML",
+    "<root>\n<BehaviorTree>\n</root>": "<text>:3: it is no XML: mismatched tag",
+    "<tree/>": "the outermost element is <root>, not <tree>",
+    '<root BTCPP_format="3"/>': "convert_v3_to_v4.py",
+    '<root BTCPP_format="5"/>': "BTCPP_format='5' is not known",
+    "<root/>": "which tree? There are: none",
+    "<root><Sequence/></root>": "<Sequence> cannot stand in <root>",
+    "<root><TreeNodesModel><Leaf ID='a'/></TreeNodesModel></root>": "a model is one of Action",
+    "<root><BehaviorTree><a/></BehaviorTree><BehaviorTree><a/></BehaviorTree></root>": "<BehaviorTree> has no ID",
+    "<root><BehaviorTree ID='A'><a/></BehaviorTree>\n<BehaviorTree ID='A'><a/></BehaviorTree></root>": (
+        "<text>:2: 'A' is defined twice, first in <text>:1"
+    ),
+    "<root><BehaviorTree ID='A'><a/></BehaviorTree><BehaviorTree ID='B'><a/></BehaviorTree></root>": (
+        "which tree? There are: A, B"
+    ),
+    "<root main_tree_to_execute='C'><BehaviorTree ID='A'><a/></BehaviorTree></root>": "no tree has the ID 'C'",
+    "<root><include ros_pkg='nav' path='x.xml'/></root>": "ros_pkg needs a ROS installation",
+    "<root><include path='there_is_none.xml'/></root>": "there is no file",
+    "there_is_none.xml": "there_is_none.xml: there is no file 'there_is_none.xml'",
+    '<!DOCTYPE root [<!ENTITY a "aa"><!ENTITY b "&a;&a;">]>\n<root>&b;</root>': "a document type or entity is not read",
+    '<!DOCTYPE root SYSTEM "file:///etc/passwd"><root/>': "a document type or entity is not read",
+    "<root>" + " " * MAX_SIZE + "</root>": f"it has more than {MAX_SIZE} bytes",
+    "<root>" + "<a>" * 3000: f"more than {MAX_DEPTH} elements in each other",
+}
+
+
+@pytest.mark.parametrize("text", NO_FILES, ids=range(len(NO_FILES)))
+def test_what_is_no_file_of_trees_is_refused(text):
+    with pytest.raises(XmlError, match=re.escape(NO_FILES[text])):
+        load(text)
+
+
+def test_bytes_that_are_no_text_are_refused(tmp_path):
+    file = tmp_path / "tree.xml"
+    file.write_bytes(b'<?xml version="1.0" encoding="nothing"?><root/>')
+    with pytest.raises(XmlError, match=r"tree\.xml:1: "):
+        load(file)
+
+
+def test_trees_that_multiply_are_refused_before_they_fill_the_memory():
+    trees = {f"T{n}": f'<Sequence><SubTree ID="T{n + 1}"/><SubTree ID="T{n + 1}"/></Sequence>' for n in range(30)}
+    with pytest.raises(XmlError, match=f"more than {MAX_NODES} nodes"):
+        load(wrapped('<SubTree ID="T0"/>', **trees, T30="<ok/>"))
+
+
+def test_trees_that_are_too_deep_together_are_refused():
+    trees = {f"T{n}": "<Inverter>" * 20 + f'<SubTree ID="T{n + 1}"/>' + "</Inverter>" * 20 for n in range(9)}
+    with pytest.raises(XmlError, match=f"more than {MAX_DEPTH} levels deep"):
+        load(wrapped('<SubTree ID="T0"/>', **trees, T9="<ok/>"))
+
+
+def test_deepest_tree_that_is_read_runs():
+    tree = load(wrapped("<Inverter>" * (MAX_DEPTH - 1) + "<ok/>" + "</Inverter>" * (MAX_DEPTH - 1)))
+    tree.tick_once()
+    assert tree.status.name == "FAILURE"
+
+
+def test_script_that_is_nested_too_deep_is_refused():
+    with pytest.raises(XmlError, match="at most 50 parentheses"):
+        load(wrapped(f'<Script code="{"(" * 2000}x"/>'))
+
+
+def test_tree_is_chosen_by_name_by_the_file_or_because_it_is_the_only_one(tmp_path):
+    file = tmp_path / "trees.xml"
+    file.write_text(wrapped("<a/>", Other="<b/>"))
+    assert load(file).child.node.name == "a"
+    assert load(file, tree="Other").child.node.name == "b"
+    assert load("<root><BehaviorTree><ok/></BehaviorTree></root>").child.node.name == "ok"
+    with pytest.raises(XmlError, match="no tree has the ID 'Oter'; did you mean 'Other'"):
+        load(file, tree="Oter")
+
+
+def test_text_may_begin_with_a_mark_a_declaration_and_comments():
+    begin = '\ufeff<?xml version="1.0" encoding="UTF-8"?>\n<!-- a tree -->'
+    assert load(begin + "<root><BehaviorTree>text<!-- --><a/></BehaviorTree></root>").child.node.name == "a"
+
+
+def test_explicit_and_compact_elements_mean_the_same():
+    said = []
+    compact = '<Sequence name="s"><ok name="first"/><a/></Sequence>'
+    explicit = '<Control ID="Sequence" name="s"><Condition ID="ok" name="first"/><Action ID="a"/></Control>'
+    trees = [load_xml(wrapped(text), registry_of(LEAVES, said)) for text in (compact, explicit)]
+    first, second = (trace(tree.tick_once, tree, said, 4) for tree in trees)
+    assert first == second
+    assert trees[0].child.node.name == trees[1].child.node.name == "s"
+
+
+def test_includes_are_relative_to_the_file_and_read_once(tmp_path):
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "main.xml").write_text(
+        '<root main_tree_to_execute="Main"><include path="parts/one.xml"/><include path="./parts/two.xml"/>'
+        '<BehaviorTree ID="Main"><Sequence><SubTree ID="One"/><SubTree ID="Two"/></Sequence></BehaviorTree></root>'
+    )
+    one = '<root main_tree_to_execute="One"><include path="two.xml"/><BehaviorTree ID="One"><a/></BehaviorTree></root>'
+    (tmp_path / "parts" / "one.xml").write_text(one)
+    (tmp_path / "parts" / "two.xml").write_text('<root><BehaviorTree ID="Two"><ok/></BehaviorTree></root>')
+    tree = load(tmp_path / "main.xml")
+    tree.tick_once()
+    assert [one.name for one in tree.iterate()] == ["a", "One", "ok", "Two", "Sequence", "Main"]
+    (tmp_path / "parts" / "two.xml").write_text('<root>\n<include path="../main.xml"/></root>')
+    with pytest.raises(
+        XmlError, match=r"two\.xml:2: files include each other: main\.xml -> one\.xml -> two\.xml -> main"
+    ):
+        load(tmp_path / "main.xml")
+
+
+def test_error_in_an_included_file_names_that_file(tmp_path):
+    (tmp_path / "part.xml").write_text('<root>\n<BehaviorTree ID="Part">\n<unknown/></BehaviorTree></root>')
+    main = '<root main_tree_to_execute="Part"><include path="part.xml"/></root>'
+    (tmp_path / "main.xml").write_text(main)
+    with pytest.raises(XmlError, match=r"part\.xml:3: <unknown>"):
+        load(tmp_path / "main.xml")
+
+
+def test_what_editors_write_beside_is_passed_over():
+    text = wrapped('<Sequence _description="d" _uid="3" _fullPath="x/y" _collapsed="true"><a/></Sequence>')
+    load(text)
