@@ -13,6 +13,7 @@ from kb import Model
 from kb.judge.findings import RULES, Finding, Severity
 from missions.mission import Mission, MissionError
 from missions.names import Names, names_in_pddl, names_in_tree, tree_builder
+from missions.planning.declared import planned_names
 
 __all__ = ["Judgement", "inconsistencies", "judge", "print_judgement"]
 
@@ -59,8 +60,8 @@ def judge(files: Sequence[Path], mission: Mission | None, trees: Iterable[str], 
         used.append(names_in_pddl(pddl))
     if mission is not None:
         used.append(names_in_tree(mission.tree, model, f"the tree of {mission.name}"))
-        own = [path for path in (mission.domain, mission.problem) if path is not None]
-        used += [names_in_pddl(own)] if own else []
+        planned = planned_names(mission)
+        used += [] if planned is None else [planned]
     if not used:
         return Judgement(model.name, model.check())
     names = used[0]

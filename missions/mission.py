@@ -11,6 +11,7 @@ from py_trees.behaviour import Behaviour
 
 from kb import KnowledgeBase, ManagedSystem, Model
 from missions.senses import Senses
+from rosa_pddl.generation import DeclaredProblem
 
 __all__ = ["Message", "Mission", "MissionError", "Sample", "Setting", "Verdict", "World", "WorldKind"]
 
@@ -151,9 +152,11 @@ class Mission:
         model: builds the knowledge about the robot.
         tree: builds the task logic as a behaviour tree.
         world: where it happens.
-        domain: PDDL file with the same task logic as actions; None if the mission has a tree only.
-        problem: PDDL file with the goal.
-        actions: what is done for each PDDL action; the same behaviours that the tree is made of.
+        domain: PDDL file with the same task logic as actions; None if it is made of what the actions declare, or the
+            mission has a tree only.
+        problem: PDDL file with the goal, or the goal as it is declared; None if the mission has a tree only.
+        actions: what is done for each PDDL action; the same behaviours that the tree is made of. Each has a `schema`
+            if there is no domain file.
         facts: what was sensed, as atoms of the PDDL problem, e.g. {"(lit room)": True}.
         fixed: settings of the world that belong to this mission.
     """
@@ -164,7 +167,7 @@ class Mission:
     tree: Callable[[KnowledgeBase, Senses], Behaviour]
     world: WorldKind
     domain: Path | None = None
-    problem: Path | None = None
+    problem: Path | DeclaredProblem | None = None
     actions: Mapping[str, Callable[[KnowledgeBase, Senses], Behaviour]] = field(default_factory=dict)
     facts: Callable[[Senses], Mapping[str, bool]] = lambda senses: {}
     fixed: Mapping[str, str] = field(default_factory=dict)

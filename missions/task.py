@@ -73,15 +73,13 @@ def build_task(
 def _planning(
     mission: Mission, kb: KnowledgeBase, senses: Senses, clock: Callable[[], float], delay_s: float
 ) -> TaskLayer:
-    from rosa_pddl import PlanExecutor, Planner, Step, load_domain
-
-    if mission.domain is None or mission.problem is None:
-        raise MissionError(f"mission {mission.name} has no PDDL domain and problem; run it with --task bt")
+    from missions.planning.declared import mission_domain
+    from rosa_pddl import PlanExecutor, Planner, Step
 
     def factory(action: Callable[[KnowledgeBase, Senses], Behaviour]) -> Callable[[Step], Behaviour]:
         return lambda step: action(kb, senses)
 
-    domain, planner = load_domain(mission.domain, mission.problem), Planner()
+    domain, planner = mission_domain(mission), Planner()
     missing = planner.missing(domain)
     if missing is not None:
         raise MissionError(missing)

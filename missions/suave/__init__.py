@@ -1,10 +1,9 @@
 """SUAVE: an underwater vehicle searches for a pipeline and inspects it, through murky water and a thruster failure."""
 
-from pathlib import Path
-
 from missions.mission import Mission
+from missions.planning.declared import by_schema
 from missions.sea import SEA
-from missions.suave.actions import InspectPipeline, SearchPipeline, facts
+from missions.suave.actions import PROBLEM, InspectPipeline, SearchPipeline, facts
 from missions.suave.model import suave_model
 from missions.suave.tree import suave_tree
 
@@ -15,9 +14,8 @@ MISSION = Mission(
     summary="search for a pipeline and inspect it; the water turns murky and a thruster fails",
     model=suave_model,
     tree=suave_tree,
-    domain=Path(__file__).with_name("domain.pddl"),
-    problem=Path(__file__).with_name("problem.pddl"),
-    actions={"search_pipeline": SearchPipeline, "inspect_pipeline": InspectPipeline},
+    problem=PROBLEM,
+    actions=by_schema(SearchPipeline, InspectPipeline),
     facts=facts,
     world=SEA,
     fixed={"battery": "false"},

@@ -1,9 +1,10 @@
 """What the mission does: each action says when it is finished; the nodes that it needs do the moving.
 
-The tree and the plan executor run the same behaviours.
+The tree and the plan executor run the same behaviours; their schemas are what the PDDL is made of.
 """
 
 from collections.abc import Mapping
+from typing import ClassVar, Final
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
@@ -11,8 +12,13 @@ from py_trees.common import Status
 from kb import KnowledgeBase
 from missions.senses import Senses
 from rosa_bt import RosaAction
+from rosa_pddl.generation import ActionSchema, DeclaredProblem
 
-__all__ = ["InspectPipeline", "PipelineFound", "SearchPipeline", "facts"]
+__all__ = ["PROBLEM", "InspectPipeline", "PipelineFound", "SearchPipeline", "facts"]
+
+PROBLEM: Final = DeclaredProblem(
+    objects={"pipeline": "pipeline", "bluerov": "robot"}, goal=("(pipeline_inspected pipeline)",)
+)
 
 
 class PipelineFound(Behaviour):
@@ -30,8 +36,15 @@ class PipelineFound(Behaviour):
 class SearchPipeline(RosaAction):
     """Search until the camera has seen the pipeline."""
 
+    schema: ClassVar = ActionSchema(
+        "search_pipeline",
+        parameters=("?p - pipeline", "?r - robot"),
+        end_effects=("(pipeline_found ?p)",),
+        duration_s=60,
+    )
+
     def __init__(self, kb: KnowledgeBase, senses: Senses) -> None:
-        super().__init__("search", kb, "search_pipeline")
+        super().__init__("search", kb, self.schema.rosa_action)
         self._senses = senses
 
     def update(self) -> Status:
@@ -42,8 +55,16 @@ class SearchPipeline(RosaAction):
 class InspectPipeline(RosaAction):
     """Follow the pipeline until all of it is inspected."""
 
+    schema: ClassVar = ActionSchema(
+        "inspect_pipeline",
+        parameters=("?p - pipeline", "?r - robot"),
+        start=("(pipeline_found ?p)",),
+        end_effects=("(pipeline_inspected ?p)",),
+        duration_s=60,
+    )
+
     def __init__(self, kb: KnowledgeBase, senses: Senses) -> None:
-        super().__init__("inspect", kb, "inspect_pipeline")
+        super().__init__("inspect", kb, self.schema.rosa_action)
         self._senses = senses
 
     def update(self) -> Status:

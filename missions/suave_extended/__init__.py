@@ -1,10 +1,9 @@
 """Extended SUAVE: as SUAVE, and the battery drops to a critical level, so that the task has to change too."""
 
-from pathlib import Path
-
 from missions.mission import Mission
+from missions.planning.declared import by_schema
 from missions.sea import SEA
-from missions.suave.actions import InspectPipeline, SearchPipeline, facts
+from missions.suave.actions import PROBLEM, InspectPipeline, SearchPipeline, facts
 from missions.suave_extended.actions import Recharge
 from missions.suave_extended.model import suave_extended_model
 from missions.suave_extended.tree import suave_extended_tree
@@ -16,9 +15,8 @@ MISSION = Mission(
     summary="as suave, and the battery drops: give up the task, recharge, carry on",
     model=suave_extended_model,
     tree=suave_extended_tree,
-    domain=Path(__file__).with_name("domain.pddl"),
-    problem=Path(__file__).with_name("problem.pddl"),
-    actions={"search_pipeline": SearchPipeline, "inspect_pipeline": InspectPipeline, "recharge": Recharge},
+    problem=PROBLEM,
+    actions=by_schema(SearchPipeline, InspectPipeline, Recharge),
     facts=facts,
     world=SEA,
 )

@@ -1,10 +1,13 @@
 """What the extended mission does besides searching and inspecting."""
 
+from typing import ClassVar
+
 from py_trees.common import Status
 
 from kb import KnowledgeBase
 from missions.senses import Senses
 from rosa_bt import RosaAction
+from rosa_pddl.generation import ActionSchema
 
 __all__ = ["Recharge"]
 
@@ -12,8 +15,16 @@ __all__ = ["Recharge"]
 class Recharge(RosaAction):
     """Go to the station and recharge; finished at the first recharge after it was begun."""
 
+    schema: ClassVar = ActionSchema(
+        "recharge",
+        parameters=("?r - robot",),
+        end_effects=("(recharged ?r)",),
+        duration_s=30,
+        hopes=("search_pipeline", "inspect_pipeline"),
+    )
+
     def __init__(self, kb: KnowledgeBase, senses: Senses) -> None:
-        super().__init__("recharge", kb, "recharge")
+        super().__init__("recharge", kb, self.schema.rosa_action)
         self._senses = senses
         self._before = 0
 

@@ -1,16 +1,20 @@
 """What an author gets wrong in a mission is said in one message that names it, what exists and what to do."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy
 import pytest
 from py_trees.behaviours import Running
 from running import run_mission
 
-from missions import cli, registry, runner, task
+from missions import cli, registry, runner, suave_extended, task
 from missions.registry import MISSIONS
 from rosa_bt import IsActionFeasible, RosaAction
 from rosa_pddl import Planner
+
+WRITTEN = Path(suave_extended.__file__).parent
+DOMAIN, PROBLEM = WRITTEN / "domain.pddl", WRITTEN / "problem.pddl"
 
 
 @pytest.fixture
@@ -18,7 +22,8 @@ def altered(monkeypatch):
     """Put a mission into the registry that differs from the extended one; returns how to run it by command line."""
 
     def alter(**changes):
-        mission = dataclasses.replace(MISSIONS["suave_extended"], name="altered", **changes)
+        files = {"domain": DOMAIN, "problem": PROBLEM}
+        mission = dataclasses.replace(MISSIONS["suave_extended"], name="altered", **(files | changes))
         monkeypatch.setattr(registry, "MISSIONS", {"altered": mission})
 
     return alter
@@ -41,10 +46,9 @@ def test_action_in_the_tree_that_the_model_does_not_know_names_the_nearest(alter
 
 
 def test_action_in_the_domain_that_the_model_does_not_know_names_the_nearest(altered, monkeypatch, capsys, tmp_path):
-    mission = MISSIONS["suave_extended"]
     problem = tmp_path / "problem.pddl"
     problem.write_text(
-        mission.problem.read_text()
+        PROBLEM.read_text()
         .replace("search_pipeline inspect", "serch_pipeline inspect")
         .replace("action search_pipeline)", "action serch_pipeline)")
     )
@@ -68,7 +72,7 @@ def test_action_in_the_domain_that_the_model_does_not_know_names_the_nearest(alt
 )
 def test_malformed_domain_names_file_and_what_was_expected(altered, monkeypatch, capsys, tmp_path, broken, message):
     domain = tmp_path / "domain.pddl"
-    domain.write_text(broken(MISSIONS["suave_extended"].domain.read_text()))
+    domain.write_text(broken(DOMAIN.read_text()))
     altered(domain=domain)
     code, _, err = run_altered(monkeypatch, capsys, "--task", "pddl")
     assert code == 2
@@ -78,7 +82,7 @@ def test_malformed_domain_names_file_and_what_was_expected(altered, monkeypatch,
 
 def test_problem_of_another_domain_is_refused(altered, monkeypatch, capsys, tmp_path):
     problem = tmp_path / "problem.pddl"
-    text = MISSIONS["suave_extended"].problem.read_text()
+    text = PROBLEM.read_text()
     problem.write_text(text.replace("(:domain suave_extended)", "(:domain sea)"))
     altered(problem=problem)
     code, _, err = run_altered(monkeypatch, capsys, "--task", "pddl")
@@ -132,7 +136,7 @@ def test_exception_in_an_action_is_told_with_the_verdict(monkeypatch, capsys, al
 
 def test_mission_without_a_plan_says_so(monkeypatch, capsys, altered, tmp_path):
     problem = tmp_path / "problem.pddl"
-    text = MISSIONS["suave_extended"].problem.read_text()
+    text = PROBLEM.read_text()
     problem.write_text(text.replace("(inspect_pipeline_action inspect_pipeline)", ""))
     altered(problem=problem)
     code, out, _ = run_altered(monkeypatch, capsys, "--task", "pddl", "--set", "duration_s=5")

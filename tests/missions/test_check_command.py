@@ -13,6 +13,7 @@ from missions import cli, registry
 from missions.checking import judge
 from missions.mission import MissionError
 from missions.names import names_in_pddl, names_in_tree
+from missions.planning.declared import planned_names
 from missions.registry import MISSIONS
 from rosa_bt import IsActionFeasible
 from rosa_pddl import PddlError
@@ -105,7 +106,7 @@ def test_names_of_the_own_missions_are_found_in_tree_and_domain():
     mission = MISSIONS["suave_extended"]
     model = mission.model()
     in_tree = names_in_tree(mission.tree, model, "the tree")
-    in_pddl = names_in_pddl([mission.domain, mission.problem])
+    in_pddl = planned_names(mission)
     assert set(in_tree.places) == set(in_pddl.places) == set(model.actions)
     assert in_tree.complete
     assert in_tree.places["recharge"] == (

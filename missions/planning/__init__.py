@@ -1,0 +1,1 @@
+"""Task plans of missions: domains made of declared actions, plans asked for by hand, plans as trees and pictures."""

@@ -1,0 +1,89 @@
+"""The domain that a mission's planned task layer works with: from files, or made of what its actions declare."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from py_trees.behaviour import Behaviour
+
+from kb import KnowledgeBase
+from missions.mission import Mission, MissionError
+from missions.names import Names, names_in_pddl
+from missions.senses import Senses
+from rosa_pddl import Domain, load_domain
+from rosa_pddl.generation import ActionSchema, Declarations, DeclaredProblem
+
+__all__ = ["by_schema", "declarations_of", "mission_domain", "planned_names", "schema_of"]
+
+Action = Callable[[KnowledgeBase, Senses], Behaviour]
+
+
+def by_schema(*actions: Action) -> Mapping[str, Action]:
+    """Return actions by the names that their schemas give them, for `Mission(actions=...)`.
+
+    Raises:
+        MissionError: one declares no schema, or two declare the same name.
+    """
+    named: dict[str, Action] = {}
+    for action in actions:
+        schema: Any = getattr(action, "schema", None)
+        name = schema.name if isinstance(schema, ActionSchema) else getattr(action, "__name__", repr(action))
+        schema_of(name, action)
+        if named.setdefault(name, action) is not action:
+            raise MissionError(f"two actions declare the schema {name!r}; give each its own name")
+    return named
+
+
+def schema_of(name: str, action: Action) -> ActionSchema:
+    """Return what an action declares.
+
+    Raises:
+        MissionError: it declares nothing, or is listed under another name.
+    """
+    schema: Any = getattr(action, "schema", None)
+    title = getattr(action, "__name__", repr(action))
+    if not isinstance(schema, ActionSchema):
+        told = f"write schema = ActionSchema({name!r}, ...) in it, or give the mission a domain file"
+        raise MissionError(f"the action {title} declares no schema; {told}")
+    if schema.name != name:
+        raise MissionError(f"the action {title} is listed as {name!r}, but declares {schema.name!r}")
+    return schema
+
+
+def declarations_of(mission: Mission) -> Declarations | None:
+    """Return what the PDDL of a mission is made of; None if it has files, or nothing to plan with.
+
+    Raises:
+        MissionError, rosa_pddl.PddlError: an action declares nothing, or what has no meaning.
+    """
+    if mission.domain is not None or not isinstance(mission.problem, DeclaredProblem):
+        return None
+    schemas = [schema_of(name, action) for name, action in mission.actions.items()]
+    return Declarations(mission.name, schemas, mission.problem)
+
+
+def mission_domain(mission: Mission) -> Domain:
+    """Return the domain and problem of a mission.
+
+    Raises:
+        MissionError: it has neither files nor declarations, or only one of two files.
+        rosa_pddl.PddlError: they cannot be read.
+    """
+    declared = declarations_of(mission)
+    if declared is not None:
+        return declared.load()
+    if mission.domain is None or mission.problem is None:
+        raise MissionError(f"mission {mission.name} has no PDDL domain and problem; run it with --task bt")
+    if isinstance(mission.problem, DeclaredProblem):
+        raise MissionError(f"mission {mission.name} has a domain file but a declared problem; give both as files")
+    return load_domain(mission.domain, mission.problem)
+
+
+def planned_names(mission: Mission) -> Names | None:
+    """Return the ROSA actions that the planned task layer of a mission is about; None if it has none."""
+    declared = declarations_of(mission)
+    if declared is not None:
+        place = f"the schemas of {mission.name}"
+        return Names(dict.fromkeys(declared.rosa_actions, (place,)))
+    files = [path for path in (mission.domain, mission.problem) if path is not None]
+    paths = [path for path in files if not isinstance(path, DeclaredProblem)]
+    return names_in_pddl(paths) if paths else None
