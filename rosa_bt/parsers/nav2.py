@@ -159,18 +159,18 @@ class GoalUpdatedController(OneChild):
     """The child at its start, while it is running, and when `goal` or `goals` has changed."""
 
     PORTS: ClassVar = {name: PortInformation(object, required=False) for name in ("goal", "goals")}
-    _seen: object = None
+    _known_goals: object = None
     _is_due = True
 
     def initialise(self) -> None:
         """Tick the child at once."""
-        self._is_due, self._seen = True, self._goals()
+        self._is_due, self._known_goals = True, self._goals()
 
     def decide(self) -> Ticking:
         """Tick the child if it is its turn."""
         goals = self._goals()
-        if goals != self._seen:
-            self._is_due, self._seen = True, goals
+        if goals != self._known_goals:
+            self._is_due, self._known_goals = True, goals
         if not (self._is_due or self.child.status is RUNNING):
             return RUNNING
         self._is_due = False

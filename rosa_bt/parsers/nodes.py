@@ -20,7 +20,7 @@ from rosa_bt.parsers.blackboard import Blackboard
 from rosa_bt.parsers.ports import Declared, Ports
 from rosa_bt.parsers.scripts import Script, truth
 
-__all__ = ["DONE", "Branch", "Control", "NodeError", "OneChild", "Rules", "Slot", "Source", "Ticking", "XmlNode"]
+__all__ = ["Branch", "Control", "DONE", "NodeError", "OneChild", "Rules", "Slot", "Source", "Ticking", "XmlNode"]
 
 DONE: Final = (Status.SUCCESS, Status.FAILURE)
 
@@ -101,31 +101,29 @@ class Slot:
 
     def tick(self) -> Ticking:
         """Tick the child; INVALID if it was skipped."""
-        verdict = self.rules.judge(self.status) if self.rules else None
-        if verdict is None:
-            yield from self._ticks()
-            verdict = self.status if self.node.status is not Status.INVALID else Status.INVALID
-        else:
-            self.reset()
-            self.node.status = self.status = verdict
-            yield self.node
-        if self.rules and verdict in DONE:
-            self.rules.follow("_onSuccess" if verdict is Status.SUCCESS else "_onFailure", "_post")
-        return verdict
-
-    def _ticks(self) -> Iterator[Behaviour]:
         node = self.node
-        if isinstance(node, XmlNode):
+        verdict = self.rules.judge(self.status) if self.rules else None
+        if verdict is not None:
+            self.reset()
+            node.status = self.status = verdict
+            yield node
+        elif isinstance(node, XmlNode):
             if self.status is Status.INVALID:
                 node.initialise()
             if node.runs:
                 self.status = Status.RUNNING
             yield from node.tick()
-            if node.status is not Status.INVALID:  # one that was skipped stays as it is until it is reset
-                self.status = node.status
+            verdict = node.status
+            if verdict is not Status.INVALID:  # one that was skipped stays as it is until it is reset
+                self.status = verdict
         elif self.is_condition or self.status not in DONE:
             yield from node.tick()
-            self.status = node.status
+            verdict = self.status = node.status
+        else:
+            verdict = self.status
+        if self.rules and verdict in DONE:
+            self.rules.follow("_onSuccess" if verdict is Status.SUCCESS else "_onFailure", "_post")
+        return verdict
 
     def reset(self) -> None:
         """Make the child idle; halt it if it is running."""
@@ -152,13 +150,15 @@ class XmlNode(Behaviour):
 
     ports: Ports
     _slots: list[Slot]
+    _seen: list[Behaviour]
 
     @property
     def slots(self) -> list[Slot]:
         """Return the places of the children; a behaviour that came later gets one of its own."""
-        if [slot.node for slot in self._slots] != self.children:
+        if self._seen != self.children:
             known = {slot.node: slot for slot in self._slots}
             self._slots = [known.get(child) or Slot(child, is_condition=is_plain(child)) for child in self.children]
+            self._seen = list(self.children)
         return self._slots
 
     @property
@@ -213,6 +213,7 @@ class Control(XmlNode, Composite):
     def __init__(self, name: str, slots: Sequence[Slot], ports: Ports) -> None:
         Composite.__init__(self, name, [slot.node for slot in slots])
         self._slots = list(slots)
+        self._seen = list(self.children)
         self.ports = ports
 
 
@@ -230,6 +231,7 @@ class OneChild(XmlNode, Decorator):
     def __init__(self, name: str, slots: Sequence[Slot], ports: Ports) -> None:
         Decorator.__init__(self, name, slots[0].node)
         self._slots = list(slots)
+        self._seen = list(self.children)
         self.ports = ports
 
     @property

@@ -7,7 +7,7 @@ from typing import Final, Protocol, cast
 
 from rosa_bt.parsers.exceptions import XmlError, hint
 
-__all__ = ["MAX_DEPTH", "MAX_SIZE", "Document", "Element", "read_document"]
+__all__ = ["Document", "Element", "MAX_DEPTH", "MAX_SIZE", "read_document"]
 
 MAX_SIZE: Final = 1_000_000
 """Of one file or text [bytes]."""

@@ -12,7 +12,7 @@ from rosa_bt.parsers.nodes import DONE, Branch, OneChild, Slot, Ticking
 from rosa_bt.parsers.reading import Element
 from rosa_bt.parsers.scripts import Script, truth
 
-__all__ = ["DECORATORS", "Clock", "Precondition", "SubTree", "Timed"]
+__all__ = ["Clock", "DECORATORS", "Precondition", "SubTree", "Timed"]
 
 SUCCESS: Final = Status.SUCCESS
 FAILURE: Final = Status.FAILURE

@@ -178,7 +178,7 @@ def test_runner_does_what_ticking_by_hand_does(file):
 
 @given(files(), st.sampled_from(["initialise", "update", "terminate"]), st.integers(1, 5))
 def test_leaf_that_raises_ends_alone_and_the_tree_goes_on(file, hook, at):
-    tree, said, clock = loaded(file)
+    tree, _, clock = loaded(file)
     count = 0
 
     def burst(*_):
