@@ -276,7 +276,8 @@ class RecoverThrusters(Component):
 class Recharge(Component):
     """Drives to the recharge station and recharges the battery there.
 
-    Every 5 s it sends the station as setpoint and recharges if it is within 0.5 m in x and in y.
+    Every 5 s it sends the station as setpoint and recharges if it is within 0.5 m in x and in y. By later rules it looks
+    twice a second, and sends the setpoint once, since each one sent begins the move anew.
 
     Args:
         settings: Constants.
@@ -291,6 +292,11 @@ class Recharge(Component):
         self._settings = settings
         self._autopilot = autopilot
         self._recharge = recharge
+        self._is_sent = False
+
+    def activated(self, time: float) -> None:
+        """Begin a drive to the station."""
+        self._is_sent = False
 
     def tick(self, time: float) -> None:
         """Send the station as setpoint, and recharge if the vehicle is there."""
@@ -298,7 +304,9 @@ class Recharge(Component):
         if not self.active or time < settings.start_delay_s:
             return
         station = (settings.station_x_m, settings.station_y_m, SEABED_Z_M + settings.transit_altitude_m)
-        self._autopilot.go_to(station, time)
+        if not self._is_sent or settings.recharge_resends:
+            self._autopilot.go_to(station, time)
+            self._is_sent = True
         x, y, _ = self._autopilot.position
         if max(abs(x - station[0]), abs(y - station[1])) <= settings.recharge_tolerance_m:
             self._recharge(time)

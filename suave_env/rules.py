@@ -25,6 +25,7 @@ RULES: Mapping[str, Mapping[str, float | bool | str]] = MappingProxyType(
                 "thruster_told_twice": True,
                 "recovery_interruptible": True,
                 "recharge_period_s": 0.5,
+                "recharge_resends": False,
                 "spiral_restarts": True,
                 "follow_loses_point": False,
                 "mission_period_s": 0.1,

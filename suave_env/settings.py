@@ -162,6 +162,7 @@ class Settings:
     discharge_time_s: float = _setting(200.0, "s", "time in which a full battery is empty", _EXPERIMENT, 1)
     battery_period_s: float = _setting(1.0, "s", "period of the battery and its monitor", _SUAVE, 0.05)
     recharge_period_s: float = _setting(5.0, "s", "period of the recharge node (later: 0.5)", _SUAVE, 0.05)
+    recharge_resends: bool = _setting(True, "-", "each tick sends the station again (later: false)", _SUAVE)
     recharge_tolerance_m: float = _setting(
         0.5, "m", "distance in x and in y at which the station is reached", _SUAVE, 0
     )

@@ -279,3 +279,14 @@ def test_battery_is_recharged_only_at_the_station():
     pilot.position = (-2.51, -2.49, -15.0)
     node.tick(10.0)
     assert recharged == [10.0]
+
+
+@pytest.mark.parametrize(("resends", "sent"), [(True, 3), (False, 1)])
+def test_the_station_is_sent_at_each_tick_or_once_for_each_drive(resends, sent):
+    pilot = Pilot(position=(-30.0, 0.0, -18.75))
+    node = Recharge(PROMPT.replace(recharge_resends=resends), pilot, lambda time: None)
+    for drives in (1, 2):
+        start(node)
+        for time in range(3):
+            node.tick(float(time))
+        assert len(pilot.sent) == drives * sent

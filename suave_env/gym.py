@@ -1,0 +1,126 @@
+"""The sea as a Gymnasium environment, for managers that learn; importing this registers `rosa/SUAVE-v0`.
+
+Needs the extra `gym` (`pip install rosa-taca[gym]`).
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from suave_env.env import SuaveEnv
+from suave_env.messages import Message
+from suave_env.settings import Settings
+from suave_env.thrusters import COUNT
+
+__all__ = ["ALTITUDES_M", "COMPONENTS", "OBSERVED", "SuaveGym"]
+
+COMPONENTS = ("spiral_search", "follow_pipeline", "recover_thrusters", "recharge")
+"""The components, in the order of the action."""
+
+ALTITUDES_M = (1.0, 2.0, 3.0)
+"""The altitudes of the spiral search [m] that the last part of an action chooses from."""
+
+OBSERVED = (
+    "water_visibility",
+    "battery_level",
+    *(f"c_thruster_{number}" for number in range(1, COUNT + 1)),
+    "pipeline_found",
+)
+"""What the parts of an observation are."""
+
+_UNTOLD = (0.0, 1.0, *[1.0] * COUNT, 0.0)
+_WORDS = {"FALSE": 0.0, "ERROR": 0.0, "RECOVERED": 1.0, "OK": 1.0, "true": 1.0}
+
+
+class SuaveGym(gymnasium.Env[NDArray[np.float32], NDArray[np.int64]]):
+    """The mission of SUAVE, one action per step of simulated time.
+
+    Observation, (9,): what the monitors told last (`OBSERVED`): visibility [m], 0 before the first; battery level from
+    0 to 1; for each thruster 1 if it works and 0 if it has failed; 1 once the pipeline is found.
+    Action, (5,): for each of `COMPONENTS` 1 if it shall be active and 0 if not, then an index into `ALTITUDES_M`.
+    Reward: metres of the pipeline inspected in the step, without SUAVE's reset. An episode is terminated when all of it
+    is inspected, and truncated when the time is up.
+
+    Args:
+        duration_s: Time limit of an episode [s].
+        step_s: Simulated time of one step [s].
+        settings: What differs from the default settings of the sea, by name, e.g. {"rules": "2025"}.
+
+    Raises:
+        SuaveEnvError: If a setting is unknown or its value not allowed.
+    """
+
+    metadata = {"render_modes": []}  # noqa: RUF012  # Gymnasium wants a plain dictionary
+
+    def __init__(
+        self,
+        duration_s: float = 300.0,
+        step_s: float = 1.0,
+        settings: Mapping[str, float | int | bool | str] | None = None,
+    ) -> None:
+        self._settings = Settings().replace(**(settings or {}))
+        most = np.array([self._settings.visibility_max_m, *[1.0] * (len(OBSERVED) - 1)], dtype=np.float32)
+        self.observation_space = spaces.Box(np.zeros_like(most), most, dtype=np.float32)
+        self.action_space = spaces.MultiDiscrete([2] * len(COMPONENTS) + [len(ALTITUDES_M)])
+        self._duration_s, self._step_s = duration_s, step_s
+        self._env: SuaveEnv | None = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Begin an episode; the same seed gives the same one. There are no options."""
+        super().reset(seed=seed)
+        self.close()
+        self._env = SuaveEnv(self._settings, self.np_random)
+        self._told = dict(zip(OBSERVED, _UNTOLD, strict=True))
+        self._wanted: tuple[int, ...] = (0,) * len(COMPONENTS)
+        self._altitude_m = self._settings.spiral_altitude_m
+        self._inspected_m, self._done = 0.0, False
+        return self._observation(), self._info(self._env)
+
+    def step(self, action: NDArray[np.int64]) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        """Switch what the action changes, and let a step of time pass."""
+        if self._env is None:
+            raise gymnasium.error.ResetNeeded("call reset() before step()")
+        self._switch(self._env, [int(part) for part in action])
+        self._hear(self._env.advance(min(self._env.now + self._step_s, self._duration_s)))
+        before, self._inspected_m = self._inspected_m, self._env.metrics.total_inspected_m
+        is_late = self._env.now >= self._duration_s
+        return self._observation(), self._inspected_m - before, self._done, is_late, self._info(self._env)
+
+    def close(self) -> None:
+        """End the episode."""
+        if self._env is not None:
+            self._env.close()
+
+    def _switch(self, env: SuaveEnv, action: list[int]) -> None:
+        *wanted, altitude = action
+        if ALTITUDES_M[altitude] != self._altitude_m:
+            self._altitude_m = ALTITUDES_M[altitude]
+            env.managed.set_parameters("spiral_search", {"spiral_altitude": self._altitude_m})
+        for name, before, after in zip(COMPONENTS, self._wanted, wanted, strict=True):
+            if before != after:
+                (env.managed.activate if after else env.managed.deactivate)(name)
+        self._wanted = tuple(wanted)
+
+    def _hear(self, messages: list[Message]) -> None:
+        for message in messages:
+            for status in message["status"]:
+                for key, value in status["values"].items():
+                    if key in self._told:
+                        self._told[key] = _WORDS[value] if value in _WORDS else float(value)
+                    self._done = self._done or key == "pipeline_inspected"
+
+    def _observation(self) -> NDArray[np.float32]:
+        return np.array([self._told[name] for name in OBSERVED], dtype=np.float32)
+
+    def _info(self, env: SuaveEnv) -> dict[str, Any]:
+        return {"time_s": env.now, "search_time_s": env.metrics.search_time_s}
+
+
+if "rosa/SUAVE-v0" not in gymnasium.registry:
+    gymnasium.register("rosa/SUAVE-v0", entry_point="suave_env.gym:SuaveGym")
