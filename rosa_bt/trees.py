@@ -37,6 +37,7 @@ class GuardedTree(BehaviourTree):
         super().__init__(root)
         self._lock = Lock()
         self._guarded: dict[Behaviour, Callable[[], None]] = {}
+        self._guard()
 
     def tick(self, pre_tick_handler: Handler | None = None, post_tick_handler: Handler | None = None) -> None:
         """Tick once; handlers and visitors as in py_trees.

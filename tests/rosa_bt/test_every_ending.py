@@ -16,6 +16,7 @@ from rosa_bt import (
     ForAction,
     IsActionFeasible,
     RosaAction,
+    TraceVisitor,
     TreeChangeError,
     TreeRunner,
     do_until_unfeasible,
@@ -195,6 +196,8 @@ def test_no_request_is_open_or_released_twice_and_nothing_runs_whatever_happened
     cancel = kb.cancel_action
     kb.cancel_action = lambda action, *how: (released.append(action), cancel(action, *how))
     runner = TreeRunner(plan.build(kb), clock=lambda: 0.0)
+    visitor = TraceVisitor(kb)
+    runner.tree.add_visitor(visitor)
     taken_out = []
     for what, number in happenings:
         taken_out += happen(what, number, kb, runner, spare)
@@ -204,12 +207,15 @@ def test_no_request_is_open_or_released_twice_and_nothing_runs_whatever_happened
         for node in nodes:
             if node.status is Status.RUNNING and node is not runner.tree.root:
                 assert node.parent.status is Status.RUNNING, f"{node.name} runs, {node.parent.name} does not"
+        shown = visitor.trace.ticks[-1]
+        assert [shown.tree[visit.node].name for visit in shown.visited][-1] == runner.tree.root.name
         held = {node.action for node in nodes if is_holding(node)}
         assert {one.action for one in kb.required_actions} == held
         assert "new" not in {node.name for node in nodes}, "it was added in the middle of a tick"
     runner.shutdown()
     assert kb.required_actions == ()
     assert len(released) == len(kb.action_history)
+    assert len(visitor.trace.ticks) == len(happenings)
     left = [*runner.tree.root.iterate(), *(node for subtree in taken_out for node in subtree.iterate())]
     assert all(node.status is not Status.RUNNING for node in left)
     assert not any("tick" in vars(node) for node in left), "guards are taken away with the tree"

@@ -1,5 +1,7 @@
 """A runner ticks in the time of a clock that is handed in, and leaves nothing running."""
 
+from threading import Thread
+
 import pytest
 from py_trees.behaviour import Behaviour
 from py_trees.common import ParallelPolicy, Status
@@ -269,3 +271,22 @@ def test_composite_without_children_takes_none_in_the_middle_of_a_tick_either():
         runner.update()
     assert empty.children == []
     assert not runner.update(), "the tick that was refused is over all the same"
+
+
+def test_changes_may_be_asked_for_by_several_threads_while_the_tree_is_ticked():
+    root = Parallel("root", policy=ParallelPolicy.SuccessOnAll(), children=[Probe("first")])
+    runner = TreeRunner(root, clock=lambda: 0.0)
+    answers = []
+
+    def ask():
+        for number in range(50):
+            answers.append(runner.insert(Probe(f"probe {number}"), root, 0))
+
+    threads = [Thread(target=ask) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    while any(thread.is_alive() for thread in threads):
+        runner.tick()
+    runner.tick()
+    assert all(answer.result(0) is None for answer in answers)
+    assert len(root.children) == 201
