@@ -144,6 +144,8 @@ def _include(document: Document, element: Element, folder: Path, chain: list[Pat
         raise XmlError(element.where, f"files include each other: {circle}")
     if path in seen:
         return
+    if len(chain) > MAX_DEPTH:
+        raise XmlError(element.where, f"more than {MAX_DEPTH} files include each other in a row")
     seen.add(path)
     root = _read(path, element.where)
     _collect(document, root, path.parent, [*chain, path], seen)

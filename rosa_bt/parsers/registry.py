@@ -3,12 +3,12 @@
 import inspect
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, Final, Literal, get_type_hints
+from typing import Any, Final, Literal, TypeVar, get_type_hints, overload
 
 from py_trees.behaviour import Behaviour
 from py_trees.ports import PortInformation, PortsMixin
 
-from rosa_bt.behaviours import IsActionFeasible
+from rosa_bt.behaviours import HasStatus, IsActionFeasible, Measurement, WaitForArchitecture
 from rosa_bt.parsers.controls import CONTROLS
 from rosa_bt.parsers.exceptions import RegistryError
 from rosa_bt.parsers.leaves import LEAVES
@@ -19,11 +19,13 @@ from rosa_bt.parsers.wrappers import DECORATORS
 __all__ = ["BUILT_IN", "BehaviourRegistry", "Entry", "Kind"]
 
 Factory = Callable[..., Behaviour]
+F = TypeVar("F", bound=Factory)
 Kind = Literal["action", "condition"]
 
 _FORMS: Final = ("Action", "BehaviorTree", "Condition", "Control", "Decorator", "SubTree", "root")
 BUILT_IN: Final = frozenset({*CONTROLS, *DECORATORS, *LEAVES, *_FORMS})
 """Names that have their meaning already."""
+_OUR_LEAVES: Final = (HasStatus, IsActionFeasible, Measurement, WaitForArchitecture)
 _ROLES: Final = frozenset({"name", "child", "children", "behaviour_class_name"})
 """Parameters that no attribute is meant for."""
 _VARIOUS: Final = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
@@ -103,7 +105,8 @@ class BehaviourRegistry:
 
     Args:
         bound: arguments for every factory that has a parameter of that name, e.g. `kb=kb`. With a `kb`,
-            `IsActionFeasible` is registered, and the clock of the knowledge base is that of the trees.
+            IsActionFeasible, HasStatus, Measurement and WaitForArchitecture are there already, and the clock of the
+            knowledge base is that of the trees.
 
     Example:
         ```
@@ -115,12 +118,18 @@ class BehaviourRegistry:
     """
 
     def __init__(self, **bound: Any) -> None:  # noqa: ANN401  # whatever the user's behaviours need
-        self._entries: dict[str, Entry] = {}
         self.bound: Final = dict(bound)
-        if "kb" in bound:
-            self.register("IsActionFeasible", IsActionFeasible)
+        own = _OUR_LEAVES if "kb" in bound else ()
+        self._entries = {leaf.__name__: Entry(leaf, None, self.bound) for leaf in own}
+        self._given: set[str] = set()
 
-    def register(self, name: str, factory: Factory | None = None, *, kind: Kind | None = None) -> Any:  # noqa: ANN401  # the factory, or a decorator
+    @overload
+    def register(self, name: str, *, kind: Kind | None = None) -> Callable[[F], F]: ...
+
+    @overload
+    def register(self, name: str, factory: F, *, kind: Kind | None = None) -> F: ...
+
+    def register(self, name: str, factory: Factory | None = None, *, kind: Kind | None = None) -> object:
         """Register a class of behaviours, or a function that makes one; also as a decorator.
 
         Parameters that are called `name`, `child` and `children` get what the file says; every other parameter, and
@@ -143,12 +152,13 @@ class BehaviourRegistry:
             return lambda given: self.register(name, given, kind=kind)
         if name in BUILT_IN:
             raise RegistryError(f"{name!r} is a node of BehaviorTree.CPP itself; choose another name")
-        if name in self._entries:
+        if name in self._given:
             raise RegistryError(f"{name!r} is registered already; choose another name, or make another registry")
         if not callable(factory):
             raise RegistryError(f"{name!r} is a class of behaviours or a function that makes one, not {factory!r}")
         if kind not in (None, "action", "condition"):
             raise RegistryError(f"a leaf is an 'action' or a 'condition', not {kind!r}")
+        self._given.add(name)
         self._entries[name] = Entry(factory, kind, self.bound)
         return factory
 

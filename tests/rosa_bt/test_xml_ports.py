@@ -1,12 +1,14 @@
 """Ports, blackboards and the registry: what leaves are told, and what they tell each other."""
 
+from itertools import cycle
+
 import pytest
 from py_trees.behaviour import Behaviour
 from py_trees.blackboard import Blackboard as ProcessBlackboard
 from py_trees.common import Status
 from py_trees.decorators import Decorator
 from py_trees.ports import PortInformation, PortsMixin
-from xml_leaves import registry_of, trace, wrapped
+from xml_leaves import Action, Condition, registry_of, trace, wrapped
 
 from kb import KnowledgeBase, Model
 from rosa_bt import BehaviourRegistry, IsActionFeasible, RosaAction, TreeRunner, XmlError, load_xml
@@ -337,3 +339,66 @@ def test_times_are_those_of_the_knowledge_base_unless_a_clock_is_handed_in():
     now = 1.0
     tree.tick_once()
     assert tree.status is Status.SUCCESS
+
+
+def test_all_leaves_of_ours_can_be_written():
+    kb, registry = rover()
+    kb.measure("light", 0.7)
+    leaves = (
+        '<IsActionFeasible action="scan"/><HasStatus element="scan" status="feasible"/>'
+        '<Measurement attribute="light" operator=">=" value="0.6"/>'
+    )
+    tree = load_xml(wrapped(f'<Sequence>{leaves}<scan action="scan" wait="true" timeout="5"/></Sequence>'), registry)
+    tree.tick_once()
+    assert tree.status is Status.RUNNING
+    assert [one.action for one in kb.required_actions] == ["scan"]
+
+
+NAVIGATION = """
+<root BTCPP_format="4" main_tree_to_execute="Navigate">
+  <BehaviorTree ID="Navigate">
+    <RecoveryNode number_of_retries="6" name="recover">
+      <PipelineSequence name="with replanning">
+        <RateController hz="1.0">
+          <RecoveryNode number_of_retries="1" name="plan">
+            <ComputePath goal="{goal}" path="{path}" planner_id="grid"/>
+            <ClearMap name="clear global" service_name="global"/>
+          </RecoveryNode>
+        </RateController>
+        <FollowPath path="{path}" controller_id="local"/>
+      </PipelineSequence>
+      <ReactiveFallback name="or give up">
+        <GoalUpdated/>
+        <RoundRobin name="ways out">
+          <ClearMap name="clear local" service_name="local"/>
+          <Spin spin_dist="1.57"/>
+        </RoundRobin>
+      </ReactiveFallback>
+    </RecoveryNode>
+  </BehaviorTree>
+</root>
+"""
+
+
+def test_tree_in_the_style_of_nav2_plans_follows_and_recovers():
+    said, now = [], 0.0
+    scripts = {"ComputePath": "SSFFS", "ClearMap": "S", "FollowPath": "RRFR", "Spin": "S", "GoalUpdated": "F"}
+    registry = BehaviourRegistry()
+
+    def register(tag, kind, steps):
+        registry.register(tag, lambda name, **ports: kind(name, steps, said))
+
+    for tag, script in scripts.items():
+        register(tag, Condition if tag == "GoalUpdated" else Action, cycle(script))
+    tree = load_xml(NAVIGATION, registry, clock=lambda: now)
+    lines = []
+    for now in (0.0, 0.5, 1.0, 1.5):  # noqa: B007  # the clock of the tree reads it
+        lines += trace(tree.tick_once, tree, said, 1)
+    assert [line.removeprefix("0| ") for line in lines] == [
+        "ComputePath:s:S FollowPath:s:R => RUNNING",
+        "FollowPath:r:R => RUNNING",
+        "ComputePath:s:S FollowPath:r:F GoalUpdated:c:F clear local:s:S "
+        "ComputePath:s:F clear global:s:S ComputePath:s:F "
+        "GoalUpdated:c:F Spin:s:S ComputePath:s:S FollowPath:s:R => RUNNING",
+        "FollowPath:r:R => RUNNING",
+    ]

@@ -5,7 +5,7 @@ import re
 import pytest
 from xml_leaves import registry_of, trace, wrapped
 
-from rosa_bt import RosaBtError, XmlError, load_xml
+from rosa_bt import RosaBtError, TreeRunner, XmlError, export_xml, load_xml
 from rosa_bt.parsers.loading import MAX_NODES
 from rosa_bt.parsers.reading import MAX_DEPTH, MAX_SIZE
 
@@ -121,8 +121,9 @@ def test_trees_that_are_too_deep_together_are_refused():
 
 def test_deepest_tree_that_is_read_runs():
     tree = load(wrapped("<Inverter>" * (MAX_DEPTH - 1) + "<ok/>" + "</Inverter>" * (MAX_DEPTH - 1)))
-    tree.tick_once()
+    TreeRunner(tree, clock=lambda: 0.0).tick()
     assert tree.status.name == "FAILURE"
+    load(export_xml(tree))
 
 
 def test_script_that_is_nested_too_deep_is_refused():
