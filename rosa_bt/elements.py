@@ -13,11 +13,11 @@ StatusView = ActionView | FunctionView | ComponentView | DesignView | Configurat
 """The view of an element that has a status and a name."""
 
 _KINDS: Final[Mapping[type, str]] = {
-    ActionView: "action",
-    FunctionView: "function",
-    ComponentView: "component",
-    DesignView: "function design",
-    ConfigurationView: "configuration",
+    ActionView: "an action",
+    FunctionView: "a function",
+    ComponentView: "a component",
+    DesignView: "a function design",
+    ConfigurationView: "a configuration",
 }
 
 
@@ -31,7 +31,7 @@ def find_element(kb: KnowledgeBase, element: str | StatusView) -> StatusView:
     if not found:
         raise UnknownName("element", element, [name for table in tables for name in table])
     if len(found) > 1:
-        kinds = " and ".join(f"a {_KINDS[type(view)]}" for view in found)
+        kinds = " and ".join(_KINDS[type(view)] for view in found)
         raise AmbiguousName(f"{element!r} names {kinds}; pass the view that is meant, e.g. kb.actions[{element!r}]")
     return found[0]
 
@@ -39,8 +39,8 @@ def find_element(kb: KnowledgeBase, element: str | StatusView) -> StatusView:
 def status_of_kind(element: StatusView, status: str) -> Status:
     """Return a status by its word; raise unless an element of this kind can have it."""
     kind = _KINDS[type(element)]
-    for possible in STATUSES[kind]:
-        if possible == status:
-            return Status(possible)
-    known = ", ".join(repr(str(one)) for one in STATUSES[kind])
-    raise InvalidValue(f"a {kind} is never {status!r}; it can be {known}")
+    possible = STATUSES[kind.partition(" ")[2]]
+    if status in possible:
+        return Status(status)
+    known = ", ".join(repr(str(one)) for one in possible)
+    raise InvalidValue(f"{kind} is never {status!r}; it can be {known}")

@@ -152,7 +152,7 @@ def test_name_that_elements_of_two_kinds_share_needs_a_view():
     model.component("charge")
     model.action("charge")
     kb = KnowledgeBase(model, clock=lambda: 0.0)
-    with pytest.raises(AmbiguousName, match="names a action and a component"):
+    with pytest.raises(AmbiguousName, match="names an action and a component"):
         HasStatus("x", kb, "charge", "unfeasible")
     condition = HasStatus("x", kb, kb.components["charge"], "feasible")
     condition.tick_once()
