@@ -32,17 +32,22 @@ class PlanCache:
     def __len__(self) -> int:
         return len(self._results)
 
-    def get(self, problem: Problem) -> PlanningResult | None:
-        """Return the answer to a problem; None if it is not remembered."""
-        key = _key(problem)
+    def get(self, problem: Problem, found_with: object = None) -> PlanningResult | None:
+        """Return the answer to a problem; None if it is not remembered.
+
+        Args:
+            problem: what is asked.
+            found_with: what else the answer depends on.
+        """
+        key = _key(problem, found_with)
         with self._lock:
             if key in self._results:
                 self._results.move_to_end(key)
             return self._results.get(key)
 
-    def put(self, problem: Problem, result: PlanningResult) -> None:
+    def put(self, problem: Problem, result: PlanningResult, found_with: object = None) -> None:
         """Remember an answer, and forget what was not asked for the longest."""
-        key, weight = _key(problem), len(problem.state) + len(problem.costs) + 1
+        key, weight = _key(problem, found_with), len(problem.state) + len(problem.costs) + 1
         with self._lock:
             if key in self._results:
                 return
@@ -53,5 +58,5 @@ class PlanCache:
                 self._weight -= self._weights.pop(oldest)
 
 
-def _key(problem: Problem) -> _Key:
-    return problem.domain, problem.state, problem.wanted, frozenset(problem.costs.items())
+def _key(problem: Problem, found_with: object) -> _Key:
+    return found_with, problem.domain, problem.state, problem.wanted, frozenset(problem.costs.items())

@@ -17,7 +17,7 @@ from rosa_pddl.planning.outcomes import Outcome
 from rosa_pddl.planning.processes import Ended, Leash
 from rosa_pddl.planning.sas import SasTask, parse
 
-__all__ = ["SEARCHES", "Answer", "Trouble", "install_advice", "missing_part", "search", "translate"]
+__all__ = ["Answer", "SEARCHES", "Trouble", "install_advice", "missing_part", "search", "translate"]
 
 SEARCHES = ("fast-downward-opt", "fast-downward")
 """The engines that these two programs stand for: the best plan, and a plan."""

@@ -6,9 +6,11 @@ from concurrent.futures import Future
 from dataclasses import dataclass, field
 from itertools import product
 from math import prod
+from typing import TypeAlias
 from weakref import WeakKeyDictionary
 
 from rosa_pddl.domain import FEASIBLE, Domain, UpThing
+from rosa_pddl.exceptions import UnsupportedPddlError
 from rosa_pddl.planning.costs import Costs
 from rosa_pddl.planning.downward import Trouble, translate
 from rosa_pddl.planning.grounded import Grounded
@@ -17,7 +19,10 @@ from rosa_pddl.planning.processes import Cut, Leash
 from rosa_pddl.planning.writing import written_domain, written_problem
 from rosa_pddl.problem import Problem
 
-__all__ = ["Groundings", "instantaneous", "lock_of", "translated"]
+__all__ = ["Grounding", "Groundings", "instantaneous", "lock_of", "translated"]
+
+Grounding: TypeAlias = Future[Grounded | Trouble]
+"""The translated task, or why there is none: a value, as an exception that many raise would keep their frames."""
 
 # Beyond this many, only the atoms of a predicate that held or were told of are kept alive.
 _MOST_ATOMS = 5000
@@ -86,7 +91,7 @@ def translated(
 class _Ground:
     base: Problem
     changing: frozenset[str]
-    future: "Future[Grounded]" = field(default_factory=Future)
+    future: Grounding = field(default_factory=Future)
 
 
 class Groundings:
@@ -109,7 +114,7 @@ class Groundings:
         self._leashes: set[Leash] = set()
         self._lock = threading.Lock()
 
-    def ask(self, problem: Problem, changing: Iterable[str] = ()) -> "Future[Grounded]":
+    def ask(self, problem: Problem, changing: Iterable[str] = ()) -> Grounding:
         """Begin to translate if that is needed, without waiting.
 
         Args:
@@ -147,10 +152,14 @@ class Groundings:
         try:
             alive = _alive(ground.base, ground.changing)
             ground.future.set_result(translated(ground.base, alive, leash, self._limit_s, self._memory_bytes))
+        except Trouble as trouble:
+            ground.future.set_result(trouble)
+        except UnsupportedPddlError as error:
+            ground.future.set_result(Trouble(Outcome.UNSUPPORTED, str(error)))
         except Cut:
-            ground.future.set_exception(Trouble(Outcome.OUT_OF_TIME, "the planner was closed"))
+            ground.future.set_result(Trouble(Outcome.ENGINE_CRASHED, "the planner was closed"))
         except Exception as error:  # whatever it is, it belongs to those who wait for the task
-            ground.future.set_exception(error)
+            ground.future.set_result(Trouble(Outcome.ENGINE_CRASHED, f"{type(error).__name__}: {error}"))
         finally:
             self._leashes.discard(leash)
 

@@ -10,8 +10,7 @@ from rosa_pddl.exceptions import PlannerSettingError, UnknownNameError, nearest
 from rosa_pddl.planning.cache import PlanCache
 from rosa_pddl.planning.downward import SEARCHES
 from rosa_pddl.planning.engines import missing
-from rosa_pddl.planning.grounded import Grounded
-from rosa_pddl.planning.grounding import Groundings
+from rosa_pddl.planning.grounding import Grounding, Groundings
 from rosa_pddl.planning.outcomes import Attempt, Outcome, PlanningResult
 from rosa_pddl.planning.processes import Cut, Leash
 from rosa_pddl.planning.trial import Settings, Trial
@@ -125,7 +124,7 @@ class Planner:
         for leash in tuple(self._leashes):
             leash.cut()
 
-    def _ask(self, problem: Problem) -> "Future[Grounded] | None":
+    def _ask(self, problem: Problem) -> Grounding | None:
         if "warm" not in self._settings.ways or self.missing(problem.domain) is not None:
             return None
         return self._groundings.ask(problem)
@@ -145,9 +144,10 @@ class Planner:
         return domain.step(schema.name, [_object(domain, word) for word in words[1:]])
 
     def _planned(
-        self, problem: Problem, grounding: "Future[Grounded] | None", leash: Leash, safe: Step | None
+        self, problem: Problem, grounding: Grounding | None, leash: Leash, safe: Step | None
     ) -> PlanningResult:
-        known = self._cache.get(problem)
+        # of equally good plans another may be found once the task is translated anew
+        known = self._cache.get(problem, grounding)
         if known is not None:
             return replace(known, attempts=(Attempt("cache", known.outcome),))
         self._leashes.add(leash)
@@ -158,7 +158,7 @@ class Planner:
         finally:
             self._leashes.discard(leash)
         if not result.outcome.is_trouble and not result.hangs_on_the_clock:
-            self._cache.put(problem, result)
+            self._cache.put(problem, result, grounding)
         return result
 
 

@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Iterator, Mapping
-from concurrent.futures import Future
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -12,7 +11,7 @@ from rosa_pddl.planning.costs import Numbers
 from rosa_pddl.planning.downward import Answer, Trouble, search
 from rosa_pddl.planning.engines import asked, missing
 from rosa_pddl.planning.grounded import Grounded, NotRepresentableError, UnreachableGoalError
-from rosa_pddl.planning.grounding import instantaneous, translated
+from rosa_pddl.planning.grounding import Grounding, instantaneous, translated
 from rosa_pddl.planning.outcomes import Attempt, Outcome, PlanningResult, TimedStep
 from rosa_pddl.planning.processes import Cut, Leash
 from rosa_pddl.planning.schedule import schedule_flaw
@@ -67,7 +66,7 @@ class Trial:
         self,
         settings: Settings,
         problem: Problem,
-        grounding: "Future[Grounded] | None",
+        grounding: Grounding | None,
         leash: Leash,
         safe_step: Step | None,
     ) -> None:
@@ -147,6 +146,8 @@ class Trial:
         except TimeoutError as error:
             message = f"the task of {self._problem.domain.name} was not translated in time; allow more or ask for less"
             raise Trouble(Outcome.OUT_OF_TIME, message) from error
+        if isinstance(task, Trouble):
+            raise Trouble(task.outcome, task.message)
         if not task.is_patchable:
             raise Trouble(Outcome.UNSUPPORTED, "the translated task has axioms, which hold for one state only")
         try:

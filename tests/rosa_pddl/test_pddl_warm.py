@@ -38,7 +38,7 @@ def cold_planner():
     return Planner(warm=False, cached=0)
 
 
-@settings(max_examples=8)
+@settings(max_examples=6)
 @given(data=st.data())
 @pytest.mark.parametrize("which", ["rooms", "extended"])
 def test_the_warm_way_answers_as_the_cold_one(request, which, data):
@@ -85,7 +85,7 @@ def domains(draw):
     return domain, problem
 
 
-@settings(max_examples=12)
+@settings(max_examples=8)
 @given(texts=domains(), data=st.data())
 def test_so_it_does_in_random_domains(texts, data):
     with TemporaryDirectory() as folder:
