@@ -40,6 +40,10 @@ class MissingBehaviourError(RosaPddlError):
     """A PDDL action has no factory that makes its behaviour."""
 
 
+class GoalError(RosaPddlError):
+    """A goal that cannot be added or dropped."""
+
+
 class PlannerSettingError(RosaPddlError):
     """A planner was set up in a way that makes no sense."""
 
