@@ -123,7 +123,8 @@ class _Builder:
             return self._registered(element, tag, name, place)
         if tag in LEAVES:
             _check_children(element, 0, 0)
-            return self._leaf(LEAVES[tag], name, _ports(LEAVES[tag], written, place), place), True
+            leaf = self._leaf(LEAVES[tag], name, _ports(LEAVES[tag], written, place), place)
+            return leaf, not isinstance(leaf, Sleep)
         kind = _NODES.get(tag)
         if kind is None:
             raise XmlError(element.where, self._unknown(tag))
@@ -219,6 +220,8 @@ def _rules(element: Element, board: Blackboard) -> Rules | None:
     for name, text in element.attributes.items():
         if name in Rules.NAMES:
             scripts[name] = parse_script(text)
+        elif name == "__shared_blackboard":
+            raise XmlError(element.where, f"{name} is of version 3; write _autoremap in the SubTree")
         elif name.startswith("_") and name not in _ELSEWHERE:
             guess = hint(name, (*Rules.NAMES, *_ELSEWHERE), "known")
             if guess.startswith("did you mean"):
@@ -239,6 +242,6 @@ def _check_children(element: Element, least: int, most: int) -> None:
 
 
 def _check_reactive(element: Element, tag: str) -> None:
-    several = [child for child in element.children if child.tag == "AsyncSequence"]
+    several = [child for child in element.children if _tag(child) == "AsyncSequence"]
     if tag == "ReactiveSequence" and len(several) > 1:
         raise XmlError(several[1].where, "a ReactiveSequence has at most one asynchronous child; use Sequence in it")

@@ -32,7 +32,8 @@ def make_registered(
     Raises:
         PortError: an attribute has no meaning for it, is missing, or is of another type.
     """
-    declared = {key: port for key, port in entry.arguments().items() if key not in entry.class_ports}
+    ports = entry.class_ports or {}
+    declared = {key: port for key, port in entry.arguments().items() if key not in ports}
     if entry.takes_any:
         declared = {**dict.fromkeys(written, _FREE), **declared}
     mine = {key: text for key, text in written.items() if key in declared}

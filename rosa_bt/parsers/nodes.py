@@ -16,6 +16,7 @@ from py_trees.composites import Composite
 from py_trees.decorators import Decorator
 
 from rosa_bt.behaviours import RosaAction
+from rosa_bt.exceptions import RosaBtError
 from rosa_bt.parsers.blackboard import Blackboard
 from rosa_bt.parsers.ports import Declared, Ports
 from rosa_bt.parsers.scripts import Script, truth
@@ -28,7 +29,7 @@ Ticking = Generator[Behaviour, None, Status]
 """Yields what is visited on the way, as py_trees' `tick` does, and returns the outcome."""
 
 
-class NodeError(RuntimeError):
+class NodeError(RosaBtError, RuntimeError):
     """A node was told what it cannot follow; BehaviorTree.CPP throws a LogicError there."""
 
 

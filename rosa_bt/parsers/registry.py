@@ -3,6 +3,7 @@
 import inspect
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Final, Literal, TypeVar, get_type_hints, overload
 
 from py_trees.behaviour import Behaviour
@@ -51,41 +52,49 @@ class Entry:
         return inspect.signature(self.factory).parameters
 
     @property
-    def class_ports(self) -> Declared:
+    def class_ports(self) -> Declared | None:
         """Return the ports that py_trees knows of, if the factory is a class that declares them."""
-        factory = self.factory
-        if isinstance(factory, type) and issubclass(factory, PortsMixin):
-            return {**factory.input_ports(), **factory.output_ports()}
-        return {}
+        maker = _maker(self.factory)
+        if isinstance(maker, type) and issubclass(maker, PortsMixin):
+            return {**maker.input_ports(), **maker.output_ports()}
+        return None
 
     @property
     def takes_any(self) -> bool:
         """Whether the factory takes whatever is written, in `**ports`; those of a class with ports are not for that."""
-        has_ports = isinstance(self.factory, type) and issubclass(self.factory, PortsMixin)
-        return not has_ports and any(one.kind is one.VAR_KEYWORD for one in self.parameters.values())
+        return self.class_ports is None and any(one.kind is one.VAR_KEYWORD for one in self.parameters.values())
+
+    @property
+    def name_parameter(self) -> str:
+        """Return the parameter that takes the name: `name`, or else the first one that a function needs."""
+        if "name" in self.parameters or isinstance(_maker(self.factory), type):
+            return "name"
+        needed = [one.name for one in self.parameters.values() if one.default is one.empty and one.kind not in _VARIOUS]
+        return next((name for name in needed if name not in self.bound and name not in _ROLES), "name")
 
     def arguments(self) -> Declared:
         """Return the parameters that can be written as attributes, as ports."""
-        annotated = inspect.unwrap(self.factory)
+        maker = _maker(self.factory)
         try:
-            hints = get_type_hints(getattr(annotated, "__init__") if isinstance(annotated, type) else annotated)  # noqa: B009  # of the class that it is
+            hints = get_type_hints(getattr(maker, "__init__") if isinstance(maker, type) else maker)  # noqa: B009  # of the class that it is
         except (NameError, TypeError):
             hints = {}
+        taken = {*self.bound, *_ROLES, self.name_parameter}
         return {
             name: _port(one, hints.get(name, object))
             for name, one in self.parameters.items()
-            if one.kind not in _VARIOUS and name not in self.bound and name not in _ROLES
+            if one.kind not in _VARIOUS and name not in taken
         }
 
     def make(self, name: str, arguments: Mapping[str, Any], branches: list[Branch]) -> Behaviour:
         """Make the behaviour."""
-        offered: dict[str, Any] = {**self.bound, "name": name, "children": branches}
+        offered: dict[str, Any] = {**self.bound, self.name_parameter: name, "children": branches}
         if branches:
             offered["child"] = branches[0]
-        parameters = self.parameters
-        given = {key: value for key, value in offered.items() if key in parameters}
-        if "name" not in parameters and any(one.kind in _VARIOUS for one in parameters.values()):
-            given["name"] = name
+        takes_more = any(one.kind in _VARIOUS for one in self.parameters.values())
+        given = {
+            key: value for key, value in offered.items() if key in self.parameters or (key == "name" and takes_more)
+        }
         return self.factory(**given, **arguments)
 
     def children(self) -> tuple[int, int]:
@@ -93,6 +102,11 @@ class Entry:
         if "children" in self.parameters:
             return 1, 10_000
         return (1, 1) if "child" in self.parameters else (0, 0)
+
+
+def _maker(factory: Factory) -> Factory:
+    """Return the class or function that a partial one calls."""
+    return _maker(factory.func) if isinstance(factory, partial) else factory
 
 
 def _port(parameter: inspect.Parameter, hint: object) -> PortInformation:
@@ -172,8 +186,9 @@ class BehaviourRegistry:
         return iter(self._entries)
 
     def name_of(self, behaviour: Behaviour) -> str | None:
-        """Return the name under which the class of a behaviour is registered, or else its own if that is registered."""
+        """Return the name under which the class of a behaviour is registered, or its own if a function has that."""
         for name, entry in self._entries.items():
             if entry.factory is type(behaviour):
                 return name
-        return behaviour.name if behaviour.name in self._entries else None
+        own = self._entries.get(behaviour.name)
+        return behaviour.name if own is not None and not isinstance(own.factory, type) else None

@@ -97,8 +97,9 @@ def test_leaves_have_the_names_under_which_they_are_registered():
     text = export_xml(tree, registry)
     assert '<look_around name="l" />' in text
     assert '<left name="left" />' in text
-    with pytest.raises(ExportError, match="Turn 'right' is not registered"):
-        export_xml(Turn("right", -90.0), registry)
+    for name in ("right", "look_around"):
+        with pytest.raises(ExportError, match=f"Turn '{name}' is not registered"):
+            export_xml(Turn(name, -90.0), registry)
 
 
 def test_actions_are_written_with_what_they_do():

@@ -1,5 +1,6 @@
 """Ports, blackboards and the registry: what leaves are told, and what they tell each other."""
 
+from functools import partial
 from itertools import cycle
 
 import pytest
@@ -178,6 +179,19 @@ def test_functions_make_leaves_too_and_take_what_they_declare():
 
     load_xml(wrapped('<any name="n" a="1" b-c="x"/>'), registry)
     assert heard == [("n", {"a": "1", "b-c": "x"})]
+
+
+def test_functions_and_partial_ones_get_the_name_and_the_types_of_what_they_call():
+    heard = []
+    registry = BehaviourRegistry()
+    registry.register("short", lambda n: Say(n, heard, Port, 1))
+    registry.register("half", partial(Say, heard=heard, loud=True))
+    registry.register("sum", partial(Add))
+    text = '<Sequence><Add one="1" total="{t}"/><half what="{t}" times="2"/></Sequence>'.replace("Add", "sum")
+    tree = load_xml(wrapped(text), registry)
+    tree.tick_once()
+    assert heard == [(11.0, 2, True)]
+    assert load_xml(wrapped('<short name="x"/>'), registry).child.node.name == "x"
 
 
 def test_decorators_of_the_user_decorate_what_is_in_them():

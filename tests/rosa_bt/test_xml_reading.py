@@ -43,6 +43,7 @@ REFUSED = {
     "<Repeat num_cycles='two'><a/></Repeat>": "the port 'num_cycles' takes a value of type int, not 'two'",
     "<a speed='2'/>": "<a> cannot be made: it has no port 'speed'; ports: cls, steps, tag",
     "<a _skipif='x == 1'/>": "did you mean '_skipIf'?",
+    "<SubTree ID='Other' __shared_blackboard='true'/>": "__shared_blackboard is of version 3; write _autoremap",
     "<a _skipIf='x + 1 == 2'/>": "'+' in the script 'x + 1 == 2' is not read",
     "<Script code='x += 1'/>": "'+=' in the script 'x += 1' is not read",
     "<Script code='x := y ? 1 : 2'/>": "is not read; scripts here are assignments",
