@@ -50,20 +50,22 @@ class Autopilot:
         self._guidance.go_to(self._guidance.stopping_point(position, velocity), position, velocity, time)
 
     def fly(self, until: float) -> None:
-        """Simulate all control periods that end by a time [s]; between two of them the state is that of the earlier."""
+        """Simulate all control periods that end by a time [s]."""
         period, settings = self._period, self._settings
-        guidance, thrusters, vehicle = self._guidance, self._thrusters, self._vehicle
+        self._until, last = until, math.floor(until / period + 1e-9)
+        if last <= self._periods:
+            return
+        vehicle, thrusters, force = self._vehicle, self._thrusters, self._guidance.force
         heading_gain, heading_damping = settings.heading_gain, settings.heading_damping
         roll_damping = settings.roll_damping
         surge_drag, sway_drag, heave_drag = settings.drag_surge, settings.drag_sway, settings.drag_heave
-        last = math.floor(until / period + 1e-9)
         for count in range(self._periods, last):
             pose, motion = vehicle.pose, vehicle.motion
             if not math.isfinite(pose[0] + motion[0]):
                 raise SuaveEnvError(
                     f"the simulation became unstable after {count * period:.3f} s; a setting is far from its default"
                 )
-            east, north, up = guidance.force(pose, motion, (count + 0.5) * period, period)
+            east, north, up = force(pose, motion, (count + 0.5) * period, period)
             yaw = yaw_of(pose[3:])
             cosine, sine = math.cos(yaw), math.sin(yaw)
             turn = -heading_gain * yaw - heading_damping * motion[5]
@@ -73,4 +75,4 @@ class Autopilot:
             up += heave_drag * abs(heave) * heave
             vehicle.push(thrusters.allocate(forward, left, up, -roll_damping * motion[3], turn))
             thrusters.work(period)
-        self._periods, self._until = max(self._periods, last), until
+        self._periods = last

@@ -276,8 +276,8 @@ class RecoverThrusters(Component):
 class Recharge(Component):
     """Drives to the recharge station and recharges the battery there.
 
-    Every 5 s it sends the station as setpoint and recharges if it is within 0.5 m in x and in y. By later rules it looks
-    twice a second, and sends the setpoint once, since each one sent begins the move anew.
+    Every 5 s it sends the station as setpoint and recharges if it is within 0.5 m in x and in y. By later rules it
+    looks twice a second, and sends the setpoint once for each drive.
 
     Args:
         settings: Constants.

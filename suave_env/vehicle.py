@@ -18,6 +18,8 @@ _log = logging.getLogger(__name__)
 # MuJoCo's own handler prints, and writes a file into the working directory; what matters is raised by the autopilot
 mujoco.set_mju_user_warning(_log.debug)
 
+_OFF = mujoco.mjtDisableBit
+_UNUSED = _OFF.mjDSBL_EQUALITY | _OFF.mjDSBL_FRICTIONLOSS | _OFF.mjDSBL_LIMIT | _OFF.mjDSBL_SENSOR | _OFF.mjDSBL_ISLAND
 _FLOAT_MASS_KG = 0.001  # of the body that carries the buoyancy, see assets/sea.xml
 
 
@@ -41,7 +43,7 @@ class Vehicle:
 
     def __init__(self, settings: Settings, x: float, y: float, z: float) -> None:
         self.model: Any = _compiled(settings)
-        self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # a state that is lost stays lost
+        self.model.opt.disableflags |= _UNUSED | mujoco.mjtDisableBit.mjDSBL_AUTORESET  # what is lost stays lost
         self.data: Any = mujoco.MjData(self.model)
         self._substeps = round(settings.control_period_s / settings.physics_step_s)
         self._step = mujoco.mj_step

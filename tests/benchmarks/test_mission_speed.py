@@ -1,22 +1,26 @@
-"""How long questions and events take with the model of a real mission, beside the naive twin on the same."""
+"""How long a whole mission takes, and questions and events with its model, beside the naive twin on the same."""
 
 import copy
 from collections.abc import Callable
 from itertools import cycle
-from time import perf_counter
+from time import perf_counter, process_time
 from typing import NamedTuple
 
+import numpy
 import pytest
 from figures import percentiles, shown, table
 from generated import Happening
 from naive_peers import NaivePeer, facts
 
 from kb import KnowledgeBase, PriorityPlanner
+from missions.managers import open_run
+from missions.registry import find_mission
 from missions.suave_extended.model import suave_extended_model
 
 pytestmark = pytest.mark.benchmark(group="extended SUAVE")
 
 ROUNDS, NAIVE_ROUNDS = 2000, 50
+MISSION_ROUNDS, MISSION_S = 7, 300.0
 SEARCH = "search_pipeline"
 
 
@@ -143,3 +147,53 @@ def naively(operation, kb, twin):
         times.append(perf_counter() - start)
         assert answer == operation.ours(kb, value)
     return percentiles(times)[0]
+
+
+WHOLE = {
+    "ours, tree": {"manager": "ours"},
+    "ours, PDDL": {"manager": "ours", "task": "pddl"},
+    "bt": {"manager": "bt"},
+    "none": {"manager": "none"},
+}
+
+
+@pytest.fixture(scope="module")
+def wholes(tables):
+    found = {}
+    head = ("extended SUAVE, 300 s", "processor time", "times real time", "of it the sea", "where the rest goes")
+    tables["0"] = lambda: table("A whole mission", head, found.values())
+    return found
+
+
+@pytest.mark.parametrize("label", ["physics alone", "the sea alone", *WHOLE])
+def test_speed_of_a_whole_mission(label, wholes):
+    runs = [whole(label, seed) for seed in range(MISSION_ROUNDS)]
+    took, parts = min(runs, key=lambda run: run[0])
+    sea = parts.pop("world", None)
+    total = sum(parts.values()) + (sea or 0.0)
+    rest = ", ".join(f"{name} {part / total:.0%}" for name, part in parts.items() if part > 0.01 * total)
+    share = f"{sea / total:.0%}" if sea else None
+    wholes[label] = (label, shown(took), f"{MISSION_S / took:,.0f}", share, rest or None)
+
+
+def whole(label, seed):
+    """Return the processor time of a mission without set-up [s], and the shares of its parts."""
+    if label in WHOLE:
+        run = open_run(find_mission("suave_extended"), seed=seed, **WHOLE[label])
+        start = process_time()
+        verdict = run.run()
+        took = process_time() - start
+        assert verdict.success, verdict
+        return took, dict(run.compute_s)
+    sea = find_mission("suave_extended").world.open({}, numpy.random.default_rng(seed))
+    if label == "the sea alone":
+        sea.managed.activate("spiral_search")
+        start = process_time()
+        while sea.now < MISSION_S:
+            sea.advance(MISSION_S)
+        return process_time() - start, {}
+    vehicle, settings = sea._env._vehicle, sea.settings
+    start = process_time()
+    for _ in range(round(MISSION_S / settings.control_period_s)):
+        vehicle.push([0.0] * 6)
+    return process_time() - start, {}
