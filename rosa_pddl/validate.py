@@ -199,6 +199,13 @@ def mentioned_atoms(
             yield from _atoms(domain, effect.condition, inner)
 
 
+def affected_atoms(domain: Domain, effects: Iterable[UpThing], binding: Binding) -> Iterator[str]:
+    """Yield the atoms that effects may change, whatever their conditions say then."""
+    for effect in effects:
+        for inner in _bindings(domain, effect.forall, binding):
+            yield _text(domain, effect.fluent, inner)
+
+
 def _atoms(domain: Domain, formula: UpThing, binding: Binding) -> Iterator[str]:
     if formula.is_fluent_exp():
         yield _text(domain, formula, binding)
