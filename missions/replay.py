@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Final, Protocol, runtime_checkable
 from numpy.random import Generator
 from py_trees.behaviour import Behaviour
 
-from kb import Event, KnowledgeBase, Model
+from kb import KnowledgeBase, Model
 from missions.mission import Message, Mission, MissionError, Verdict, World, WorldKind
 from missions.recording import read_recording
 from missions.registry import find_mission
@@ -31,6 +31,7 @@ from missions.testing.clock import FakeClock
 from missions.testing.decisions import Decisions
 from missions.testing.managed import VERBS, ScriptedManaged
 from missions.testing.timeline import timeline
+from missions.testing.witness import Witness
 from rosa_bt import TraceVisitor
 
 if TYPE_CHECKING:
@@ -169,8 +170,7 @@ def _decide(mission: Mission, task: str, world: Recording, limits: RunSettings) 
     run = MissionRun(mission, task, world, limits)
     for component in world.managed.scripted():
         _ = run.kb.components[component]  # a script for nobody is a slip
-    events: list[Event] = []
-    run.kb.subscribe(events.append)
+    witness = Witness(run.kb)
     with TraceVisitor(run.kb) as visitor:
         run._runner.tree.add_visitor(visitor)
         run.run()
@@ -181,7 +181,8 @@ def _decide(mission: Mission, task: str, world: Recording, limits: RunSettings) 
         adaptations=tuple(run.adaptations),
         task_plans=run.plans or tuple(plan for planner in world.planners for plan in planner.plans),
         problems=tuple(run.problems),
-        timeline=timeline(run.kb, events, run.adaptations),
+        changes=tuple(witness.changes),
+        timeline=timeline(run.kb, witness.events, witness.changes),
         trace=trace,
         kb=run.kb,
     )

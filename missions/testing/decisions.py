@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 from kb import DiagnosticProblem, KnowledgeBase, ReconfigurationPlan
 from missions.adaptations import Adaptation
 from missions.testing.timeline import Moment, around, seconds
+from missions.testing.witness import TaskChange
 
 if TYPE_CHECKING:
     from rosa_bt import Trace
@@ -32,6 +33,7 @@ class Decisions:
         plans: every reconfiguration plan.
         adaptations: every adaptation with its reason.
         task_plans: every task plan; none for a tree.
+        changes: every change of the task: one action for another, with its reason.
         problems: (time, what) of every part of a message that could not be used.
         timeline: what was heard and decided, for people.
         trace: every tick of the task layer, as data.
@@ -43,6 +45,7 @@ class Decisions:
     adaptations: tuple[Adaptation, ...]
     task_plans: tuple["PlanRecord", ...]
     problems: tuple[tuple[float, DiagnosticProblem], ...]
+    changes: tuple[TaskChange, ...]
     timeline: tuple[Moment, ...] = field(repr=False)
     trace: "Trace" = field(repr=False)
     kb: KnowledgeBase = field(repr=False)
@@ -88,7 +91,7 @@ class Decisions:
 
     def assert_adapts(
         self, *, at: float, from_: str | None = None, to: str | None = None, within: float = 1.0
-    ) -> Adaptation:
+    ) -> TaskChange:
         """Assert that the robot gives up what it is doing for something else, and that this is in force in time.
 
         Args:
@@ -98,15 +101,15 @@ class Decisions:
             within: how long after `at` the robot is configured for it [s].
 
         Returns:
-            The adaptation, for its reason and the like.
+            The change, for its reason and the like.
         """
         __tracebackhide__ = True
         for name in (from_, to):
             if name is not None:
                 self._check("actions", name)
-        found = [one for one in self.adaptations if one.kind == "task" and _changes(one, from_, to)]
+        found = [one for one in self.changes if from_ in (None, one.from_) and to in (None, one.to)]
         for one in found:
-            if one.at_s >= at - SLACK_S and _in_force(one) <= at + within + SLACK_S:
+            if one.at >= at - SLACK_S and one.in_force <= at + within + SLACK_S:
                 return one
         raise self._failure(f"{from_ or 'any'} -> {to or 'any'}", at, within, [_told(one) for one in found])
 
@@ -213,21 +216,10 @@ def _is_in(time: float, at: float, within: float) -> bool:
     return at - SLACK_S <= time <= at + within + SLACK_S
 
 
-def _changes(adaptation: Adaptation, from_: str | None, to: str | None) -> bool:
-    before, _, after = adaptation.change.split("; ")[0].partition(" -> ")
-    return from_ in (None, before) and to in (None, after)
-
-
-def _in_force(adaptation: Adaptation) -> float:
-    """When an adaptation is in force [s]; infinity for never."""
-    return math.inf if adaptation.reaction_s is None else adaptation.news_s + adaptation.reaction_s
-
-
-def _told(adaptation: Adaptation) -> str:
-    force = _in_force(adaptation)
-    soon = "is never in force" if math.isinf(force) else f"is in force at {seconds(force)}"
-    change = adaptation.change.split("; ")[0]
-    return f"{change} is decided at {seconds(adaptation.at_s)} and {soon} (because {adaptation.why})"
+def _told(change: TaskChange) -> str:
+    never = math.isinf(change.in_force)
+    soon = "is never in force" if never else f"is in force at {seconds(change.in_force)}"
+    return f"{change} is decided at {seconds(change.at)} and {soon} (because {change.reason})"
 
 
 def _done(plan: ReconfigurationPlan) -> dict[str, tuple[str, ...]]:

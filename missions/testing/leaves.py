@@ -25,6 +25,7 @@ class LeafMock:
 
     def __init__(self, outcomes: tuple[Status, ...]) -> None:
         self._outcomes = outcomes
+        self._is_running = False
         self.ticks = 0
         self.starts = 0
         self.interruptions = 0
@@ -36,11 +37,14 @@ class LeafMock:
     def update(self) -> Status:
         """Return the next outcome of the script, the last one again and again; called by the leaf."""
         self.ticks += 1
-        return self._outcomes[min(self.ticks, len(self._outcomes)) - 1]
+        outcome = self._outcomes[min(self.ticks, len(self._outcomes)) - 1]
+        self._is_running = outcome is Status.RUNNING
+        return outcome
 
     def terminate(self, new_status: Status) -> None:
         """End; called by the leaf."""
-        self.interruptions += new_status is Status.INVALID
+        self.interruptions += self._is_running and new_status is Status.INVALID
+        self._is_running = False
 
 
 def mock_leaf(root: Behaviour, name: str, outcomes: str | Iterable[Status]) -> LeafMock:

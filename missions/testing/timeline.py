@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 from typing import Final, NamedTuple
 
 from kb import Event, EventKind, KnowledgeBase, ReconfigurationPlan
-from missions.adaptations import Adaptation
+from missions.testing.witness import TaskChange
 
 __all__ = ["Moment", "around", "seconds", "timeline"]
 
@@ -39,15 +39,15 @@ def seconds(time: float) -> str:
     return f"{time:.2f} s"
 
 
-def timeline(kb: KnowledgeBase, events: Iterable[Event], adaptations: Iterable[Adaptation]) -> tuple[Moment, ...]:
+def timeline(kb: KnowledgeBase, events: Iterable[Event], changes: Iterable[TaskChange]) -> tuple[Moment, ...]:
     """Return what happened as moments, in order.
 
     Args:
         kb: the knowledge base that told the events.
         events: all of them.
-        adaptations: what was found to be adaptations among them.
+        changes: how the task has changed in them.
     """
-    reasons = {(one.at_s, _begun(one)): one.why for one in adaptations if one.kind == "task"}
+    reasons = {(one.at, one.to): one.reason for one in changes}
     moments = []
     for event in events:
         if event.plan is not None:
@@ -73,11 +73,6 @@ def around(moments: Sequence[Moment], begin: float, end: float, expected: str) -
     if len(within) > MOST - 2 * AROUND:
         shown.append(f"{'':13}... and {len(within) - MOST + 2 * AROUND} more until {seconds(end)}")
     return "\n".join([*shown, *map(str, after[:AROUND])])
-
-
-def _begun(adaptation: Adaptation) -> str:
-    """Return the action that an adaptation of the task begins."""
-    return adaptation.change.split("; ")[0].partition(" -> ")[2]
 
 
 def _commanded(plan: ReconfigurationPlan) -> str:

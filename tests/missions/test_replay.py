@@ -6,12 +6,21 @@ import sys
 from pathlib import Path
 
 import pytest
+from py_trees.decorators import FailureIsRunning
 from running import run_mission
 
+from missions import suave_extended
 from missions.mission import MissionError
-from missions.recording import header, line_of
+from missions.planning.declared import mission_domain
+from missions.recording import failed, header, line_of, measured, recovered, sensed
 from missions.replay import replay
 from missions.runner import Listener
+from missions.senses import Senses
+from missions.suave.tree import suave_tree
+from missions.suave_extended.model import suave_extended_model
+from missions.suave_extended.tree import suave_extended_tree
+from rosa_bt import replay_trace
+from rosa_pddl import PlanExecutor
 
 BATTERY_DROP = Path(__file__).with_name("battery_drop.jsonl")
 
@@ -81,6 +90,78 @@ def test_replay_of_a_live_run_decides_the_same_at_the_same_times(task, tmp_path)
     assert [(one.at_s, one.kind, one.change, one.reason, one.reaction_s) for one in decisions.adaptations] == live
     begun = [(one.action, one.start) for one in run.kb.action_history]
     assert [(name, start) for name, start, _, _ in decisions.actions] == begun
+
+
+def planned(kb, senses):
+    """Return the planned task layer of the mission, put together by hand."""
+    mission = suave_extended.MISSION
+    executor = PlanExecutor(
+        "plan",
+        kb=kb,
+        domain=mission_domain(mission),
+        behaviours={name: (lambda step, action=action: action(kb, senses)) for name, action in mission.actions.items()},
+        sense=lambda: mission.facts(senses),
+        clock=lambda: kb.now,
+    )
+    return FailureIsRunning("until the goal holds", executor)
+
+
+@pytest.mark.parametrize(("task", "behaviour"), [("bt", suave_extended_tree), ("pddl", planned)])
+def test_model_with_a_behaviour_of_ones_own_decides_as_the_mission_does(task, behaviour):
+    mission = replay(BATTERY_DROP, "suave_extended", task=task)
+    own = replay(BATTERY_DROP, suave_extended_model(), behaviour)
+    assert str(own) == str(mission)
+    assert own.actions == mission.actions
+    assert [plan.steps for plan in own.task_plans] == [plan.steps for plan in mission.task_plans]
+    assert len(own.task_plans) == (0 if task == "bt" else 3)
+    own.assert_adapts(at=150.0, from_="inspect_pipeline", to="recharge", within=0.2 if task == "bt" else 0.4)
+
+
+def test_behaviour_takes_the_place_of_the_task_layer_of_a_mission():
+    decisions = replay(BATTERY_DROP, "suave_extended", suave_tree, task="pddl")
+    decisions.assert_actions("search_pipeline", "inspect_pipeline", "inspect_pipeline")
+    decisions.assert_never(action="recharge")
+
+
+def test_trace_of_a_replay_can_be_decided_once_more():
+    trace = replay(BATTERY_DROP, "suave_extended", lambda kb, senses: suave_tree(kb, Senses())).trace
+    again = replay_trace(trace, suave_extended_model(), lambda kb: suave_tree(kb, Senses()))
+    assert str(again).replace("suave_extended", "") == str(trace).replace("suave_extended", "")
+    assert len(trace.ticks) > 2000
+
+
+def test_stream_written_by_hand_is_heard_as_the_file_is():
+    stream = [
+        measured(0.0, water_visibility=3.75, battery_level=1.0),
+        failed(10.0, "c_thruster_1", "c_thruster_2"),
+        recovered(20.0, "c_thruster_1", "c_thruster_2"),
+        sensed(30.0, pipeline_found=True),
+        measured(40.0, battery_level=0.1),
+    ]
+    decisions = replay(stream, "suave_extended")
+    decisions.assert_reconfigures(at=10.0, activate="recover_thrusters", within=0.1)
+    decisions.assert_reconfigures(at=20.0, deactivate="recover_thrusters", within=0.1)
+    decisions.assert_begins("inspect_pipeline", at=30.0, within=0.1)
+    decisions.assert_adapts(at=40.0, to="recharge", within=0.2)
+    assert not decisions.problems
+
+
+def test_recording_is_replayed_to_its_end_however_long_it_is():
+    decisions = replay([measured(0.0, battery_level=1.0), measured(500.0, battery_level=0.1)], "suave_extended")
+    decisions.assert_adapts(at=500.0, to="recharge", within=0.2)
+
+
+@pytest.mark.parametrize(
+    ("messages", "message"),
+    [
+        ([{"time": -1.0, "status": []}], 'message 1: a message is an object with a number "time"'),
+        ([measured(0.0), {"time": 1.0, "status": [{"message": "x"}]}], 'message 2: each "status" is an object'),
+        ([measured(2.0), measured(1.0)], "message 2: time 1.0 comes after 2.0"),
+    ],
+)
+def test_bad_message_is_refused_with_its_number(messages, message):
+    with pytest.raises(MissionError, match=message):
+        replay(messages, "suave_extended")
 
 
 def test_replay_needs_no_simulator():
