@@ -177,8 +177,7 @@ class Timeout(Timed):
 
     def decide(self) -> Ticking:
         """Halt the child if the time is over, or else tick it."""
-        is_new = self._since is None
-        if self.is_over() and not is_new and not self._is_spent and self.ports.get("msec") > 0:
+        if self.is_over() and not self._is_spent and self.ports.get("msec") > 0:
             self._is_spent = True
             if self.child.status is RUNNING:
                 self.child.reset()

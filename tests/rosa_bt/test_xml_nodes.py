@@ -9,7 +9,7 @@ from py_trees import common, composites, decorators
 from py_trees.common import Status
 from xml_leaves import Action, Condition, registry_of, trace, wrapped
 
-from rosa_bt import load_xml
+from rosa_bt import RosaBtError, TreeRunner, load_xml
 from rosa_bt.parsers.controls import CONTROLS
 from rosa_bt.parsers.leaves import LEAVES
 from rosa_bt.parsers.nav2 import NAV2
@@ -220,6 +220,114 @@ def test_condition_before_or_after_a_node_is_kept(rule):
     leaves = {"a": ("A", "R"), "b": ("A", "S"), "c": ("C", "F")}
     tree = load_xml(wrapped(text, Other=other), registry_of(leaves, said))
     assert perform(tree, said, told, clock) == told
+
+
+SKIPPED = {
+    "Sequence": '<Sequence><a _skipIf="v == 0"/><b _skipIf="v == 0"/></Sequence>',
+    "Fallback": '<Fallback><a _skipIf="v == 0"/><b _skipIf="v == 0"/></Fallback>',
+    "SequenceWithMemory": '<SequenceWithMemory><a _skipIf="v == 0"/><b _skipIf="v == 0"/></SequenceWithMemory>',
+    "ReactiveSequence": '<ReactiveSequence><a _skipIf="v == 0"/><b _skipIf="v == 0"/></ReactiveSequence>',
+    "ReactiveFallback": '<ReactiveFallback><a _skipIf="v == 0"/><b _skipIf="v == 0"/></ReactiveFallback>',
+    "Parallel": '<Parallel success_count="1"><a _skipIf="v == 0"/><b _skipIf="v == 0"/></Parallel>',
+    "ParallelAll": '<ParallelAll><a _skipIf="v == 0"/><b _skipIf="v == 0"/></ParallelAll>',
+    "PipelineSequence": '<PipelineSequence><a _skipIf="v == 0"/><b _skipIf="v == 0"/></PipelineSequence>',
+    "RoundRobin": '<RoundRobin><a _skipIf="v == 0"/><b _skipIf="v == 0"/></RoundRobin>',
+    "RecoveryNode": '<RecoveryNode><a _skipIf="v == 0"/><b/></RecoveryNode>',
+    "Switch2": '<Switch2 variable="{v}" case_1="1" case_2="2"><b/><b/><a _skipIf="v == 0"/></Switch2>',
+    "Repeat": '<Repeat num_cycles="3"><a _skipIf="v == 0"/></Repeat>',
+    "RetryUntilSuccessful": '<RetryUntilSuccessful num_attempts="3"><a _skipIf="v == 0"/></RetryUntilSuccessful>',
+    "Inverter": '<Inverter><a _skipIf="v == 0"/></Inverter>',
+    "ForceSuccess": '<ForceSuccess><a _skipIf="v == 0"/></ForceSuccess>',
+    "RunOnce": '<RunOnce><a _skipIf="v == 0"/></RunOnce>',
+    "Timeout": '<Timeout msec="10"><a _skipIf="v == 0"/></Timeout>',
+    "Delay": '<Delay delay_msec="0"><a _skipIf="v == 0"/></Delay>',
+    "SubTree": '<SubTree ID="Other" _skipIf="v == 0"/>',
+}
+
+
+@pytest.mark.parametrize("tag", SKIPPED)
+def test_node_whose_children_are_all_skipped_is_skipped_and_begins_later(tag):
+    said = []
+    leaves = {"a": ("A", "R"), "b": ("A", "R")}
+    tree = load_xml(wrapped(SKIPPED[tag], Other="<a/>"), registry_of(leaves, said), clock=Hand())
+    happened = perform(tree, said, "v=0 | v=0 | v=3", Hand()).split(" | ")
+    assert happened[:2] == ["v=0 => SKIPPED", "v=0 => SKIPPED"]
+    assert happened[2].startswith("v=3 a:s:R")
+
+
+MIXED = {
+    "Sequence": ('<Sequence><a _skipIf="true"/><b/></Sequence>', "b:S", "b:s:S => S"),
+    "Fallback": ('<Fallback><a _skipIf="true"/><b/></Fallback>', "b:F", "b:s:F => F"),
+    "Parallel": ('<Parallel><a _skipIf="true"/><b/></Parallel>', "b:S", "b:s:S => S"),
+    "Parallel of all": ('<Parallel><a _skipIf="true"/><b _skipIf="true"/></Parallel>', "b:S", "=> S"),
+    "Parallel that counts": ('<Parallel success_count="2"><a _skipIf="true"/><b/></Parallel>', "b:S", "b:s:S"),
+    "ParallelAll": ('<ParallelAll><a _skipIf="true"/><b/></ParallelAll>', "b:RF", "b:s:R | b:r:F => F"),
+    "KeepRunningUntilFailure": (
+        '<KeepRunningUntilFailure><a _skipIf="v == 0"/></KeepRunningUntilFailure>',
+        "a:F",
+        "v=0 | v=0 | v=1 a:s:F => F",
+    ),
+    "RecoveryNode": ('<RecoveryNode><a/><b _skipIf="true"/></RecoveryNode>', "a:F b:S", "a:s:F => F | a:s:F => F"),
+    "RoundRobin": ("<RoundRobin><a/><b/></RoundRobin>", "a:F b:SF", "a:s:F b:s:S => S | a:s:F b:s:F => F"),
+    "Timeout that found nothing to halt": (
+        '<Timeout msec="100"><a _skipIf="v == 0"/></Timeout>',
+        "a:R",
+        "t=0 v=0 => SKIPPED | t=1 v=0 => SKIPPED | t=2 v=1 a:s:R | t=3 v=1 a:r:R",
+    ),
+    "what was skipped within is not asked whether it begins": (
+        '<Sequence _failureIf="v == 1"><a _skipIf="v == 0"/></Sequence>',
+        "a:R",
+        "v=0 => SKIPPED | v=1 a:s:R",
+    ),
+    "what has finished is not asked whether it goes on": (
+        '<WhileDoElse><a _while="v == 1"/><b/></WhileDoElse>',
+        "a:S b:R",
+        "v=1 a:s:S b:s:R | v=0 b:r:R",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", MIXED)
+def test_child_that_was_skipped_counts_as(case):
+    text, leaves, told = MIXED[case]
+    said, clock = [], Hand()
+    leaves = {"a": ("A", "S"), **leaves_of(leaves)}
+    tree = load_xml(wrapped(text), registry_of(leaves, said), clock=clock)
+    assert perform(tree, said, told, clock) == told
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "<IfThenElse><a _skipIf='true'/><b/></IfThenElse>",
+        "<WhileDoElse><a _skipIf='true'/><b/></WhileDoElse>",
+        "<Parallel success_count='2'><a/></Parallel>",
+        "<ParallelAll max_failures='2'><a/></ParallelAll>",
+        "<Script code='v = 1'/>",
+        "<ScriptCondition code='nobody == 1'/>",
+        "<Script code=\"v := 'x' == 1\"/>",
+        "<a _skipIf=\"'x'\"/>",
+    ],
+)
+def test_what_cannot_be_decided_raises_and_fails_in_a_runner(text):
+    leaves = {"a": ("A", "S"), "b": ("A", "S")}
+    tree = load_xml(wrapped(text), registry_of(leaves, []))
+    with pytest.raises(RosaBtError):
+        tree.tick_once()
+    tree = load_xml(wrapped(text), registry_of(leaves, []))
+    TreeRunner(tree, clock=lambda: 0.0).tick()
+    assert tree.status is Status.FAILURE
+
+
+def test_leaf_that_was_stopped_before_its_parent_is_not_halted_twice():
+    said = []
+    tree = load_xml(wrapped("<Parallel><a/><b/></Parallel>"), registry_of(leaves_of("a:R b:R"), said))
+    runner = TreeRunner(tree, clock=lambda: 0.0)
+    runner.tick()
+    said.clear()
+    runner.shutdown()
+    assert said == ["a:halt", "b:halt"]
+    assert [one.feedback_message for one in tree.iterate()] == [""] * 4
 
 
 def test_action_that_failed_as_a_condition_is_not_started_again():
