@@ -2,7 +2,7 @@
 
 import sqlite3
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from threading import Lock
 from typing import TYPE_CHECKING, Final
 from weakref import WeakMethod, finalize
@@ -68,7 +68,7 @@ class Keeping(Telling):
 
     @property
     def store_error(self) -> str | None:
-        """Why nothing is saved any more; None while all is well."""
+        """Why nothing is saved at present, or any more; None while all is well."""
         return self._store.error if self._store else None
 
     def flush(self, timeout: float | None = None) -> bool:
@@ -116,14 +116,15 @@ class Keeping(Telling):
     def _begin_to_save(self) -> None:
         """Have the store write from now on, for as long as the base is there or until it is closed."""
         if self._store is not None:
-            trouble = WeakMethod(self._not_saved)
+            news = WeakMethod(self._tell_of_saving)
             self._journal.heard = self._store.wake
-            self._store.start(self._journal, self._lock, lambda text: called(text) if (called := trouble()) else None)
+            self._store.start(self._journal, self._lock, lambda text: called(text) if (called := news()) else None)
             finalize(self, self._store.close)
 
-    def _not_saved(self, text: str) -> None:
+    def _tell_of_saving(self, text: str) -> None:
         with self._lock:
-            self._keep_in_memory()
+            if self._store is None or self._store.is_given_up:
+                self._keep_in_memory()
             if self._publisher:
                 self._publisher.publish(Event(EventKind.MONITORING_DATA, self._clock(), "", text))
 
@@ -144,13 +145,13 @@ class Keeping(Telling):
                 return self._book
             inferred = [self._inferred(node) for node in self._elements()]
             model = list(individuals(self._network.model, self._journal.serials))
-            waiting = [] if saving else [one for one in self._journal.waiting if isinstance(one, Group)]
+            waiting = list(self._journal.waiting)
             if not saving:
                 self._journal.waiting.clear()
         if self._book is None or saving or self._is_copy:
             self._book = self._new_book(model)
         self._book.write_model(model)
-        self._book.write(entry for group in waiting for entry in group.entries)
+        self._book.write(_later(waiting, self._book.number if saving else -1))
         if not saving:
             self._book.forget_measurements()
             self._book.write(measurement(one) for one in samples)
@@ -196,3 +197,12 @@ class Keeping(Telling):
         if node.kind in ("action", "function", "component"):
             values["isRequired"] = (state.required[node.index],)
         return Individual("", element_id(node.element, self._journal.serials), values)
+
+
+def _later(told: Sequence[Measured | Group], number: int) -> Iterator[Individual]:
+    """Yield what was told after a fact; before all facts, measurements are written otherwise."""
+    for one in told:
+        if isinstance(one, Group):
+            yield from one.entries if one.last > number else ()
+        elif 0 <= number < one.number:
+            yield measurement(one)

@@ -60,6 +60,8 @@ class KnowledgeBase(Keeping):
             raise InvalidValue(f"the clock is a function that returns the time in seconds, not {clock!r}")
         if type(keep) is not int or keep < 1:
             raise InvalidValue(f"keep is a whole number of measurements from 1, not {keep!r}")
+        if not (store is None or (isinstance(store, str | Path) and str(store))):
+            raise InvalidValue(f"a store is the path of a file, or None for none, not {store!r}")
         past = None if store is None else open_store(model, store, keep)
         super().__init__(Network(model), clock, past, keep)
         self.model = model

@@ -202,6 +202,8 @@ class Book:
     def forget(self, numbers: Iterable[int]) -> None:
         """Remove facts."""
         text = str([_FIRST + number for number in numbers])
+        if text == "[]":
+            return
         for table, column in (("objs", "s"), ("datas", "s"), ("resources", "storid")):
             self._db.execute(f"DELETE FROM {table} WHERE {column} IN (SELECT value FROM json_each(?))", (text,))
 
@@ -265,11 +267,17 @@ class Book:
         found = self._db.execute("SELECT s FROM objs WHERE p=? AND o=?", kind).fetchall()
         self.forget(one - _FIRST for (one,) in found)
 
-    def set_number(self, number: int) -> None:
-        """Set how many facts were told."""
-        self._db.execute(
-            "UPDATE datas SET o=? WHERE p=? AND c=?", (number, self._word(f"{ROSA}told"), self._contexts["told"])
-        )
+    @property
+    def number(self) -> int:
+        """How many facts were told."""
+        told = (self._word(f"{ROSA}told"), self._contexts["told"])
+        ((number,),) = self._db.execute("SELECT o FROM datas WHERE p=? AND c=?", told).fetchall() or ((0,),)
+        return int(number)
+
+    @number.setter
+    def number(self, number: int) -> None:
+        told = (number, self._word(f"{ROSA}told"), self._contexts["told"])
+        self._db.execute("UPDATE datas SET o=? WHERE p=? AND c=?", told)
 
     def facts(self) -> list[Individual]:
         """Return what was told, in order, and what is nested in it first."""
@@ -290,6 +298,11 @@ class Book:
     def commit(self) -> None:
         """Have everything that was written last."""
         self._db.commit()
+
+    def roll_back(self) -> None:
+        """Forget what was written since the last commit."""
+        self._words.clear()
+        self._db.rollback()
 
     def copy_to(self, other: "Book") -> None:
         """Make another book the same as this one."""

@@ -15,7 +15,8 @@ from kb.rdfxml import ROSA
 __all__ = ["FUNCTIONS", "Question", "complaint", "read_question"]
 
 _TOKEN: Final = re.compile(
-    r"""(?P<space>\s+|\#[^\n]*)
+    r"""(?P<space>\s+)
+    | (?P<comment>\#[^\n\r]*)
     | (?P<iri><[^<>\s]+>)
     | (?P<text>'''(?:[^'\\]|\\.|'(?!''))*'''|\"""(?:[^"\\]|\\.|"(?!""))*\""")
     | (?P<line>'(?:[^'\\\n\r]|\\.)*'|"(?:[^"\\\n\r]|\\.)*")
@@ -84,7 +85,7 @@ def read_question(given: str) -> Question:
     if not isinstance(given, str):
         raise InvalidValue(f"a query is a text in SPARQL, not {given!r}")
     tokens = [_Token(found.lastgroup or "", found[0], found.start()) for found in _TOKEN.finditer(given)]
-    told = [one for one in tokens if one.kind != "space"]
+    told = [one for one in tokens if one.kind not in ("space", "comment")]
     _only_asks(given, told)
     _is_closed(given, told)
     _is_supported(given, told)
@@ -93,6 +94,8 @@ def read_question(given: str) -> Question:
     texts: list[str] = []
     parts, places, length = [head], [(0, 0)], len(head)
     for token in tokens:
+        if token.kind == "comment":  # owlready2 knows none, and the line ends all the same
+            continue
         places.append((length, token.offset))
         parts.append(_handed_over(given, token, texts) if token.kind in _QUOTED else token.text)
         length += len(parts[-1])

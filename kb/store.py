@@ -1,10 +1,8 @@
-"""The file that keeps what was told: opened by one process at a time, written by one thread, in order.
+"""What is told is written to a file by one thread, in order; see `kb.store_file` for the file.
 
-A commit holds whole calls, so a kill loses only the last of them. The file says in its header that it is ours and of
-which format, so that any other is left alone.
+A commit holds whole calls, so a kill loses only the last of them. What cannot be written waits, and is tried again.
 """
 
-import fcntl
 import json
 import logging
 import os
@@ -12,28 +10,30 @@ import sqlite3
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, suppress
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import AbstractContextManager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from kb.elements import Attribute
-from kb.exceptions import KnowledgeBaseError
-from kb.individuals import MODEL, STATED, Individual, Ref, named_id
+from kb.individuals import STATED, Individual, Ref, named_id
 from kb.journal import Group, Journal, Measured
-from kb.rdfxml import ROSA
+from kb.store_file import (
+    FORMAT,
+    StoreError,
+    blamed,
+    check_format,
+    guarded,
+    has_content,
+    locked,
+    make,
+    values_of,
+)
 
 if TYPE_CHECKING:
     from kb.owl import Book
 
 __all__ = ["FORMAT", "Store", "StoreError", "measurement"]
-
-FORMAT: Final = 1
-"""Of files that this version writes."""
-
-_MAGIC: Final = b"SQLite format 3\0"
-_OWNER: Final = 0x524F5341
-"""ROSA in ASCII: the application id in the header of the file."""
 
 _SLACK: Final = 256
 """How many measurements may be in excess before they are removed together."""
@@ -41,16 +41,19 @@ _SLACK: Final = 256
 _PAUSE: Final = 0.001
 """How long the writer lets those who tell go on before it writes what they have told together [s]."""
 
+_LINGER: Final = 20
+"""How often the writer looks for more of itself before it rests: to be woken costs whoever tells."""
+
 _AHEAD: Final = 1 << 20
 """How much is written to the log beside the file before it is brought into the file [bytes]."""
 
-_VALUE: Final = "SELECT o FROM datas WHERE p = (SELECT storid FROM resources WHERE iri = ?)"
+_AGAIN: Final = 1.0
+"""How long after a failure it is tried again to write [s]."""
+
+_MOST_WAITING: Final = 100_000
+"""How many calls may wait for room on the disk before it is given up: memory has an end too."""
 
 _log = logging.getLogger(__name__)
-
-
-class StoreError(KnowledgeBaseError):
-    """A store cannot be opened, or is not one; it is as it was."""
 
 
 def measurement(one: Measured) -> Individual:
@@ -76,7 +79,8 @@ class Store:
 
     Attributes:
         saved: number of the last fact in the file.
-        error: why nothing is saved any more; None while all is well.
+        error: why nothing is saved at present; None while all is well.
+        is_given_up: nothing will be saved any more.
 
     Raises:
         StoreError: the file cannot be opened, or is no store.
@@ -86,11 +90,12 @@ class Store:
         self.path, self.keep = path, keep
         self.saved = 0
         self.error: str | None = None
-        self.is_new = not _has_content(path) and _make(path, base, declared, given)
-        self._guard = _guarded(path)
+        self.is_given_up = False
+        self.is_new = not has_content(path) and make(path, base, declared, given)
+        self._guard = guarded(path)
         try:
-            _check_format(path, self._guard)
-            self._connection = _locked(path)
+            check_format(path, self._guard)
+            self._connection = locked(path)
         except StoreError:
             os.close(self._guard)
             raise
@@ -98,6 +103,7 @@ class Store:
         self._journal: Journal
         self._base: AbstractContextManager[object]
         self._measured: dict[str, deque[int]] = {}
+        self._counted = 0
         self._excess: list[int] = []
         self._using = threading.Lock()
         self._progress = threading.Condition()
@@ -105,27 +111,27 @@ class Store:
         self._wake.acquire()
         self._closing = False
         self._thread: threading.Thread | None = None
-        self._on_error: Callable[[str], None] | None = None
+        self._on_news: Callable[[str], None]
 
     @property
     def declared(self) -> str:
         """The model as it was when the store was made."""
-        with _blamed(self.path):
-            text = str(_said(self._connection, "declared"))
+        with blamed(self.path):
+            text = str(values_of(self._connection, "declared")[0])
             json.loads(text)
             return text
 
     def amendments(self) -> list[str]:
         """Return the changes of the model, in order."""
-        with _blamed(self.path):
-            found = self._connection.execute(f"{_VALUE} ORDER BY s", (f"{ROSA}change",)).fetchall()
-            return [text for (text,) in found if json.loads(text)]
+        with blamed(self.path):
+            found = [str(one) for one in values_of(self._connection, "change")]
+            return [text for text in found if json.loads(text)]
 
     def open(self, base: str) -> list[Individual]:
         """Take up the file; returns what was told, in order."""
         from kb.owl import Book
 
-        with _blamed(self.path):
+        with blamed(self.path):
             self._connection.execute("PRAGMA journal_mode=WAL")
             self._connection.execute("PRAGMA synchronous=NORMAL")
             (page,) = self._connection.execute("PRAGMA page_size").fetchone()
@@ -134,21 +140,21 @@ class Store:
             self.book = Book(base, self.path, self._connection)
             self.book.commit()  # what owlready2 notes at each opening; an open transaction would keep copies waiting
             facts = self.book.facts()
-            self.saved = int(str(_said(self._connection, "told")))
+            self.saved = self.book.number
         for one in facts:
             if one.kind == "Measurement" and isinstance(one.values["measures"][0], Ref):
                 self._count(one.values["measures"][0].id, int(one.id.rpartition(".")[2]))
         return facts
 
-    def start(self, journal: Journal, base: AbstractContextManager[object], on_error: Callable[[str], None]) -> None:
-        """Write from now on; if that fails, say so once and stop.
+    def start(self, journal: Journal, base: AbstractContextManager[object], on_news: Callable[[str], None]) -> None:
+        """Write from now on; if that fails, say so once, and try it again until it is of no use any more.
 
         Args:
             journal: what is told to it.
             base: the lock that whoever tells holds.
-            on_error: called with what is wrong.
+            on_news: called with what is wrong, and when it is well again.
         """
-        self._journal, self._base, self._on_error = journal, base, on_error
+        self._journal, self._base, self._on_news = journal, base, on_news
         self._thread = threading.Thread(target=self._run, name=f"store {self.path.name}", daemon=True)
         self._thread.start()
 
@@ -184,7 +190,9 @@ class Store:
 
     def finish(self) -> None:
         """Write what is left; `release` has to follow."""
-        self._closing = True
+        with self._progress:
+            self._closing = True
+            self._progress.notify_all()
         self.wake()
         if self._thread is not None and self._thread is not threading.current_thread():
             self._thread.join()
@@ -200,17 +208,42 @@ class Store:
         os.close(self._guard)
 
     def _run(self) -> None:
-        while not (self._closing and not self._journal.waiting):
-            self._wake.acquire()
-            time.sleep(_PAUSE)
-            while batch := self._taken():
+        while not self.is_given_up and not (self._closing and not self._journal.waiting):
+            self._rest()
+            while batch := self._waiting():
                 try:
                     self._write(batch)
                 except Exception as error:
-                    self._fail(error, batch)
-                    return
+                    self._fail(error)
+                    break
+                self._forget_waiting(len(batch))
+
+    def _rest(self) -> None:
+        """Wait until there may be something to write, and let who tells go on for a moment."""
+        if self.error is not None:
+            with self._progress:
+                self._progress.wait_for(lambda: self._closing, _AGAIN)
+            return
+        for _ in range(_LINGER):
+            time.sleep(_PAUSE)
+            if self._wake.acquire(blocking=False):
+                return
+        self._wake.acquire()
+        time.sleep(_PAUSE)
+
+    def _waiting(self) -> list[Measured | Group]:
+        """Return what waits; whoever tells holds the base, so that this is whole calls."""
+        with self._base:
+            return list(self._journal.waiting)
+
+    def _forget_waiting(self, count: int) -> None:
+        """Take from what waits the first so many calls, which are in the file."""
+        with self._base:
+            for _ in range(count):
+                self._journal.waiting.popleft()
 
     def _write(self, batch: Iterable[Measured | Group]) -> None:
+        """Write what was told; if that fails, everything is as before."""
         measured: dict[int, Individual] = {}
         entries: list[Individual] = []
         last = 0
@@ -218,175 +251,51 @@ class Store:
             if isinstance(one, Measured):
                 last = one.number
                 measured[last] = measurement(one)
-                self._count(named_id(Attribute, one.attribute), last)
+                if last > self._counted:
+                    self._count(named_id(Attribute, one.attribute), last)
             else:
                 last = one.last
                 entries += one.entries
-        self._excess = [number for number in self._excess if measured.pop(number, None) is None]
-        self._commit([*measured.values(), *entries], last)
+        gone = [number for number in self._excess if number not in measured]
+        for number in self._excess:
+            measured.pop(number, None)
+        self._commit([*measured.values(), *entries], gone if len(gone) > _SLACK else [], last)
+        self._excess = [] if len(gone) > _SLACK else gone
 
-    def _taken(self) -> list[Measured | Group]:
-        """Take what waits; whoever tells holds the base, so that this is whole calls."""
-        with self._base:
-            batch = list(self._journal.waiting)
-            self._journal.waiting.clear()
-        return batch
-
-    def _commit(self, entries: Sequence[Individual], last: int) -> None:
+    def _commit(self, entries: Sequence[Individual], gone: Sequence[int], last: int) -> None:
         with self._using:
             self.book.write(entries)
-            if len(self._excess) > _SLACK:
-                self.book.forget(self._excess)
-                self._excess.clear()
-            self.book.set_number(last)
+            self.book.forget(gone)
+            self.book.number = last
             self.book.commit()
+        was_wrong = self.error is not None
         with self._progress:
-            self.saved = last
+            self.saved, self.error = last, None
             self._progress.notify_all()
+        if was_wrong:
+            text = f"{self.path}: all is saved again"
+            _log.warning(text)
+            self._on_news(text)
 
     def _count(self, attribute: str, number: int) -> None:
+        self._counted = number
         numbers = self._measured.setdefault(attribute, deque())
         numbers.append(number)
         if len(numbers) > self.keep:
             self._excess.append(numbers.popleft())
 
-    def _fail(self, error: Exception, batch: Sequence[Measured | Group]) -> None:
-        text = f"{self.path}: nothing is saved any more since fact {self.saved}: {error}"
-        with suppress(sqlite3.Error):
-            self._connection.rollback()
-        with self._base:
-            self._journal.waiting.extendleft(reversed(batch))
+    def _fail(self, error: Exception) -> None:
+        with self._using, suppress(sqlite3.Error):
+            self.book.roll_back()
+        is_news = self.error is None
+        self.is_given_up = self._closing or len(self._journal.waiting) > _MOST_WAITING
+        since = (
+            f"{self.path}: nothing is saved {'any more ' if self.is_given_up else ''}since fact {self.saved}: {error}"
+        )
+        text = since if self.is_given_up else f"{since}; it is tried again every second"
         with self._progress:
             self.error = text
             self._progress.notify_all()
-        _log.error(text)
-        if self._on_error is not None:
-            self._on_error(text)
-
-
-def _has_content(path: Path) -> bool:
-    try:
-        return path.stat().st_size > 0
-    except FileNotFoundError:
-        return False
-    except OSError as error:
-        raise StoreError(f"{path}: the store cannot be read: {error.strerror}") from None
-
-
-def _make(path: Path, base: str, declared: str, given: Iterable[Individual]) -> bool:
-    """Make the file of a store beside its place, so that it is there as a whole or not at all.
-
-    Returns:
-        False if another process has made one meanwhile.
-    """
-    from kb.owl import Book, database
-    from kb.rdfxml import metamodel
-
-    part = path.with_name(f".{path.name}.{os.getpid()}.{threading.get_ident()}.part")
-    try:
-        connection = database(part)
-        book = Book(base, part, connection)
-        book.describe(metamodel(), given)
-        book.write([Individual("", MODEL, {"told": (0,), "declared": (declared,)})])
-        book.commit()
-        connection.execute(f"PRAGMA application_id={_OWNER}")
-        connection.execute(f"PRAGMA user_version={FORMAT}")
-        book.close()
-        return _put_in_place(part, path)
-    except (OSError, sqlite3.Error) as error:
-        raise StoreError(f"{path}: the store cannot be made: {error}; see who may write in that folder") from None
-    finally:
-        with suppress(OSError):
-            part.unlink(missing_ok=True)
-
-
-def _put_in_place(part: Path, path: Path) -> bool:
-    try:
-        path.hardlink_to(part)
-    except FileExistsError:
-        if path.stat().st_size > 0:
-            return False
-        part.replace(path)
-    except OSError:  # a file system without links
-        part.replace(path)
-    return True
-
-
-def _guarded(path: Path) -> int:
-    """Open a file that nobody else has open as a store; returns its descriptor.
-
-    It is kept until the database is closed: to close any descriptor of a file takes away the locks of SQLite on it.
-    """
-    try:
-        descriptor = os.open(path, os.O_RDONLY)
-    except OSError as error:
-        raise StoreError(f"{path}: the store cannot be read: {error.strerror}") from None
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        os.close(descriptor)
-        raise _in_use(path) from None
-    return descriptor
-
-
-def _in_use(path: Path) -> StoreError:
-    return StoreError(f"{path}: the store is in use by another knowledge base or process; close that, or name another")
-
-
-def _check_format(path: Path, descriptor: int) -> None:
-    try:
-        head = os.pread(descriptor, 100, 0)
-    except OSError as error:
-        raise StoreError(f"{path}: the store cannot be read: {error.strerror}") from None
-    if not head.startswith(_MAGIC) or len(head) < 100:
-        raise StoreError(f"{path}: this is no store but another file; it is left as it is. Name another one")
-    if int.from_bytes(head[68:72], "big") != _OWNER:
-        raise StoreError(f"{path}: this is a database of something else; it is left as it is. Name another file")
-    found = int.from_bytes(head[60:64], "big")
-    if found > FORMAT:
-        raise StoreError(
-            f"{path}: the store has format {found}, of a newer version; this one knows those up to {FORMAT}. "
-            "Update, or name another file"
-        )
-
-
-def _locked(path: Path) -> sqlite3.Connection:
-    """Open a database for nobody else; one that is damaged or may not be written is left as it is."""
-    try:
-        connection = sqlite3.connect(path, timeout=0.0, isolation_level="EXCLUSIVE", check_same_thread=False)
-    except sqlite3.Error as error:
-        raise StoreError(f"{path}: the store cannot be opened: {error}") from None
-    try:
-        connection.execute("PRAGMA locking_mode=EXCLUSIVE")
-        connection.execute("BEGIN EXCLUSIVE")
-        (found,) = connection.execute("PRAGMA integrity_check(1)").fetchone()
-        connection.execute(f"PRAGMA user_version={FORMAT}")  # a file that may only be read is not noticed before that
-        connection.rollback()
-    except sqlite3.Error as error:
-        connection.close()
-        if "locked" in str(error):
-            raise _in_use(path) from None
-        if isinstance(error, sqlite3.OperationalError):
-            raise StoreError(f"{path}: the store cannot be opened for writing: {error}; see who may write it") from None
-        raise _damaged(path, error) from None
-    if found != "ok":
-        connection.close()
-        raise _damaged(path, found.splitlines()[-1])
-    return connection
-
-
-def _said(connection: sqlite3.Connection, word: str) -> object:
-    (found,) = connection.execute(_VALUE, (f"{ROSA}{word}",)).fetchone()
-    return found
-
-
-@contextmanager
-def _blamed(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except (sqlite3.Error, TypeError, ValueError, LookupError) as error:
-        raise _damaged(path, error) from None
-
-
-def _damaged(path: Path, what: object) -> StoreError:
-    return StoreError(f"{path}: the store is damaged: {what}. Take a copy of it that is not, or name another file")
+        if is_news or self.is_given_up:
+            _log.error(text)
+            self._on_news(text)

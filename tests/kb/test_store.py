@@ -164,6 +164,12 @@ def test_store_holds_the_newest_measurements_and_does_not_grow_beyond_them(tmp_p
         assert kb.attributes["load"].history[-100:] == history[-100:]
 
 
+@pytest.mark.parametrize("store", [5, "", b"m.sqlite3", True])
+def test_store_is_named_by_a_path(store):
+    with pytest.raises(InvalidValue, match="a store is the path of a file"):
+        KnowledgeBase(robot(), store=store)
+
+
 @pytest.mark.parametrize("keep", [0, -1, 2.5, True, "many"])
 def test_limit_of_measurements_is_a_number(keep, tmp_path):
     with pytest.raises(InvalidValue, match="keep is a whole number"):
@@ -372,37 +378,83 @@ def soon(condition):
     return condition()
 
 
+def fill(kb):
+    for number in range(3000):
+        kb.measure("load", float(number))
+    kb.assert_required("see", True)
+    assert not kb.flush(10.0)
+
+
 def test_full_disk_is_said_and_the_mission_goes_on(tmp_path, caplog):
     path, told = tmp_path / "m.sqlite3", []
+    failures = "SELECT ?start { ?f a :Failure ; :start ?start }"
     with caplog.at_level(logging.ERROR), kept(robot(), path) as kb:
         kb.subscribe(lambda event: told.append(event.text))
         kb.component_failed("camera")
         assert kb.flush(10.0)
         saved = kb.saved
-        failures = "SELECT ?start { ?f a :Failure ; :start ?start }"
         assert kb.query(failures) == [(5.0,)]
         kb.component_failed("lidar")
         assert kb.flush(10.0)
         with files_no_longer_than(100_000):
-            for number in range(3000):
-                kb.measure("load", float(number))
-            kb.assert_required("see", True)
-            assert not kb.flush(10.0)
-        assert kb.query(failures) == [(5.0,), (5.0,)]
-        assert kb.query("SELECT ?n { ?x a :AssertedRequirement ; :about ?f . ?f :name ?n }") == [("see",)]
-        assert "nothing is saved any more" in kb.store_error
-        assert soon(lambda: any("nothing is saved any more" in text for text in told))  # the writer tells it
-        assert "nothing is saved any more" in caplog.text
-        kb.component_recovered("camera")
-        assert kb.request_action("explore")
-        assert PriorityPlanner().plan(kb).activate == ("camera",)
-        assert kb.query("SELECT (MAX(?v) AS ?most) { ?m a :Measurement ; :value ?v }") == [(2999.0,)]
+            fill(kb)
+            assert kb.query(failures) == [(5.0,), (5.0,)]
+            assert kb.query("SELECT ?n { ?x a :AssertedRequirement ; :about ?f . ?f :name ?n }") == [("see",)]
+            assert "nothing is saved since fact" in kb.store_error
+            assert soon(lambda: any("nothing is saved since fact" in text for text in told))  # the writer tells it
+            assert "it is tried again every second" in caplog.text
+            kb.component_recovered("camera")
+            assert kb.request_action("explore")
+            assert PriorityPlanner().plan(kb).activate == ("camera",)
+            assert kb.query("SELECT (MAX(?v) AS ?most) { ?m a :Measurement ; :value ?v }") == [(2999.0,)]
+            assert kb.query("SELECT ?end { ?f a :Failure ; :end ?end }") == [(5.0,)]
+            kb.close()
+            assert "nothing is saved any more since fact" in kb.store_error
         assert kb.query("SELECT ?end { ?f a :Failure ; :end ?end }") == [(5.0,)]
+        assert kb.query("SELECT (MAX(?v) AS ?most) { ?m a :Measurement ; :value ?v }") == [(2999.0,)]
         reached = kb.saved
     with kept(robot(), path) as kb:
         assert reached >= saved
         assert kb.told == reached
         assert kb.components["camera"].status == "failure"
+
+
+def test_all_that_waited_is_saved_in_order_once_the_disk_has_room_again(tmp_path):
+    path, other, told = tmp_path / "m.sqlite3", tmp_path / "other.sqlite3", []
+    with kept(robot(), path, keep=100) as kb, kept(robot(), other, keep=100) as untroubled:
+        kb.subscribe(lambda event: told.append(event.text))
+        with files_no_longer_than(100_000):
+            fill(kb)
+            kb.component_failed("camera", "rain")
+            assert kb.saved < kb.told
+        for number in range(3000):
+            untroubled.measure("load", float(number))
+        untroubled.assert_required("see", True)
+        untroubled.component_failed("camera", "rain")
+        assert soon(lambda: kb.store_error is None and kb.flush(1.0))
+        assert soon(lambda: any(text.endswith("all is saved again") for text in told))
+        kb.component_recovered("lidar")
+        untroubled.component_recovered("lidar")
+        assert kb.flush(10.0)
+        count = "SELECT (COUNT(?m) AS ?n) (MAX(?v) AS ?most) { ?m a :Measurement ; :value ?v }"
+        ((measured, most),) = kb.query(count)
+        assert 100 <= measured <= 400
+        assert most == 2999.0
+        expected = answers(untroubled)
+    with kept(robot(), path, keep=100) as kb:
+        assert answers(kb) == expected
+
+
+def test_waiting_for_room_is_given_up_when_too_much_waits(tmp_path, monkeypatch):
+    monkeypatch.setattr("kb.store._MOST_WAITING", 1000)
+    with kept(robot(), tmp_path / "m.sqlite3") as kb:
+        with files_no_longer_than(100_000):
+            fill(kb)
+            assert soon(lambda: "any more" in kb.store_error)
+        kb.measure("load", 5000.0)
+        assert not kb.flush(1.5)
+        assert "nothing is saved any more" in kb.store_error
+        assert kb.query("SELECT (MAX(?v) AS ?most) { ?m a :Measurement ; :value ?v }") == [(5000.0,)]
 
 
 def test_disk_that_is_full_from_the_start_is_an_error(tmp_path):

@@ -57,6 +57,14 @@ def test_inferred_statuses_are_those_of_the_base(story):
             assert statuses(twins.kb) == told
 
 
+def test_comments_in_a_query_are_passed_over(base):
+    kb = base(robot(), Clock(0.0))
+    query = "# which\nSELECT ?n { # of all }\n ?x a :Action ; :name ?n ; # INSERT\r\n :status 'feasible' } ORDER BY ?n#"
+    assert kb.query(query) == [("explore",), ("rest",)]
+    (row,) = kb.query("SELECT (COUNT(?x) AS ?n) { ?x a <http://www.w3.org/2002/07/owl#Class> }")
+    assert row > (0,)
+
+
 @given(model=odd_models())
 @settings(max_examples=30, suppress_health_check=[HealthCheck.too_slow])
 def test_names_are_exact(model):
