@@ -80,7 +80,7 @@ def replay(
         managed: what takes the commands, with its clock at 0; by default a system that does what it is told.
 
     Raises:
-        MissionError: the recording cannot be read, or there is no such mission or task layer.
+        MissionError: the recording cannot be read, or there is no such mission, task layer or behaviour.
         kb.UnknownName: there is a script for a component that the model does not have.
     """
     messages = list(read_recording(source))
@@ -148,6 +148,8 @@ class _Nowhere(WorldKind):
 
 def _asked(mission: Mission | Model | str, behaviour: TaskFactory | None, world: Recording) -> Mission:
     """Return the mission to run; the planners in its tree are made known to the world."""
+    if behaviour is not None and (isinstance(behaviour, Behaviour) or not callable(behaviour)):
+        raise MissionError(f"what decides is made for each replay: lambda kb, senses: ..., not {behaviour!r}")
     if isinstance(mission, Model):
         model = mission
         if behaviour is None:

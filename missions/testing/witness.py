@@ -3,7 +3,7 @@
 import math
 from typing import NamedTuple
 
-from kb import Event, EventKind, KnowledgeBase, Status
+from kb import Event, EventKind, KnowledgeBase, Status, StatusChange
 
 __all__ = ["TaskChange", "Witness"]
 
@@ -51,17 +51,17 @@ class Witness:
         self.events.append(event)
         for change in event.changes:
             if change.kind == "action":
-                self._judge(change.name, change.old, change.new)
+                self._judge(change, event.text)
         if event.kind is EventKind.ACTION_UPDATE:
             self._follow(event)
         self._settle(event.time)
 
-    def _judge(self, action: str, old: Status, new: Status) -> None:
+    def _judge(self, change: StatusChange, news: str) -> None:
         """Remember why an action can, or cannot, be done now."""
-        if new is Status.UNFEASIBLE:
-            self._reasons[action] = self._kb.why(action)
-        elif old is Status.UNFEASIBLE:
-            self._reasons[action] = f"{action} is feasible again"
+        if change.new is Status.UNFEASIBLE:
+            self._reasons[change.name] = self._kb.why(self._kb.actions[change.name])
+        elif change.old is Status.UNFEASIBLE:
+            self._reasons[change.name] = f"{news}: {change.name} is feasible again"
 
     def _follow(self, event: Event) -> None:
         record = next(one for one in reversed(self._kb.action_history) if one.action == event.subject)

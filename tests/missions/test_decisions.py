@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from py_trees.composites import Sequence
-from rover import ENERGY_DROP, Sensing, rover_model, rover_tree
+from small_rover import ENERGY_DROP, Sensing, rover_model, rover_tree
 
 from kb import UnknownName
 from missions.mission import MissionError
@@ -189,6 +189,14 @@ def test_what_else_a_test_wants_to_know_is_in_the_knowledge_base():
     assert decisions.kb.attributes["energy"].at(25.0) == 0.1
     assert str(decisions).count("\n") > 20
     assert re.search(r"plan +deactivate dock; activate camera; configure night: completed at 30.15 s", str(decisions))
+
+
+def test_behaviour_is_handed_in_as_what_makes_it():
+    for wrong in (Sequence("mission", memory=True), "rover_tree"):
+        with pytest.raises(MissionError, match="what decides is made for each replay: lambda kb, senses"):
+            replay(ENERGY_DROP, rover_model(), wrong)
+    with pytest.raises(MissionError, match="the tree of mission rover is None, not a py_trees behaviour"):
+        replay(ENERGY_DROP, rover_model(), lambda kb, senses: None)
 
 
 def test_model_alone_decides_nothing():

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from py_trees.behaviours import Success
 from py_trees.common import Status
 from py_trees.composites import Selector, Sequence
-from rover import Sensing, rover_model, rover_tree
+from small_rover import Sensing, rover_model, rover_tree
 
 from kb import KnowledgeBase, UnknownName
 from missions.recording import measured

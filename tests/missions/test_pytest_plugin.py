@@ -188,9 +188,8 @@ def test_tests_of_one_file_have_golden_traces_of_their_own():
     assert {path.parent for path in paths} == {Path("tests/golden")}
 
 
-def test_users_who_do_not_use_it_notice_nothing(run):
-    result = run(
-        """
+def test_users_who_do_not_use_it_notice_nothing(pytester):
+    pytester.makepyfile("""
         import pytest
 
         @pytest.fixture
@@ -199,10 +198,8 @@ def test_users_who_do_not_use_it_notice_nothing(run):
 
         def test_their_own_fixture_goes_first(replay):
             assert replay == "a fixture of the user's"
-    """,
-        "-W",
-        "error",
-    )
+    """)
+    result = pytester.runpytest_subprocess(*PLUGINS, "-W", "error")
     result.assert_outcomes(passed=1)
     assert "golden" not in result.stdout.str()
 

@@ -6,7 +6,7 @@ from itertools import pairwise
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from rover import ENERGY_DROP, rover_model, rover_tree
+from small_rover import ENERGY_DROP, rover_model, rover_tree
 
 from kb import ConfigurationManager, KnowledgeBase, UnknownName
 from missions.mission import MissionError
