@@ -2,6 +2,7 @@
 
 from rosa_pddl.domain import Domain, Feasibility, Schema, State, Step
 from rosa_pddl.exceptions import (
+    GoalError,
     MissingBehaviourError,
     PddlError,
     PlannerSettingError,
@@ -10,16 +11,22 @@ from rosa_pddl.exceptions import (
     UnknownNameError,
     UnsupportedPddlError,
 )
-from rosa_pddl.executor import PlanExecutor, PlanRecord
+from rosa_pddl.executor import PlanExecutor
+from rosa_pddl.goals import Goal, Goals
 from rosa_pddl.planning import Attempt, Outcome, Planner, PlanningResult, TimedStep, awaited, schedule_flaw
+from rosa_pddl.policy import ReplanningPolicy
 from rosa_pddl.problem import Problem, feasible_atoms, initial_state
 from rosa_pddl.reader import load_domain
+from rosa_pddl.replanning import PlanRecord
 from rosa_pddl.validate import flaw
 
 __all__ = [
     "Attempt",
     "Domain",
     "Feasibility",
+    "Goal",
+    "GoalError",
+    "Goals",
     "MissingBehaviourError",
     "Outcome",
     "PddlError",
@@ -30,6 +37,7 @@ __all__ = [
     "PlanningBudgetError",
     "PlanningResult",
     "Problem",
+    "ReplanningPolicy",
     "RosaPddlError",
     "Schema",
     "State",

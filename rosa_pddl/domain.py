@@ -84,7 +84,8 @@ class Domain:
         schema_of: the PDDL actions by name.
         outside: the files' spelling by the unique name that unified-planning was given.
         inside: the reverse, by kind (predicate, object, action) and lower-case name.
-        places: file and line where each object is declared.
+        goals: the conditions of the problem file that shall hold in the end, as text.
+        places: file and line of what is declared, by kind (object, action) and name, and of (section, `:metric`).
         types: for each object its type and the ancestors of that, in lower case.
     """
 
@@ -97,12 +98,17 @@ class Domain:
     schema_of: Mapping[str, Schema] = field(repr=False)
     outside: Mapping[str, str] = field(repr=False)
     inside: Mapping[tuple[str, str], str] = field(repr=False)
-    places: Mapping[str, tuple[str, int]] = field(repr=False)
+    goals: tuple[str, ...] = field(repr=False)
+    places: Mapping[tuple[str, str], tuple[str, int]] = field(repr=False)
     types: Mapping[str, tuple[str, ...]] = field(repr=False)
     _atoms: dict[str, str] = field(default_factory=dict, repr=False)
 
-    def check(self, kb: Feasibility) -> None:
+    def check(self, kb: Feasibility) -> tuple[str, ...]:
         """Assure that the knowledge base knows every ROSA action of the files.
+
+        Returns:
+            What may be an oversight, in sentences: actions of the knowledge base that the files lack, and those of the
+            files that no PDDL action does.
 
         Raises:
             PddlError: it does not know one; the message points at the object and names the nearest actions.
@@ -112,9 +118,26 @@ class Domain:
             raise PddlError(text, self.file, 1)
         for action in self.rosa_actions:
             if action not in kb.actions:
-                file, line = self.places[action]
+                file, line = self.places["object", action]
                 hint = nearest(action, kb.actions)
                 raise PddlError(f"the knowledge base does not know the action {action!r}; {hint}", file, line)
+        unplanned = [name for name in kb.actions if name not in self.rosa_actions]
+        findings = [f"the action {name!r} of the knowledge base is never planned: {self.file}" for name in unplanned]
+        idle = [action for action in self.rosa_actions if not self._doers(action)]
+        return (*findings, *(f"no PDDL action of {self.file} does the ROSA action {action!r}" for action in idle))
+
+    def _doers(self, action: str) -> list[str]:
+        """Return the PDDL actions that may be doing a ROSA action, as far as the facts of the problem file tell."""
+        return [name for name, schema in self.schema_of.items() if self._may_do(schema, action)]
+
+    def _may_do(self, schema: Schema, action: str) -> bool:
+        if schema.action is None or schema.action not in dict(schema.parameters):
+            return schema.action == action
+        kind = f"{schema.name.lower()}_action"
+        if ("predicate", kind) not in self.inside:
+            return True
+        value = self.up_problem.explicit_initial_values.get(self.expression(f"({kind} {action})"))
+        return value is not None and value.is_true()
 
     def atom(self, text: str) -> str:
         """Return the canonical text of an atom, e.g. `(lit room)` for `lit ROOM`.
@@ -128,7 +151,7 @@ class Domain:
 
     def feasible_atom(self, action: str) -> str:
         """Return the atom that says that a ROSA action is feasible."""
-        return f"({self._spelling('predicate', FEASIBLE, FEASIBLE)} {action})"
+        return f"({self.spelling('predicate', FEASIBLE, FEASIBLE)} {action})"
 
     @property
     def tracks_feasibility(self) -> bool:
@@ -161,8 +184,8 @@ class Domain:
         words = text.strip().removeprefix("(").removesuffix(")").split()
         if not words:
             raise UnknownNameError(f"{text!r} is not an atom, expected e.g. '(predicate object)'")
-        predicate = self._spelling("predicate", words[0], text)
-        arguments = [self._spelling("object", word, text) for word in words[1:]]
+        predicate = self.spelling("predicate", words[0], text)
+        arguments = [self.spelling("object", word, text) for word in words[1:]]
         fluent = self.up_problem.fluent(self.inside["predicate", words[0].lower()])
         expected = [(parameter.type, self.outside[parameter.type.name]) for parameter in fluent.signature]
         if len(expected) != len(arguments):
@@ -173,7 +196,17 @@ class Domain:
                 raise UnknownNameError(f"{argument!r} in {text!r} is not of type {type_name!r}; of that type: {known}")
         return "(" + " ".join([predicate, *arguments]) + ")"
 
-    def _spelling(self, kind: str, word: str, text: str) -> str:
+    def spelling(self, kind: str, word: str, text: str) -> str:
+        """Return a name as the files spell it.
+
+        Args:
+            kind: predicate, object, type or action.
+            word: the name in any case.
+            text: where it was met, for the message.
+
+        Raises:
+            UnknownNameError: the files have no such name.
+        """
         if (kind, word.lower()) not in self.inside:
             known = [self.outside[inner] for (other, _), inner in self.inside.items() if other == kind]
             raise UnknownNameError(f"{self.file} has no {kind} {word!r} (in {text!r}); {nearest(word, known)}")

@@ -1,80 +1,37 @@
-"""Executes plans step by step with py_trees behaviours, and plans anew when the world is not what the plan needs."""
+"""Executes plans with py_trees behaviours, and plans anew when the world or the goals are not what the plan needs."""
 
-from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import Future, wait
-from dataclasses import dataclass, replace
-from typing import Protocol
+from collections.abc import Callable, Iterable, Iterator, Mapping
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 
+from rosa_pddl.asking import PlansAhead
+from rosa_pddl.belief import Belief, Undo, without
+from rosa_pddl.course import Course, Event
 from rosa_pddl.domain import Domain, Feasibility, State, Step
 from rosa_pddl.exceptions import MissingBehaviourError, nearest
-from rosa_pddl.planning import Outcome, Planner, PlanningResult
-from rosa_pddl.problem import Problem, feasible_atoms, initial_state, sensed_into, without_feasibility
-from rosa_pddl.validate import because, ended, flaw, goal_holds, missing_at_end, missing_meanwhile, started
+from rosa_pddl.goals import Goals
+from rosa_pddl.planning import Planner
+from rosa_pddl.policy import Decision, ReplanningPolicy, decide
+from rosa_pddl.problem import Problem
+from rosa_pddl.quest import Quest
+from rosa_pddl.replanning import PlanRecord, Replanning
+from rosa_pddl.running import Factory, RunningStep
+from rosa_pddl.validate import because, missing_at_end, missing_meanwhile
 
-# Sums of tick lengths miss the due time by rounding; no clock of ours tells less than this apart [s].
-_CLOCK_RESOLUTION_S = 1e-6
-# A planner keeps its own time limit; this much more is waited before it is given up [s].
-_GRACE_S = 2.0
-
-Factory = Callable[[Step], Behaviour]
-
-
-class PlansAhead(Protocol):
-    """What the executor needs of a planner."""
-
-    @property
-    def timeout_s(self) -> float:
-        """After this long the planner gives up by itself [s]."""
-
-    def start(self, problem: Problem) -> "Future[PlanningResult]":
-        """Begin to plan, without waiting."""
-
-
-@dataclass(frozen=True)
-class PlanRecord:
-    """One planning that happened.
-
-    Args:
-        at_s: when it was asked for [s, the executor's clock].
-        reason: why, in words.
-        outcome: how it ended.
-        steps: the plan; empty unless solved.
-        engine: the engine that was asked.
-        message: what was tried and what to do about it; empty when solved.
-    """
-
-    at_s: float
-    reason: str
-    outcome: Outcome
-    steps: tuple[Step, ...]
-    engine: str
-    message: str = ""
-
-
-@dataclass(frozen=True)
-class _Request:
-    future: "Future[PlanningResult]"
-    state: State
-    at_s: float
-    due_s: float
-    reason: str
-
-    def is_due(self, now_s: float) -> bool:
-        return now_s >= self.due_s - _CLOCK_RESOLUTION_S
+__all__ = ["PlanExecutor"]
 
 
 class PlanExecutor(Behaviour):
-    """Plans towards the goal of a domain's problem and executes the plan, one step at a time.
+    """Plans towards the goals and executes the plan: one step at a time, or as a temporal plan's causal order allows.
 
-    It is RUNNING while it plans (nothing else runs then) and while a step runs, SUCCESS when the goal holds, and
-    FAILURE when there is no plan; ticked again after that it plans anew only if something has changed.
+    It is RUNNING while it plans and while steps run, SUCCESS when the goals hold, and FAILURE when there is no plan;
+    ticked again after that it plans anew only if something has changed.
 
-    It plans anew when the running step needs what does not hold any more, when a step fails or cannot start, and when
-    the rest of the plan does not lead to the goal any more. Feasibility is always the knowledge base's: the effects of
-    a finished step are believed until sensed otherwise, those on `action_feasible` never.
+    It plans anew when a running step needs what does not hold any more, when a step fails, when the rest of the plan
+    does not lead to the goals any more, when the goals change, and, if the policy says so, when something better may be
+    possible. Feasibility is always the knowledge base's: the effects of a finished step are believed until sensed
+    otherwise, those on `action_feasible` never.
 
     Args:
         name: of the behaviour.
@@ -86,6 +43,13 @@ class PlanExecutor(Behaviour):
         planner: plans beside the ticks; by default Fast Downward.
         delay_s: the answer of the planner is taken this long after the request, whatever it took, so that a simulation
             is the same each time [s]; None to take it as soon as it is there.
+        policy: when to plan anew, and what becomes of running steps meanwhile.
+        costs: returns the values, now, of numeric facts that costs are made of, such as `{"(length a b)": 3.5}`; the
+            others are those of the problem file.
+
+    Raises:
+        PddlError: the knowledge base does not know a ROSA action of the domain.
+        MissingBehaviourError: a PDDL action has no behaviour.
     """
 
     def __init__(
@@ -99,74 +63,76 @@ class PlanExecutor(Behaviour):
         clock: Callable[[], float],
         planner: PlansAhead | None = None,
         delay_s: float | None = 0.2,
+        policy: ReplanningPolicy | None = None,
+        costs: Callable[[], Mapping[str, float]] | None = None,
     ) -> None:
         super().__init__(name)
-        domain.check(kb)
+        self.findings = domain.check(kb)
         _check_behaviours(domain, behaviours)
-        self._kb = kb
-        self._domain = domain
-        self._factories = dict(behaviours)
-        self._sense = sense
-        self._clock = clock
+        self.goals = Goals(domain)
+        self._domain, self._factories, self._sense = domain, dict(behaviours), sense
+        self._policy = policy or ReplanningPolicy()
         self._planner: PlansAhead = planner if planner is not None else Planner()
-        self._delay_s = delay_s
+        self._quest = Quest(domain, costs or dict)
+        self._replanning = Replanning(domain, self.goals, self._quest, self._planner, clock, delay_s, self._policy)
+        self._belief = Belief(domain, kb, sense)
         self._setup_arguments: dict[str, object] = {}
-        self._believed = without_feasibility(domain, initial_state(domain))
-        self._records: list[PlanRecord] = []
-        self._request: _Request | None = None
-        self._step: Step | None = None
-        self._undo: tuple[State, State] = (frozenset(), frozenset())
-        self._rest: tuple[Step, ...] = ()
-        self._found_valid: State | None = None
-        self._hopeless: tuple[State, str] | None = None
+        self._running: list[RunningStep] = []
+        self._ended_meanwhile: list[Step] = []
+        self._course: Course | None = None
+        self._found_valid: tuple[State, Course] | None = None
+        self._seen_goals = self.goals.version
+        self._expected: State | None = None
         self._ticked: list[Behaviour] = []
 
     @property
     def plans(self) -> tuple[PlanRecord, ...]:
         """Every planning that was answered: when, why, with what result. One that was interrupted has no result."""
-        return tuple(self._records)
+        return tuple(self._replanning.records)
 
     @property
     def current_step(self) -> Step | None:
-        """The step that runs."""
-        return self._step
+        """The step that runs; of several the one that started first."""
+        return self._running[0].step if self._running else None
+
+    @property
+    def current_steps(self) -> tuple[Step, ...]:
+        """The steps that run, in the order in which they started."""
+        return tuple(running.step for running in self._running)
 
     @property
     def remaining_steps(self) -> tuple[Step, ...]:
-        """The steps of the plan that come after the current one."""
-        return self._rest
+        """The steps of the plan that have not started."""
+        course = self._course
+        return () if course is None else tuple(course.steps[number] for number in course.remaining)
 
     def catch_up(self) -> None:
         """Wait for an answer of the planner that is due by now.
 
-        Call it when the clock has moved on and before the tick: then a tick never waits and yet finds each answer that
-        is due. A planner that is later than its own time limit allows counts as out of time.
+        Call it in lock-step simulation, when the clock has moved on and before the tick: then a tick never waits and
+        yet finds each answer that is due.
+
+        Raises:
+            PlanningBudgetError: the answer needed more wall-clock time than the planner allows, so that going on would
+                make the run depend on the machine.
         """
-        request = self._request
-        if request is None or self._delay_s is None or not request.is_due(self._clock()):
-            return
-        limit_s = self._planner.timeout_s + _GRACE_S
-        finished, _ = wait([request.future], timeout=limit_s)
-        if not finished:
-            request.future.cancel()
-            engine = str(getattr(self._planner, "engine", type(self._planner).__name__))
-            message = f"{engine} gave no answer in {limit_s:g} s of waiting; allow more time or ask for less"
-            late: Future[PlanningResult] = Future()
-            late.set_result(PlanningResult(Outcome.OUT_OF_TIME, engine=engine, message=message))
-            self._request = replace(request, future=late)
+        self._replanning.catch_up()
 
     # ---------------------------------------------------------------- hooks of py_trees
 
     def setup(self, **kwargs: object) -> None:
-        """Keep the arguments for the behaviour of each step; called once before the first tick."""
+        """Let the planner prepare, and keep the arguments for the steps; called once before the first tick."""
         self._setup_arguments = kwargs
+        if isinstance(self._planner, Planner):
+            problem = Problem(self._domain, self._belief.observe())
+            self._planner.prepare(problem, self._sense())
 
     def initialise(self) -> None:
         """Forget the plan of the last round, keep what is believed; called on the first tick of a round."""
         self._drop_plan()
 
     def tick(self) -> Iterator[Behaviour]:
-        """Tick, and show visitors the nodes of the running step too."""
+        """Tick, and show visitors the nodes of the running steps too."""
         for node in super().tick():
             yield from self._ticked
             yield node
@@ -181,7 +147,7 @@ class PlanExecutor(Behaviour):
             raise
 
     def terminate(self, new_status: Status) -> None:
-        """Stop the running step and forget the planning; called when the round ends or is interrupted."""
+        """Stop the running steps and forget the planning; called when the round ends or is interrupted."""
         self._drop_plan()
 
     def shutdown(self) -> None:
@@ -191,163 +157,194 @@ class PlanExecutor(Behaviour):
         self._drop_plan()
 
     def tip(self) -> Behaviour | None:
-        """Return the node that ran last: that of the step, if one runs."""
+        """Return the node that ran last: that of the first step, if one runs."""
         return self.children[0].tip() if self.children else super().tip()
 
     # ---------------------------------------------------------------- one tick
 
     def _advance(self) -> Status:
-        state = self._observe()
-        if self._step is not None:
-            return self._go_on(self._step, state)
-        if goal_holds(self._domain, state):
-            return self._reached()
-        if self._request is not None:
-            return self._await_plan(self._request, state)
-        if self._hopeless is not None and self._hopeless[0] == state:
-            self.feedback_message = self._hopeless[1]
-            return Status.FAILURE
-        return self._plan_anew("the state changed" if self._hopeless else "start", state)
+        self._watch(self._belief.observe())
+        self._tick_steps(tuple(self._running))
+        self._take_plan()
+        while self._tick_steps(self._start_ready()):
+            pass
+        self._expected = self._belief.observe()
+        return self._conclude(self._expected)
 
-    def _observe(self) -> State:
-        """Take in what is sensed; return what is believed then, with the feasibility of the knowledge base."""
-        self._believed = without_feasibility(self._domain, sensed_into(self._domain, self._believed, self._sense()))
-        return self._believed | feasible_atoms(self._domain, self._kb)
+    def _watch(self, state: State) -> None:
+        """Stop what cannot go on, and find out whether the plan still does."""
+        goals_changed, self._seen_goals = self.goals.version != self._seen_goals, self.goals.version
+        if goals_changed:
+            self._replanning.goals_changed(is_needed=self._course is None)
+            if self._course is not None:
+                self._course = self._quest.aimed(self._course, state, self.goals)
+        for running in tuple(self._running):
+            missing = missing_meanwhile(self._domain, running.step, state)
+            if missing is not None:
+                self._release([running])
+                self._want(Decision(because(self._domain, running.step, missing, verb="became"), is_needed=True))
+        if self._course is not None:
+            news = _news(self._expected, state)
+            self._want(decide(self._policy, flaw=self._flaw(), goals_changed=goals_changed, news=news))
 
-    def _reached(self) -> Status:
-        self._forget_request()
-        self.feedback_message = "the goal holds"
-        return Status.SUCCESS
+    def _flaw(self) -> str | None:
+        """Why the rest of the plan will not do any more, in words."""
+        course, state = self._course, self._belief.observe()
+        if course is None or self._found_valid == (state, course):
+            return None
+        if self._replanning.had_no_plan and self._replanning.why_hopeless(self._unstarted(state)) is None:
+            return "the state changed"
+        flaw = course.replay(state).flaw
+        self._found_valid = (state, course) if flaw is None else None
+        return flaw
 
-    # ---------------------------------------------------------------- planning
+    def _want(self, decision: Decision | None) -> None:
+        """Note that a plan is to be made; one that is needed makes an end of the present one."""
+        if decision is None:
+            return
+        self._replanning.want(decision)
+        if decision.is_needed:
+            self._course = None
+            if self._policy.while_planning == "hold":
+                self._release(self._running)
 
-    def _plan_anew(self, reason: str, state: State) -> Status:
-        self._drop_plan()
-        self._hopeless = None
-        now = self._clock()
-        future = self._planner.start(Problem(self._domain, state))
-        self._request = _Request(future, state, now, now + (self._delay_s or 0.0), reason)
-        self.feedback_message = f"planning: {reason}"
+    def _conclude(self, state: State) -> Status:
+        """Say how the tick ends, and ask for a plan if one is wanted."""
+        if not self._running and self._quest.is_over(state, self.goals, self._course):
+            self._drop_plan()
+            self.feedback_message = "the goal holds"
+            return Status.SUCCESS
+        planned_from = self._unstarted(state)
+        if not self._running and not self._replanning.is_busy and (self._course is None or self._course.is_finished):
+            why = self._replanning.why_hopeless(planned_from)
+            if why is not None:
+                self._drop_plan()
+                self.feedback_message = why
+                return Status.FAILURE
+            reason = "the state changed" if self._replanning.had_no_plan else "start"
+            self._want(Decision(reason, is_needed=True))
+        asked = self._replanning.ask_if_allowed(planned_from)
+        if asked is not None:
+            self._ended_meanwhile.clear()
+            self.feedback_message = asked
+        elif self._running and not self._replanning.is_busy:
+            self.feedback_message = ", ".join(str(step) for step in self.current_steps)
         return Status.RUNNING
 
-    def _await_plan(self, request: _Request, state: State) -> Status:
-        if not request.is_due(self._clock()) or not request.future.done():
-            return Status.RUNNING
-        result = _answer(request.future)
-        self._request = None
-        outcome, steps = result.outcome, result.steps
-        self._records.append(PlanRecord(request.at_s, request.reason, outcome, steps, result.engine, result.message))
-        if result.outcome.is_solved:
-            self._rest = result.steps
-            return self._start_next(state)
-        if state != request.state:
-            return self._plan_anew("the state changed during planning", state)
-        self._hopeless = (state, f"no plan, {result.outcome}: {result.message or request.reason}")
-        self.feedback_message = self._hopeless[1]
-        return Status.FAILURE
+    def _unstarted(self, state: State) -> State:
+        """Return the state to plan from: as if no step ran, so that the plan may start with what runs."""
+        return without((running.undo for running in self._running), state)
+
+    # ---------------------------------------------------------------- a new plan
+
+    def _take_plan(self) -> None:
+        found = self._replanning.take(self._unstarted(self._belief.observe()))
+        if found is None:
+            return
+        course = self._with_what_ended(found.course)
+        kept: dict[int, RunningStep] = {}
+        for running in self._running:
+            number = course.starts_with(running.step)
+            if number is not None:
+                kept[number] = running
+                course = course.with_event(Event(number, False))
+        others = [running for running in self._running if running not in kept.values()]
+        state = self._belief.observe()
+        after = without((running.undo for running in others), state)
+        old = None if found.decision.is_needed else self._course
+        if old is not None and not self._quest.is_better(course, after, old, state, self.goals):
+            return
+        self._release(others)
+        for number, running in kept.items():
+            running.number = number
+        self._course = course
+
+    def _with_what_ended(self, course: Course) -> Course:
+        """Return a plan less the steps that it starts with and that ended well while it was made."""
+        for step in self._ended_meanwhile:
+            number = course.starts_with(step)
+            if number is not None:
+                course = course.with_event(Event(number, False), Event(number, True))
+        return course
 
     # ---------------------------------------------------------------- executing
 
-    def _start_next(self, state: State) -> Status:
-        while not goal_holds(self._domain, state):
-            wrong = flaw(self._domain, self._rest, state)
+    def _start_ready(self) -> tuple[RunningStep, ...]:
+        """Start the steps that may start; return them."""
+        begun: list[RunningStep] = []
+        while self._course is not None and self._course.startable:
+            state = self._belief.observe()
+            if self._quest.is_over(state, self.goals, self._course):
+                break
+            flaw = self._flaw()
+            if flaw is not None:
+                self._want(Decision(flaw, is_needed=True))
+                break
+            begun.append(self._begin(self._course, self._course.startable[0], state))
+        return tuple(begun)
+
+    def _begin(self, course: Course, number: int, state: State) -> RunningStep:
+        step = course.steps[number]
+        undo = self._belief.start(step, state)
+        running = RunningStep(step, self._factories[step.schema], undo, number, self, self._setup_arguments)
+        self._running.append(running)
+        self.children = [one.behaviour for one in self._running]
+        self._course = course.with_event(Event(number, False))
+        return running
+
+    def _tick_steps(self, steps: tuple[RunningStep, ...]) -> bool:
+        """Tick steps; return whether one has ended well, so that others may start."""
+        any_ended = False
+        for running in steps:
+            if running not in self._running:
+                continue
+            status, text, ticked = running.tick()
+            self._ticked += ticked
+            if status == Status.RUNNING:
+                continue
+            wrong = (
+                self._ended(running) if status == Status.SUCCESS else f"{running.step} failed" + (text and f": {text}")
+            )
             if wrong is not None:
-                return self._plan_anew(wrong, state)
-            step = self._rest[0]
-            self._begin(step, state)
-            status = self._tick_step(step)
-            if status is not None:
-                return status
-            state = self._observe()
-        return self._reached()
+                self._release([running])
+                self._want(Decision(wrong, is_needed=True))
+            any_ended |= wrong is None
+        return any_ended
 
-    def _go_on(self, step: Step, state: State) -> Status:
-        wrong = self._broken(step, state)
-        if wrong is not None:
-            return self._plan_anew(wrong, self._abandon_step())
-        status = self._tick_step(step)
-        return status if status is not None else self._start_next(self._observe())
-
-    def _broken(self, step: Step, state: State) -> str | None:
-        """Why the running step and the rest of the plan will not do any more, in words."""
-        missing = missing_meanwhile(self._domain, step, state)
-        if missing is not None:
-            return because(self._domain, step, missing, verb="became")
-        if state == self._found_valid:
-            return None
-        self._found_valid = state
-        return flaw(self._domain, self._rest, ended(self._domain, step, state))
-
-    def _begin(self, step: Step, state: State) -> None:
-        before = self._believed
-        self._believed = without_feasibility(self._domain, started(self._domain, step, state))
-        self._undo = (before - self._believed, self._believed - before)
-        self._step, self._rest = step, self._rest[1:]
-        self._found_valid = None
-        self.feedback_message = str(step)
-        child = self._factories[step.schema](step)
-        for node in child.iterate():
-            node.setup(**self._setup_arguments)
-        child.parent = self
-        self.children = [child]
-
-    def _tick_step(self, step: Step) -> Status | None:
-        """Tick the step's behaviour; None if the step has ended well, what to return otherwise."""
-        child = self.children[0]
-        try:
-            self._ticked += list(child.tick())
-            status, text = child.status, child.feedback_message
-        except Exception as error:  # whatever a step's behaviour raises is that step's failure, not the tree's
-            _stop(child)
-            status, text = Status.FAILURE, f"{type(error).__name__}: {error}"
-        if status == Status.RUNNING:
-            return status
-        reason = self._conclude(step) if status == Status.SUCCESS else ": ".join(filter(None, [f"{step} failed", text]))
-        return None if reason is None else self._plan_anew(reason, self._abandon_step())
-
-    def _conclude(self, step: Step) -> str | None:
+    def _ended(self, running: RunningStep) -> str | None:
         """Believe the effects of a step that succeeded; or say why it cannot have."""
-        state = self._observe()
+        step, state = running.step, self._belief.observe()
         missing = missing_at_end(self._domain, step, state)
         if missing is not None:
             return f"{step} ended although {missing} does not hold"
-        self._believed = without_feasibility(self._domain, ended(self._domain, step, state))
-        self._undo = (frozenset(), frozenset())
-        self._release_child()
+        self._belief.end(step, state)
+        running.undo = Undo()
+        self._release([running])
+        if self._course is not None and running.number is not None:
+            self._course = self._course.with_event(Event(running.number, True))
+        self._ended_meanwhile.append(step)
         return None
 
-    def _abandon_step(self) -> State:
-        """Stop the running step and take back what was believed because it had started; returns the state."""
-        self._take_back()
-        return self._observe()
-
-    def _take_back(self) -> None:
-        taken, given = self._undo
-        self._believed = (self._believed | taken) - given
-        self._undo = (frozenset(), frozenset())
-        self._release_child()
-
-    def _release_child(self) -> None:
-        """Stop the step's behaviour if it still runs, and let go of it."""
-        children, self.children, self._step = self.children, [], None
-        for child in children:
-            if child.status == Status.RUNNING:
-                _stop(child)
-            for node in child.iterate():
-                node.shutdown()
-            child.parent = None
+    def _release(self, steps: Iterable[RunningStep]) -> None:
+        """Stop steps if they still run, take back what was believed because they had started, and let go of them."""
+        for running in tuple(steps):
+            self._running.remove(running)
+            self.children = [one.behaviour for one in self._running]
+            self._belief.take_back(running.undo)
+            running.release()
 
     def _drop_plan(self) -> None:
-        self._rest = ()
-        self._found_valid = None
-        self._forget_request()
-        if self._step is not None:
-            self._take_back()
+        self._course = self._found_valid = self._expected = None
+        self._replanning.forget()
+        self._release(self._running)
 
-    def _forget_request(self) -> None:
-        if self._request is not None:
-            self._request.future.cancel()
-            self._request = None
+
+def _news(expected: State | None, state: State) -> str | None:
+    """What changed by itself since the last tick, in words."""
+    if expected is None or expected == state:
+        return None
+    changed = sorted(state - expected) + [f"(not {atom})" for atom in sorted(expected - state)]
+    return ", ".join(changed[:3]) + (", ..." if len(changed) > 3 else "")
 
 
 def _check_behaviours(domain: Domain, behaviours: Mapping[str, Factory]) -> None:
@@ -356,20 +353,3 @@ def _check_behaviours(domain: Domain, behaviours: Mapping[str, Factory]) -> None
             given = ", ".join(sorted(behaviours)) or "none"
             message = f"no behaviour for the PDDL action {schema!r} of {domain.file}; given: {given}"
             raise MissingBehaviourError(f"{message} ({nearest(schema, behaviours)})")
-
-
-def _stop(child: Behaviour) -> None:
-    """Stop a behaviour for good: one that raises in its `terminate` must not keep the executor from going on."""
-    try:
-        child.stop(Status.INVALID)
-    except Exception as error:
-        child.logger.error(f"{type(error).__name__} in terminate: {error}")
-        for node in child.iterate():
-            node.status = Status.INVALID
-
-
-def _answer(future: "Future[PlanningResult]") -> PlanningResult:
-    try:
-        return future.result()
-    except Exception as error:  # a planner of the user's own may raise anything
-        return PlanningResult(Outcome.ENGINE_CRASHED, message=f"{type(error).__name__}: {error}")

@@ -93,7 +93,9 @@ class _Reader:
             inner |= {name: self._variable(name, type_) for name in waiting}
             waiting = []
         if waiting:
-            raise PddlError(f"{' '.join(waiting)} in {node} is of no type, expected '({waiting[0]} - type)'", self._where)
+            raise PddlError(
+                f"{' '.join(waiting)} in {node} is of no type, expected '({waiting[0]} - type)'", self._where
+            )
         text, made = self.read(body, inner)
         make = self._manager.Forall if node.head == "forall" else self._manager.Exists
         variables = [inner[word] for word in dict.fromkeys(child.lower for child in declared.children) if word in inner]

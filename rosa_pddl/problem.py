@@ -95,7 +95,7 @@ def _sequential(domain: Domain) -> UpThing:
     defaults = {read.environment.type_manager.BoolType(): false}
     problem = UpProblem(read.name, read.environment, initial_defaults=defaults)
     problem.add_objects(read.all_objects)
-    metric = _metric(domain)
+    metric = action_costs(domain)
     for fluent in read.fluents:
         # a number that no metric needs would only keep engines from taking the problem
         if fluent.type.is_bool_type() or metric is not None:
@@ -112,15 +112,20 @@ def _sequential(domain: Domain) -> UpThing:
     return problem
 
 
-def _metric(domain: Domain) -> UpThing:
-    """Return the action costs to minimise; None for the number of steps, which stands in for a makespan too."""
+def action_costs(domain: Domain) -> UpThing:
+    """Return the action costs to minimise; None for the number of steps, which stands in for a makespan too.
+
+    Raises:
+        UnsupportedPddlError: the metric is something else.
+    """
     metrics = domain.up_problem.quality_metrics
     if not metrics or metrics[0].is_minimize_makespan() or metrics[0].is_minimize_sequential_plan_length():
         return None
     if metrics[0].is_minimize_action_costs():
         return metrics[0]
     message = f"the metric '{metrics[0]}' cannot be planned for; expected none, (total-cost) or (total-time)"
-    raise UnsupportedPddlError(message, domain.problem_file)
+    file, line = domain.places.get(("section", ":metric"), (domain.problem_file, None))
+    raise UnsupportedPddlError(message, file, line)
 
 
 def _costs(metric: UpThing, actions: Mapping[str, UpThing], environment: UpThing) -> UpThing:
@@ -144,7 +149,8 @@ def _instantaneous(action: UpThing, domain: Domain) -> UpThing:
             made.add_effect(effect.fluent, effect.value, effect.condition, effect.forall)
     except UPException as error:
         message = f"the effects of {schema.name} contradict one another when it is made instantaneous: {error}"
-        raise UnsupportedPddlError(message, domain.file) from error
+        file, line = domain.places.get(("action", schema.name), (domain.file, None))
+        raise UnsupportedPddlError(message, file, line) from error
     return made
 
 

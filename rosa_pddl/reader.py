@@ -141,7 +141,8 @@ def _domain(domain: Source, problem: Source, up_problem: UpThing, found: Iterabl
     spelled |= {(m.kind, m.node.lower): str(m.node) for m in found if m.declares}
     outside = {name: spelled[key] for key, name in inside.items()} | {"object": "object"}
     types = {outside[thing.name]: tuple(_lineage(thing.type, outside)) for thing in up_problem.all_objects}
-    places = {str(m.node): (m.source.file, m.node.line) for m in found if m.declares and m.kind is Kind.OBJECT}
+    places = {(m.kind.value, str(m.node)): (m.source.file, m.node.line) for m in found if m.declares}
+    places |= {("section", node.head): (problem.file, node.line) for node in problem.root.children[2:]}
     schemas = [_schema(action, outside, domain) for action in up_problem.actions]
     return Domain(
         name=str(domain.root.children[1].children[1]),
@@ -153,6 +154,9 @@ def _domain(domain: Source, problem: Source, up_problem: UpThing, found: Iterabl
         schema_of={schema.name: schema for schema in schemas},
         outside=outside,
         inside={(kind.value, word): name for (kind, word), name in inside.items()},
+        goals=tuple(
+            str(goal) for node in problem.root.children[2:] if node.head == ":goal" for goal in node.children[1:]
+        ),
         places=places,
         types=types,
     )

@@ -1,0 +1,117 @@
+"""A planning that goes on beside the ticks: asked, awaited, given up."""
+
+import logging
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import dataclass
+from typing import Protocol
+
+from rosa_pddl.domain import State
+from rosa_pddl.exceptions import PlanningBudgetError
+from rosa_pddl.planning import Outcome, PlanningResult, awaited
+from rosa_pddl.policy import Decision
+from rosa_pddl.problem import Problem
+
+__all__ = ["Asking", "PlansAhead", "Question"]
+
+_LOG = logging.getLogger(__name__)
+
+# Sums of tick lengths miss the due time by rounding; no clock of ours tells less than this apart [s].
+_CLOCK_RESOLUTION_S = 1e-6
+# A planner keeps its own time limit; this much more is waited before it is given up [s].
+_GRACE_S = 2.0
+
+
+class PlansAhead(Protocol):
+    """What the executor needs of a planner."""
+
+    @property
+    def timeout_s(self) -> float:
+        """After this long the planner gives up by itself [s]."""
+
+    def start(self, problem: Problem) -> "Future[PlanningResult]":
+        """Begin to plan, without waiting."""
+
+
+@dataclass(frozen=True)
+class Question:
+    """What was asked of the planner.
+
+    Args:
+        problem: what is to be planned.
+        state: the state that was believed, whatever the problem makes of it.
+        decision: why it was asked; None if only to find out why there is no plan.
+        at_s: when [s, the executor's clock].
+    """
+
+    problem: Problem
+    state: State
+    decision: Decision | None
+    at_s: float
+
+
+class Asking:
+    """At most one question at a time.
+
+    Args:
+        planner: answers.
+        clock: returns the time [s].
+        delay_s: an answer is taken this long after the question, whatever it took [s]; None to take it as soon as it is
+            there.
+    """
+
+    def __init__(self, planner: PlansAhead, clock: Callable[[], float], delay_s: float | None) -> None:
+        self._planner, self._clock, self._delay_s = planner, clock, delay_s
+        self._future: Future[PlanningResult] | None = None
+        self._question: Question | None = None
+
+    @property
+    def is_under_way(self) -> bool:
+        """Whether something is being planned."""
+        return self._question is not None
+
+    def ask(self, problem: Problem, state: State, decision: Decision | None) -> None:
+        """Begin to plan, in place of what was being planned."""
+        self.give_up()
+        self._question = Question(problem, state, decision, self._clock())
+        self._future = self._planner.start(problem)
+
+    def take(self) -> tuple[Question, PlanningResult] | None:
+        """Return the answer with its question if it is due and there; never waits."""
+        if self._question is None or self._future is None or not self._is_due() or not self._future.done():
+            return None
+        answer = self._question, _answer(self._future)
+        self._question = self._future = None
+        return answer
+
+    def catch_up(self) -> None:
+        """Wait for an answer that is due.
+
+        Raises:
+            PlanningBudgetError: it needed more wall-clock time than the planner allows.
+        """
+        if self._future is None or self._delay_s is None or not self._is_due():
+            return
+        try:
+            awaited(self._future, self._planner.timeout_s + _GRACE_S)
+        except PlanningBudgetError:
+            raise
+        except Exception as error:  # it is told by name when the answer is taken
+            _LOG.debug("the planner raised %r", error)
+
+    def give_up(self) -> None:
+        """Forget the question."""
+        if self._future is not None:
+            self._future.cancel()
+        self._question = self._future = None
+
+    def _is_due(self) -> bool:
+        assert self._question is not None
+        return self._clock() >= self._question.at_s + (self._delay_s or 0.0) - _CLOCK_RESOLUTION_S
+
+
+def _answer(future: "Future[PlanningResult]") -> PlanningResult:
+    try:
+        return future.result()
+    except Exception as error:  # a planner of the user's own may raise anything
+        return PlanningResult(Outcome.ENGINE_CRASHED, message=f"{type(error).__name__}: {error}")

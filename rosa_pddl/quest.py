@@ -1,0 +1,89 @@
+"""From goals to what the planner is asked, and back: what a plan promises, what it costs, whether another is better."""
+
+from collections.abc import Callable, Iterable, Mapping
+
+from rosa_pddl.course import Course
+from rosa_pddl.domain import Domain, State
+from rosa_pddl.goals import Goal, Goals
+from rosa_pddl.planning import PlanningResult
+from rosa_pddl.planning.costs import Costs
+from rosa_pddl.planning.grounding import lock_of
+from rosa_pddl.problem import Problem
+from rosa_pddl.soft_goals import SoftGoals
+from rosa_pddl.validate import goal_holds
+
+__all__ = ["Quest"]
+
+# Costs are sums of decimal numbers: less than this is no difference.
+_SAME_COST = 1e-9
+
+
+class Quest:
+    """What shall be reached in a domain.
+
+    Args:
+        domain: what `load_domain` returned.
+        costs: returns the values, now, of numeric facts that costs are made of.
+
+    Raises:
+        UnsupportedPddlError: the metric cannot be kept.
+    """
+
+    def __init__(self, domain: Domain, costs: Callable[[], Mapping[str, float]]) -> None:
+        self._domain, self._numbers = domain, costs
+        self._soft: tuple[tuple[Goal, ...], SoftGoals] | None = None
+        with lock_of(domain):
+            self._costs = Costs(domain, Problem(domain, frozenset()).build())
+
+    def problem(self, state: State, goals: Goals) -> Problem:
+        """Return what to ask the planner."""
+        hard = tuple(goal.expression for goal in goals.hard)
+        if not goals.soft:
+            return Problem(self._domain, state, hard, self._numbers())
+        soft = self._softened(goals.soft)
+        return Problem(soft.domain, state, (*hard, soft.goal), self._numbers())
+
+    def read(self, result: PlanningResult, goals: Goals) -> tuple[PlanningResult, tuple[Goal, ...]]:
+        """Return an answer in the words of the domain, and the goals that its plan reaches."""
+        if not goals.soft:
+            return result, goals.hard
+        kept, reached = self._softened(goals.soft).kept(result)
+        return kept, goals.hard + reached
+
+    def aimed(self, course: Course, state: State, goals: Goals) -> Course:
+        """Return a course that has to reach the goals as they are now; of the soft ones those that it reaches."""
+        soft = _holding(self._domain, goals.soft, course.replay(state).facts)
+        return course.with_goals(goals.hard + soft)
+
+    def is_over(self, state: State, goals: Goals, course: Course | None) -> bool:
+        """Whether nothing is left to do: the goals hold, or those that do not are not worth it, as the plan found."""
+        if len(_holding(self._domain, goals.hard, state)) < len(goals.hard):
+            return False
+        if course is not None and course.is_finished:
+            return True
+        return len(_holding(self._domain, goals.soft, state)) == len(goals.soft)
+
+    def is_better(self, new: Course, after: State, old: Course, now: State, goals: Goals) -> bool:
+        """Whether a course, begun in a state, works and costs less than the rest of another one, now."""
+        if new.replay(after).flaw is not None:
+            return False
+        return self._price(new, after, goals) < self._price(old, now, goals) - _SAME_COST
+
+    def _price(self, course: Course, state: State, goals: Goals) -> float:
+        """Return the cost of what has not ended, and the worth of the goals that are forgone."""
+        facts = course.replay(state).facts
+        forgone = sum(
+            goal.worth or 0.0 for goal in goals.soft if not goal_holds(self._domain, facts, [goal.expression])
+        )
+        numbers = self._costs.numbers(Problem(self._domain, frozenset(), costs=self._numbers()))
+        return forgone + self._costs.total(course.unfinished_steps, numbers)
+
+    def _softened(self, goals: tuple[Goal, ...]) -> SoftGoals:
+        if self._soft is None or self._soft[0] != goals:
+            with lock_of(self._domain):
+                self._soft = goals, SoftGoals.of(self._domain, goals)
+        return self._soft[1]
+
+
+def _holding(domain: Domain, goals: Iterable[Goal], facts: State) -> tuple[Goal, ...]:
+    return tuple(goal for goal in goals if goal_holds(domain, facts, [goal.expression]))

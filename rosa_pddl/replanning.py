@@ -1,0 +1,178 @@
+"""The dialogue with the planner: when it is asked, what it answered, and why there is no plan."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from rosa_pddl.asking import Asking, PlansAhead
+from rosa_pddl.course import Course
+from rosa_pddl.diagnosis import Diagnosis
+from rosa_pddl.domain import Domain, State, Step
+from rosa_pddl.goals import Goals
+from rosa_pddl.planning import Outcome, PlanningResult
+from rosa_pddl.policy import Decision, ReplanningPolicy, wait_s
+from rosa_pddl.quest import Quest
+
+__all__ = ["Found", "PlanRecord", "Replanning"]
+
+
+@dataclass(frozen=True)
+class PlanRecord:
+    """One planning that happened.
+
+    Args:
+        at_s: when it was asked for [s, the executor's clock].
+        reason: why, in words.
+        outcome: how it ended.
+        steps: the plan; empty unless solved.
+        engine: the engine that was asked.
+        message: what was tried and what to do about it; empty when solved.
+    """
+
+    at_s: float
+    reason: str
+    outcome: Outcome
+    steps: tuple[Step, ...]
+    engine: str
+    message: str = ""
+
+
+@dataclass(frozen=True)
+class Found:
+    """A plan, and why it was asked for.
+
+    Args:
+        course: the plan, of which nothing has happened yet.
+        decision: why.
+    """
+
+    course: Course
+    decision: Decision
+
+
+class Replanning:
+    """Asks for plans as a policy allows, and finds out why there is none.
+
+    Args:
+        domain: what `load_domain` returned.
+        goals: what shall be reached.
+        quest: turns goals into problems.
+        planner: answers.
+        clock: returns the time [s].
+        delay_s: an answer is taken this long after the question [s]; None to take it when it is there.
+        policy: sets the rate.
+    """
+
+    def __init__(
+        self,
+        domain: Domain,
+        goals: Goals,
+        quest: Quest,
+        planner: PlansAhead,
+        clock: Callable[[], float],
+        delay_s: float | None,
+        policy: ReplanningPolicy,
+    ) -> None:
+        self._domain, self._goals, self._quest = domain, goals, quest
+        self._clock, self._policy = clock, policy
+        self._asking = Asking(planner, clock, delay_s)
+        self._last_asked_s: float | None = None
+        self._wanted: Decision | None = None
+        self._diagnosis: Diagnosis | None = None
+        self._hopeless: tuple[State, str] | None = None
+        self.records: list[PlanRecord] = []
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether a plan is wanted or being made."""
+        return self._wanted is not None or self._asking.is_under_way
+
+    def catch_up(self) -> None:
+        """Wait for an answer that is due; see `PlanExecutor.catch_up`."""
+        self._asking.catch_up()
+
+    def why_hopeless(self, state: State) -> str | None:
+        """Return why there is no plan from a state, if that has been found; None if it has to be asked."""
+        return self._hopeless[1] if self._hopeless is not None and self._hopeless[0] == state else None
+
+    @property
+    def had_no_plan(self) -> bool:
+        """Whether the last answer was that there is none."""
+        return self._hopeless is not None
+
+    def want(self, decision: Decision) -> None:
+        """Note that a plan is to be made; what is being planned for something else is given up if it is needed."""
+        if self._wanted is not None and self._wanted.is_needed:
+            return
+        self._wanted = decision
+        if decision.is_needed:
+            self._asking.give_up()
+            self._diagnosis = None
+
+    def goals_changed(self, *, is_needed: bool) -> None:
+        """Plan for the goals as they are now, if a plan was being made; what was found hopeless may not be."""
+        self._hopeless = None
+        if self._asking.is_under_way:
+            self._asking.give_up()
+            self._diagnosis = None
+            self.want(Decision("the goals changed", is_needed))
+
+    def ask_if_allowed(self, state: State) -> str | None:
+        """Ask for the plan that is wanted, unless the policy says that it is too soon; return what to tell of it."""
+        if self._wanted is None:
+            return None
+        now_s = self._clock()
+        left_s = wait_s(self._policy, now_s, self._last_asked_s)
+        if left_s > 0.0:
+            return f"planning in {left_s:.2g} s: {self._wanted.reason}"
+        decision, self._wanted = self._wanted, None
+        self._asking.ask(self._quest.problem(state, self._goals), state, decision)
+        self._last_asked_s, self._hopeless = now_s, None
+        return f"planning: {decision.reason}"
+
+    def forget(self) -> None:
+        """Give up what is wanted or being planned; what was found hopeless stays so."""
+        self._asking.give_up()
+        self._wanted = self._diagnosis = None
+
+    def take(self, state: State) -> Found | None:
+        """Return a plan if one has just been found.
+
+        Args:
+            state: to plan from if there is none.
+        """
+        answer = self._asking.take()
+        if answer is None:
+            return None
+        question, result = answer
+        if question.decision is None:
+            assert self._diagnosis is not None
+            self._diagnose(self._diagnosis.answered(result), state)
+            return None
+        decision = question.decision
+        result, promised = self._quest.read(result, self._goals)
+        outcome, steps = result.outcome, result.steps
+        self.records.append(PlanRecord(question.at_s, decision.reason, outcome, steps, result.engine, result.message))
+        if outcome.is_solved:
+            return Found(Course.of(self._domain, result, promised), decision)
+        if not decision.is_needed:
+            return None
+        if state != question.state:
+            self.want(Decision("the state changed during planning", is_needed=True))
+            return None
+        why = f"no plan, {outcome}: {result.message or decision.reason}"
+        diagnosis = Diagnosis(self._domain, state, self._goals.hard, why, is_open=not outcome.is_trouble)
+        self._diagnose(diagnosis, state)
+        if result.safe_step is None:
+            return None
+        safe = PlanningResult(Outcome.SOLVED, (result.safe_step,))
+        return Found(Course.of(self._domain, safe, ()), Decision("there is no plan", is_needed=True))
+
+    def _diagnose(self, diagnosis: Diagnosis, state: State) -> None:
+        """Ask on, or conclude that there is no plan; when the state has changed it is better to plan anew."""
+        if state != diagnosis.state:
+            self.want(Decision("the state changed", is_needed=True))
+        elif diagnosis.next_question is not None:
+            self._diagnosis = diagnosis
+            self._asking.ask(diagnosis.next_question, state, None)
+        else:
+            self._diagnosis, self._hopeless = None, (state, str(diagnosis))
