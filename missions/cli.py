@@ -1,11 +1,9 @@
 """The command line: `rosa`, the same as `python -m missions`."""
 
 import logging
-import os
 import signal
 import sys
 import time
-from collections.abc import Mapping
 from contextlib import ExitStack, nullcontext, suppress
 from io import BytesIO
 from pathlib import Path
@@ -22,7 +20,8 @@ from missions.checking import inconsistencies, judge, print_judgement
 from missions.live import Narrator, Pace, Recorder
 from missions.managers import OURS, open_run
 from missions.mission import MissionError, Verdict
-from missions.output import OutputFile
+from missions.output import open_files
+from missions.plan_command import plan
 from missions.recording import header, line_of
 from missions.registry import MISSIONS, find_mission
 from missions.report import adaptation_table, as_json, summary, timing
@@ -91,7 +90,7 @@ def run_mission(
     console = _console()
     wanted = {"json": json, "plot": plot, "timing": timing_file, "record": record}
     with ExitStack() as stack:
-        files = _files({name: path for name, path in wanted.items() if path is not None}, stack)
+        files = open_files({name: path for name, path in wanted.items() if path is not None}, stack)
         listeners: list[Listener] = []
         if "record" in files:
             listeners.append(Recorder(files["record"]))
@@ -152,6 +151,9 @@ def check(
         raise typer.Exit(FAILED)
 
 
+app.command("plan")(plan)
+
+
 def main() -> None:
     """Run the command line; what goes wrong is one clear message, never a traceback."""
     sys.path.append(str(Path.cwd()))  # where a mission of one's own is, given as module:NAME
@@ -172,16 +174,6 @@ def main() -> None:
 def _complain(text: str) -> None:
     console = Console(stderr=True, soft_wrap=True, emoji=False)
     console.print(f"[bold red]rosa:[/] {escape(text)}", highlight=False)
-
-
-def _files(paths: Mapping[str, Path], stack: ExitStack) -> dict[str, OutputFile]:
-    """Open every file that is asked for, so that one that cannot be written is found out before the mission runs."""
-    places: dict[str, str] = {}
-    for name, path in paths.items():
-        other = places.setdefault(os.path.realpath(path), name)
-        if other != name and not path.is_char_device():
-            raise MissionError(f"--{other} and --{name} name the same file, {path}; give each its own")
-    return {name: stack.enter_context(OutputFile(path)) for name, path in paths.items()}
 
 
 def _doing(task: str, manager: str) -> str:
@@ -206,7 +198,8 @@ def _assignments(texts: list[str]) -> dict[str, str]:
 
 
 def _print_result(console: Console, run: MissionRun, wall_s: float) -> None:
-    console.print(adaptation_table(run.adaptations))
+    if run.adaptations:
+        console.print(adaptation_table(run.adaptations))
     figures = {_with_unit(name): value for name, value in run.world.results().items()} | {
         "simulated [s]": run.world.now,
         "computed in [s]": wall_s,

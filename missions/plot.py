@@ -148,12 +148,16 @@ def _badge(axes: Axes, at: Array, number: int, kind: str) -> None:
     digit.set(transform=PIXELS, zorder=9, fontweight="bold")
 
 
+FACTS = 3
+"""How many figures the title has room for; the result in JSON has all of them."""
+
+
 def _title(figure: Figure, data: Mapping[str, Any], results: Mapping[str, float | None]) -> None:
     task = {"bt": "behaviour tree", "pddl": "PDDL plans"}.get(data["task"], data["task"])
     name = f"{data['mission']}  ·  {task}  ·  seed {data['seed']}"
     figure.text(0.015, 1 - 32 / HEIGHT, name, fontsize=13, fontweight="bold", va="center")
     facts = [f"{data['outcome'].replace('_', ' ')} after {data['duration_s']:.0f} s"]
-    for key, value in results.items():
+    for key, value in list(results.items())[:FACTS]:
         words, _, unit = key.rpartition("_")
         facts.append(f"{words.replace('_', ' ')} {'-' if value is None else f'{value:.1f} {unit}'}")
     figure.text(0.988, 1 - 32 / HEIGHT, "   ·   ".join(facts), fontsize=9.5, ha="right", va="center")

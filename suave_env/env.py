@@ -154,8 +154,8 @@ class SuaveEnv:
         return Metrics(
             search_time_s=None if found is None else max(0, math.floor(found - self._guided)),
             distance_inspected_m=self._follower.distance_m,
-            found_s=found,
             total_inspected_m=self._follower.total_m,
+            found_s=found,
             violation_s=self._violations.seconds(self._now),
             uncorrected=self._violations.uncorrected,
             switches=len(self.managed.history),

@@ -31,6 +31,10 @@ class Change:
     active: bool
     parameters: Mapping[str, float]
 
+    def __str__(self) -> str:
+        values = "".join(f", {name} = {value:g}" for name, value in self.parameters.items())
+        return f"{self.component} is {'active' if self.active else 'inactive'}{values}"
+
 
 class Operation:
     """A change under way, like `concurrent.futures.Future` but finished by simulated time."""

@@ -14,9 +14,9 @@ class Metrics:
             pipeline was found; None before. Of a run that never finds it SUAVE reports the duration of the mission.
         distance_inspected_m: The xy distance between consecutive points of the path that were reached [m], back to 0
             whenever the follower is activated.
-        found_s: Time since GUIDED at which the pipeline was found [s]; None before.
         total_inspected_m: As the distance, never reset [m]. Each stretch of the path counts once; ways to and from it
             never.
+        found_s: Time since GUIDED at which the pipeline was found [s]; None before.
         violation_s: Time for which something was not as it should be [s]: see `Violations`.
         uncorrected: How many of these violations were never corrected.
         switches: How often a component was activated, deactivated or given other parameters.
@@ -26,8 +26,8 @@ class Metrics:
 
     search_time_s: int | None
     distance_inspected_m: float
-    found_s: float | None
     total_inspected_m: float
+    found_s: float | None
     violation_s: float
     uncorrected: int
     switches: int

@@ -188,9 +188,9 @@ class Settings:
     follow_loses_point: bool = _setting(True, "-", "deactivation loses the point under way (later: false)", _SUAVE)
 
     # Mission and managers
-    activation_s: float = _setting(0.025, "s", "time that activating a component takes", _ROS, 0)
-    deactivation_s: float = _setting(0.025, "s", "time that deactivating one takes", _ROS, 0)
-    parameter_s: float = _setting(0.025, "s", "time that setting parameters takes", _ROS, 0)
+    activation_s: float = _setting(0.03, "s", "time that activating a component takes", _ROS, 0)
+    deactivation_s: float = _setting(0.03, "s", "time that deactivating one takes", _ROS, 0)
+    parameter_s: float = _setting(0.03, "s", "time that setting parameters takes", _ROS, 0)
     guided_period_s: float = _setting(
         1.0, "s", "period at which nodes are told of GUIDED; their clocks lag", _SUAVE, 0.01
     )

@@ -121,6 +121,7 @@ class ManagedRun:
         self.adaptations: list[Adaptation] = []
         self.plans = ()
         self._sampled_at = -inf
+        self._tasks_told = self._changes_told = 0
 
     def run(self) -> Verdict:
         """Run until the pipeline is inspected or the time limit is reached; the world is closed however this ends."""
@@ -159,6 +160,8 @@ class ManagedRun:
             self._manager.update()
         self.compute_s["world"] += advanced - started
         self.compute_s["manager"] += perf_counter() - advanced
+        if self._listeners:
+            self._tell()
         if ticked:
             self._sample(now)
             for listener in self._listeners:
@@ -178,16 +181,20 @@ class ManagedRun:
     def _begin(self, task: str) -> None:
         self.robot.begin(task)
         self._manager.begin(task)
-        self._say(f"{task} is begun")
 
     def _end(self, task: str) -> None:
         self.robot.end("completed")
         self._manager.end(task)
-        self._say(f"{task} is completed")
 
-    def _say(self, text: str) -> None:
-        for listener in self._listeners:
-            listener.action(text, self.world.now)
+    def _tell(self) -> None:
+        """Tell the listeners what has been done since they were told last."""
+        tasks, changes = self.robot.tasks, self.world.managed.history
+        said = [(task.start, f"{task.action} is begun") for task in tasks[self._tasks_told :]]
+        said += [(change.time, str(change)) for change in changes[self._changes_told :]]
+        self._tasks_told, self._changes_told = len(tasks), len(changes)
+        for time, text in sorted(said):
+            for listener in self._listeners:
+                listener.action(text, time)
 
     def _sample(self, now: float) -> None:
         if now >= self._sampled_at + SAMPLE_PERIOD_S - 1e-9:

@@ -63,7 +63,7 @@ def test_run_tells_each_adaptation_with_its_reason_and_ends_with_a_table(quick):
         "structural adaptation: start recover_thrusters",
         "all_thrusters is unfeasible because component c_thruster_1 has failed",
         "task adaptation: inspect_pipeline -> recharge; stop follow_pipeline; start recharge",
-        "battery_level 0.249999999999999 violates >= 0.25",
+        "battery_level just below 0.25 violates >= 0.25",
         "search time [s]",
         "distance inspected [m]",
         "times real time",

@@ -61,7 +61,7 @@ def test_every_adaptation_says_when_what_why_and_how_fast():
         assert 0 < one["reaction_s"] < 1
     drop = next(one for one in adaptations if one["kind"] == "task")
     assert drop["change"] == "inspect_pipeline -> recharge; stop follow_pipeline; start recharge"
-    assert drop["reason"].startswith("inspect_pipeline is unfeasible because battery_level 0.24")
+    assert drop["reason"].startswith("inspect_pipeline is unfeasible because battery_level just below 0.25 violates")
 
 
 def test_reactions_follow_the_disturbances_that_truly_happened():

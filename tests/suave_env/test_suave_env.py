@@ -101,8 +101,8 @@ def test_recovery_makes_the_thruster_work_again():
     env.advance(37.0)
     env.managed.activate("recover_thrusters")
     heard = env.advance(50.0)
-    assert [time for time, _ in values_of(heard, "c_thruster_1")] == [pytest.approx(47.025)]
-    assert [time for time, _ in values_of(heard, "c_thruster_6")] == [pytest.approx(48.275)]
+    assert [time for time, _ in values_of(heard, "c_thruster_1")] == [pytest.approx(47.03)]
+    assert [time for time, _ in values_of(heard, "c_thruster_6")] == [pytest.approx(48.28)]
     assert env.observe().thrusters_failed == ()
 
 

@@ -45,14 +45,14 @@ def test_a_stuck_thruster_and_an_empty_battery_are_violations_until_they_are_see
     env.managed.activate("recover_thrusters")
     env.advance(29.0)
     stuck_s = env.metrics.violation_s
-    assert stuck_s == pytest.approx(15.0 + 0.025 + 0.25)
+    assert stuck_s == pytest.approx(15.0 + 0.03 + 0.25)
     assert env.metrics.uncorrected == 0
     env.advance(60.0)
     assert env.metrics.uncorrected == 1
     env.managed.activate("recharge")
     env.advance(61.0)
     assert env.metrics.uncorrected == 0
-    assert env.metrics.violation_s - stuck_s == pytest.approx(60.025 - 30.5, abs=0.6)
+    assert env.metrics.violation_s - stuck_s == pytest.approx(60.03 - 30.5, abs=0.6)
 
 
 def test_only_what_changes_something_counts_as_a_switch():
