@@ -153,8 +153,14 @@ class Decisions:
         since: float = 0.0,
         until: float = math.inf,
     ) -> None:
-        """Assert that none of this is begun from `since` until `until` [s]."""
+        """Assert that none of this is begun from `since` until `until` [s].
+
+        Raises:
+            ValueError: there is no such time in the replay, or nothing is named: that would be true of any replay.
+        """
         __tracebackhide__ = True
+        if not since <= min(until, self.kb.now):
+            raise ValueError(f"from {since:g} s until {until:g} s is no time of this replay of {self.kb.now:g} s")
         actions = _names(action)
         for name in actions:
             self._check("actions", name)

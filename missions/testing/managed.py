@@ -1,6 +1,7 @@
 """A managed system that does as it is scripted: at once, slowly, wrongly, not at all, or not as it says."""
 
 import math
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple, Self
@@ -8,7 +9,7 @@ from typing import Final, NamedTuple, Self
 from kb.elements import Parameters
 from missions.testing.clock import FakeClock
 
-__all__ = ["VERBS", "Command", "CommandFailed", "ScriptedManaged"]
+__all__ = ["Command", "CommandFailed", "ScriptedManaged", "VERBS"]
 
 VERBS: Final = ("activate", "deactivate", "set_parameters")
 
@@ -33,7 +34,7 @@ class Command(NamedTuple):
     parameters: Parameters
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class _Script:
     """How a component takes one kind of command; `takes` None is as the system's other components."""
 
@@ -42,7 +43,9 @@ class _Script:
     hangs: bool = False
     lies: bool = False
     crash_after: float = math.inf
-    given: int = 0
+
+
+_AS_TOLD: Final = _Script()
 
 
 @dataclass(slots=True)
@@ -94,6 +97,7 @@ class ScriptedManaged:
         self.clock = clock
         self._takes = None if takes is None else _by_verb(takes)
         self._scripts: dict[tuple[str, str], _Script] = {}
+        self._given: Counter[tuple[str, str]] = Counter()
         self._states: dict[str, _State] = {}
         self._commands: list[Command] = []
 
@@ -107,7 +111,7 @@ class ScriptedManaged:
         lies: bool = False,
         crash_after: float = math.inf,
     ) -> Self:
-        """Say how a component behaves from now on.
+        """Say how a component behaves from now on; what was said of the same commands before is forgotten.
 
         Args:
             component: its name.
@@ -130,6 +134,7 @@ class ScriptedManaged:
                 raise ValueError(f"{name} of {component} is {number!r}; allowed is a number from 0")
         for verb in verbs or VERBS:
             _check_verb(verb)
+            self._given[verb, component] = 0
             self._scripts[verb, component] = _Script(takes, fail_first, hangs, lies, crash_after)
         return self
 
@@ -202,13 +207,14 @@ class ScriptedManaged:
         self._commands.append(Command(now, verb, component, dict(parameters)))
         state = self._states.setdefault(component, _State())
         script = self._script(verb, component)
-        script.given += 1
+        self._given[verb, component] += 1
+        given = self._given[verb, component]
         takes = script.takes if script.takes is not None else (self._takes or {}).get(verb, 0.0)
         if script.hangs:
             return _Operation(self.clock, math.inf, None)
         state.busy_until = max(now, state.busy_until) + takes
-        if script.given <= script.fail_first:
-            error = CommandFailed(f"{verb} {component} fails by its script, time {script.given}")
+        if given <= script.fail_first:
+            error = CommandFailed(f"{verb} {component} fails by its script, time {given}")
             operation = _Operation(self.clock, state.busy_until, None, error)
         elif script.lies:
             operation = _Operation(self.clock, state.busy_until, lambda time: None)
@@ -218,7 +224,7 @@ class ScriptedManaged:
         return operation
 
     def _script(self, verb: str, component: str) -> _Script:
-        return self._scripts.setdefault((verb, component), _Script())
+        return self._scripts.get((verb, component), _AS_TOLD)
 
     def _now(self, component: str) -> _State:
         """Return what is true of a component by now: what has ended has had its effect."""

@@ -121,6 +121,12 @@ def test_name_that_the_model_lacks_is_an_error_and_never_a_silent_success(claim)
         claim(decided())
 
 
+@pytest.mark.parametrize(("since", "until"), [(20.0, 10.0), (1000.0, math.inf), (math.nan, math.inf)])
+def test_claim_about_no_time_is_refused(since, until):
+    with pytest.raises(ValueError, match="is no time of this replay of 40 s"):
+        decided().assert_never(action="charge", since=since, until=until)
+
+
 def test_claim_about_nothing_is_refused():
     for claim in (decided().assert_never, lambda: decided().assert_reconfigures(at=1.0)):
         with pytest.raises(ValueError, match="say what to look for"):

@@ -53,6 +53,15 @@ def test_script_may_be_about_single_commands():
     assert managed.parameters("camera") == {}
 
 
+def test_script_holds_from_now_on_and_until_the_next_one():
+    managed = ScriptedManaged(FakeClock()).script("camera", fail_first=1)
+    failed = [managed.activate("camera").exception() is not None for _ in range(2)]
+    managed.script("camera", "activate", fail_first=2)
+    failed += [managed.activate("camera").exception() is not None for _ in range(3)]
+    assert failed == [True, False, True, True, False]
+    assert managed.scripted() == ("camera",)
+
+
 def test_one_that_hangs_never_ends_and_one_that_lies_has_done_nothing():
     managed = ScriptedManaged(FakeClock()).script("camera", hangs=True).script("radar", lies=True)
     camera, radar = managed.activate("camera"), managed.activate("radar")
