@@ -57,7 +57,7 @@ def test_settings_are_listed_with_unit_default_and_source(quick):
 
 
 def test_run_tells_each_adaptation_with_its_reason_and_ends_with_a_table(quick):
-    code, out, err = quick("run", "suave_extended", "--set", "duration_s=190")
+    code, out, err = quick("run", "suave_extended", "--set", "duration_s=200")
     assert code == 0, err
     for words in (
         "structural adaptation: start recover_thrusters",

@@ -57,6 +57,14 @@ def test_search_time_and_distance_are_those_of_the_published_runs(group, manager
     assert mean(one["distance_inspected_m"] for one in results) == pytest.approx(distance_m, rel=0.1)
 
 
+@pytest.mark.parametrize("manager", ["none", "bt"])
+def test_half_the_step_of_the_physics_changes_next_to_nothing(manager):
+    changed = {"rules": "2025", "start_y": 2.8, "visibility_shift": 84.7, "duration_s": 250}
+    whole, half = (managed(manager, physics_step_s=step, **changed)[0].world.results() for step in (0.02, 0.01))
+    assert whole["found_s"] == pytest.approx(half["found_s"], abs=1)
+    assert whole["distance_inspected_m"] == pytest.approx(half["distance_inspected_m"], rel=0.02)
+
+
 @pytest.mark.parametrize("manager", MANAGERS)
 def test_same_seed_gives_the_same_bytes_under_every_manager(manager):
     texts = []
