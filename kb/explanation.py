@@ -9,7 +9,7 @@ from kb.comparison import Comparison, compared, reading, shortest, told
 from kb.elements import Constraint
 from kb.network import Node
 from kb.remedies import Remedy, remedies
-from kb.state import State
+from kb.state import Reason, State
 from kb.status import Status
 
 __all__ = ["Comparison", "Explanation", "explain", "shortest", "why", "why_selected"]
@@ -217,13 +217,19 @@ class _Explainer:
             return "it is required, and all that it needs is in place", _together(needed)
         if status is Status.UNSOLVED and node.kind == "component":
             if self._state.active[node.index]:
-                return "none of its configurations is selected", ()
+                return f"none of its configurations is selected{self._why_none(node)}", ()
             return f"it is required and not active{self._state.reason('active', node)}", ()
         if status is Status.UNSOLVED and node.kind == "function":
-            return "" if selected else "none of its designs is selected", _together(map(self.status, selected))
+            without = f"none of its designs is selected{self._why_none(node)}"
+            return "" if selected else without, _together(map(self.status, selected))
         if status is Status.UNSOLVED:
             return "", self._each(part for part in node.parts if not self._is(part, Status.SOLVED))
         return "", ()  # a failure says it all
+
+    def _why_none(self, node: Node) -> Reason:
+        """Return what was said of nothing being selected: by whoever took it back, or whoever was to choose."""
+        taken_back = self._state.reason("unselected", node)
+        return taken_back if taken_back.text else self._state.reason("selected", node)
 
     def _faults(self, node: Node) -> "Reasons":
         """Return why an element is unfeasible."""

@@ -27,7 +27,7 @@ def shrunk(state: State, removed: Iterable[Element | Constraint]) -> list[Node]:
         for facts in (state.requested, state.asserted_required, state.selected, state.active, state.failed):
             facts[node.index] = False
         state.asserted[node.index] = None
-        for column in ("active", "asserted", "failed", "selected"):
+        for column in ("active", "asserted", "failed", "selected", "unselected"):
             state.give_reason(column, node)
     settle(state, nodes)
     touched: dict[Node, None] = {}

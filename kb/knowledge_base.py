@@ -216,6 +216,8 @@ class KnowledgeBase(Keeping):
             reselected = dict.fromkeys([*selection.reselected, *chosen, *given])
             for node in reselected:
                 self._known.give_reason("selected", node, reason if self._known.selected[node.index] else "")
+            for node in (*chosen, *given):
+                self._known.give_reason("unselected", node.wholes[0])
             if not selection:
                 self._selected(now, reselected, selection)
                 return None

@@ -2,15 +2,12 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 from kb.elements import Component, ComponentKind
 from kb.inference import Change, Node, State, settle
 
-__all__ = ["Obsolete", "ReconfigurationPlan", "Selection", "obsolete", "plain", "planned", "reselect", "why_activated"]
-
-_MOST: Final = 4
-"""How many actions that need a component a sentence names."""
+__all__ = ["Obsolete", "ReconfigurationPlan", "Selection", "obsolete", "plain", "planned", "reselect"]
 
 
 class Obsolete(NamedTuple):
@@ -131,18 +128,6 @@ def plain(components: Iterable[Node]) -> frozenset[str]:
     """Return the names of those that are plain, and so never commanded."""
     elements = (node.element for node in components)
     return frozenset(one.name for one in elements if isinstance(one, Component) and one.kind is ComponentKind.PLAIN)
-
-
-def why_activated(state: State) -> str:
-    """Say why components are to be activated that are selected already; nothing if there are none."""
-    sentences = []
-    for component in _lacking(state):
-        said = state.reason("active", component).text or f"{component.name} is not active"
-        functions = [design.wholes[0] for design in state.users[component.index]]
-        actions = list(dict.fromkeys(action.name for function in functions for action in state.users[function.index]))
-        named = [*actions[:_MOST], *(["others"] if len(actions) > _MOST else [])]
-        sentences.append(f"{said}; {component.name} is needed by {', '.join(named) or 'something asserted'}")
-    return "; ".join(sentences)
 
 
 def _choose(state: State, chosen: Iterable[Node]) -> tuple[list[Node], list[Node]]:

@@ -17,7 +17,7 @@ from kb.measuring import Measurements
 from kb.network import Network, Node
 from kb.questions import ELEMENTS
 from kb.recording import Recording
-from kb.state import State
+from kb.state import Reason, State
 from kb.status import STATUSES, Status
 from kb.views import ElementView
 
@@ -164,15 +164,26 @@ class Telling(Recording):
             words = "asserted required" if required else "no longer asserted required"
             self._tell(EventKind.MONITORING_DATA, now, node, lambda: f"{node.name} is {words}")
 
-    def assert_selected(self, element: ElementView | Element | Constraint | str, selected: bool | None) -> None:
-        """State that a design or configuration is the selected one, or is not."""
+    def assert_selected(
+        self, element: ElementView | Element | Constraint | str, selected: bool | None, reason: str = ""
+    ) -> None:
+        """State that a design or configuration is the selected one, or is not.
+
+        Args:
+            element: a view, an element of the model, or a name that only one element has.
+            selected: whether it is.
+            reason: why, in words; where none is selected by that, explanations say it of what is left without one.
+        """
+        checked_text("the reason why something is selected or not", reason)
         with self._lock:
             self._check_open()
             node = self._node(element, ("function design", "configuration"), unique=True)
-            now = self._clock()
-            self._known.selected[node.index] = selected is not None and _yes("selected", selected)
-            self._known.give_reason("selected", node)
-            words = "selected" if selected else "not selected"
+            now, whole, state = self._clock(), node.wholes[0], self._known
+            state.selected[node.index] = is_selected = selected is not None and _yes("selected", selected)
+            state.give_reason("selected", node, reason if is_selected else "")
+            is_without = not any(state.selected[part.index] for part in whole.parts)
+            state.give_reason("unselected", whole, reason if is_without else "")
+            words = f"{'' if is_selected else 'not '}selected{Reason(reason)}"
             self._tell(EventKind.MONITORING_DATA, now, node, lambda: f"{node.name} is {words}")
 
     @property
@@ -185,6 +196,14 @@ class Telling(Recording):
         """Grows whenever a fact changed that can matter to a planner: a measurement only if a status changed by it."""
         self._look_at_the_clock()
         return self._revision
+
+    def note_news(self) -> None:
+        """Have planners asked again at the next update, as if a fact had changed that can matter to them.
+
+        For what a planner waits for and the knowledge base cannot know, such as the end of a computation.
+        """
+        with self._lock:
+            self._revision += 1
 
     def subscribe(self, callback: Callable[[Event], None]) -> Callable[[], None]:
         """Have a function called with every event, in order; returns how to stop that.

@@ -47,7 +47,7 @@ class Gate:
             Whether one was forbidden.
         """
         self._passed = [plan for plan in self._passed if plan.end is None]
-        is_vetoed = False
+        objection = ""
         while (plan := self._kb.pending_plan) is not None and plan not in self._passed:
             answer = self._ask(plan)
             if not answer.is_vetoed:
@@ -55,10 +55,10 @@ class Gate:
                 break
             _log.info("vetoed: %s, because %s", plan, answer.reason)
             self._kb.finish_plan(plan, "abandoned")
-            is_vetoed = True
-        if is_vetoed:
-            self._take_back()
-        return is_vetoed
+            objection = answer.reason
+        if objection:
+            self._take_back(f"vetoed: {objection}")
+        return bool(objection)
 
     def _ask(self, plan: ReconfigurationPlan) -> VetoAnswer:
         try:
@@ -74,13 +74,14 @@ class Gate:
         configurations = (("configuration", one.name) for one in kb.configurations.values() if one.is_selected)
         return frozenset((*designs, *configurations))
 
-    def _take_back(self) -> None:
+    def _take_back(self, reason: str) -> None:
         """Select again what was selected before, and nothing else: what is not executed is not in force."""
         designs, configurations = self._kb.designs, self._kb.configurations
         for what, name in sorted(self._selection() ^ self._selected):
             views = designs if what == "design" else configurations
             if name in views:
-                self._kb.assert_selected(views[name], (what, name) in self._selected)
+                is_selected = (what, name) in self._selected
+                self._kb.assert_selected(views[name], is_selected, "" if is_selected else reason)
 
 
 def _objection(answer: object) -> str:

@@ -14,7 +14,7 @@ from kb.manager import PriorityPlanner
 from kb.optimum.beside import Beside
 from kb.optimum.posing import check_names, pose
 from kb.optimum.problem import Problem
-from kb.reconfiguration import ReconfigurationPlan, why_activated
+from kb.reconfiguration import ReconfigurationPlan
 from kb.selection import Criterion, Optimum, summed_weights
 from kb.status import Status
 from kb.views import ElementView
@@ -91,7 +91,7 @@ class OptimalPlanner:
             else:
                 found = self._beside.answer(problem, kb.now)
                 if found is None:
-                    _ask_again(kb)
+                    kb.note_news()  # the answer will be news, so the planner is to be asked again
                     return None
             self.latest = found
         self._remember(kb, found)
@@ -181,15 +181,10 @@ def _select(kb: KnowledgeBase, found: Optimum) -> ReconfigurationPlan | None:
         *map(kb.designs.__getitem__, designs.values()),
         *map(kb.configurations.__getitem__, configurations.values()),
     ]
-    broken = why_activated(kb._state) if all(one.is_selected for one in chosen) else ""
-    return kb.select(reason=broken) if broken else kb.select(designs, configurations, found.reason)
+    if all(one.is_selected for one in chosen):
+        return kb.select()  # why something has to be done all the same, the knowledge base knows
+    return kb.select(designs, configurations, found.reason)
 
 
 def _is_by_priority(problem: Problem) -> bool:
     return not problem.is_touched and not problem.budgets
-
-
-def _ask_again(kb: KnowledgeBase) -> None:
-    """Have the planner asked again at the next update, as if there were news: its answer will be."""
-    with kb._lock:
-        kb._revision += 1

@@ -152,9 +152,28 @@ def test_what_was_selected_without_a_plan_is_not_taken_back_with_another():
     plan = kb.select({"warn": "by horn"})
     turn(manager, clock, 2)
     assert plan.result == "abandoned"
-    assert "by horn is not selected" in heard
-    assert "by lamp is not selected" not in heard
+    assert "by horn is not selected (vetoed: no)" in heard
+    assert not any(text.startswith("by lamp is not selected") for text in heard)
     assert selection(kb) == ["by lamp"]
+
+
+def test_what_stays_without_a_design_is_explained_by_the_veto_until_one_is_selected():
+    model = Model("one")
+    model.component("lamp", kind="process")
+    model.function("shine").design("by lamp", ["lamp"])
+    model.action("light", requires=["shine"])
+    guard = Guard("not at night")
+    kb, clock, _, manager = start(guard, model)
+    kb.request_action("light")
+    turn(manager, clock, 2)
+    vetoed = "shine is unsolved because none of its designs is selected (vetoed: not at night)"
+    assert kb.why("shine") == vetoed
+    assert kb.why("light").endswith(vetoed)
+    assert "for priority" in (told := str(kb.explain_choice("shine"))) or "it is the only design" in told
+    kb.assert_selected("by lamp", True, "it is dark")
+    assert kb.explain("by lamp").choice == "it is dark"
+    kb.assert_selected("by lamp", False)
+    assert kb.why("shine") == "shine is unsolved because none of its designs is selected"
 
 
 def test_a_plan_under_way_is_asked_about_once():
