@@ -5,4 +5,4 @@ from missions.managers.opening import open_run
 from missions.managers.registry import MANAGERS, OURS, find_manager
 from missions.managers.run import ManagedRun
 
-__all__ = ["MANAGERS", "OURS", "ManagedRun", "Manager", "Robot", "Task", "find_manager", "open_run"]
+__all__ = ["MANAGERS", "ManagedRun", "Manager", "OURS", "Robot", "Task", "find_manager", "open_run"]
