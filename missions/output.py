@@ -2,14 +2,15 @@
 
 import os
 import tempfile
-from contextlib import suppress
+from collections.abc import Mapping
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO, Self
 
 from missions.mission import MissionError
 
-__all__ = ["OutputFile"]
+__all__ = ["OutputFile", "open_files"]
 
 
 class OutputFile:
@@ -78,6 +79,24 @@ class OutputFile:
 
     def _failure(self, error: OSError) -> MissionError:
         return MissionError(f"cannot write {self._path}: {error.strerror or error}")
+
+
+def open_files(paths: Mapping[str, Path], stack: ExitStack) -> dict[str, OutputFile]:
+    """Open every file that is asked for, so that one that cannot be written is found out before the work begins.
+
+    Args:
+        paths: where, by the name of the option.
+        stack: closes them.
+
+    Raises:
+        MissionError: one cannot be written, or two are the same.
+    """
+    places: dict[str, str] = {}
+    for name, path in paths.items():
+        other = places.setdefault(os.path.realpath(path), name)
+        if other != name and not path.is_char_device():
+            raise MissionError(f"--{other} and --{name} name the same file, {path}; give each its own")
+    return {name: stack.enter_context(OutputFile(path)) for name, path in paths.items()}
 
 
 def _umask() -> int:

@@ -168,7 +168,7 @@ class Declarations:
             except PddlError as error:
                 title = titles.get(error.file, error.file)
                 raise type(error)(error.message, title, error.line, error.column) from error
-        places = {name: (titles[file], line) for name, (file, line) in loaded.places.items()}
+        places = {key: (titles.get(file, file), line) for key, (file, line) in loaded.places.items()}
         return replace(loaded, file=titles[loaded.file], problem_file=titles[loaded.problem_file], places=places)
 
     # ---------------------------------------------------------------- checks

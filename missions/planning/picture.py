@@ -1,0 +1,155 @@
+"""The causal order of a plan as an SVG picture: from the top to the goal, side by side what could come in any order."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from html import escape
+from itertools import pairwise
+from textwrap import wrap
+from typing import Final
+
+from missions.planning.causes import CausalOrder
+
+__all__ = ["svg_of_plan"]
+
+_LETTERS: Final = 38
+"""After how many characters a line in a box is broken."""
+_LETTER, _LINE, _GAP, _ROW_GAP, _LANE = 6.9, 16.0, 24.0, 46.0, 16.0
+"""Sizes in pixels; a letter is as wide as it is on average, with something to spare."""
+_LEGEND: Final = "dashed: earlier, it would spoil what the other step needs"
+_EDGE, _FILL, _GOAL_FILL, _LATER = "#46627f", "#eef3f8", "#d5ecd4", "#b06a00"
+
+
+@dataclass
+class _Box:
+    """A step, the goal, or, without lines, a place where an arrow passes a row, as tall as that."""
+
+    row: int
+    lines: tuple[str, ...] = ()
+    is_goal: bool = False
+    above: list["_Box"] = field(default_factory=list)
+    x: float = 0.0
+    y: float = 0.0
+    passed: float = 0.0
+
+    @property
+    def width(self) -> float:
+        longest = max((len(line) * (1.1 if line is self.lines[0] else 1.0) for line in self.lines), default=0.0)
+        return 16 + _LETTER * longest if self.lines else _LANE
+
+    @property
+    def height(self) -> float:
+        return 12 + _LINE * len(self.lines) if self.lines else self.passed
+
+    @property
+    def middle(self) -> float:
+        return self.x + self.width / 2
+
+
+def svg_of_plan(order: CausalOrder, title: str) -> str:
+    """Draw a plan: an arrow for what one step makes so and another one needs, a dashed one for what must wait.
+
+    Args:
+        order: of its steps.
+        title: what the picture is called.
+    """
+    boxes = _boxes(order)
+    arrows = [(link.source, link.target, False) for link in order.links]
+    arrows += [(earlier, later, True) for earlier, later in order.orders]
+    rows: list[list[_Box]] = [[] for _ in range(max(box.row for box in boxes) + 1)]
+    for box in boxes:
+        rows[box.row].append(box)
+    paths = [(_path(boxes[source], boxes[target], rows), later) for source, target, later in arrows]
+    width, height = _place(rows)
+    width = max(width, 2 * _GAP + _LETTER * max(1.1 * len(title), len(_LEGEND) if order.orders else 0))
+    font = 'font-family="sans-serif" font-size="12"'
+    return "\n".join(
+        [
+            f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:g}" height="{height:g}" {font}>',
+            f"<title>{escape(title)}</title>",
+            *(_marker(name, colour) for name, colour in (("so", _EDGE), ("wait", _LATER))),
+            f'<rect width="{width:g}" height="{height:g}" fill="white"/>',
+            f'<text x="{_GAP:g}" y="{_GAP:g}" font-weight="bold">{escape(title)}</text>',
+            *(_arrow(path, later) for path, later in paths),
+            *(line for box in boxes for line in _drawn(box)),
+            *([f'<text x="{_GAP:g}" y="{height - 8:g}" fill="{_LATER}">{_LEGEND}</text>'] if order.orders else []),
+            "</svg>",
+            "",
+        ]
+    )
+
+
+def _boxes(order: CausalOrder) -> list[_Box]:
+    """Return a box for each step and one for the goal, each in the row below all that it waits for."""
+    goal = len(order.steps)
+    boxes: list[_Box] = []
+    for number in range(goal + 1):
+        links = [link for link in order.links if link.target == number]
+        waits = [link.source for link in links] + [earlier for earlier, later in order.orders if later == number]
+        below = boxes if number == goal else [boxes[one] for one in waits]
+        lines = ["goal"] if number == goal else [f"{number + 1}  {order.steps[number].schema}"]
+        if number < goal and order.steps[number].arguments:
+            lines += wrap(", ".join(order.steps[number].arguments), _LETTERS)
+        for link in links:
+            lines += [line for need in link.needs for line in wrap(f"{link.source + 1} → {need}", _LETTERS)]
+        row = max((box.row + 1 for box in below), default=0)
+        boxes.append(_Box(row, tuple(lines), number == goal))
+    return boxes
+
+
+def _path(source: _Box, target: _Box, rows: list[list[_Box]]) -> list[_Box]:
+    """Return the boxes that an arrow joins, with a place of its own in each row that it passes."""
+    path = [source]
+    for row in range(source.row + 1, target.row):
+        lane = _Box(row, above=[path[-1]])
+        rows[row].append(lane)
+        path.append(lane)
+    target.above.append(path[-1])
+    return [*path, target]
+
+
+def _place(rows: list[list[_Box]]) -> tuple[float, float]:
+    """Place the boxes of each row below those that they wait for, as near as may be; returns the size of all."""
+    y = 2 * _GAP
+    for row in rows:
+        row.sort(key=_wish)
+        right = _GAP
+        for box in row:
+            box.x, box.y = max(right, _wish(box) - box.width / 2), y
+            right = box.x + box.width + _GAP
+        tallest = max(box.height for box in row)
+        for box in row:
+            box.passed = tallest
+        y += tallest + _ROW_GAP
+    right = max(box.x + box.width for row in rows for box in row) + _GAP
+    return right, y - _ROW_GAP + _GAP
+
+
+def _wish(box: _Box) -> float:
+    """Return where the middle of a box would best be."""
+    return sum(one.middle for one in box.above) / len(box.above) if box.above else 0.0
+
+
+def _marker(name: str, colour: str) -> str:
+    shape = f'<path d="M0 0L8 4L0 8z" fill="{colour}"/>'
+    size = 'markerWidth="8" markerHeight="8" refX="7" refY="4" orient="auto"'
+    return f'<defs><marker id="{name}" {size}>{shape}</marker></defs>'
+
+
+def _arrow(path: list[_Box], later: bool) -> str:
+    colour, marker = (_LATER, "wait") if later else (_EDGE, "so")
+    parts = [f"M{path[0].middle:g} {path[0].y + path[0].height:g}"]
+    for before, box in pairwise(path):
+        top, bottom = before.y + before.height, box.y
+        half = (top + bottom) / 2
+        parts.append(f"C{before.middle:g} {half:g} {box.middle:g} {half:g} {box.middle:g} {bottom:g}")
+        parts += [] if box.lines else [f"L{box.middle:g} {bottom + box.height:g}"]
+    style = ' stroke-dasharray="5 4"' if later else ""
+    return f'<path d="{"".join(parts)}" fill="none" stroke="{colour}"{style} marker-end="url(#{marker})"/>'
+
+
+def _drawn(box: _Box) -> Iterator[str]:
+    place = f'x="{box.x:g}" y="{box.y:g}" width="{box.width:g}" height="{box.height:g}"'
+    yield f'<rect {place} rx="5" fill="{_GOAL_FILL if box.is_goal else _FILL}" stroke="{_EDGE}"/>'
+    for number, line in enumerate(box.lines):
+        style = 'font-weight="bold"' if number == 0 else 'fill="#444444"'
+        yield f'<text x="{box.x + 8:g}" y="{box.y + 18 + number * _LINE:g}" {style}>{escape(line)}</text>'
