@@ -174,7 +174,7 @@ def _decide(mission: Mission, task: str, world: Recording, limits: RunSettings) 
         _ = run.kb.components[component]  # a script for nobody is a slip
     witness = Witness(run.kb)
     with TraceVisitor(run.kb) as visitor:
-        run._runner.tree.add_visitor(visitor)
+        run.tree.add_visitor(visitor)
         run.run()
         trace = visitor.trace
     return Decisions(

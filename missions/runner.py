@@ -7,6 +7,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING
 
 from py_trees.common import Status
+from py_trees.trees import BehaviourTree
 
 from kb import ConfigurationManager, DiagnosticProblem, Event, EventKind, KnowledgeBase
 from missions.adaptations import Adaptation, AdaptationLog
@@ -114,6 +115,11 @@ class MissionRun:
     def plans(self) -> tuple["PlanRecord", ...]:
         """The task plans so far; none for a tree."""
         return self._task.plans()
+
+    @property
+    def tree(self) -> BehaviourTree:
+        """The tree of the task layer, for visitors."""
+        return self._runner.tree
 
     def run(self) -> Verdict:
         """Run until the task is done or the time limit is reached; nothing is left running however this ends."""

@@ -55,11 +55,7 @@ def test_document_does_what_it_says(path, tmp_path, monkeypatch):
         (tmp_path / "domain.pddl").write_text(domain)
         (tmp_path / "problem.pddl").write_text(problem)
     elif path.name == "replay_tests.md":
-        (tmp_path / "test_replay.py").write_text("\n".join(pieces))
-        pytest_again = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "test_replay.py"]
-        done = subprocess.run(pytest_again, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, done.stdout
-        assert "1 passed" in done.stdout
+        pass  # tests/missions/test_replay_tests_page.py runs it
     else:
         run_python(path)
     for line in shell_lines(path):

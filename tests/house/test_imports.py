@@ -11,7 +11,7 @@ ALLOWED = {
     "kb": {"kb", "lark", "ortools", "owlready2"},
     "rosa_bt": {"rosa_bt", "kb", "py_trees", "defusedxml"},
     "rosa_pddl": {"rosa_pddl", "kb", "py_trees", "unified_planning"},
-    "suave_env": {"suave_env", "mujoco", "numpy"},
+    "suave_env": {"suave_env", "mujoco", "numpy", "gymnasium"},
     "missions": {
         "missions",
         "kb",
@@ -31,6 +31,7 @@ ALLOWED = {
         "gymnasium",
         "mujoco",
         "owlready2",
+        "pytest",
     },
 }
 LATE = {
@@ -47,9 +48,17 @@ LATE = {
     "pyarrow",
     "gymnasium",
     "defusedxml",
+    "pytest",
 }
 """Slow to import: only inside functions, or in the one module that is itself imported late."""
-LATE_MODULES = {"missions/plot.py", "kb/typeql/reading.py", "kb/optimum/solver.py", "kb/owl.py"}
+LATE_MODULES = {
+    "kb/optimum/solver.py",
+    "kb/owl.py",
+    "kb/typeql/reading.py",
+    "missions/plot.py",
+    "missions/testing/plugin.py",
+    "suave_env/gym.py",
+}
 
 
 def imports(path):
