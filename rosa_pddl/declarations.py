@@ -1,9 +1,10 @@
 """Which names a PDDL domain and problem declare and use, and whether each used one is declared."""
 
-from collections.abc import Collection, Iterable, Iterator, Mapping
+import re
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from itertools import chain
+from itertools import chain, pairwise
 
 from rosa_pddl.exceptions import nearest
 from rosa_pddl.syntax import Node, Source
@@ -47,19 +48,23 @@ _DOMAIN_SECTIONS = (
     ":action",
     ":durative-action",
 )
-_REQUIREMENTS = (
-    *(":strips", ":typing", ":negative-preconditions", ":disjunctive-preconditions", ":equality"),
-    *(":existential-preconditions", ":universal-preconditions", ":quantified-preconditions", ":conditional-effects"),
-    *(":fluents", ":numeric-fluents", ":object-fluents", ":adl", ":durative-actions", ":duration-inequalities"),
-    *(":continuous-effects", ":derived-predicates", ":timed-initial-literals", ":preferences", ":constraints"),
-    *(":action-costs", ":goal-utilities", ":time", ":hierarchy", ":method-preconditions", ":contingent"),
-)
 _PROBLEM_SECTIONS = ("problem", ":domain", ":requirements", ":objects", ":init", ":goal", ":metric")
-_UNSUPPORTED = {":derived", ":process", ":event", ":task", ":method", ":constraints", ":htn"}
+# What unified-planning or the executor cannot take, and which engine would do.
+_UNSUPPORTED = {
+    ":derived": "unified-planning has no derived predicates; Fast Downward by itself would do. Sense the predicate, or "
+    "make it an effect of actions",
+    ":process": "it changes numbers while time passes; ENHSP (up-enhsp) would do",
+    ":event": "it happens by itself; ENHSP (up-enhsp) would do",
+    ":task": "hierarchies are not executed here; Aries (up-aries) by itself would do",
+    ":method": "hierarchies are not executed here; Aries (up-aries) by itself would do",
+    ":htn": "hierarchies are not executed here; Aries (up-aries) by itself would do",
+    ":constraints": "what shall hold on the way is not planned for; SymK (up-symk) after compilation would do",
+}
 _BODY = {
     ":action": (":parameters", ":precondition", ":effect"),
     ":durative-action": (":parameters", ":duration", ":condition", ":effect"),
 }
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?")
 _CONNECTIVES = ("and", "or", "not", "imply", "when")
 _QUANTIFIERS = ("forall", "exists")
 _COMPARISONS = ("<", ">", "<=", ">=")
@@ -80,6 +85,7 @@ def mentions(domain: Source, problem: Source) -> tuple[Mention, ...]:
     found_in_domain = tuple(chain.from_iterable(_section(domain, node) for node in domain.root.children[2:]))
     found_in_problem = tuple(chain.from_iterable(_section(problem, node) for node in problem.root.children[2:]))
     _check(found_in_domain, _declared(found_in_domain))
+    _check_lineage(domain)
     _check(found_in_problem, _declared(found_in_domain + found_in_problem))
     return found_in_domain + found_in_problem
 
@@ -92,12 +98,8 @@ def _check_frame(source: Source, what: str, sections: Collection[str]) -> None:
     if title.head != what or len(title.children) != 2:
         raise source.error(title, f"found {_start(title)!r}, expected '({what} NAME)'; is this the {what} file?")
     for node in root.children[2:]:
-        for word in node.children[1:] if node.head == ":requirements" else ():
-            if word.lower not in _REQUIREMENTS:
-                hint = nearest(word.lower, _REQUIREMENTS)
-                raise source.error(word, f"found {_start(word)!r}, expected a requirement of PDDL; {hint}")
         if node.head in _UNSUPPORTED:
-            raise source.unsupported(node, f"found '({node.head}': no installed planner of this package handles it")
+            raise source.unsupported(node, f"found '({node.head}': {_UNSUPPORTED[node.head]}")
         if node.head not in sections:
             raise source.error(node, f"found {_start(node)!r}, expected a section; {nearest(node.head, sections)}")
     if what == "problem":
@@ -143,7 +145,10 @@ def _typed(source: Source, nodes: Iterable[Node], kind: Kind | None) -> Iterator
     for node in nodes:
         if node.is_list:
             if expects_type and node.head == "either":
-                raise source.unsupported(node, "found '(either ...)': a type of several is not supported")
+                message = (
+                    "found '(either ...)': no engine of unified-planning takes a type of several; Fast Downward by "
+                )
+                raise source.unsupported(node, message + "itself would do. Declare a type above them")
             raise source.error(node, f"found {_start(node)!r}, expected {'a type' if expects_type else 'a name'}")
         if node.word == "-":
             expects_type = True
@@ -161,11 +166,15 @@ def _variables(nodes: Iterable[Node]) -> frozenset[str]:
     return frozenset(node.lower for node in nodes if node.lower.startswith("?"))
 
 
-def _signatures(source: Source, nodes: Iterable[Node]) -> Iterator[Mention]:
-    for node in nodes:
+def _signatures(source: Source, nodes: Sequence[Node]) -> Iterator[Mention]:
+    for before, node in zip(("", *(str(node) for node in nodes)), nodes, strict=False):
+        expects_type = before == "-"
         if not node.is_list:
             if node.lower in ("-", "number"):
                 continue
+            if expects_type:
+                message = f"found '- {node.word}': a function that is an object is not supported; Aries (up-aries) by "
+                raise source.unsupported(node, message + "itself would do. Write a predicate with one more argument")
             raise source.error(node, f"found {node.word!r}, expected a list such as '({node.word} ?x)'")
         if not node.head:
             raise source.error(node, f"found {_start(node)!r}, expected a name")
@@ -216,8 +225,8 @@ def _refuse_numbers(source: Source, node: Node, schema: Node) -> None:
     numeric = node.head in _COMPARISONS + _CHANGES
     numeric = numeric or (node.head == "=" and any(child.is_list for child in node.children))
     if numeric:
-        message = f"{_start(node)!r} in {schema.word} computes with numbers; Fast Downward plans with costs only"
-        raise source.unsupported(node, message + " (a numeric engine such as ENHSP or Aries would do)")
+        message = f"{_start(node)!r} in {schema.word} computes with numbers; the engines here plan with costs only"
+        raise source.unsupported(node, message + "; a numeric engine such as ENHSP (up-enhsp) would do")
     for child in node.children:
         _refuse_numbers(source, child, schema)
 
@@ -232,6 +241,9 @@ def _formula(source: Source, node: Node, scope: frozenset[str]) -> Iterator[Ment
         yield from chain.from_iterable(_formula(source, child, scope) for child in rest)
     elif head in _QUANTIFIERS:
         yield from _quantified(source, node, scope)
+    elif head == "preference":
+        message = f"found {_start(node)!r}: no installed engine takes preferences; LPG (up-lpg) by itself would do. "
+        raise source.unsupported(node, message + "Leave it out and add it as a soft goal: goals.add(TEXT, worth=COST)")
     elif _is_timed(node):
         yield from _formula(source, rest[1], scope)
     elif head in ("=", *_COMPARISONS, *_CHANGES):
@@ -263,7 +275,9 @@ def _atom(source: Source, node: Node, scope: frozenset[str]) -> Iterator[Mention
 
 def _term(source: Source, node: Node, scope: frozenset[str]) -> Iterator[Mention]:
     if node.is_list:
-        if node.head in ("+", "-", "*", "/", "=", "and", *_COMPARISONS):
+        if _is_timed(node):
+            yield from _term(source, node.children[2], scope)
+        elif node.head in ("+", "-", "*", "/", "=", "and", *_COMPARISONS):
             yield from chain.from_iterable(_term(source, child, scope) for child in node.children[1:])
         elif node.children:
             yield from _atom(source, node, scope)
@@ -277,12 +291,15 @@ def _term(source: Source, node: Node, scope: frozenset[str]) -> Iterator[Mention
 
 
 def _is_number(word: str) -> bool:
-    return word.replace(".", "", 1).isdigit()
+    return _NUMBER.fullmatch(word) is not None
 
 
 def _fact(source: Source, node: Node) -> Iterator[Mention]:
     if node.head == "at" and len(node.children) == 3 and _is_number(node.children[1].lower):
-        raise source.unsupported(node, f"found {_start(node)!r}: facts that become true at a time are not supported")
+        message = (
+            f"found {_start(node)!r}: facts that become true at a time are not supported; Aries (up-aries) by itself "
+        )
+        raise source.unsupported(node, message + "would do. Sense the fact instead")
     yield from _formula(source, node, frozenset())
 
 
@@ -301,6 +318,32 @@ def _declared(found: Iterable[Mention]) -> Declared:
                 )
                 raise mention.source.error(mention.node, f"{message} of {first.source.file}")
     return declared
+
+
+def declared_types(section: Node) -> Iterator[tuple[Node, Node | None]]:
+    """Yield each type of a section `:types` and the type above it."""
+    waiting: list[Node] = []
+    words = section.children
+    for before, node in pairwise(words):
+        if before.word == "-":
+            yield from ((name, node) for name in waiting)
+            waiting = []
+        elif node.word != "-":
+            waiting.append(node)
+    yield from ((name, None) for name in waiting)
+
+
+def _check_lineage(domain: Source) -> None:
+    """Refuse types that are above one another."""
+    sections = [section for section in domain.root.children[2:] if section.head == ":types"]
+    above = {name.lower: up for section in sections for name, up in declared_types(section) if up is not None}
+    for name in above:
+        seen, now = {name}, above.get(name)
+        while now is not None and now.lower != name and now.lower not in seen:
+            seen.add(now.lower)
+            now = above.get(now.lower)
+        if now is not None and now.lower == name and len(seen) > 1:
+            raise domain.error(now, f"the types {', '.join(sorted(seen))} are above one another, expected one on top")
 
 
 def _check(found: Iterable[Mention], declared: Declared) -> None:

@@ -7,9 +7,11 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
-from rosa_pddl.declarations import Kind, Mention, mentions
-from rosa_pddl.domain import ACTION_TYPE, FEASIBLE, Domain, Schema, UpThing
+from rosa_pddl.conventions import rosa_action_of, with_told
+from rosa_pddl.declarations import Kind, Mention, declared_types, mentions
+from rosa_pddl.domain import ACTION_TYPE, Domain, Schema, UpThing
 from rosa_pddl.exceptions import PddlError, UnsupportedPddlError
+from rosa_pddl.problem import Problem
 from rosa_pddl.syntax import Source, read_source
 
 _GLOBAL = threading.Lock()
@@ -18,17 +20,23 @@ _LINE = re.compile(r"line:?\s*(\d+)")
 Edit = tuple[int, int, str]
 
 
-def load_domain(domain: str | Path, problem: str | Path) -> Domain:
+def load_domain(domain: str | Path, problem: str | Path, *, actions: Mapping[str, str] | None = None) -> Domain:
     """Read a PDDL domain and problem.
 
     Names keep the spelling of the files, and an object, an action, a predicate and a type may share one.
 
+    Which ROSA action a PDDL action does is the `?a` of its condition `(NAME_action ?a)`, NAME being its own name, else
+    that of its condition `(action_feasible ?a)`, else its only parameter of type `action`. Files that keep no such
+    convention are told: the condition `(over all (action_feasible ...))` is added then to an action that lacks it.
+
     Args:
         domain: path of the domain file.
         problem: path of the problem file.
+        actions: for PDDL actions the ROSA action that they do: its name, or the parameter that is it, as `?a`.
 
     Raises:
         PddlError: a file cannot be read or is not correct PDDL; says the place.
+        UnknownNameError: `actions` names a PDDL action or a parameter that is not in the files.
         UnsupportedPddlError: correct PDDL that cannot be planned or executed here.
     """
     domain_source, problem_source = read_source(domain), read_source(problem)
@@ -36,7 +44,11 @@ def load_domain(domain: str | Path, problem: str | Path) -> Domain:
     inside = _unique_names(found)
     texts = [_rewritten(source, found, inside) for source in (domain_source, problem_source)]
     up_problem = _read(texts[0], texts[1], (domain_source, problem_source))
-    return _domain(domain_source, problem_source, up_problem, found, inside)
+    read = _domain(domain_source, problem_source, up_problem, found, inside)
+    loaded = with_told(read, actions) if actions else read
+    # what cannot be planned for is refused here, not at the first planning
+    Problem(loaded, frozenset()).build()
+    return loaded
 
 
 def _unique_names(found: Iterable[Mention]) -> dict[tuple[Kind, str], str]:
@@ -54,7 +66,8 @@ def _unique_names(found: Iterable[Mention]) -> dict[tuple[Kind, str], str]:
 
 
 def _declared_words(found: Iterable[Mention], kind: Kind) -> list[str]:
-    return list(dict.fromkeys(m.node.lower for m in found if m.declares and m.kind is kind))
+    words = dict.fromkeys(m.node.lower for m in found if m.declares and m.kind is kind)
+    return [word for word in words if (kind, word) != (Kind.TYPE, "object")]
 
 
 def _rewritten(source: Source, found: Iterable[Mention], inside: Mapping[tuple[Kind, str], str]) -> str:
@@ -78,6 +91,13 @@ def _tolerated(source: Source) -> Iterator[Edit]:
         # requirements promise what the sections then show; unified-planning refuses the ones it does not know
         if node.head == ":requirements" or (len(node.children) == 1 and node.head not in (":init", ":goal")):
             yield node.start, node.end, ""
+        elif node.head == ":types" and any(
+            up is not None and up.lower == name.lower for name, up in declared_types(node)
+        ):
+            # a type above itself, as in `dock charger - dock`, was meant to be on top
+            pairs = [(name.lower, up.lower if up is not None else "object") for name, up in declared_types(node)]
+            listed = " ".join(f"{name} - {'object' if up == name else up}" for name, up in pairs)
+            yield node.start, node.end, f"(:types {listed})"
         elif node.head in (":action", ":durative-action"):
             words = [child.lower for child in node.children]
             if ":parameters" not in words:
@@ -180,7 +200,7 @@ def _schema(action: UpThing, outside: Mapping[str, str], source: Source) -> Sche
     complete |= {key: _true_or_false(complete[key]) for key in ("start_effects", "end_effects")}
     conditions = complete["start"] + complete["over_all"] + complete["end"]
     parameters = tuple((parameter.name, outside[parameter.type.name]) for parameter in action.parameters)
-    rosa_action = _rosa_action(conditions, action.parameters, outside)
+    rosa_action = rosa_action_of(name, conditions, action.parameters, outside)
     return Schema(name=name, parameters=parameters, action=rosa_action, **complete)
 
 
@@ -209,13 +229,3 @@ def _conjuncts(formulas: Iterable[UpThing]) -> Iterator[UpThing]:
             yield from _conjuncts(formula.args)
         elif not formula.is_true():
             yield formula
-
-
-def _rosa_action(conditions: tuple[UpThing, ...], parameters: UpThing, outside: Mapping[str, str]) -> str | None:
-    """Return the `?a` of a condition `(action_feasible ?a)`; without one, the only parameter of type action."""
-    for formula in conditions:
-        if formula.is_fluent_exp() and outside[formula.fluent().name].lower() == FEASIBLE:
-            argument = formula.arg(0)
-            return str(argument.parameter().name) if argument.is_parameter_exp() else outside[argument.object().name]
-    actions = [p.name for p in parameters if ACTION_TYPE in _lineage(p.type, outside)]
-    return actions[0] if len(actions) == 1 else None

@@ -1,0 +1,8 @@
+(define (problem two_roads) (:domain delivery)
+  (:objects van - vehicle letter - parcel depot bridge home - place)
+  (:init (at van depot) (at letter depot) (= (total-cost) 0)
+         (road depot home) (= (length depot home) 20)
+         (road depot bridge) (= (length depot bridge) 7.5) (road bridge home) (= (length bridge home) 7.5)
+         (= (capacity van) 3) (= (weight letter) 0.1) (= (length home depot) -1))
+  (:goal (at letter home))
+  (:metric minimize (total-cost)))

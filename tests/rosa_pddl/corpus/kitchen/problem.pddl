@@ -1,0 +1,5 @@
+(define (problem Lunch) (:domain kitchen)
+  (:requirements :strips)
+  (:objects Cook - Cook Dish - Dish)
+  (:init (at cook TABLE) (STOVE stove) (not (hot stove)))
+  (:goal (AND (Served dish) (at cook table))))

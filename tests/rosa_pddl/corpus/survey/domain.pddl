@@ -1,0 +1,23 @@
+(define (domain survey)
+  (:requirements :durative-actions)
+  (:types action uv - object site)
+  (:constants survey move - action)
+  (:predicates (action_feasible ?a - action) (move_action ?a - action) (survey_action ?a - action)
+    (uv_at ?u - uv ?s - site) (surveyed ?s - site) (reported) (calm ?s - site))
+  (:functions (travel_time ?from ?to - site) (battery ?u - uv))
+  (:durative-action move
+    :parameters (?u - uv ?from ?to - site)
+    :duration (= ?duration (travel_time ?from ?to))
+    :condition (and (at start (uv_at ?u ?from)) (over all (action_feasible move)))
+    :effect (and (at start (not (uv_at ?u ?from))) (at end (uv_at ?u ?to))))
+  (:durative-action survey
+    :parameters (?a - action ?u - uv ?s - site)
+    :duration (= ?duration 12.5)
+    :condition (and (over all (survey_action ?a)) (over all (action_feasible ?a)) (over all (uv_at ?u ?s))
+                    (at end (or (calm ?s) (not (reported)))))
+    :effect (and (at end (surveyed ?s))))
+  (:durative-action report
+    :parameters ()
+    :duration (= ?duration 1)
+    :condition (and (at start (forall (?s - site) (surveyed ?s))))
+    :effect (and (at end (reported)))))

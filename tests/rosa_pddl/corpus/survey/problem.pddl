@@ -1,0 +1,7 @@
+(define (problem survey_all) (:domain survey)
+  (:objects auv - uv north south - site)
+  (:init (survey_action survey) (move_action move) (uv_at auv north)
+         (= (travel_time north south) 30) (= (travel_time south north) 30)
+         (= (travel_time north north) 0) (= (travel_time south south) 0) (= (battery auv) 80.5))
+  (:goal (and (reported)))
+  (:metric minimize (total-time)))

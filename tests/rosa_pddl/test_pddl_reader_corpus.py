@@ -1,0 +1,160 @@
+"""Domains as users of ROSA and PlanSys2 write them: each loads as it is, is planned for, and is executed."""
+
+from pathlib import Path
+
+import pytest
+from pddl_world import FakeKb, World, load_text
+from py_trees.common import Status
+
+from rosa_pddl import (
+    PddlError,
+    Planner,
+    Problem,
+    UnknownNameError,
+    UnsupportedPddlError,
+    flaw,
+    initial_state,
+    load_domain,
+)
+
+CORPUS = Path(__file__).with_name("corpus")
+PLANS = {
+    "delivery": (17.0, "load drive drive unload"),
+    "inspection": (3.0, "start_robot search_pipeline inspect_pipeline"),
+    "kitchen": (5.0, "heat at Cook at SERVE"),
+    "patrol": (5.0, "charge move patrol move patrol"),
+    "survey": (4.0, "survey move survey report"),
+    "untyped": (3.0, "pick move drop"),
+}
+
+
+def load(name, **told):
+    return load_domain(CORPUS / name / "domain.pddl", CORPUS / name / "problem.pddl", **told)
+
+
+def test_every_domain_of_the_corpus_is_tried():
+    assert sorted(path.name for path in CORPUS.iterdir()) == sorted(PLANS)
+
+
+@pytest.mark.parametrize("name", PLANS)
+def test_a_domain_loads_unmodified_and_is_planned_for(name):
+    domain = load(name)
+    state = initial_state(domain) | {domain.feasible_atom(action) for action in domain.rosa_actions}
+    result = Planner().plan(Problem(domain, state))
+    cost, schemas = PLANS[name]
+    assert (result.cost, " ".join(step.schema for step in result.steps)) == (cost, schemas), result.message
+    assert flaw(domain, result.steps, state) is None
+
+
+@pytest.mark.parametrize("name", PLANS)
+def test_a_domain_is_executed_to_its_goal(name):
+    world = World(load(name))
+    assert world.run() is Status.SUCCESS
+    assert world.plans() == [PLANS[name][1].split()]
+
+
+def test_windows_line_ends_tabs_and_a_byte_order_mark_make_no_difference(tmp_path):
+    domain, problem = (
+        (CORPUS / "patrol" / f"{kind}.pddl").read_text().replace("    ", "\t").replace("\n", "\r\n")
+        for kind in ("domain", "problem")
+    )
+    (tmp_path / "d.pddl").write_bytes(b"\xef\xbb\xbf" + domain.encode())
+    (tmp_path / "p.pddl").write_bytes(problem.encode())
+    assert load_domain(tmp_path / "d.pddl", tmp_path / "p.pddl").schemas == ("move", "patrol", "charge")
+
+
+# ------------------------------------------------------------------ which ROSA action a PDDL action does
+
+
+def test_the_rosa_action_is_found_by_the_predicate_of_its_kind_by_feasibility_or_as_a_constant():
+    found = {name: schema.action for name, schema in load("inspection").schema_of.items()}
+    assert found == {"start_robot": "a", "search_pipeline": "a", "inspect_pipeline": "a", "recharge": "a"}
+    assert load("inspection").step("recharge", "x y z r".split()).action == "x"
+    assert {name: schema.action for name, schema in load("survey").schema_of.items()} == {
+        "move": "move",
+        "survey": "a",
+        "report": None,
+    }
+
+
+def test_a_domain_without_the_conventions_is_told_and_follows_the_knowledge_base():
+    domain = load("patrol", actions={"move": "drive", "charge": "charge"})
+    assert domain.rosa_actions == ("drive", "charge")
+    world = World(domain)
+    assert world.run() is Status.SUCCESS
+    world = World(domain)
+    world.run(until="move")
+    world.kb.unfeasible = {"drive"}
+    assert world.run() is Status.FAILURE
+    assert world.executor.plans[1].reason == "drive became unfeasible"
+    assert "unfeasible now: drive" in world.executor.feedback_message
+
+
+def test_a_parameter_can_be_told_and_is_then_watched():
+    before, told = load("inspection"), load("inspection", actions={"recharge": "?a1"})
+    assert told.schema_of["recharge"].action == "a1"
+    assert len(told.schema_of["recharge"].over_all) == len(before.schema_of["recharge"].over_all) + 1
+
+
+@pytest.mark.parametrize(
+    ("told", "message"),
+    [
+        ({"mov": "drive"}, r"no PDDL action 'mov'; nearest: move"),
+        ({"move": "?rr"}, r"'move' has no parameter '\?rr'; nearest: \?r"),
+        ({"move": "wp1"}, r"object 'wp1' .* is not of type 'action'"),
+    ],
+)
+def test_what_is_told_wrongly_is_named(told, message):
+    with pytest.raises(UnknownNameError, match=message):
+        load("patrol", actions=told)
+
+
+def test_actions_on_one_side_only_are_named():
+    domain = load("inspection")
+    assert domain.check(FakeKb(domain.rosa_actions)) == ()
+    (finding,) = domain.check(FakeKb([*domain.rosa_actions, "surface"]))
+    assert finding.startswith("the action 'surface' of the knowledge base is never planned")
+    with pytest.raises(PddlError, match=r"problem\.pddl:6: .*does not know the action 'recharge'"):
+        domain.check(FakeKb(domain.rosa_actions[:-1]))
+
+
+def test_an_object_of_type_action_that_no_pddl_action_does_is_named(tmp_path):
+    problem = (CORPUS / "inspection" / "problem.pddl").read_text().replace("recharge - action", "recharge fly - action")
+    domain = load_text(tmp_path, (CORPUS / "inspection" / "domain.pddl").read_text(), problem)
+    (finding,) = domain.check(FakeKb(domain.rosa_actions))
+    assert "no PDDL action" in finding
+    assert finding.endswith("the ROSA action 'fly'")
+
+
+# ------------------------------------------------------------------ refused, with place and what would do
+
+PLAIN = """(define (domain plain) (:types thing) (:predicates (ok ?t - thing) (done))
+  (:functions (fuel ?t - thing))
+  (:action go :parameters (?t - thing) :precondition (ok ?t) :effect (done)))"""
+PROBLEM = "(define (problem p) (:domain plain) (:objects a - thing) (:init (ok a))\n (:goal (done)))"
+REFUSED = {
+    "numeric condition": (("(ok ?t) :effect", "(>= (fuel ?t) 3) :effect"), "domain.pddl:3:", "up-enhsp"),
+    "numeric effect": ((":effect (done)", ":effect (decrease (fuel ?t) 3)"), "domain.pddl:3:", "up-enhsp"),
+    "object fluent": (("(fuel ?t - thing)", "(place ?t - thing) - thing"), "domain.pddl:2:", "up-aries"),
+    "process": (("(:action go", "(:process go"), "domain.pddl:3:", "up-enhsp"),
+    "preference": (("(:goal (done))", "(:goal (preference p1 (done)))"), "problem.pddl:2:", "goals.add"),
+    "trajectory": (("(:goal (done))", "(:goal (done)) (:constraints (always (ok a)))"), "problem.pddl:2:", "up-symk"),
+    "metric": (("(:goal (done))", "(:goal (done))\n (:metric minimize (fuel a))"), "problem.pddl:3", "total-cost"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_no_engine_here_takes_is_refused_at_load_with_its_place_and_what_would_do(case, tmp_path):
+    (old, new), place, advice = REFUSED[case]
+    assert old in PLAIN + PROBLEM
+    with pytest.raises(UnsupportedPddlError, match=advice) as caught:
+        load_text(tmp_path, PLAIN.replace(old, new), PROBLEM.replace(old, new))
+    assert str(caught.value).startswith(f"{tmp_path}/{place}"), caught.value
+
+
+def test_types_that_are_above_one_another_are_refused_but_one_above_itself_is_on_top(tmp_path):
+    two = PLAIN.replace("(:types thing)", "(:types thing - part part - thing)")
+    with pytest.raises(PddlError, match=r"domain\.pddl:1:.*the types part, thing are above one another"):
+        load_text(tmp_path, two, PROBLEM)
+    itself = PLAIN.replace("(:types thing)", "(:types thing part - thing)")
+    assert load_text(tmp_path, itself, PROBLEM).schemas == ("go",)
