@@ -60,7 +60,7 @@ def split_settings(mission: Mission, values: Mapping[str, str]) -> tuple[RunSett
     full |= {name: name for name in full.values()}
     for name in values:
         if name not in full:
-            near = get_close_matches(name, sorted(full.values()), n=3)
+            near = get_close_matches(name, sorted(set(full.values())), n=3)
             hint = f"did you mean {' or '.join(near)}?" if near else f"`rosa settings {mission.name}` lists them"
             raise MissionError(f"unknown setting {name!r} of mission {mission.name}; {hint}")
         if full[name] != name and full[name] in values:
