@@ -69,7 +69,7 @@ def test_windows_line_ends_tabs_and_a_byte_order_mark_make_no_difference(tmp_pat
 def test_the_rosa_action_is_found_by_the_predicate_of_its_kind_by_feasibility_or_as_a_constant():
     found = {name: schema.action for name, schema in load("inspection").schema_of.items()}
     assert found == {"start_robot": "a", "search_pipeline": "a", "inspect_pipeline": "a", "recharge": "a"}
-    assert load("inspection").step("recharge", "x y z r".split()).action == "x"
+    assert load("inspection").step("recharge", ["x", "y", "z", "r"]).action == "x"
     assert {name: schema.action for name, schema in load("survey").schema_of.items()} == {
         "move": "move",
         "survey": "a",

@@ -1,0 +1,224 @@
+"""Goals that change while the plan is executed, soft goals, and which of several is out of reach."""
+
+from itertools import combinations
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from pddl_world import World, load_text
+from py_trees.common import Status
+
+from rosa_pddl import GoalError, Goals, PddlError, Planner, UnknownNameError, UnsupportedPddlError
+from rosa_pddl.quest import Quest
+
+SITES = ("north", "south", "east")
+DOMAIN = """(define (domain survey) (:requirements :typing :action-costs)
+  (:types site)
+  (:predicates (visited ?s - site) (photographed ?s - site) (open ?s - site) (home))
+  (:functions (total-cost) - number (way ?s - site) - number)
+  (:action visit :parameters (?s - site) :precondition (open ?s)
+    :effect (and (visited ?s) (not (home)) (increase (total-cost) (way ?s))))
+  (:action photograph :parameters (?s - site) :precondition (visited ?s)
+    :effect (and (photographed ?s) (increase (total-cost) 1)))
+  (:action return :parameters () :effect (and (home) (increase (total-cost) 2))))
+"""
+PROBLEM = """(define (problem p) (:domain survey) (:objects north south east - site)
+  (:init (open north) (open south) (open east) (home)
+    (= (total-cost) 0) (= (way north) 3) (= (way south) 4) (= (way east) 5))
+  (:goal (and (visited north) (home)))
+  (:metric minimize (total-cost)))
+"""
+WAY = {"north": 3, "south": 4, "east": 5}
+
+
+@pytest.fixture(scope="module")
+def survey(tmp_path_factory):
+    return load_text(tmp_path_factory.mktemp("survey"), DOMAIN, PROBLEM)
+
+
+@pytest.fixture
+def world(survey):
+    return World(survey)
+
+
+def done(world):
+    return [name for _, name, what in world.log if what == "SUCCESS"]
+
+
+def test_the_goals_begin_as_the_problem_file_has_them(world):
+    assert [str(goal) for goal in world.executor.goals] == ["(visited north)", "(home)"]
+    assert "(HOME)" not in world.executor.goals
+    assert "(home)" in world.executor.goals
+
+
+def test_a_goal_that_is_added_is_planned_for_and_what_runs_runs_on(world):
+    world.ticks = {"visit": 9}
+    world.run(until="visit")
+    world.executor.goals.add("(photographed north)")
+    assert world.run() is Status.SUCCESS
+    assert done(world) == ["visit", "photograph", "return"]
+    assert world.executor.plans[1].reason == (
+        "the goals changed: the rest of the plan does not reach (photographed north)"
+    )
+
+
+def test_a_goal_that_is_dropped_is_not_pursued_any_more(world):
+    world.executor.goals.add("(and (visited south) (visited east))")
+    world.ticks = {"visit": 9}
+    world.run(until="visit")
+    world.executor.goals.drop("(visited east)")
+    assert world.run() is Status.SUCCESS
+    assert done(world) == ["visit", "visit", "return"]
+    assert [record.reason for record in world.executor.plans] == ["start", "the goals changed"]
+
+
+def test_other_goals_in_place_of_all_stop_what_serves_the_old_ones(world):
+    world.ticks = {"visit": 9}
+    world.run(until="visit")
+    world.executor.goals.replace("(home)")
+    assert world.run() is Status.SUCCESS
+    assert [what for _, name, what in world.log if name == "visit"] in (["begins", "INVALID"], ["begins", "SUCCESS"])
+
+
+def test_a_goal_added_after_success_is_pursued_in_the_next_round(world):
+    assert world.run() is Status.SUCCESS
+    world.executor.goals.add("(visited east)")
+    assert world.run() is Status.SUCCESS
+    assert done(world) == ["visit", "return", "visit", "return"]
+
+
+def test_a_goal_without_a_plan_can_be_dropped_and_the_mission_goes_on(world):
+    world.facts = {"(open east)": False}
+    world.executor.goals.add("(visited east)")
+    assert world.run() is Status.FAILURE
+    message = world.executor.feedback_message
+    assert message.endswith("out of reach: (visited east); in reach alone: (visited north), (home)")
+    world.executor.goals.drop("(visited east)")
+    assert world.run() is Status.SUCCESS
+
+
+def test_goals_that_exclude_one_another_are_said_to(world):
+    world.facts = {"(open east)": False}
+    world.executor.goals.replace("(photographed north)", "(not (visited north))")
+    assert world.run() is Status.FAILURE
+    assert "each goal can be reached alone, but not all together" in world.executor.feedback_message
+
+
+def test_a_goal_may_be_any_condition(world):
+    world.executor.goals.replace(
+        "(and (forall (?s - site) (imply (= ?s north) (visited ?s))) (exists (?s - site) (photographed ?s)))",
+        "(or (visited south) (not (home)))",
+    )
+    assert world.run() is Status.SUCCESS
+    assert done(world) == ["visit", "photograph"]
+
+
+@pytest.mark.parametrize(
+    ("text", "error", "message"),
+    [
+        ("(visted north)", UnknownNameError, "no predicate 'visted'.*nearest: visited"),
+        ("(visited nort)", UnknownNameError, "no object 'nort'.*nearest: north"),
+        ("(visited ?s)", UnknownNameError, r"\?s"),
+        ("(forall (?s - sit) (visited ?s))", UnknownNameError, "no type 'sit'.*nearest: site"),
+        ("(forall (?s) (visited ?s))", PddlError, "of no type"),
+        ("(not (home) (home))", PddlError, "2 parts .* expected 1"),
+        ("visited north", PddlError, "expected"),
+        ("(visited north", PddlError, "not closed"),
+        ("()", PddlError, "expected a list"),
+        ("(> (way north) 3)", UnsupportedPddlError, "computes with numbers"),
+    ],
+)
+def test_a_goal_that_means_nothing_is_refused_and_the_goals_stay_as_they_were(world, text, error, message):
+    goals = world.executor.goals
+    before, version = list(goals), goals.version
+    for change in (goals.add, goals.drop, goals.replace):
+        with pytest.raises(error, match=message):
+            change(text)
+    assert (list(goals), goals.version) == (before, version)
+
+
+def test_dropping_what_is_no_goal_and_a_worth_of_nothing_are_refused(world):
+    with pytest.raises(GoalError, match=r"\(visited east\) is not among the goals; nearest: \(visited north\)"):
+        world.executor.goals.drop("(visited east)")
+    with pytest.raises(GoalError, match="worth 0, expected more than 0"):
+        world.executor.goals.add("(visited east)", worth=0.0)
+
+
+# ------------------------------------------------------------------ soft goals
+
+
+def benefit(worth, chosen):
+    """What the cheapest plan for some photographs costs, the worth of the others included."""
+    places = {"north", *chosen}
+    forgone = sum(value for site, value in worth.items() if site not in chosen)
+    return sum(WAY[site] for site in places) + len(chosen) + 2 + forgone
+
+
+@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.dictionaries(st.sampled_from(SITES), st.integers(1, 9), min_size=1))
+def test_the_soft_goals_that_are_pursued_have_the_best_net_benefit(survey, worth):
+    goals = Goals(survey)
+    for site, value in worth.items():
+        goals.add(f"(photographed {site})", worth=value)
+    quest = Quest(survey, dict)
+    problem = quest.problem(World(survey).executor._belief.observe(), goals)
+    result = Planner().plan(problem)
+    subsets = [chosen for size in range(len(worth) + 1) for chosen in combinations(sorted(worth), size)]
+    assert result.cost == min(benefit(worth, chosen) for chosen in subsets), result.message
+    kept, reached = quest.read(result, goals)
+    assert {step.schema for step in kept.steps} <= set(survey.schemas)
+    chosen = [goal.text.split()[1][:-1] for goal in reached if goal.is_soft]
+    assert benefit(worth, chosen) == result.cost
+
+
+def test_a_soft_goal_is_pursued_if_it_is_worth_it_and_left_if_not(survey):
+    cheap, dear = World(survey), World(survey)
+    cheap.executor.goals.add("(photographed south)", worth=4.5)
+    dear.executor.goals.add("(photographed south)", worth=5.5)
+    assert (cheap.run(), dear.run()) == (Status.SUCCESS, Status.SUCCESS)
+    assert done(cheap) == ["visit", "return"]
+    assert sorted(done(dear)) == ["photograph", "return", "visit", "visit"]
+    assert dear.executor.plans[0].steps == tuple(
+        step for step in dear.executor.plans[0].steps if step.schema != "forgo"
+    )
+
+
+def test_a_soft_goal_that_cannot_be_reached_any_more_is_given_up_without_a_failure(world):
+    world.executor.goals.add("(photographed south)", worth=50)
+    world.run(until="visit")
+    world.facts = {"(open south)": False, "(visited south)": False}
+    assert world.run() is Status.SUCCESS
+    assert "photograph" not in done(world)
+
+
+def test_a_soft_goal_alone_is_planned_for_although_all_that_must_be_holds(world):
+    world.executor.goals.replace("(home)")
+    world.executor.goals.add("(visited north)", worth=9)
+    assert world.run() is Status.SUCCESS
+    assert done(world) == ["visit", "return"]
+
+
+def test_a_goal_becomes_soft_and_hard_again(world):
+    goals = world.executor.goals
+    goals.add("(visited north)", worth=1)
+    assert [str(goal) for goal in goals.soft] == ["(visited north) worth 1"]
+    goals.add("(visited north)")
+    assert goals.soft == ()
+    assert len(goals) == 2
+    assert repr(goals) == "Goals((visited north), (home))"
+
+
+@given(numbers=st.lists(st.sampled_from(range(6)), max_size=8))
+def test_adding_and_dropping_leaves_the_goals_that_were_added_last(survey, numbers):
+    goals = Goals(survey)
+    goals.replace()
+    kept: dict[str, None] = {}
+    for number in numbers:
+        text = f"(visited {SITES[number % 3]})"
+        if text in kept:
+            goals.drop(text)
+            del kept[text]
+        else:
+            goals.add(text)
+            kept[text] = None
+    assert [goal.text for goal in goals] == list(kept)

@@ -1,0 +1,98 @@
+"""Temporal plans: steps overlap as the causal order of the plan allows, whatever they really take."""
+
+import pytest
+from pddl_world import World, load_text
+from py_trees.common import Status
+
+from rosa_pddl import Planner
+
+pytest.importorskip("up_aries")
+
+DOMAIN = """(define (domain rig) (:requirements :durative-actions)
+  (:types action tool)
+  (:predicates (action_feasible ?a - action) (light_action ?a - action) (mend_action ?a - action)
+    (lit) (dark) (mended) (free ?t - tool) (washed ?t - tool) (packed))
+  (:durative-action light :parameters (?a - action) :duration (= ?duration 8)
+    :condition (and (over all (light_action ?a)) (over all (action_feasible ?a)) (at start (dark)))
+    :effect (and (at start (not (dark))) (at start (lit)) (at end (not (lit))) (at end (dark))))
+  (:durative-action mend :parameters (?a - action) :duration (= ?duration 5)
+    :condition (and (over all (lit)) (over all (mend_action ?a)) (over all (action_feasible ?a)))
+    :effect (at end (mended)))
+  (:durative-action wash :parameters (?t - tool) :duration (= ?duration 3)
+    :condition (at start (free ?t))
+    :effect (and (at start (not (free ?t))) (at end (free ?t)) (at end (washed ?t))))
+  (:durative-action pack :parameters (?s ?t - tool) :duration (= ?duration 1)
+    :condition (and (at start (washed ?s)) (at start (washed ?t)) (at start (not (= ?s ?t))) (at start (mended)))
+    :effect (at end (packed))))
+"""
+PROBLEM = """(define (problem p) (:domain rig) (:objects light mend - action saw drill - tool)
+  (:init (light_action light) (mend_action mend) (dark) (free saw) (free drill))
+  (:goal (packed)) (:metric minimize (total-time)))
+"""
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory):
+    return load_text(tmp_path_factory.mktemp("rig"), DOMAIN, PROBLEM)
+
+
+@pytest.fixture
+def world(rig):
+    return World(rig, Planner("aries", overlapping=True))
+
+
+def times(world, what):
+    return {name: at_s for at_s, name, happened in world.log if happened == what}
+
+
+@pytest.mark.parametrize("ticks", [{"light": 20, "mend": 10, "wash": 5}, {"light": 9, "mend": 2, "wash": 30}])
+def test_what_must_overlap_does_and_what_waits_for_others_waits_however_long_they_take(world, ticks):
+    world.ticks = ticks
+    assert world.run() is Status.SUCCESS
+    begins, ends = times(world, "begins"), times(world, "SUCCESS")
+    assert begins["light"] <= begins["mend"] < ends["mend"] <= ends["light"]
+    assert begins["wash"] < ends["light"]
+    assert begins["pack"] >= max(ends["wash"], ends["mend"])
+    assert len(world.executor.plans) == 1
+
+
+def test_all_running_steps_are_seen_and_stopped_with_the_tree(world):
+    world.ticks = {"light": 20, "mend": 10, "wash": 15}
+    world.run(until="light")
+    assert [step.schema for step in world.executor.current_steps] == ["light", "mend", "wash", "wash"]
+    assert len(world.executor.children) == 4
+    world.executor.stop(Status.INVALID)
+    assert sorted(name for _, name, what in world.log if what == "INVALID") == ["light", "mend", "wash", "wash"]
+    assert (world.executor.current_steps, world.executor.children) == ((), [])
+
+
+def test_one_step_that_fails_leaves_the_others_running(world):
+    world.ticks = {"light": 30, "mend": 3, "wash": 15}
+    world.events = {"mend": Status.FAILURE}
+    world.run(until="light")
+    world.tick()
+    world.tick()
+    assert [step.schema for step in world.executor.current_steps] == ["light", "wash", "wash"]
+    assert world.run() is Status.SUCCESS
+    begun = [name for _, name, what in world.log if what == "begins"]
+    assert (begun.count("mend"), begun.count("light"), begun.count("wash")) == (2, 1, 2)
+    assert world.executor.plans[1].reason == "mend(mend) failed"
+
+
+def test_a_light_that_goes_out_too_early_stops_what_needs_it(world):
+    world.ticks = {"light": 6, "mend": 10, "wash": 5}
+    world.run(until="light")
+    for _ in range(6):
+        world.tick()
+    assert times(world, "INVALID") == {"mend": pytest.approx(times(world, "SUCCESS")["light"] + 0.1)}
+    assert world.executor.feedback_message == "planning: mend(mend) needs (lit), which does not hold"
+
+
+def test_two_runs_with_overlapping_steps_are_the_same(rig):
+    def run():
+        world = World(rig, Planner("aries", overlapping=True))
+        world.ticks = {"light": 20, "mend": 10, "wash": 5}
+        world.run()
+        return world.log
+
+    assert run() == run()

@@ -1,0 +1,212 @@
+"""When the executor plans anew, what runs meanwhile, and what it says when nothing helps."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pddl_world import World, load_text
+from py_trees.common import Status
+
+from rosa_pddl import Outcome, Planner, PlannerSettingError, PlanningResult, ReplanningPolicy
+from rosa_pddl.policy import decide, wait_s
+
+WAYS = """(define (domain ways) (:requirements :typing)
+  (:types action)
+  (:predicates (action_feasible ?a - action) (left_action ?a - action) (right_action ?a - action) (open) (half) (there))
+  (:action start :parameters () :effect (half))
+  (:action left :parameters (?a - action)
+    :precondition (and (half) (left_action ?a) (action_feasible ?a)) :effect (there))
+  (:action right :parameters (?a - action)
+    :precondition (and (half) (right_action ?a) (action_feasible ?a)) :effect (and (not (half)) (there)))
+  (:action shortcut :parameters () :precondition (open) :effect (there)))
+"""
+PROBLEM = """(define (problem go) (:domain ways) (:objects left right - action)
+  (:init (left_action left) (right_action right)) (:goal (there)))
+"""
+
+
+@pytest.fixture(scope="module")
+def ways(tmp_path_factory):
+    return load_text(tmp_path_factory.mktemp("ways"), WAYS, PROBLEM)
+
+
+def world_of(ways, **policy):
+    world = World(ways, policy=ReplanningPolicy(**policy))
+    world.kb.unfeasible = {"right"}
+    world.ticks = {"start": 12}
+    return world
+
+
+def begun(world):
+    return [name for _, name, what in world.log if what == "begins"]
+
+
+def test_a_running_step_that_the_new_plan_starts_with_runs_on(ways):
+    world = world_of(ways)
+    world.run(until="start")
+    world.kb.unfeasible = {"left"}
+    assert world.run() is Status.SUCCESS
+    assert world.plans() == [["start", "left"], ["start", "right"]]
+    assert world.executor.plans[1].reason == "left is unfeasible"
+    assert [entry for entry in world.log if entry[1] == "start"] == [
+        (0.2, "start", "begins"),
+        (1.3, "start", "SUCCESS"),
+    ]
+
+
+def test_a_policy_that_holds_stops_it_and_starts_it_again(ways):
+    world = world_of(ways, while_planning="hold")
+    world.run(until="start")
+    world.kb.unfeasible = {"left"}
+    assert world.run() is Status.SUCCESS
+    assert [what for _, name, what in world.log if name == "start"] == ["begins", "INVALID", "begins", "SUCCESS"]
+
+
+def test_a_step_that_ends_while_the_plan_is_made_is_not_done_again(ways):
+    world = world_of(ways)
+    world.ticks = {"start": 3}
+    world.run(until="start")
+    world.kb.unfeasible = {"left"}
+    assert world.run() is Status.SUCCESS
+    assert begun(world) == ["start", "right"]
+    assert world.plans()[1] == ["start", "right"]
+
+
+def test_something_better_is_looked_for_only_if_the_policy_says_so(ways):
+    patient, eager = world_of(ways), world_of(ways, eager=True)
+    for world in (patient, eager):
+        world.run(until="start")
+        world.facts = {"(open)": True}
+        assert world.run() is Status.SUCCESS
+    assert begun(patient) == ["start", "left"]
+    assert begun(eager) == ["start", "shortcut"]
+    assert eager.executor.plans[1].reason == "something better may be possible: (open)"
+    assert ("start", "INVALID") in [(name, what) for _, name, what in eager.log]
+
+
+def test_a_plan_that_is_not_better_changes_nothing(ways):
+    world = world_of(ways, eager=True)
+    world.run(until="start")
+    world.kb.unfeasible = set()
+    assert world.run() is Status.SUCCESS
+    assert [record.reason for record in world.executor.plans] == [
+        "start",
+        "something better may be possible: (action_feasible right)",
+    ]
+    assert begun(world) == ["start", "left"]
+
+
+def test_plans_are_asked_for_no_more_often_than_the_policy_allows(ways):
+    world = world_of(ways, at_most_every_s=2.0)
+    world.ticks = {"start": 1}
+    world.events = {"left": Status.FAILURE}
+    world.run(until="left")
+    world.kb.unfeasible = {"right"}
+    while world.executor.current_step is not None:
+        world.tick()
+    assert world.executor.feedback_message.startswith("planning in 1.")
+    assert "left(left) failed" in world.executor.feedback_message
+    assert world.run() is Status.SUCCESS
+    assert [record.at_s for record in world.executor.plans] == [0.0, pytest.approx(2.0)]
+
+
+class Safe:
+    """A planner that finds nothing until told otherwise, and knows what to do meanwhile."""
+
+    timeout_s = 5.0
+
+    def __init__(self, domain):
+        self.planner = Planner(safe_step="(start)")
+        self.domain = domain
+
+    def start(self, problem):
+        return self.planner.start(problem)
+
+
+def test_while_there_is_no_plan_the_safe_step_is_done(ways):
+    world = World(ways, Safe(ways))
+    world.ticks = {"start": 5}
+    world.kb.unfeasible = {"left", "right"}
+    world.run(until="start")
+    assert world.executor.plans[0].outcome is Outcome.UNSOLVABLE_PROVEN
+    world.tick()
+    world.kb.unfeasible = {"right"}
+    assert world.run() is Status.SUCCESS
+    assert begun(world) == ["start", "left"]
+
+
+def test_when_the_safe_step_is_done_and_nothing_has_changed_it_fails_by_name(ways):
+    world = World(ways, Safe(ways))
+    world.facts = {"(half)": True}
+    world.kb.unfeasible = {"left", "right"}
+    assert world.run() is Status.FAILURE
+    assert begun(world) == ["start"]
+    assert "unsolvable proven" in world.executor.feedback_message
+
+
+# ------------------------------------------------------------------ the decision, which is pure
+
+REASONS = st.one_of(st.none(), st.text(min_size=1, max_size=9))
+POLICIES = st.builds(ReplanningPolicy, st.booleans(), st.floats(0.0, 9.0), st.sampled_from(["hold", "continue"]))
+
+
+@given(policy=POLICIES, flaw=REASONS, changed=st.booleans(), news=REASONS)
+def test_a_plan_is_given_up_exactly_when_it_has_a_flaw(policy, flaw, changed, news):
+    decision = decide(policy, flaw=flaw, goals_changed=changed, news=news)
+    assert (decision is not None and decision.is_needed) == (flaw is not None)
+    assert (decision is None) == (flaw is None and not changed and not (policy.eager and news is not None))
+
+
+@given(policy=POLICIES, moments=st.lists(st.floats(0.0, 100.0), max_size=30).map(sorted))
+def test_no_two_plannings_begin_within_the_time_of_the_policy(policy, moments):
+    last = None
+    for now in moments:
+        if wait_s(policy, now, last) == 0.0:
+            assert last is None or now - last >= policy.at_most_every_s - 1e-9
+            last = now
+
+
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [({"at_most_every_s": -1.0}, "at_most_every_s is -1 s"), ({"while_planning": "wait"}, "'continue' or 'hold'")],
+)
+def test_a_policy_that_makes_no_sense_is_refused(setting, message):
+    with pytest.raises(PlannerSettingError, match=message):
+        ReplanningPolicy(**setting)
+
+
+# ------------------------------------------------------------------ engines that misbehave
+
+
+class Answering:
+    """Gives the same answer to everything, at once."""
+
+    timeout_s = 1.0
+
+    def __init__(self, result):
+        self.result = result
+
+    def start(self, problem):
+        from concurrent.futures import Future
+
+        future = Future()
+        future.set_result(self.result)
+        return future
+
+
+@pytest.mark.parametrize("outcome", [outcome for outcome in Outcome if outcome.is_trouble])
+def test_trouble_of_any_kind_fails_by_name_and_ticks_go_on(ways, outcome):
+    world = World(ways, Answering(PlanningResult(outcome, engine="odd", message="it said nothing")))
+    for _ in range(4):
+        world.executor.tick_once()
+        world.tick_number += 1
+    assert world.executor.status is Status.FAILURE
+    assert world.executor.feedback_message == f"no plan, {outcome}: it said nothing"
+
+
+def test_a_plan_of_a_planner_of_ones_own_that_does_not_work_is_not_executed(ways):
+    nonsense = PlanningResult(Outcome.SOLVED, (ways.step("left", ["left"]),))
+    world = World(ways, Answering(nonsense))
+    for _ in range(30):
+        assert world.tick() is Status.RUNNING
+    assert world.log == []
+    assert "left(left) needs (half)" in world.executor.feedback_message
