@@ -1,13 +1,16 @@
 """What a manager of the vehicle is: the few lines to write for one of your own."""
 
+import heapq
 from abc import ABC
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from math import inf
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from numpy.random import Generator
 
-from missions.mission import Message
+from missions.managers.options import Option
+from missions.mission import Message, Mission
 
 if TYPE_CHECKING:
     from suave_env import ManagedSystem, Settings
@@ -43,14 +46,18 @@ class Robot:
     Switching takes as long as the settings of the sea say, whoever asks for it.
 
     Args:
+        mission: what is to be done.
         managed: the components.
         settings: the constants of the sea and of SUAVE's nodes.
         rng: all the manager's chance.
         clock: gives the time [s].
+        options: values of the manager's options by name.
 
     Attributes:
+        mission: what is to be done: its model, its tree.
         settings: the constants of the sea and of SUAVE's nodes.
         rng: all the manager's chance.
+        options: values of the manager's options by name.
         measured: last published number by key, e.g. {"water_visibility": 3.1, "battery_level": 0.9}.
         told: last published word by component, e.g. {"c_thruster_1": "FALSE"}.
         noticed: how often something else was published, by key, e.g. {"pipeline_found": 1}.
@@ -58,16 +65,26 @@ class Robot:
     """
 
     def __init__(
-        self, managed: "ManagedSystem", settings: "Settings", rng: Generator, clock: Callable[[], float]
+        self,
+        mission: Mission,
+        managed: "ManagedSystem",
+        settings: "Settings",
+        rng: Generator,
+        clock: Callable[[], float],
+        options: Mapping[str, float] | None = None,
     ) -> None:
+        self.mission = mission
         self.settings = settings
         self.rng = rng
+        self.options = options or {}
         self.measured: dict[str, float] = {}
         self.told: dict[str, str] = {}
         self.noticed: dict[str, int] = {}
         self.tasks: list[Task] = []
         self._managed = managed
         self._clock = clock
+        self._later: list[tuple[float, int, Callable[[], None]]] = []
+        self._entered = 0
 
     @property
     def now(self) -> float:
@@ -98,6 +115,22 @@ class Robot:
     def parameters(self, component: str) -> dict[str, float]:
         """Return the parameters in force of a component."""
         return self._managed.parameters(component)
+
+    def later(self, delay_s: float, what: Callable[[], None]) -> None:
+        """Have something called after a delay [s]: how a manager takes time without waiting."""
+        heapq.heappush(self._later, (self.now + delay_s, self._entered, what))
+        self._entered += 1
+
+    @property
+    def due(self) -> float:
+        """When the next thing that was put off is due [s]; infinite if there is none."""
+        return self._later[0][0] if self._later else inf
+
+    def catch_up(self) -> None:
+        """Call what was put off until now, in order of time."""
+        while self.due <= self.now:
+            _, _, what = heapq.heappop(self._later)
+            what()
 
     def begin(self, task: str) -> None:
         """Take down that a task is begun; called by whoever decides about tasks."""
@@ -133,9 +166,11 @@ class Manager(ABC):  # noqa: B024  # a manager that does nothing is one too
     Attributes:
         robot: what is managed.
         period_s: from one update to the next [s]; the first comes at a moment of chance within it.
+        options: numbers that can be set from outside; their values are in `robot.options`.
     """
 
     decides_tasks: ClassVar[bool] = False
+    options: ClassVar[tuple[Option, ...]] = ()
     period_s: float = 0.1
 
     def __init__(self, robot: Robot) -> None:

@@ -72,12 +72,15 @@ class SystemModes:
 
     def infer(self, function: str) -> str | None:
         """Return the first mode that the component is in, by what is in force; None if it is in none of them."""
-        component, robot = self._components[function], self._robot
-        active, parameters = robot.is_active(component), robot.parameters(component)
-        for name, mode in self._known(function).items():
-            if mode.active == active and all(parameters.get(key) == value for key, value in mode.parameters.items()):
-                return name
-        return None
+        return next((mode for mode in self._known(function) if self.is_in(function, mode)), None)
+
+    def is_in(self, function: str, mode: str) -> bool:
+        """Tell whether what is in force is what a mode means; several modes may mean the same."""
+        component, wanted = self._components[function], self._known(function)[mode]
+        parameters = self._robot.parameters(component)
+        return wanted.active == self._robot.is_active(component) and all(
+            parameters.get(key) == value for key, value in wanted.parameters.items()
+        )
 
     def _switch(self, component: str, before: Mode | None, mode: Mode) -> None:
         if mode.parameters and (before is None or before.parameters != mode.parameters):

@@ -3,8 +3,11 @@
 from collections.abc import Mapping
 from typing import cast
 
+from missions.managers.manager import Manager
+from missions.managers.options import split_options
 from missions.managers.registry import OURS, find_manager
 from missions.managers.run import ManagedRun
+from missions.managers.watch import Aside, WatchedSea
 from missions.mission import Mission, MissionError
 from missions.runner import Listener, MissionRun
 from missions.sea import Sea
@@ -22,6 +25,7 @@ def open_run(
     seed: int = 0,
     settings: Mapping[str, str] | None = None,
     listeners: tuple[Listener, ...] = (),
+    charge_compute: bool = False,
 ) -> MissionRun:
     """Open a run: the same mission, seed and settings mean the same world and the same chance, whoever manages it.
 
@@ -32,9 +36,12 @@ def open_run(
         seed: of all chance in the run.
         settings: what differs from the defaults, by name; a unit at the end of a name may be left out.
         listeners: who hears of it.
+        charge_compute: whether the time that the manager takes on this machine passes in the sea, too; its figures then
+            have `compute_charged_s` and are not the same to the byte again. No other delay of planning is assumed.
 
     Returns:
-        The run, ready for `run()`; under another manager than ours it is a `ManagedRun`.
+        The run, ready for `run()`; under another manager than ours it is a `ManagedRun`. In the sea, its `world` is a
+        `WatchedSea`, which knows the reaction times.
 
     Raises:
         MissionError: no such manager, task layer or setting, or they do not go together.
@@ -43,15 +50,27 @@ def open_run(
 
     check_task(task)
     managed_by = None if manager == OURS else find_manager(manager)
-    run_settings, world_settings = split_settings(mission, settings or {})
+    options, values = split_options(managed_by.options if managed_by else (), settings or {})
+    if charge_compute:
+        values = {"planning_delay_s": "0"} | values
+    run_settings, world_settings = split_settings(mission, values)
     rng = numpy.random.default_rng(seed)
     world = mission.world.open(world_settings, rng)
+    if isinstance(world, Sea):
+        world = WatchedSea(world, charges=charge_compute, inputs=_published(managed_by, options))
+        listeners = (Aside(listeners, world),) if listeners else ()
+    elif charge_compute or managed_by is not None:
+        wish = "--charge-compute" if charge_compute else f"--manager {manager}"
+        raise MissionError(f"mission {mission.name} does not happen in the sea; run it without {wish}")
     if managed_by is None:
         return MissionRun(mission, task, world, run_settings, listeners)
     if task != "bt":
         raise MissionError(f"--task {task} is a task layer of ours; --manager {manager} comes without one")
-    if not isinstance(world, Sea):
-        raise MissionError(f"mission {mission.name} does not happen in the sea; run it with --manager {OURS}")
     chance = rng.spawn(1)[0]
-    managed = ManagedRun(mission, managed_by, world, run_settings, chance, listeners)
+    managed = ManagedRun(mission, managed_by, cast(Sea, world), run_settings, chance, listeners, options)
     return cast(MissionRun, managed)  # it has what reports and listeners look at
+
+
+def _published(manager: type[Manager] | None, options: Mapping[str, float]) -> dict[str, float]:
+    """Return those of a manager's figures that were taken from published results of it."""
+    return {one.name: options[one.name] for one in (manager.options if manager else ()) if one.is_published}

@@ -6,7 +6,10 @@ from types import MappingProxyType
 
 from missions.managers.bt import TreeManager
 from missions.managers.manager import Manager
+from missions.managers.metacontrol import Metacontrol
 from missions.managers.none import NoManager
+from missions.managers.random import RandomManager
+from missions.managers.rosa import RosaManager
 from missions.mission import MissionError
 
 __all__ = ["MANAGERS", "OURS", "find_manager"]
@@ -14,7 +17,15 @@ __all__ = ["MANAGERS", "OURS", "find_manager"]
 OURS = "ours"
 """The name under which the knowledge base and its configuration manager run, with the task layer that is asked for."""
 
-MANAGERS: Mapping[str, type[Manager]] = MappingProxyType({"none": NoManager, "bt": TreeManager})
+MANAGERS: Mapping[str, type[Manager]] = MappingProxyType(
+    {
+        "none": NoManager,
+        "random": RandomManager,
+        "bt": TreeManager,
+        "metacontrol": Metacontrol,
+        "rosa": RosaManager,
+    }
+)
 """All but ours."""
 
 

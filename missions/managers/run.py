@@ -1,6 +1,7 @@
 """One run of a mission in the sea under any manager: world, mission node and manager in lock-step."""
 
 from collections import defaultdict
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import inf
 from time import perf_counter
@@ -88,6 +89,7 @@ class ManagedRun:
         settings: how it is run; of the task layer's settings none is used.
         rng: all chance of the manager and of its timers.
         listeners: who hears of it.
+        options: values of the manager's options by name.
 
     Attributes:
         robot: what the manager knows and has done.
@@ -104,11 +106,12 @@ class ManagedRun:
         settings: RunSettings,
         rng: Generator,
         listeners: tuple[Listener, ...] = (),
+        options: Mapping[str, float] | None = None,
     ) -> None:
         self.mission, self.world, self.settings = mission, world, settings
         self._listeners = listeners
         phases = rng.random(2).tolist()
-        self.robot = Robot(world.managed, world.settings, rng, lambda: world.now)
+        self.robot = Robot(mission, world.managed, world.settings, rng, lambda: world.now, options)
         self._manager = manager(self.robot)
         self._senses = Senses()
         self.task = "tree of the manager" if manager.decides_tasks else "mission node"
@@ -143,7 +146,7 @@ class ManagedRun:
     def _turn(self) -> None:
         """Let the world go on to the next news or timer, and answer it."""
         started = perf_counter()
-        due = min(self._manager_timer.due, self._mission_timer.due)
+        due = min(self._manager_timer.due, self._mission_timer.due, self.robot.due)
         messages = self.world.advance(min(due, self.settings.duration_s))
         advanced = perf_counter()
         for message in messages:
@@ -152,6 +155,7 @@ class ManagedRun:
             for listener in self._listeners:
                 listener.message(message)
             self._manager.receive(message)
+        self.robot.catch_up()
         now = self.world.now
         if self._mission_timer.is_up(now) and not self._manager.decides_tasks:
             self._decide()

@@ -177,7 +177,7 @@ def test_manager_of_ones_own_is_run_by_its_name(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("bd", "unknown manager 'bd'; there are ours, none, bt; one of your own is given as package:Class"),
+        ("bd", "unknown manager 'bd'; there are ours, none, random, bt, metacontrol, rosa; one of your own is given as package:Class"),
         ("nowhere:Thing", "cannot import manager 'nowhere:Thing': ModuleNotFoundError"),
         ("json:Thing", "cannot import manager 'json:Thing': AttributeError"),
         ("json:loads", "'json:loads' is no subclass of missions.managers.Manager"),
@@ -223,7 +223,7 @@ class Nodes:
 
 
 def modes_of(nodes):
-    return SystemModes(Robot(nodes, settings=None, rng=None, clock=lambda: 0.0))
+    return SystemModes(Robot(find_mission("suave"), nodes, settings=None, rng=None, clock=lambda: 0.0))
 
 
 FUNCTIONS = {function: modes_of(Nodes()).of(function) for function in modes_of(Nodes()).functions}
@@ -276,4 +276,4 @@ def test_unknown_functions_and_modes_are_named_and_a_bad_file_says_what_is_expec
     for content in ("[f]\n", "not toml", '[f]\ncomponent = "x"\n[f.modes]\nm = { active = 1 }\n'):
         bad.write_text(content)
         with pytest.raises(MissionError, match="expected is, for each function, a component and modes"):
-            SystemModes(Robot(Nodes(), settings=None, rng=None, clock=lambda: 0.0), bad)
+            SystemModes(Robot(find_mission("suave"), Nodes(), settings=None, rng=None, clock=lambda: 0.0), bad)

@@ -1,0 +1,142 @@
+"""ROSA as it was published: our knowledge base and tree, at the pace of ROSA's services.
+
+ROSA's knowledge base is a server. Whatever is told to it or asked of it is the call of a service, and its planner and
+executor are programs of their own, which call one after the other. What is rebuilt here is how many calls follow each
+other before something is done; how long one takes is an input, chosen once so that the published reaction times come
+out. Calls of different programs do not delay each other, and a round of planning that finds nothing costs nothing.
+"""
+
+from collections.abc import Callable
+from typing import ClassVar
+
+from py_trees.common import Status
+
+from kb import ConfigurationManager, Event, EventKind, KnowledgeBase, PriorityPlanner, ReconfigurationPlan
+from missions.managers.manager import COMPONENT_STATUS, MEASUREMENTS, Manager, Robot
+from missions.managers.options import Option
+from missions.mission import Message
+from missions.senses import Senses
+from missions.task import build_task
+from rosa_bt import TreeRunner
+
+__all__ = ["RosaManager"]
+
+INSERTING = 1
+"""Calls until something that was published is known."""
+REQUESTING = 2
+"""Calls until an action is requested or cancelled: whether it is feasible, then the request."""
+PLANNING = 5
+"""Calls of a round of planning: adaptable functions, components, selectable designs, configurations, selection."""
+FETCHING = 1
+"""Calls until the executor has a plan: it then switches components."""
+CONFIGURING = 2
+"""Calls after that until it sets parameters: which configurations, which values."""
+
+
+class RosaManager(Manager):
+    """Ticks our tree; what is published, requested and planned takes effect after as many calls as ROSA needs."""
+
+    decides_tasks = True
+    options: ClassVar = (
+        Option(
+            "service_s",
+            0.17,
+            "s",
+            "time that one call of a service of ROSA takes",
+            "input: chosen so that the reaction times of ROSA in the table of its paper come out",
+            is_published=True,
+        ),
+    )
+
+    def __init__(self, robot: Robot) -> None:
+        super().__init__(robot)
+        self._service_s = robot.options["service_s"]
+        self.period_s = robot.settings.tree_period_s + self._service_s  # each tick asks whether an action is feasible
+        self._kb = KnowledgeBase(robot.mission.model(), clock=lambda: robot.now)
+        self._kb.subscribe(self._hear)
+        self._senses = Senses()
+        task = build_task("bt", robot.mission, self._kb, self._senses, lambda: robot.now, 0.0)
+        self._runner = TreeRunner(task.root, clock=lambda: robot.now, period=self.period_s)
+        self._runner.tree.setup()
+        self._planner = PriorityPlanner()
+        self._manager = ConfigurationManager(self._kb, robot, planner=self._planner)  # to see what would be planned
+        self._asked = 0
+        self._is_busy = False
+
+    @property
+    def is_done(self) -> bool:
+        """Whether the tree has succeeded."""
+        return self._runner.status is Status.SUCCESS
+
+    def receive(self, message: Message) -> None:
+        """Have it inserted into the knowledge base, if it is for that."""
+        self._senses.receive(message)
+        if any(status["message"].casefold() in (*MEASUREMENTS, COMPONENT_STATUS) for status in message["status"]):
+            self._after(INSERTING, lambda: self._insert(message))
+
+    def update(self) -> None:
+        """Tick the tree."""
+        self._runner.tick()
+
+    def _after(self, calls: int, what: Callable[[], None]) -> None:
+        self.robot.later(calls * self._service_s, what)
+
+    def _insert(self, message: Message) -> None:
+        before = self._kb.revision
+        self._kb.receive(message)
+        if self._kb.revision != before and self._manager.dry_run() is not None:
+            self._ask_for_round()
+
+    def _hear(self, event: Event) -> None:
+        """Take down what the tree begins and ends, and have it planned for."""
+        if event.kind is not EventKind.ACTION_UPDATE:
+            return
+        record = next(one for one in reversed(self._kb.action_history) if one.action == event.subject)
+        if record.end is None:
+            self.robot.begin(record.action)
+        else:
+            self.robot.end(str(record.result), record.reason)
+        self._after(REQUESTING, self._ask_for_round)
+
+    def _ask_for_round(self) -> None:
+        self._asked += 1
+        if not self._is_busy:
+            self._begin_round()
+
+    def _begin_round(self) -> None:
+        self._is_busy = True
+        self._after(PLANNING, self._end_round)
+
+    def _end_round(self) -> None:
+        """Plan, unless something else was told meanwhile; each of that is answered by a round of its own."""
+        self._asked -= 1
+        plan = None if self._asked else self._planner.plan(self._kb)
+        if plan is not None:
+            self._after(FETCHING, lambda: self._switch(plan))
+        else:
+            self._rest()
+
+    def _switch(self, plan: ReconfigurationPlan) -> None:
+        for name in plan.deactivate:
+            if name not in plan.plain:
+                self.robot.deactivate(name)
+        for name in plan.activate:
+            if name not in plan.plain:
+                self.robot.activate(name)
+        self._after(CONFIGURING if plan.parameters else 0, lambda: self._configure(plan))
+
+    def _configure(self, plan: ReconfigurationPlan) -> None:
+        for name in plan.parameters:
+            configuration = self._kb.configurations[name]
+            self.robot.set_parameters(configuration.component, configuration.parameters)
+        for name in plan.deactivate:
+            self._kb.component_active(name, False)
+        for name in plan.activate:
+            self._kb.component_active(name, True)
+        self._kb.finish_plan(plan, "completed")
+        self._rest()
+
+    def _rest(self) -> None:
+        self._is_busy = False
+        if self._asked:
+            self._begin_round()
