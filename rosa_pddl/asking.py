@@ -76,9 +76,14 @@ class Asking:
         self._question = Question(problem, state, decision, self._clock())
         self._future = self._planner.start(problem)
 
+    @property
+    def has_answer(self) -> bool:
+        """Whether the answer is there and due."""
+        return self._future is not None and self._is_due() and self._future.done()
+
     def take(self) -> tuple[Question, PlanningResult] | None:
         """Return the answer with its question if it is due and there; never waits."""
-        if self._question is None or self._future is None or not self._is_due() or not self._future.done():
+        if self._question is None or self._future is None or not self.has_answer:
             return None
         answer = self._question, _answer(self._future)
         self._question = self._future = None

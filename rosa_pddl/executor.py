@@ -47,6 +47,10 @@ class PlanExecutor(Behaviour):
         costs: returns the values, now, of numeric facts that costs are made of, such as `{"(length a b)": 3.5}`; the
             others are those of the problem file.
 
+    Attributes:
+        goals: what is to be reached; may be changed between ticks.
+        findings: what may be an oversight in the domain, in sentences; see `Domain.check`.
+
     Raises:
         PddlError: the knowledge base does not know a ROSA action of the domain.
         MissingBehaviourError: a PDDL action has no behaviour.
@@ -72,7 +76,8 @@ class PlanExecutor(Behaviour):
         self.goals = Goals(domain)
         self._domain, self._factories, self._sense = domain, dict(behaviours), sense
         self._policy = policy or ReplanningPolicy()
-        self._planner: PlansAhead = planner if planner is not None else Planner()
+        self._owns_planner = planner is None
+        self._planner: PlansAhead = Planner() if planner is None else planner
         self._quest = Quest(domain, costs or dict)
         self._replanning = Replanning(domain, self.goals, self._quest, self._planner, clock, delay_s, self._policy)
         self._belief = Belief(domain, kb, sense)
@@ -80,7 +85,7 @@ class PlanExecutor(Behaviour):
         self._running: list[RunningStep] = []
         self._ended_meanwhile: list[Step] = []
         self._course: Course | None = None
-        self._found_valid: tuple[State, Course] | None = None
+        self._found_valid: tuple[Course, State] | None = None
         self._seen_goals = self.goals.version
         self._expected: State | None = None
         self._ticked: list[Behaviour] = []
@@ -155,6 +160,8 @@ class PlanExecutor(Behaviour):
         if self.status == Status.RUNNING:
             self.stop(Status.INVALID)
         self._drop_plan()
+        if self._owns_planner and isinstance(self._planner, Planner):
+            self._planner.close()
 
     def tip(self) -> Behaviour | None:
         """Return the node that ran last: that of the first step, if one runs."""
@@ -184,18 +191,17 @@ class PlanExecutor(Behaviour):
                 self._release([running])
                 self._want(Decision(because(self._domain, running.step, missing, verb="became"), is_needed=True))
         if self._course is not None:
-            news = _news(self._expected, state)
-            self._want(decide(self._policy, flaw=self._flaw(), goals_changed=goals_changed, news=news))
+            flaw, news = self._flaw(self._course, self._belief.observe()), _news(self._expected, state)
+            self._want(decide(self._policy, flaw=flaw, goals_changed=goals_changed, news=news))
 
-    def _flaw(self) -> str | None:
-        """Why the rest of the plan will not do any more, in words."""
-        course, state = self._course, self._belief.observe()
-        if course is None or self._found_valid == (state, course):
+    def _flaw(self, course: Course, state: State) -> str | None:
+        """Why the rest of the plan will not do any more, in words; looked for again only when something is new."""
+        if self._found_valid is not None and self._found_valid[0] is course and self._found_valid[1] == state:
             return None
         if self._replanning.had_no_plan and self._replanning.why_hopeless(self._unstarted(state)) is None:
             return "the state changed"
         flaw = course.replay(state).flaw
-        self._found_valid = (state, course) if flaw is None else None
+        self._found_valid = (course, state) if flaw is None else None
         return flaw
 
     def _want(self, decision: Decision | None) -> None:
@@ -238,6 +244,8 @@ class PlanExecutor(Behaviour):
     # ---------------------------------------------------------------- a new plan
 
     def _take_plan(self) -> None:
+        if not self._replanning.has_answer:
+            return
         found = self._replanning.take(self._unstarted(self._belief.observe()))
         if found is None:
             return
@@ -276,7 +284,7 @@ class PlanExecutor(Behaviour):
             state = self._belief.observe()
             if self._quest.is_over(state, self.goals, self._course):
                 break
-            flaw = self._flaw()
+            flaw = self._flaw(self._course, state)
             if flaw is not None:
                 self._want(Decision(flaw, is_needed=True))
                 break
@@ -285,8 +293,8 @@ class PlanExecutor(Behaviour):
 
     def _begin(self, course: Course, number: int, state: State) -> RunningStep:
         step = course.steps[number]
-        undo = self._belief.start(step, state)
-        running = RunningStep(step, self._factories[step.schema], undo, number, self, self._setup_arguments)
+        running = RunningStep(step, self._factories[step.schema], number, self, self._setup_arguments)
+        running.undo = self._belief.start(step, state)
         self._running.append(running)
         self.children = [one.behaviour for one in self._running]
         self._course = course.with_event(Event(number, False))

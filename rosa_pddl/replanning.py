@@ -86,6 +86,11 @@ class Replanning:
         """Whether a plan is wanted or being made."""
         return self._wanted is not None or self._asking.is_under_way
 
+    @property
+    def has_answer(self) -> bool:
+        """Whether an answer of the planner can be taken."""
+        return self._asking.has_answer
+
     def catch_up(self) -> None:
         """Wait for an answer that is due; see `PlanExecutor.catch_up`."""
         self._asking.catch_up()

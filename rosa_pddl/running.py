@@ -14,12 +14,11 @@ Factory = Callable[[Step], Behaviour]
 
 
 class RunningStep:
-    """A step that runs.
+    """A step that runs; its `undo` is what its start changed in what is believed.
 
     Args:
         step: what is done.
         factory: makes the behaviour that does it.
-        undo: what its start changed.
         number: its number in the plan that is executed; None if it is of an earlier one.
         parent: the behaviour that ticks it.
         arguments: for the `setup` of its behaviour.
@@ -29,12 +28,12 @@ class RunningStep:
         self,
         step: Step,
         factory: Factory,
-        undo: Undo,
         number: int | None,
         parent: Behaviour,
         arguments: Mapping[str, object],
     ) -> None:
-        self.step, self.undo, self.number = step, undo, number
+        self.step, self.number = step, number
+        self.undo = Undo()
         self.behaviour = factory(step)
         for node in self.behaviour.iterate():
             node.setup(**arguments)

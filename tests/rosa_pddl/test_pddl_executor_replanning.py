@@ -143,6 +143,30 @@ def test_when_the_safe_step_is_done_and_nothing_has_changed_it_fails_by_name(way
     assert "unsolvable proven" in world.executor.feedback_message
 
 
+def test_a_goal_that_no_situation_allows_is_said_to_be_out_of_reach_whatever_is_feasible(ways):
+    world = World(ways)
+    world.kb.unfeasible = {"left", "right"}
+    world.executor.goals.replace("(open)")
+    assert world.run() is Status.FAILURE
+    assert world.executor.feedback_message.endswith("there would be no plan even if every action were feasible")
+
+
+def test_with_the_costs_of_the_moment_another_plan_is_the_best(tmp_path):
+    domain = load_text(
+        tmp_path,
+        """(define (domain roads) (:requirements :action-costs) (:predicates (there) (half))
+          (:functions (total-cost) - number (toll) - number)
+          (:action pay :parameters () :effect (and (there) (increase (total-cost) (toll))))
+          (:action around :parameters () :effect (and (half) (increase (total-cost) 2)))
+          (:action back :parameters () :precondition (half) :effect (and (there) (increase (total-cost) 2))))""",
+        """(define (problem p) (:domain roads) (:init (= (toll) 1) (= (total-cost) 0)) (:goal (there))
+          (:metric minimize (total-cost)))""",
+    )
+    cheap, dear = World(domain), World(domain, costs=lambda: {"(toll)": 9.0})
+    assert (cheap.run(), dear.run()) == (Status.SUCCESS, Status.SUCCESS)
+    assert (cheap.plans(), dear.plans()) == ([["pay"]], [["around", "back"]])
+
+
 # ------------------------------------------------------------------ the decision, which is pure
 
 REASONS = st.one_of(st.none(), st.text(min_size=1, max_size=9))
