@@ -96,6 +96,7 @@ class MissionRun:
         self._listeners = listeners
         self._sampled_at = -SAMPLE_PERIOD_S
         self._plans_heard = 0
+        self._answered = -1
         self.kb = KnowledgeBase(mission.model(), clock=self._now)
         self._senses = Senses()
         self._manager = ConfigurationManager(self.kb, world.managed)
@@ -170,7 +171,8 @@ class MissionRun:
         spent["waiting for plans"] += caught_up - managed
         spent["task layer"] += decided - caught_up
         if ticked:
-            self._manage()
+            if self.kb.revision != self._answered:
+                self._manage()
             spent["manager"] += perf_counter() - decided
             self._sample()
             for listener in self._listeners:
@@ -203,6 +205,7 @@ class MissionRun:
     def _manage(self) -> None:
         self._manager.update()
         self._log.settle()
+        self._answered = self.kb.revision
 
     def _now(self) -> float:
         return self.world.now

@@ -22,12 +22,16 @@ class Activity:
         self._managed = managed
         self._met: KnowledgeBase | None = None
         self._strangers: set[str] = set()
+        self._believed: list[str] = []
+        self._believed_at = -1
 
     def observe(self, kb: KnowledgeBase) -> None:
         """Tell what is not active, though it should be."""
         if not callable(getattr(self._managed, "is_active", None)) or kb.pending_plan is not None:
             return
-        for name in [name for name in _believed(kb) if self._has_ended(name)]:
+        if kb is not self._met or kb.revision != self._believed_at:
+            self._believed, self._believed_at = _believed(kb), kb.revision
+        for name in [name for name in self._believed if self._has_ended(name)]:
             reason = f"{name} is not running, though nobody has stopped it"
             was_started = kb is self._met and _was_started(kb, name)
             kb.component_active(name, False, reason)
