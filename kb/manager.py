@@ -67,7 +67,8 @@ class ConfigurationManager:
         kb: the knowledge base that all stages talk through.
         managed: the system whose components are switched and configured; if it can tell what runs, it is asked.
         planner: decides what to select; by priority when none is given.
-        executor: carries out plans; in three stages on `managed` when none is given.
+        executor: carries out plans; in three stages on `managed`, within the budgets of the planner if it has some,
+            when none is given.
         monitors: asked first at each turn.
         veto: is shown each plan, with its reason, before it is executed, whoever made it. It answers None or True to
             let it pass; False, or the reason in words, to forbid it. What it raises forbids too.
@@ -85,7 +86,7 @@ class ConfigurationManager:
     ) -> None:
         self._kb = kb
         self._planner = planner or PriorityPlanner()
-        self._executor = executor or StagedExecutor(managed)
+        self._executor = executor or StagedExecutor(managed, budgets=getattr(self._planner, "budgets", None))
         self._monitors = (*monitors, Activity(managed))
         self._gate = None if veto is None else Gate(kb, veto)
         self._planned_at = -1

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from kb.elements import ComponentKind
 from kb.exceptions import InvalidValue, UnknownName
 from kb.execution.attempts import Command, Patience, Step
+from kb.execution.budgets import Budgets
 from kb.execution.condemned import Condemnation, Condemned
 from kb.knowledge_base import KnowledgeBase
 from kb.managed import ManagedSystem, Operation
@@ -36,6 +37,9 @@ class StagedExecutor:
         timeout_by_component: the same for single components; goes before that of their kind.
         back_off: how long after a failure the command is given again [s]; twice as long after each further one.
         hold: how long a configuration that could not be set counts as unfeasible [s].
+        budgets: the most that all that is chosen and runs may be estimated to use, by name of attribute, also on the
+            way: what runs gets its parameters one after the other, and a plan that might exceed one, because something
+            failed, is not carried out further.
     """
 
     def __init__(
@@ -48,6 +52,7 @@ class StagedExecutor:
         timeout_by_component: Mapping[str, float] | None = None,
         back_off: float = 0.5,
         hold: float = 300.0,
+        budgets: Mapping[str, float] | None = None,
     ) -> None:
         self._managed = managed
         self._patience = Patience(attempts, timeout, back_off)
@@ -59,6 +64,7 @@ class StagedExecutor:
         }
         self._unchecked = set(self._of_component)
         self._condemned = Condemned(hold)
+        self._budgets = Budgets(budgets)
         self._known: KnowledgeBase | None = None
         self._plan: ReconfigurationPlan | None = None
         self._stages: Iterator[list[Step]] = iter(())
@@ -75,7 +81,8 @@ class StagedExecutor:
         """Do what can be done of the pending plan without waiting.
 
         Raises:
-            UnknownName: a time-out was given for a component that the model does not have; at the first turn only.
+            UnknownName: a time-out was given for a component, or a budget for an attribute, that the model does not
+                have; at the first turn only.
         """
         if kb is not self._known:
             self._meet(kb)
@@ -102,6 +109,7 @@ class StagedExecutor:
 
     def _meet(self, kb: KnowledgeBase) -> None:
         self._check_names(kb)
+        self._budgets.check_names(kb)
         self._condemned.adopt(kb)
         self._known = kb
 
@@ -141,6 +149,13 @@ class StagedExecutor:
             reason = f"its parameters could not be set, {step.reason}"
             self._condemned.condemn(kb, command.configuration, reason, now)
 
+    def _hold(self, kb: KnowledgeBase, component: str) -> None:
+        """Do without the parameters of a component that runs, because something else has failed."""
+        self._failed.add(component)
+        chosen = kb.components[component].selected_configuration
+        if chosen is not None:
+            self._condemned.condemn(kb, chosen, "with its parameters a budget might be exceeded", kb.now)
+
     def _look(self, component: str) -> bool | None:
         """Return whether a component is active, None if nobody can tell."""
         try:
@@ -157,6 +172,15 @@ class StagedExecutor:
         yield self._switched(kb, plan, [*deactivated, *paused], active=False)
         started = list(dict.fromkeys([*activated, *paused]))
         running = [name for name in configured if name in kb.components and kb.components[name].is_active]
+        if self._budgets:
+            for name in running:  # those that use less of a budget than before come first in a plan
+                if self._budgets.allow(kb, started, self._failed) or self._budgets.are_eased(kb, name, self._failed):
+                    yield self._configured(kb, plan, [name])
+                else:
+                    self._hold(kb, name)
+            if not self._budgets.allow(kb, started, self._failed):
+                self._failed.update(started)
+            running = []
         yield self._configured(kb, plan, [*running, *started])
         starting = self._switched(kb, plan, started, active=True)
         self._commanded = {step.command.component for step in starting if step.command.give is not None}

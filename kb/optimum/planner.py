@@ -70,6 +70,11 @@ class OptimalPlanner:
         self._last: WeakKeyDictionary[KnowledgeBase, _Last] = WeakKeyDictionary()
         self.latest: Optimum | None = None
 
+    @property
+    def budgets(self) -> Mapping[str, float]:
+        """The most that all that is chosen or active may sum up to, by name of attribute."""
+        return self._given.budgets
+
     def criterion(self, kb: KnowledgeBase) -> Criterion:
         """Return what makes one choice better than another, given what is preferred now."""
         weights = summed_weights(required.preference for required in kb.required_actions)

@@ -492,6 +492,96 @@ class Meter:
         self.most = max(self.most, sum(self.uses.values()))
 
 
+class Slow(Meter):
+    """Takes as long as it is told, fails as often as it is told, and its meter counts from the command on."""
+
+    def __init__(self, clock, chance):
+        super().__init__()
+        self.clock, self.chance, self.given = clock, chance, {}
+
+    def doing(self, effect):
+        if self.chance.random() < 0.25:
+            raise RuntimeError("jammed")
+        return Lasting(self.clock, self.clock.now + self.chance.choice((0.0, 1.0, 3.0)), effect)
+
+    def activate(self, component):
+        def effect():
+            self.uses[component] = self.given[component]
+            self.most = max(self.most, sum(self.uses.values()))
+
+        return self.doing(effect)
+
+    def deactivate(self, component):
+        return self.doing(lambda: self.uses.pop(component, None))
+
+    def set_parameters(self, component, parameters):
+        def effect():
+            self.given[component] = parameters["power"]
+            if component in self.uses:
+                self.activate_again(component)
+
+        return self.doing(effect)
+
+    def activate_again(self, component):
+        self.uses[component] = self.given[component]
+        self.most = max(self.most, sum(self.uses.values()))
+
+    def is_active(self, component):
+        return component in self.uses
+
+
+class Lasting:
+    def __init__(self, clock, ends, effect):
+        self.clock, self.ends, self.effect = clock, ends, effect
+
+    def done(self):
+        if self.clock.now < self.ends:
+            return False
+        effect, self.effect = self.effect, lambda: None
+        effect()
+        return True
+
+    def exception(self):
+        return None
+
+
+def three_parts(limit):
+    model = Model("three")
+    for name in ("power", "x0", "x1", "x2"):
+        model.quality_attribute(name)
+    parts = [model.component(f"part {number}", kind="process", always_improve=True) for number in range(3)]
+    for part, attribute in zip(parts, ("x0", "x1", "x2"), strict=True):
+        for power in (1.0, 4.0, 9.0):
+            one = part.configuration(f"{part.name} at {power:g}", {"power": power})
+            one.estimate("power", power)
+            one.estimate(attribute, power)
+    for number, part in enumerate(parts):
+        work = model.function(f"work {number}", always_improve=True)
+        work.design(f"by {part.name}", [part])
+        work.design(f"without {part.name}", [model.component(f"hand {number}")])
+        model.action(f"explore {number}", requires=[work])
+    return model, OptimalPlanner(budgets={"power": limit})
+
+
+@SLOW
+@given(st.randoms(use_true_random=False), st.sampled_from((10.0, 14.0)))
+def test_no_budget_is_exceeded_on_the_way_by_a_system_that_is_slow_and_fails(chance, limit):
+    model, planner = three_parts(limit)
+    clock = Clock()
+    kb, meter = KnowledgeBase(model, clock=clock), Slow(clock, chance)
+    manager = ConfigurationManager(kb, meter, planner=planner)
+    for _ in range(60):
+        clock.now += 1.0
+        number = chance.randrange(3)
+        if chance.random() < 0.1:
+            kb.cancel_action(f"explore {number}")
+            kb.component_recovered(f"part {number}")
+        elif chance.random() < 0.2:
+            kb.request_action(f"explore {number}", {f"x{number}": chance.choice((0.1, 1.0, 10.0))})
+        manager.update()
+        assert meter.most <= limit
+
+
 @given(st.permutations(range(3)), st.permutations(range(3)))
 def test_running_components_are_set_to_use_less_before_others_use_more(first, then):
     model = Model("three")
