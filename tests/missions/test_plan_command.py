@@ -1,0 +1,279 @@
+"""`rosa plan` as a person uses it: the plan, why not, its files, and one clear message for each mistake."""
+
+import dataclasses
+import json
+from itertools import chain, combinations
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+from plan_worlds import House
+
+from kb import KnowledgeBase
+from missions import cli, suave, suave_extended
+from missions.mission import MissionError
+from missions.planning.declared import by_schema, declarations_of, mission_domain
+from missions.planning.tree import plan_registry
+from missions.registry import MISSIONS
+from missions.suave.actions import SearchPipeline
+from rosa_bt.parsers import load_xml
+from rosa_pddl import Planner, Problem, initial_state, load_domain
+from rosa_pddl.generation import ActionSchema
+
+FOLDERS = {module.MISSION.name: module.__path__[0] for module in (suave, suave_extended)}
+EXTENDED = [f"{FOLDERS['suave_extended']}/{file}.pddl" for file in ("domain", "problem")]
+
+
+@pytest.fixture
+def rosa(capsys, monkeypatch, tmp_path):
+    """Run `rosa plan` in an empty folder; returns exit status, output and errors."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments):
+        monkeypatch.setattr("sys.argv", ["rosa", "plan", *map(str, arguments)])
+        code = 0
+        try:
+            cli.main()
+        except SystemExit as end:
+            code = end.code or 0
+        captured = capsys.readouterr()
+        assert "Traceback" not in captured.out + captured.err
+        return code, captured.out, captured.err
+
+    return run
+
+
+def plans_of(domain):
+    """Return the plan for each set of feasible actions; None where there is none."""
+    planner = Planner(warm=False)
+    actions = domain.rosa_actions
+    found = {}
+    for feasible in chain.from_iterable(combinations(actions, size) for size in range(len(actions) + 1)):
+        state = initial_state(domain) | {domain.feasible_atom(action) for action in feasible}
+        result = planner.plan(Problem(domain, state))
+        found[feasible] = result.steps if result.outcome.is_solved else None
+    return found
+
+
+@pytest.mark.parametrize("name", FOLDERS)
+def test_domain_made_of_the_declarations_gives_the_plans_of_the_one_written_by_hand(name):
+    folder = FOLDERS[name]
+    written = load_domain(f"{folder}/domain.pddl", f"{folder}/problem.pddl")
+    declared = mission_domain(MISSIONS[name])
+    assert declared.rosa_actions == written.rosa_actions
+    assert declared.schemas == written.schemas
+    plans = plans_of(declared)
+    assert any(plans.values())
+    assert None in plans.values()
+    assert plans == plans_of(written)
+
+
+def test_plan_is_shown_with_what_each_step_needs(rosa):
+    code, out, err = rosa("--mission", "suave")
+    assert (code, err) == (0, "")
+    assert out.splitlines() == [
+        "solved optimally by fast-downward-opt: 2 steps, cost 2",
+        "  1  search_pipeline(search_pipeline, pipeline, bluerov)",
+        "  2  inspect_pipeline(inspect_pipeline, pipeline, bluerov)  needs (pipeline_found pipeline) by 1",
+    ]
+
+
+def test_json_is_outcome_engine_cost_and_steps(rosa, tmp_path):
+    code, _, _ = rosa(*EXTENDED, "--feasible", "Recharge", "--json", "plan.json")
+    assert code == 0
+    assert json.loads((tmp_path / "plan.json").read_text()) == {
+        "outcome": "solved optimally",
+        "engine": "fast-downward-opt",
+        "cost": 3.0,
+        "steps": [
+            {"action": "recharge", "arguments": ["recharge", "search_pipeline", "inspect_pipeline", "bluerov"]},
+            {"action": "search_pipeline", "arguments": ["search_pipeline", "pipeline", "bluerov"]},
+            {"action": "inspect_pipeline", "arguments": ["inspect_pipeline", "pipeline", "bluerov"]},
+        ],
+    }
+
+
+def test_situation_says_with_the_model_why_each_unfeasible_action_is_out(rosa, tmp_path):
+    MISSIONS["suave_extended"].model().save(tmp_path / "robot.tql")
+    for given in (["--mission", "suave_extended"], [*EXTENDED, "--model", "robot.tql"]):
+        code, out, _ = rosa(*given, "--situation", "battery_level=0.2")
+        assert code == 0
+        assert [line.split("(")[0].split()[-1] for line in out.splitlines()[1:4]] == [
+            "recharge",
+            "search_pipeline",
+            "inspect_pipeline",
+        ]
+        reason = "is unfeasible because battery_level 0.2 violates >= 0.25 (measured 0.0 s ago)"
+        assert out.splitlines()[4:] == [f"out: {action}_pipeline {reason}" for action in ("search", "inspect")]
+
+
+def test_goal_may_be_another_one_and_several(rosa):
+    code, out, _ = rosa("--mission", "suave_extended", "--goal", "(recharged bluerov)(not (pipeline_found pipeline))")
+    assert code == 0
+    assert out.splitlines()[1:] == ["  1  recharge(recharge, search_pipeline, inspect_pipeline, bluerov)"]
+    code, out, _ = rosa("--mission", "suave", "--goal", "(not (pipeline_found pipeline))")
+    assert (code, out.splitlines()[0].split(": ")[1]) == (0, "0 steps, cost 0")
+
+
+ALL_BROKEN = "battery_level=0.2,c_thruster_1=failed,recover_thrusters=failed"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (
+            ["--mission", "suave", "--feasible", "search_pipeline"],
+            [
+                "(pipeline_inspected pipeline) cannot be reached, as it is",
+                "there would be a plan if inspect_pipeline were feasible",
+            ],
+        ),
+        (
+            ["--mission", "suave", "--feasible", "", "--goal", "(pipeline_inspected pipeline)"],
+            [
+                "(pipeline_inspected pipeline) cannot be reached, as it is",
+                "there would be a plan if search_pipeline and inspect_pipeline were feasible",
+            ],
+        ),
+        (
+            ["--mission", "suave_extended", "--situation", ALL_BROKEN],
+            [
+                "(pipeline_inspected pipeline) cannot be reached, as it is",
+                "there would be a plan if recharge were feasible",
+            ],
+        ),
+        (
+            [*EXTENDED, "--goal", "(pipeline_found pipeline) (search_pipeline_action recharge)"],
+            ["(search_pipeline_action recharge) cannot be reached, whatever is done"],
+        ),
+        (
+            [*EXTENDED, "--feasible", "recharge", "--goal", "(search_pipeline_action recharge)"],
+            ["(search_pipeline_action recharge) cannot be reached, even if every action were feasible"],
+        ),
+    ],
+)
+def test_unsolvable_says_which_goal_and_which_action_would_have_to_be_feasible(rosa, arguments, told):
+    code, out, _ = rosa(*arguments)
+    lines = [line.strip() for line in out.splitlines() if not line.startswith("out: ")]
+    assert (code, lines) == (1, ["no plan: fast-downward-opt: unsolvable proven", *told])
+
+
+def test_goals_that_exclude_one_another_are_told_so(rosa, tmp_path):
+    (tmp_path / "d.pddl").write_text(
+        "(define (domain lamp) (:predicates (on) (off) (left)) (:action go :precondition (not (left))"
+        " :effect (and (left) (on))) (:action stay :precondition (not (left)) :effect (and (left) (off))))"
+    )
+    (tmp_path / "p.pddl").write_text("(define (problem p) (:domain lamp) (:init) (:goal (and (on) (off))))")
+    code, out, _ = rosa("d.pddl", "p.pddl")
+    assert code == 1
+    assert "each part of the goal may be reached by itself, but not all of them together, whatever is done" in out
+
+
+def test_problem_file_that_states_feasibility_is_believed_without_a_model(rosa, tmp_path):
+    written = Path(EXTENDED[1]).read_text().replace("(:init", "(:init (action_feasible recharge)")
+    (tmp_path / "p.pddl").write_text(written)
+    code, out, _ = rosa(EXTENDED[0], "p.pddl")
+    assert code == 0
+    assert out.splitlines()[1].split("(")[0].split()[-1] == "recharge"
+    assert "the problem file does not state that it is feasible" in out
+
+
+def test_tree_is_written_as_xml_that_can_be_executed_and_else_as_text(rosa, tmp_path):
+    assert rosa("--mission", "suave", "--tree", "plan.xml")[0] == 0
+    domain = mission_domain(MISSIONS["suave"])
+    world = House()
+    kb = KnowledgeBase(MISSIONS["suave"].model(), clock=lambda: 0.0)
+    tree = load_xml(tmp_path / "plan.xml", plan_registry(domain, kb=kb, behaviours=world.behaviours(domain)))
+    tree.tick_once()
+    assert [(step.schema, what) for _, step, what in world.log] == [
+        ("search_pipeline", "begins"),
+        ("search_pipeline", "SUCCESS"),
+        ("inspect_pipeline", "begins"),
+        ("inspect_pipeline", "SUCCESS"),
+    ]
+    assert rosa("--mission", "suave", "--tree", "plan.txt")[0] == 0
+    assert "`-- [-] inspect_pipeline(inspect_pipeline, pipeline, bluerov)" in (tmp_path / "plan.txt").read_text()
+
+
+def test_picture_has_a_box_for_each_step_and_the_goal_and_an_arrow_for_each_need(rosa, tmp_path):
+    assert rosa("--mission", "suave_extended", "--feasible", "recharge", "--svg", "plan.svg")[0] == 0
+    root = ElementTree.parse(tmp_path / "plan.svg").getroot()
+    tags = [element.tag.rpartition("}")[2] for element in root]
+    assert tags.count("rect") - 1 == 3 + 1
+    assert tags.count("path") == 4  # recharge -> search, recharge -> inspect, search -> inspect, inspect -> goal
+    texts = [element.text for element in root if element.tag.endswith("text")]
+    assert "2 → (pipeline_found pipeline)" in texts
+
+
+def test_without_a_plan_only_the_json_is_written_and_the_rest_is_told(rosa, tmp_path):
+    files = ["--json", "plan.json", "--svg", "plan.svg", "--tree", "plan.xml"]
+    code, out, _ = rosa("--mission", "suave", "--feasible", "", *files)
+    assert code == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["plan.json"]
+    data = json.loads((tmp_path / "plan.json").read_text())
+    assert (data["outcome"], data["cost"], data["steps"]) == ("unsolvable proven", None, [])
+    assert "plan.svg is not written, as there is no plan" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "nothing to plan; give a domain and a problem file, or a mission with --mission NAME"),
+        (EXTENDED[:1], "nothing to plan; give a domain and a problem file"),
+        ([*EXTENDED, "more.pddl"], "give either a domain and a problem file, or a mission"),
+        (["nowhere.pddl", EXTENDED[1]], "nowhere.pddl: cannot read this PDDL file: No such file or directory"),
+        (EXTENDED[::-1], "is this the domain file?"),
+        ([*EXTENDED, "--mission", "suave"], "give either a domain and a problem file, or a mission"),
+        (["--mission", "suaf"], "unknown mission 'suaf'"),
+        ([*EXTENDED, "--model", "nowhere.tql"], "nowhere.tql: there is no such file"),
+        ([*EXTENDED, "--feasible", "serch_pipeline"], "--feasible names 'serch_pipeline', which is no ROSA action"),
+        ([*EXTENDED, "--situation", "battery_level=0.2"], "a situation is about a model; name its file with --model"),
+        (["--mission", "suave", "--situation", "water"], "--situation takes ATTRIBUTE=NUMBER or COMPONENT=failed"),
+        (["--mission", "suave", "--situation", "water_visibility=murky"], "or water_visibility=failed for a component"),
+        (["--mission", "suave", "--situation", "visibility=3"], "unknown attribute 'visibility'"),
+        (
+            ["--mission", "suave", "--situation", "c_thruster_9=failed"],
+            "unknown component 'c_thruster_9'; did you",
+        ),
+        (["--mission", "suave", "--situation", "water_visibility=nan"], "a finite number is needed, not nan"),
+        (
+            ["--mission", "suave", "--situation", "water_visibility=3", "--feasible", "search_pipeline"],
+            "give --feasible or --situation, not both",
+        ),
+        (["--mission", "suave", "--goal", "(pipeline_lost pipeline)"], "has no predicate 'pipeline_lost'"),
+        (["--mission", "suave", "--goal", "(pipeline_found bluerov)"], "is not of type 'pipeline'"),
+        (["--mission", "suave", "--goal", "pipeline_found"], "found pipeline_found, expected a list"),
+        (["--mission", "suave", "--goal", "(pipeline_found pipeline"], "unbalanced parentheses"),
+        (["--mission", "suave", "--timeout", "0"], "timeout_s is 0, expected more than 0"),
+        (["--mission", "suave", "--json", "nowhere/plan.json"], "cannot write nowhere/plan.json"),
+        (["--mission", "suave", "--tree", "."], "it is a directory; name a file in it"),
+        (["--mission", "suave", "--json", "plan", "--svg", "plan"], "--json and --svg name the same file"),
+        (["--mission", "suave", "--plan"], "No such option: --plan"),
+    ],
+)
+def test_wrong_use_is_one_clear_message_and_exits_with_2(rosa, tmp_path, arguments, message):
+    code, out, err = rosa(*arguments)
+    assert code == 2
+    assert message in " ".join(err.split())
+    assert out == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_action_without_a_schema_or_with_that_of_another_is_refused():
+    class Idle:
+        def __init__(self, kb, senses):
+            pass
+
+    class Also:
+        schema = ActionSchema("search_pipeline")
+
+    with pytest.raises(MissionError, match=r"the action Idle declares no schema; write schema = ActionSchema\('Idle'"):
+        by_schema(Idle)
+    with pytest.raises(MissionError, match="two actions declare the schema 'search_pipeline'"):
+        by_schema(SearchPipeline, Also)
+    wrong = dataclasses.replace(MISSIONS["suave"], actions={"search": SearchPipeline})
+    with pytest.raises(MissionError, match="is listed as 'search', but declares 'search_pipeline'"):
+        declarations_of(wrong)
+    bare = dataclasses.replace(MISSIONS["suave"], problem=None)
+    with pytest.raises(MissionError, match="has no PDDL domain and problem"):
+        mission_domain(bare)
