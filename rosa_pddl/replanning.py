@@ -164,7 +164,8 @@ class Replanning:
         if state != question.state:
             self.want(Decision("the state changed during planning", is_needed=True))
             return None
-        why = f"no plan, {outcome}: {result.message or decision.reason}"
+        told = result.message or decision.reason
+        why = f"no plan: {told}" if str(outcome) in told else f"no plan, {outcome}: {told}"
         diagnosis = Diagnosis(self._domain, state, self._goals.hard, why, is_open=not outcome.is_trouble)
         self._diagnose(diagnosis, state)
         if result.safe_step is None:
