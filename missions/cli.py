@@ -16,6 +16,7 @@ from rich.table import Table
 
 from kb import KnowledgeBaseError
 from kb.judge.findings import Severity
+from missions.campaign.command import campaign
 from missions.checking import inconsistencies, judge, print_judgement
 from missions.live import Narrator, Pace, Recorder
 from missions.managers import OURS, open_run
@@ -152,6 +153,7 @@ def check(
 
 
 app.command("plan")(plan)
+app.command("campaign")(campaign)
 
 
 def main() -> None:

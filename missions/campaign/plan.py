@@ -1,0 +1,260 @@
+"""What a campaign is to run: read from a file, checked before it begins, unfolded into runs that each have a name."""
+
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, field, fields, replace
+from difflib import get_close_matches
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+from missions.managers import MANAGERS, OURS, find_manager
+from missions.managers.options import split_options
+from missions.mission import Mission, MissionError
+from missions.registry import MISSIONS, find_mission
+from missions.settings import split_settings
+from missions.task import check_task
+
+__all__ = ["Campaign", "PlannedRun", "check_campaign", "from_data", "paper_table", "read_campaign", "with_runs"]
+
+Settings = Mapping[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedRun:
+    """One run of a campaign.
+
+    Attributes:
+        mission: its name.
+        manager: its name.
+        task: the task layer, "bt" or "pddl"; None if the manager brings its own.
+        seed: of all its chance. The n-th run has the same seed under every manager, so that they meet the same world.
+        settings: what differs from the defaults, by name.
+    """
+
+    mission: str
+    manager: str
+    task: str | None
+    seed: int
+    settings: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def name(self) -> str:
+        """What it is called: the only thing that its results depend on."""
+        parts = [self.mission, self.manager, *([self.task] if self.task else [])]
+        changed = ",".join(f"{name}={value}" for name, value in self.settings)
+        return "/".join([*parts, *([changed] if changed else []), str(self.seed)])
+
+    @property
+    def command(self) -> str:
+        """The command line that does it again, alone and with all there is to see."""
+        task = f" --task {self.task}" if self.task else ""
+        changed = "".join(f" --set {name}={value}" for name, value in self.settings)
+        return f"rosa run {self.mission} --manager {self.manager}{task} --seed {self.seed}{changed}"
+
+
+@dataclass(frozen=True, slots=True)
+class Campaign:
+    """Every mission with every manager, task layer, set of settings and seed; the fields are the keys of its file.
+
+    Attributes:
+        name: what it is called.
+        missions: names of missions, or "module:NAME".
+        managers: names of managers, or "package:Class".
+        tasks: task layers of ours, "bt" and "pddl"; the other managers bring their own.
+        runs: how many of each.
+        first_seed: seed of the first of each; the others follow.
+        settings: what differs from the defaults in all of them.
+        cases: sets of settings, each tried with everything else.
+        sweep: values to be tried by the name of a setting, in all combinations.
+    """
+
+    name: str
+    missions: tuple[str, ...]
+    managers: tuple[str, ...] = (OURS,)
+    tasks: tuple[str, ...] = ("bt",)
+    runs: int = 10
+    first_seed: int = 0
+    settings: Settings = field(default_factory=dict)
+    cases: tuple[Settings, ...] = ()
+    sweep: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    @property
+    def variants(self) -> tuple[tuple[tuple[str, str], ...], ...]:
+        """Every set of settings, as sorted pairs of name and value."""
+        points = [dict(zip(self.sweep, values, strict=True)) for values in product(*self.sweep.values())]
+        sets = product(self.cases or ({},), points)
+        return tuple(tuple(sorted({**self.settings, **case, **point}.items())) for case, point in sets)
+
+    @property
+    def layers(self) -> tuple[tuple[str, str | None], ...]:
+        """Every manager with each task layer that it can have."""
+        return tuple(
+            (manager, task) for manager in self.managers for task in (self.tasks if manager == OURS else (None,))
+        )
+
+    def planned(self) -> tuple[PlannedRun, ...]:
+        """Return every run, in the order in which results are listed."""
+        seeds = range(self.first_seed, self.first_seed + self.runs)
+        return tuple(
+            PlannedRun(mission, manager, task, seed, settings)
+            for mission, settings, (manager, task), seed in product(self.missions, self.variants, self.layers, seeds)
+        )
+
+    def as_data(self) -> dict[str, Any]:
+        """Return it as plain data, from which `from_data` makes it again."""
+        data = {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(self).items()}
+        return data | {"sweep": {name: list(values) for name, values in self.sweep.items()}}
+
+
+def paper_table(runs: int = 100) -> Campaign:
+    """Return the campaign behind the table of the ROSA paper: both missions under every manager, rules of 2024."""
+    return Campaign("paper_table", tuple(MISSIONS), (*MANAGERS, OURS), ("bt", "pddl"), runs)
+
+
+def read_campaign(path: Path) -> Campaign:
+    """Read a campaign from a TOML file.
+
+    Raises:
+        MissionError: the file cannot be read, or a key or value in it is not what is expected.
+    """
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise MissionError(f"cannot read {path}: {error.strerror or error}") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise MissionError(f"{path} is no TOML: {error}") from error
+    return from_data({"name": path.stem} | data, str(path))
+
+
+def from_data(data: Mapping[str, Any], source: str) -> Campaign:
+    """Make a campaign of plain data.
+
+    Args:
+        data: the fields of a campaign, and `rules` as short for that setting.
+        source: where it comes from, for messages.
+
+    Raises:
+        MissionError: a key or value is not what is expected.
+    """
+    known = [one.name for one in fields(Campaign)]
+    for key in data:
+        if key not in (*known, "rules"):
+            near = get_close_matches(key, [*known, "rules"], n=1)
+            hint = f"did you mean {near[0]}?" if near else f"there are {', '.join([*known, 'rules'])}"
+            raise MissionError(f"{source}: unknown key {key!r}; {hint}")
+    if "missions" not in data:
+        raise MissionError(f'{source} says no missions; add, for example, missions = ["suave"]')
+    sweep = _table(data.get("sweep", {}), f"{source}: sweep")
+    rules = {"rules": data["rules"]} if "rules" in data else {}
+    campaign = Campaign(
+        name=_name(data["name"], source),
+        missions=_words(data["missions"], f"{source}: missions"),
+        managers=_words(data.get("managers", [OURS]), f"{source}: managers"),
+        tasks=_words(data.get("tasks", ["bt"]), f"{source}: tasks"),
+        runs=_count(data.get("runs", 10), f"{source}: runs", 1),
+        first_seed=_count(data.get("first_seed", 0), f"{source}: first_seed", 0),
+        settings=_settings(_table(data.get("settings", {}), f"{source}: settings") | rules, f"{source}: settings"),
+        cases=tuple(_settings(one, f"{source}: cases") for one in _list(data.get("cases", []), f"{source}: cases")),
+        sweep={name: _values(values, f"{source}: sweep: {name}") for name, values in sweep.items()},
+    )
+    _check_once(campaign, source)
+    return campaign
+
+
+def check_campaign(campaign: Campaign) -> None:
+    """Try everything of a campaign but the runs themselves: names, settings, values.
+
+    Raises:
+        MissionError: something in it does not exist or is not allowed.
+    """
+    for task in campaign.tasks:
+        check_task(task)
+    if campaign.runs < 1:
+        raise MissionError(f"a campaign of {campaign.runs} runs does nothing; ask for 1 at least")
+    for name, settings, (manager, _) in product(campaign.missions, campaign.variants, campaign.layers):
+        _check_settings(find_mission(name), manager, dict(settings))
+
+
+def with_runs(campaign: Campaign, runs: int | None) -> Campaign:
+    """Return the campaign with another number of runs of each, if one is given."""
+    return campaign if runs is None else replace(campaign, runs=runs)
+
+
+def _check_settings(mission: Mission, manager: str, settings: Settings) -> None:
+    import numpy
+
+    options = () if manager == OURS else find_manager(manager).options
+    _, values = split_options(options, settings)
+    _, world = split_settings(mission, values)
+    mission.world.open(world, numpy.random.default_rng(0)).close()
+
+
+def _check_once(campaign: Campaign, source: str) -> None:
+    """Refuse what would be run twice, or what is said in two places."""
+    for name, values in _lists(campaign):
+        twice = next((value for value in values if values.count(value) > 1), None)
+        if twice is not None:
+            raise MissionError(f"{source}: {name} has {twice} twice; once is enough")
+    places = [("settings", set(campaign.settings)), ("sweep", set(campaign.sweep))]
+    places += [("cases", set(case)) for case in campaign.cases]
+    for (one, names), (other, others) in product(places, places):
+        if one != other and names & others:
+            raise MissionError(f"{source}: {min(names & others)} is given in {one} and in {other}; give it once")
+
+
+def _lists(campaign: Campaign) -> Iterator[tuple[str, tuple[Any, ...]]]:
+    yield from (("missions", campaign.missions), ("managers", campaign.managers), ("tasks", campaign.tasks))
+    yield "cases", campaign.cases
+    yield from campaign.sweep.items()
+
+
+def _name(value: object, source: str) -> str:
+    if not isinstance(value, str) or not value or "/" in value or value.startswith("."):
+        raise MissionError(f"{source}: name is {value!r}; expected is a word that can be the name of a folder")
+    return value
+
+
+def _count(value: object, where: str, least: int) -> int:
+    if not isinstance(value, int) or isinstance(value, bool) or value < least:
+        raise MissionError(f"{where} is {value!r}; expected is a whole number from {least}")
+    return value
+
+
+def _list(value: object, where: str) -> list[Any]:
+    if not isinstance(value, list):
+        raise MissionError(f"{where} is {value!r}; expected is a list")
+    return value
+
+
+def _table(value: object, where: str) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise MissionError(f"{where} is {value!r}; expected is a table of names and values")
+    return value
+
+
+def _words(value: object, where: str) -> tuple[str, ...]:
+    words = _list(value, where)
+    if not words or not all(isinstance(word, str) and word for word in words):
+        raise MissionError(f"{where} is {value!r}; expected is a list of one name or more")
+    return tuple(words)
+
+
+def _values(value: object, where: str) -> tuple[str, ...]:
+    values = _list(value, where)
+    if not values:
+        raise MissionError(f"{where} is empty; give one value or more")
+    return tuple(_text(one, where) for one in values)
+
+
+def _settings(value: object, where: str) -> dict[str, str]:
+    return {name: _text(one, f"{where}: {name}") for name, one in _table(value, where).items()}
+
+
+def _text(value: object, where: str) -> str:
+    """Return a value as the command line takes it."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str | int | float):
+        return str(value)
+    raise MissionError(f"{where} is {value!r}; expected is a number, a word, true or false")

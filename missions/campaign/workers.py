@@ -1,0 +1,235 @@
+"""Who does the runs of a campaign: processes of this machine, or workers of a cluster; both are executors."""
+
+from collections import deque
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
+from typing import Any, Protocol
+
+from missions.campaign.plan import PlannedRun
+from missions.campaign.work import Outcome, crash, do, provenance
+from missions.mission import MissionError
+
+__all__ = ["Cluster", "Processes", "Workers", "outcomes"]
+
+PATIENCE_S = 10.0
+
+
+class Workers(Protocol):
+    """Where runs are done."""
+
+    @property
+    def count(self) -> int:
+        """How many runs are done at once."""
+
+    @property
+    def killed(self) -> tuple[type[Exception], ...]:
+        """What is raised for runs that were under way when a process died."""
+
+    def executor(self) -> Executor:
+        """Return what runs are handed to."""
+
+    def renew(self) -> None:
+        """Start what has died anew."""
+
+    def look(self) -> str:
+        """Return what is to be told of the workers while nothing is heard of them; empty if all is well."""
+
+    def close(self) -> None:
+        """Let the workers go."""
+
+
+class Processes:
+    """Processes of this machine.
+
+    Args:
+        count: how many; None for as many as this process may use processors.
+    """
+
+    def __init__(self, count: int | None = None) -> None:
+        from joblib import cpu_count
+
+        self._count = count or int(cpu_count())
+        self._executor: Any = None
+
+    @property
+    def count(self) -> int:
+        """How many processes there are."""
+        return self._count
+
+    @property
+    def killed(self) -> tuple[type[Exception], ...]:
+        """What is raised for all runs under way when one of the processes died."""
+        return (BrokenExecutor,)
+
+    def executor(self) -> Executor:
+        """Start the processes, unless they are there; each imports what it needs once."""
+        from joblib.externals.loky import ProcessPoolExecutor
+
+        if self._executor is None:
+            self._executor = ProcessPoolExecutor(self._count)
+        started: Executor = self._executor
+        return started
+
+    def renew(self) -> None:
+        """End the processes that are left; new ones are started when they are needed."""
+        self.close()
+
+    def look(self) -> str:
+        """Return nothing: a process that dies is heard of."""
+        return ""
+
+    def close(self) -> None:
+        """End the processes, also in the middle of a run."""
+        if self._executor is not None:
+            self._executor.shutdown(wait=True, kill_workers=True)
+            self._executor = None
+
+
+class Cluster:
+    """Workers of a dask cluster.
+
+    Args:
+        address: of its scheduler, "host:port".
+        campaign_needs: modules of missions and managers of one's own, which the workers need too.
+
+    Raises:
+        MissionError: there is no scheduler, no worker, or one that lacks what is needed or has other versions of it.
+    """
+
+    def __init__(self, address: str, campaign_needs: Sequence[str] = ()) -> None:
+        try:
+            from distributed import Client, KilledWorker
+        except ImportError as error:
+            raise MissionError("--cluster needs the extra: pip install rosa-taca[cluster]") from error
+        self._address = address
+        self._killed: type[Exception] = KilledWorker
+        try:
+            self._client = Client(address, timeout=PATIENCE_S, set_as_default=False)
+        except (OSError, ValueError, TypeError) as error:
+            raise MissionError(
+                f"there is no scheduler at {address}: {error}; start one with `dask scheduler`, and workers with "
+                f"`dask worker {address} --nthreads 1`"
+            ) from error
+        try:
+            self._check(campaign_needs)
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def count(self) -> int:
+        """How many runs are done at once: as many as there are processes now."""
+        return len(self._client.scheduler_info(n_workers=-1)["workers"])
+
+    @property
+    def killed(self) -> tuple[type[Exception], ...]:
+        """What is raised for a run that several workers died of, or beside; one death alone only repeats the run."""
+        return (self._killed,)
+
+    def renew(self) -> None:
+        """Do nothing: whoever started the workers starts them anew."""
+
+    def executor(self) -> Executor:
+        """Return the cluster as an executor."""
+        executor: Executor = self._client.get_executor()
+        return executor
+
+    def look(self) -> str:
+        """Say so if there is no worker left."""
+        return "" if self.count else f"no worker is left at {self._address}; waiting for one to come"
+
+    def close(self) -> None:
+        """Leave the cluster as it was."""
+        self._client.close()
+
+    def _check(self, needs: Sequence[str]) -> None:
+        """Ask every worker for its versions: one that lacks the package would never answer to anything else."""
+        if not self.count:
+            raise MissionError(f"the scheduler at {self._address} has no workers; start some with `dask worker`")
+        told = self._client.run(_probe(tuple(needs)), on_error="return")
+        for worker, answer in sorted(told.items()):
+            if isinstance(answer, Exception):
+                raise MissionError(f"worker {worker} cannot do missions: {type(answer).__name__}: {answer}")
+            for name, here in provenance().items():
+                if answer.get(name) != here:
+                    raise MissionError(
+                        f"worker {worker} has {name} {answer.get(name)}, here is {here}; install the same"
+                    )
+
+
+def outcomes(
+    runs: Sequence[PlannedRun], workers: Workers, idle: Callable[[str], None] = lambda text: None
+) -> Iterator[Outcome]:
+    """Do runs and yield what came of each as soon as it is known, in no order.
+
+    A run that takes its process down is found out by doing each of those that were under way then by itself.
+
+    Args:
+        runs: what to do.
+        workers: who does it.
+        idle: called with what there is to tell while nothing is heard of the workers.
+
+    Raises:
+        MissionError: the workers are out of reach.
+    """
+    waiting = deque(runs)
+    while waiting:
+        for suspect in (yield from _together(waiting, workers, idle)):
+            if (yield from _together(deque([suspect]), workers, idle)):
+                yield crash(suspect, "the process that ran it died")
+
+
+def _together(
+    waiting: deque[PlannedRun], workers: Workers, idle: Callable[[str], None]
+) -> Generator[Outcome, None, list[PlannedRun]]:
+    """Do runs until none is waiting or a process has died; return those that were under way then."""
+    under_way: dict[Future[Outcome], PlannedRun] = {}
+    suspects: list[PlannedRun] = []
+    while under_way or (waiting and not suspects):
+        if not suspects:
+            _hand_out(waiting, under_way, workers)
+        done, _ = wait(under_way, timeout=PATIENCE_S, return_when=FIRST_COMPLETED)
+        if not done and (text := workers.look()):
+            idle(text)
+        for future in done:
+            run = under_way.pop(future)
+            try:
+                yield future.result()
+            except workers.killed:
+                suspects.append(run)
+            except CancelledError as error:
+                raise MissionError("the scheduler is gone; go on with --resume when it is back") from error
+            except Exception as error:  # what came of it could not be brought here
+                yield crash(run, f"{type(error).__name__}: {error}")
+    if suspects:
+        workers.renew()
+    return suspects
+
+
+def _hand_out(waiting: deque[PlannedRun], under_way: dict[Future[Outcome], PlannedRun], workers: Workers) -> None:
+    """Hand out as many runs as keep every worker busy."""
+    for _ in range(2 * workers.count - len(under_way)):
+        if not waiting:
+            return
+        try:
+            future = workers.executor().submit(do, waiting[0])
+        except workers.killed:  # a process died meanwhile: those under way will tell, or there are none
+            if not under_way:
+                workers.renew()
+            return
+        under_way[future] = waiting.popleft()
+
+
+def _probe(needs: tuple[str, ...]) -> Callable[[], dict[str, str]]:
+    """Return a question to a worker that reaches it even if it lacks the package: it travels as code, not by name."""
+
+    def probe() -> dict[str, str]:
+        from importlib import import_module
+
+        from missions.campaign.work import provenance
+
+        for name in needs:
+            import_module(name)
+        return dict(provenance())
+
+    return probe
