@@ -60,8 +60,6 @@ class KnowledgeBase(Keeping):
             raise InvalidValue(f"the clock is a function that returns the time in seconds, not {clock!r}")
         if type(keep) is not int or keep < 1:
             raise InvalidValue(f"keep is a whole number of measurements from 1, not {keep!r}")
-        if not (store is None or (isinstance(store, str | Path) and str(store))):
-            raise InvalidValue(f"a store is the path of a file, or None for none, not {store!r}")
         past = None if store is None else open_store(model, store, keep)
         super().__init__(Network(model), clock, past, keep)
         self.model = model
@@ -216,7 +214,6 @@ class KnowledgeBase(Keeping):
             reselected = dict.fromkeys([*selection.reselected, *chosen, *given])
             for node in reselected:
                 self._known.give_reason("selected", node, reason if self._known.selected[node.index] else "")
-            for node in (*chosen, *given):
                 self._known.give_reason("unselected", node.wholes[0])
             if not selection:
                 self._selected(now, reselected, selection)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from kb.amendments import Changeable
 from kb.declaring import Declarer
 from kb.elements import Constraint, Element, Estimation
+from kb.exceptions import InvalidValue
 from kb.history import Attempt, Process, VetoAnswer
 from kb.individuals import (
     Individual,
@@ -64,8 +65,11 @@ def open_store(model: Model, path: str | Path, keep: int) -> Past:
     """Open the store of a model, or make it; the model is amended as it was before.
 
     Raises:
+        InvalidValue: the path is none.
         StoreError: the file cannot be used, or is the store of another model.
     """
+    if not isinstance(path, str | Path) or not str(path):
+        raise InvalidValue(f"a store is the path of a file, or None for none, not {path!r}")
     given = list(individuals(model))
     written = json.dumps(plain_json(given))
     store = Store(Path(path), base_of(model), written, given, keep)
