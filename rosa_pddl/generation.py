@@ -166,8 +166,10 @@ class Declarations:
             try:
                 loaded = load_domain(*titles)
             except PddlError as error:
-                title = titles.get(error.file, error.file)
-                raise type(error)(error.message, title, error.line, error.column) from error
+                message, title = error.message, titles.get(error.file, error.file)
+                for path, other in titles.items():
+                    message = message.replace(path, other)
+                raise type(error)(message, title, error.line, error.column) from error
         places = {key: (titles.get(file, file), line) for key, (file, line) in loaded.places.items()}
         return replace(loaded, file=titles[loaded.file], problem_file=titles[loaded.problem_file], places=places)
 
@@ -182,14 +184,13 @@ class Declarations:
             raise PddlError("no action is declared", self._place)
         if not problem.goal:
             raise PddlError("there is no goal; state what shall be so, such as goal=('(found treasure)',)", self._place)
-        seen: dict[str, str] = {}
+        known = [each.rosa_action for each in self.schemas if each.rosa_action is not None]
+        taken: set[str] = set()
         for one in self.schemas:
-            other = seen.setdefault(one.name.lower(), one.name)
-            if other is not one.name or sum(one.name == each.name for each in self.schemas) > 1:
+            if one.name.lower() in taken:
                 raise PddlError(f"the action {one.name!r} is declared twice (PDDL ignores case)", self._place)
-        for one in self.schemas:
+            taken.add(one.name.lower())
             for hope in one.hopes:
-                known = [each.rosa_action for each in self.schemas if each.rosa_action is not None]
                 if hope not in known:
                     raise PddlError(f"hopes for {hope!r}, which no action does; {nearest(hope, known)}", _of(one))
 

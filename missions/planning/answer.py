@@ -61,6 +61,7 @@ class Answer:
                 yield f"  {number + 1}  {step}" + (f"  needs {', '.join(needs)}" if needs else "")
         kb = self.question.kb
         yield from (f"out: {kb.why(kb.actions[action])}" for action in self.question.unfeasible)
+        yield from (f"note: {oversight}" for oversight in self.question.oversights)
 
     def tree(self, *, xml: bool) -> str:
         """Return the tree that executes the plan, as BehaviorTree.CPP's XML or as a picture in text."""

@@ -42,12 +42,14 @@ class Question:
         kb: says what is feasible, and why not.
         state: the true atoms.
         goals: what shall hold.
+        oversights: what may be one in the domain or the model, in sentences.
     """
 
     domain: Domain
     kb: KnowledgeBase
     state: State
     goals: tuple[Condition, ...]
+    oversights: tuple[str, ...] = ()
 
     @property
     def problem(self) -> Problem:
@@ -94,7 +96,7 @@ def ask(
         if supposed.feasible is not None:
             raise MissionError("what is feasible follows from the situation; give --feasible or --situation, not both")
     kb = KnowledgeBase(_model(domain, mission, models), clock=lambda: 0.0)
-    domain.check(kb)
+    oversights = domain.check(kb)
     for attribute, value in (supposed.measured or {}).items():
         kb.measure(attribute, value)
     for component in supposed.failed:
@@ -104,7 +106,7 @@ def ask(
     # a goal may be several conditions side by side
     texts = [f"(and {text})" for text in goals] if goals else domain.goals
     wanted = [condition for text in texts for condition in conditions(domain, text)]
-    return Question(domain, kb, state, tuple(wanted))
+    return Question(domain, kb, state, tuple(wanted), oversights)
 
 
 def read_situation(texts: Iterable[str]) -> Supposed:

@@ -14,7 +14,7 @@ from missions.senses import Senses
 from rosa_bt import RosaAction
 from rosa_pddl.generation import ActionSchema, DeclaredProblem
 
-__all__ = ["PROBLEM", "InspectPipeline", "PipelineFound", "SearchPipeline", "facts"]
+__all__ = ["InspectPipeline", "PROBLEM", "PipelineFound", "SearchPipeline", "facts"]
 
 PROBLEM: Final = DeclaredProblem(
     objects={"pipeline": "pipeline", "bluerov": "robot"}, goal=("(pipeline_inspected pipeline)",)

@@ -107,6 +107,14 @@ def test_situation_says_with_the_model_why_each_unfeasible_action_is_out(rosa, t
         assert out.splitlines()[4:] == [f"out: {action}_pipeline {reason}" for action in ("search", "inspect")]
 
 
+def test_action_of_the_model_that_is_never_planned_is_noted(rosa, tmp_path):
+    MISSIONS["suave_extended"].model().save(tmp_path / "robot.tql")
+    files = [f"{FOLDERS['suave']}/{file}.pddl" for file in ("domain", "problem")]
+    code, out, _ = rosa(*files, "--model", "robot.tql")
+    assert code == 0
+    assert "note: the action 'recharge' of the knowledge base is never planned" in out
+
+
 def test_goal_may_be_another_one_and_several(rosa):
     code, out, _ = rosa("--mission", "suave_extended", "--goal", "(recharged bluerov)(not (pipeline_found pipeline))")
     assert code == 0

@@ -104,7 +104,7 @@ def test_predicate_gets_the_least_type_above_all_its_uses():
 def test_error_in_generated_text_is_placed_in_that_text():
     look = ActionSchema("look", ("?x - crater",), end_effects=("(seen ?x)",))
     twice = declared(look, problem=DeclaredProblem(("(seen pit)",), {"pit": "crater", "PIT": "crater"}))
-    with pytest.raises(PddlError, match=r"problem.pddl generated from the declarations of cave:4:\d+: the object"):
+    with pytest.raises(PddlError, match=r"problem.pddl generated from the .* of cave:4:\d+: the object.* of p"):
         twice.load()
 
 
