@@ -111,25 +111,19 @@ class Signatures:
                 raise PddlError(f"{atom} is about {_spoken(kinds)}, expected {_spoken(expected)}", place)
 
     def _atoms(self, node: Node, scope: Mapping[str, str], place: str, is_effect: bool) -> Iterator[tuple[Node, Kinds]]:
+        """Yield each atom of a formula with the types of what it is about."""
+        _refuse(node, place)
         head, rest = node.head, node.children[1:]
-        if not node.is_list:
-            raise PddlError(f"found {node.word!r}, expected a list such as '({node.word})'", place)
-        if (head, rest[0].lower if rest else "") in _TIMED and len(rest) == 2 and rest[1].is_list:
-            raise PddlError(f"found {node}; say only {rest[1]}, where it belongs (start, over_all, end)", place)
-        if head in _NUMERIC:
-            raise PddlError(f"found {node}, which computes with numbers; state a cost as cost=...", place)
         if head in _CONNECTIVES:
             if not (head == "not" and is_effect):
                 self._connectives.add(head)
             for number, child in enumerate(rest):
-                condition = head == "when" and number == 0
-                yield from self._atoms(child, scope, place, is_effect and not condition)
+                is_condition = head == "when" and number == 0
+                yield from self._atoms(child, scope, place, is_effect and not is_condition)
         elif head in _QUANTIFIERS:
             self._connectives.add(head)
-            if len(rest) != 2 or not rest[0].is_list:
-                raise PddlError(f"found {node}, expected '({head} (?x - type) (...))'", place)
-            inner = dict(typed_names([" ".join(map(str, rest[0].children))], place))
-            yield from self._atoms(rest[1], {**scope, **inner}, place, is_effect)
+            inner, body = _quantified(node, place)
+            yield from self._atoms(body, {**scope, **inner}, place, is_effect)
         elif head == "=":
             self._connectives.add(head)
             self._kinds(node, scope, place)
@@ -178,6 +172,25 @@ class Signatures:
             seen.add(kind)
             yield kind
             kind = self._above.get(kind, kind)
+
+
+def _refuse(node: Node, place: str) -> None:
+    """Raise for what is written elsewhere in a declaration."""
+    if not node.is_list:
+        raise PddlError(f"found {node.word!r}, expected a list such as '({node.word})'", place)
+    rest = node.children[1:]
+    if len(rest) == 2 and rest[1].is_list and (node.head, rest[0].lower) in _TIMED:
+        raise PddlError(f"found {node}; say only {rest[1]}, where it belongs (start, over_all, end)", place)
+    if node.head in _NUMERIC:
+        raise PddlError(f"found {node}, which computes with numbers; state a cost as cost=...", place)
+
+
+def _quantified(node: Node, place: str) -> tuple[Mapping[str, str], Node]:
+    """Return the variables of a quantifier with their types, and what it is about."""
+    if len(node.children) != 3 or not node.children[1].is_list:
+        raise PddlError(f"found {node}, expected '({node.head} (?x - type) (...))'", place)
+    declared, body = node.children[1:]
+    return dict(typed_names([" ".join(map(str, declared.children))], place)), body
 
 
 def _spoken(kinds: Kinds) -> str:

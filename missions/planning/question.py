@@ -90,11 +90,7 @@ def ask(
         MissionError, KnowledgeBaseError, RosaPddlError: something is missing, unknown or cannot be read.
     """
     domain = _domain(files, mission)
-    if supposed.measured or supposed.failed:
-        if not models and mission is None:
-            raise MissionError("a situation is about a model; name its file with --model FILE, or a mission")
-        if supposed.feasible is not None:
-            raise MissionError("what is feasible follows from the situation; give --feasible or --situation, not both")
+    _check(supposed, has_model=bool(models or mission))
     kb = KnowledgeBase(_model(domain, mission, models), clock=lambda: 0.0)
     oversights = domain.check(kb)
     for attribute, value in (supposed.measured or {}).items():
@@ -130,6 +126,15 @@ def read_situation(texts: Iterable[str]) -> Supposed:
             message = f"--situation takes {name}=NUMBER, or {name}={FAILED} for a component, not {part.strip()!r}"
             raise MissionError(message) from error
     return Supposed(measured=measured, failed=tuple(failed))
+
+
+def _check(supposed: Supposed, *, has_model: bool) -> None:
+    if not (supposed.measured or supposed.failed):
+        return
+    if not has_model:
+        raise MissionError("a situation is about a model; name its file with --model FILE, or a mission")
+    if supposed.feasible is not None:
+        raise MissionError("what is feasible follows from the situation; give --feasible or --situation, not both")
 
 
 def _domain(files: Sequence[Path], mission: Mission | None) -> Domain:
