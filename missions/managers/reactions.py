@@ -12,8 +12,8 @@ if TYPE_CHECKING:
 
 __all__ = ["UNCERTAINTIES", "News", "Reaction", "find_reactions", "mean_reactions", "news_in"]
 
-UNCERTAINTIES: Final = {"U1": "thruster", "U2": "visibility", "U3": "battery"}
-"""What the ROSA paper calls the uncertainties, and in a word what they are of."""
+UNCERTAINTIES: Final = ("U1", "U2", "U3")
+"""Thruster, visibility, battery, as the ROSA paper calls them."""
 LOW_LEVEL: Final = 0.25
 
 
@@ -91,8 +91,7 @@ def mean_reactions(reactions: Iterable[Reaction]) -> dict[str, float | None]:
     for one in reactions:
         delays[one.uncertainty].append(one.delay_s)
     return {
-        f"reaction_{uncertainty.lower()}_{UNCERTAINTIES[uncertainty]}_s": fmean(found) if found else None
-        for uncertainty, found in delays.items()
+        f"reaction_{uncertainty.lower()}_s": fmean(found) if found else None for uncertainty, found in delays.items()
     }
 
 

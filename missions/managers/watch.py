@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from kb import DiagnosticProblem
 from missions.adaptations import Adaptation
-from missions.managers.reactions import News, Reaction, find_reactions, mean_reactions, news_in
+from missions.managers.reactions import Reaction, find_reactions, mean_reactions, news_in
 from missions.mission import Message
 from missions.runner import Listener, MissionRun
 from missions.sea import Sea
@@ -34,8 +34,8 @@ class WatchedSea(Sea):
     def __init__(self, sea: Sea, *, charges: bool = False, inputs: Mapping[str, float] | None = None) -> None:
         super().__init__(sea._env)
         self._charges = charges
-        self._inputs = {f"input_from_paper_{name}": value for name, value in (inputs or {}).items()}
-        self._news: list[News] = []
+        self._inputs = {f"from_paper_{name}": value for name, value in (inputs or {}).items()}
+        self._heard: list[Message] = []
         self._backlog: list[Message] = []
         self._thoughts: list[tuple[float, float]] = []
         self._since: float | None = None
@@ -52,8 +52,8 @@ class WatchedSea(Sea):
         """Every reaction up to now."""
         from suave_env.water import expected_altitude
 
-        history = super().managed.history
-        return find_reactions(self._news, history, self.settings.spiral_altitude_m, expected_altitude)
+        news = [one for message in self._heard for one in news_in(message)]
+        return find_reactions(news, super().managed.history, self.settings.spiral_altitude_m, expected_altitude)
 
     def compute_s(self, reaction: Reaction) -> float:
         """Return the time of this machine that was spent on thinking during a reaction [s]."""
@@ -63,8 +63,9 @@ class WatchedSea(Sea):
         """Simulate until something is published or switched, at most to the time `until` [s]."""
         self._think()
         if not self._backlog and self.now <= until:
-            self._simulate(until)
+            self._backlog = super().advance(until)
         messages, self._backlog = self._backlog, []
+        self._heard += messages
         self._since = perf_counter()
         return messages
 
@@ -92,14 +93,8 @@ class WatchedSea(Sea):
             self._charged_s += took
             until = self.now + took
             while self.now < until:
-                self._simulate(until)
-        self._since = perf_counter()
-
-    def _simulate(self, until: float) -> None:
-        messages = super().advance(until)
-        for message in messages:
-            self._news += news_in(message)
-        self._backlog += messages
+                self._backlog += super().advance(until)
+            self._since = perf_counter()
 
 
 class _Charging:

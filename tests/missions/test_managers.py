@@ -177,7 +177,10 @@ def test_manager_of_ones_own_is_run_by_its_name(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("bd", "unknown manager 'bd'; there are ours, none, random, bt, metacontrol, rosa; one of your own is given as package:Class"),
+        (
+            "bd",
+            "unknown manager 'bd'; there are ours, none, random, bt, metacontrol, rosa; one of your own is given as",
+        ),
         ("nowhere:Thing", "cannot import manager 'nowhere:Thing': ModuleNotFoundError"),
         ("json:Thing", "cannot import manager 'json:Thing': AttributeError"),
         ("json:loads", "'json:loads' is no subclass of missions.managers.Manager"),

@@ -12,6 +12,7 @@ from missions.managers.options import Option
 
 __all__ = ["Metacontrol"]
 
+ONTOLOGY: Final = Path(__file__).with_name("suave.owl")
 OBJECTIVES: Final = {
     "search_pipeline": ("f_maintain_motion", "f_generate_search_path"),
     "inspect_pipeline": ("f_maintain_motion", "f_follow_pipeline"),
@@ -29,14 +30,14 @@ class Metacontrol(Manager):
 
     options: ClassVar = (
         Option("reasoning_period_s", 1.5, "s", "from one cycle of Metacontrol to the next", "mros2_reasoner"),
-        Option("reasoning_s", 0.2, "s", "time that one pass of its reasoner takes", "own choice, some tenths"),
+        Option("reasoning_s", 0.3, "s", "time that one pass of its reasoner takes", "own choice: a few tenths"),
     )
 
     def __init__(self, robot: Robot) -> None:
         super().__init__(robot)
         self.period_s = robot.options["reasoning_period_s"]
         self._modes = SystemModes(robot)
-        self._knowledge = read_knowledge(Path(__file__).with_name("suave.owl"))
+        self._knowledge = read_knowledge(ONTOLOGY)
         self._situation = Situation()
         self._objectives: tuple[str, ...] = ()
         self._is_reasoning = False
@@ -80,10 +81,11 @@ class Metacontrol(Manager):
             stands = standing(knowledge, seen, function)
             if stands is not Standing.SATISFIED or function in knowledge.always_improved:
                 self._ground(function, stands, seen)
-        self._situation = replace(self._situation, unrealisable=inferred, recovered=False)
         if inferred == seen.unrealisable:
+            self._situation = replace(self._situation, recovered=False)
             self._is_reasoning = False
         else:
+            self._situation = replace(self._situation, unrealisable=inferred)
             self._reason()
 
     def _ground(self, function: str, stands: Standing, seen: Situation) -> None:

@@ -1,0 +1,197 @@
+"""Options of managers, and the time that they take: on this machine, and charged to the sea."""
+
+from itertools import pairwise
+from time import perf_counter
+
+import numpy
+import pytest
+
+from missions.managers import Manager, open_run
+from missions.managers.options import Option, split_options
+from missions.managers.rosa import CONFIGURING, FETCHING, INSERTING, PLANNING
+from missions.managers.watch import WatchedSea
+from missions.mission import MissionError
+from missions.registry import find_mission
+from missions.report import as_json, summary
+from missions.runner import Listener
+
+SUAVE = find_mission("suave")
+SWITCHING_S = 0.03
+CALLS = {"U1": INSERTING + PLANNING + FETCHING, "U2": INSERTING + PLANNING + FETCHING + CONFIGURING}
+
+
+def spend(seconds):
+    until = perf_counter() + seconds
+    while perf_counter() < until:
+        pass
+
+
+class Slow(Manager):
+    """Thinks for 0.05 s before it searches, and for as long again after it."""
+
+    options = (Option("thought_s", 0.05, "s", "how long it thinks", "own choice"),)
+
+    def begin(self, task):
+        self.asked_s = self.robot.now
+        spend(self.robot.options["thought_s"])
+        self.robot.activate("spiral_search")
+        self.told_s = self.robot.now
+        spend(self.robot.options["thought_s"])
+
+
+def slow(**arguments):
+    run = open_run(SUAVE, manager=f"{__name__}:Slow", settings={"duration_s": "10"}, **arguments)
+    run.run()
+    (change,) = run.world.managed.history
+    return run, change.time - run.robot.tasks[0].start
+
+
+def test_thinking_takes_no_simulated_time_unless_it_is_charged():
+    run, took_s = slow()
+    assert took_s == pytest.approx(SWITCHING_S)
+    assert "compute_charged_s" not in run.world.results()
+
+
+def test_charged_thinking_delays_the_command_that_it_leads_to():
+    run, took_s = slow(charge_compute=True)
+    assert took_s >= 0.05 + SWITCHING_S
+    manager = run._manager
+    assert manager.told_s - manager.asked_s >= 0.05
+    assert run.world.results()["compute_charged_s"] >= 0.1
+
+
+class Heard(Listener):
+    def __init__(self):
+        self.stamps, self.heard_s, self.run = [], [], None
+
+    def message(self, message):
+        self.stamps.append(message["time"])
+        self.heard_s.append(self.run.world.now)
+
+
+def test_what_is_published_meanwhile_is_heard_late_but_in_order_and_complete():
+    at_once, late = Heard(), Heard()
+    for heard, charged in ((at_once, False), (late, True)):
+        settings = {"duration_s": "10", "thought": "1.1" if charged else "0"}
+        heard.run = open_run(
+            SUAVE, manager=f"{__name__}:Slow", settings=settings, listeners=(heard,), charge_compute=charged
+        )
+        heard.run.run()
+    assert late.stamps[:8] == at_once.stamps[:8]
+    assert all(earlier <= later for earlier, later in pairwise(late.stamps))
+    assert any(heard - stamp > 0.5 for heard, stamp in zip(late.heard_s, late.stamps, strict=True))
+    assert all(heard == stamp for heard, stamp in zip(at_once.heard_s, at_once.stamps, strict=True))
+
+
+def test_time_of_listeners_is_not_thinking():
+    sea = WatchedSea(SUAVE.world.open({}, numpy.random.default_rng(0)), charges=True)
+    sea.advance(1.0)
+    sea.aside(lambda: spend(0.3))
+    sea.advance(sea.now)
+    assert 0 < sea.results()["compute_charged_s"] < 0.3
+
+
+@pytest.mark.parametrize("task", ["bt", "pddl"])
+def test_ours_is_charged_too_and_says_so(task):
+    run = open_run(find_mission("suave_extended"), task=task, charge_compute=True, settings={"duration_s": "40"})
+    run.run()
+    assert run.settings.planning_delay_s == 0
+    assert 0 < run.world.results()["compute_charged_s"] < 40
+    assert {change.component for change in run.world.managed.history} == {"spiral_search", "recover_thrusters"}
+
+
+def test_each_reaction_knows_the_compute_time_that_went_into_it():
+    run = open_run(SUAVE, seed=1, settings={"duration_s": "40"})
+    run.run()
+    assert run.world.reactions
+    assert all(run.world.compute_s(one) > 0 for one in run.world.reactions)
+
+
+@pytest.mark.parametrize("service_s", [0.05, 0.17, 0.3])
+def test_reactions_of_rosa_as_published_are_its_calls_times_what_one_takes(service_s):
+    run = open_run(SUAVE, manager="rosa", seed=1, settings={"service_s": str(service_s), "duration_s": "60"})
+    run.run()
+    for uncertainty, calls in CALLS.items():
+        delays = [one.delay_s for one in run.world.reactions if one.uncertainty == uncertainty]
+        assert min(delays) == pytest.approx(calls * service_s + SWITCHING_S)
+    assert run.world.results()["from_paper_service_s"] == service_s
+
+
+def test_rosa_whose_services_take_no_time_does_as_we_do():
+    runs = []
+    for manager, settings in (("rosa", {"service_s": "0"}), ("ours", {})):
+        run = open_run(find_mission("suave_extended"), manager=manager, seed=3, settings=settings)
+        runs.append((run.run().outcome, run))
+    (outcome, rosa), (expected, ours) = runs
+    assert outcome == expected == "time_limit"
+    done, doing = ([(one.action, one.result) for one in run.kb.action_history] for run in (rosa, ours))
+    assert done == doing
+    assert rosa.world.results()["found_s"] == pytest.approx(ours.world.results()["found_s"], abs=2.0)
+
+
+def test_managers_that_take_nothing_from_the_paper_do_not_say_so():
+    for manager in ("ours", "none", "random", "bt", "metacontrol"):
+        run = open_run(SUAVE, manager=manager, settings={"duration_s": "3"})
+        run.run()
+        assert not any(name.startswith("from_paper") for name in run.world.results())
+
+
+def test_random_picks_every_mode_at_the_period_of_the_rules():
+    for rules, period_s in (("2024", 15.0), ("2025", 30.0)):
+        seen, times = set(), []
+        for seed in range(8):
+            run = open_run(SUAVE, manager="random", seed=seed, settings={"rules": rules, "start_y": "9"})
+            run.run()
+            seen |= {(one.active, one.parameters["spiral_altitude"]) for one in run.world.managed.history}
+            first = run.world.managed.history[0].time
+            times += [(one.time - first) % period_s for one in run.world.managed.history]
+        assert {altitude for active, altitude in seen if active} == {1.0, 2.0, 3.0}
+        assert any(not active for active, _ in seen)
+        assert all(min(time, period_s - time) < 0.1 for time in times)
+
+
+def test_options_are_set_with_or_without_their_unit_and_the_rest_is_left():
+    option = Option("delay_s", 1.5, "s", "a delay", "own choice")
+    assert split_options([option], {"bias": "0"}) == ({"delay_s": 1.5}, {"bias": "0"})
+    for name in ("delay", "delay_s"):
+        assert split_options([option], {name: "2", "bias": "0"}) == ({"delay_s": 2.0}, {"bias": "0"})
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"service": "1", "service_s": "2"}, "service_s and service are the same setting; give it once"),
+        ({"service": "fast"}, "setting service_s is 'fast'; allowed is a number from 0"),
+        ({"service": "-1"}, "setting service_s is '-1'"),
+        ({"service": "inf"}, "setting service_s is 'inf'"),
+        ({"reasoning_s": "1"}, "unknown setting 'reasoning_s' of mission suave"),
+    ],
+)
+def test_options_that_cannot_be_are_refused(values, message):
+    with pytest.raises(MissionError, match=message):
+        open_run(SUAVE, manager="rosa", settings=values)
+
+
+class Patient(Manager):
+    """Puts something off four times."""
+
+    def begin(self, task):
+        self.begun_s, self.calls = self.robot.now, []
+        for delay_s, name in ((2.0, "c"), (1.0, "a"), (1.0, "b"), (0.0, "now")):
+            self.robot.later(delay_s, lambda name=name: self.calls.append((name, self.robot.now - self.begun_s)))
+
+
+def test_what_is_put_off_comes_in_order_of_time_then_of_asking():
+    run = open_run(SUAVE, manager=f"{__name__}:Patient", settings={"duration_s": "5"})
+    run.run()
+    calls = run._manager.calls
+    assert [name for name, _ in calls] == ["now", "a", "b", "c"]
+    assert [after_s for _, after_s in calls[1:]] == pytest.approx([1.0, 1.0, 2.0])
+
+
+def test_listeners_change_nothing_of_a_result():
+    texts = []
+    for listeners in ((), (Listener(),)):
+        run = open_run(SUAVE, manager="rosa", seed=4, settings={"duration_s": "50"}, listeners=listeners)
+        texts.append(as_json(summary(run, run.run(), 4, {})))
+    assert texts[0] == texts[1]
