@@ -74,18 +74,22 @@ class Asking:
         """Begin to plan, in place of what was being planned."""
         self.give_up()
         self._question = Question(problem, state, decision, self._clock())
-        self._future = self._planner.start(problem)
+        try:
+            self._future = self._planner.start(problem)
+        except Exception as error:  # a planner must not stop the tree; what it raises is its answer
+            self._future = Future()
+            self._future.set_exception(error)
 
     @property
     def has_answer(self) -> bool:
-        """Whether the answer is there and due."""
-        return self._future is not None and self._is_due() and self._future.done()
+        """Whether the answer is there and due, or will not come any more."""
+        return self._future is not None and self._is_due() and (self._future.done() or self._is_late())
 
     def take(self) -> tuple[Question, PlanningResult] | None:
         """Return the answer with its question if it is due and there; never waits."""
         if self._question is None or self._future is None or not self.has_answer:
             return None
-        answer = self._question, _answer(self._future)
+        answer = self._question, self._answer(self._future)
         self._question = self._future = None
         return answer
 
@@ -111,12 +115,23 @@ class Asking:
         self._question = self._future = None
 
     def _is_due(self) -> bool:
+        return self._passed_s() >= (self._delay_s or 0.0) - _CLOCK_RESOLUTION_S
+
+    def _is_late(self) -> bool:
+        """Whether a planner is not keeping its own time limit; in lock-step the clock says nothing of that."""
+        return self._delay_s is None and self._passed_s() > self._planner.timeout_s + _GRACE_S
+
+    def _passed_s(self) -> float:
         assert self._question is not None
-        return self._clock() >= self._question.at_s + (self._delay_s or 0.0) - _CLOCK_RESOLUTION_S
+        return self._clock() - self._question.at_s
 
-
-def _answer(future: "Future[PlanningResult]") -> PlanningResult:
-    try:
-        return future.result()
-    except Exception as error:  # a planner of the user's own may raise anything
-        return PlanningResult(Outcome.ENGINE_CRASHED, message=f"{type(error).__name__}: {error}")
+    def _answer(self, future: "Future[PlanningResult]") -> PlanningResult:
+        engine = str(getattr(self._planner, "engine", type(self._planner).__name__))
+        if not future.done():
+            future.cancel()
+            message = f"{engine} gave no answer in {self._passed_s():.3g} s; allow more time or ask for less"
+            return PlanningResult(Outcome.OUT_OF_TIME, engine=engine, message=message)
+        try:
+            return future.result()
+        except Exception as error:  # a planner of the user's own may raise anything
+            return PlanningResult(Outcome.ENGINE_CRASHED, engine=engine, message=f"{type(error).__name__}: {error}")

@@ -106,6 +106,12 @@ def _check_frame(source: Source, what: str, sections: Collection[str]) -> None:
         for needed in (":domain", ":init", ":goal"):
             if all(node.head != needed for node in root.children):
                 raise source.error(root, f"the problem has no '({needed} ...)'")
+        for node in root.children[2:]:
+            if node.head == ":goal" and len(node.children) != 2:
+                count = len(node.children) - 1
+                raise source.error(
+                    node, f"found {count} conditions in (:goal ...), expected one; join them with (and ...)"
+                )
 
 
 def _check_belongs(domain: Source, problem: Source) -> None:

@@ -92,10 +92,7 @@ class _Reader:
             type_ = self._type(words.pop(0) if words else "", node)
             inner |= {name: self._variable(name, type_) for name in waiting}
             waiting = []
-        if waiting:
-            raise PddlError(
-                f"{' '.join(waiting)} in {node} is of no type, expected '({waiting[0]} - type)'", self._where
-            )
+        inner |= {name: self._variable(name, self._type("object", node)) for name in waiting}
         text, made = self.read(body, inner)
         make = self._manager.Forall if node.head == "forall" else self._manager.Exists
         variables = [inner[word] for word in dict.fromkeys(child.lower for child in declared.children) if word in inner]

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 from rosa_pddl.domain import Domain, UpThing
 from rosa_pddl.exceptions import GoalError, nearest
-from rosa_pddl.formulas import conditions
+from rosa_pddl.formulas import Condition, conditions
+from rosa_pddl.planning.grounding import lock_of
 
 __all__ = ["Goal", "Goals"]
 
@@ -70,7 +71,7 @@ class Goals:
         Args:
             text: a condition such as `(inspected north)`.
             worth: how much a plan may cost more for it, in the unit of the plan's cost (steps, if the problem has no
-                metric); None if it must be reached.
+                metric); None if it must be reached. Of a conjunction, each part is worth it.
 
         Raises:
             GoalError: the worth is not positive.
@@ -91,7 +92,7 @@ class Goals:
             PddlError: the text is no PDDL.
             UnknownNameError: it mentions what the domain does not have.
         """
-        read = [part.text for part in conditions(self._domain, text)]
+        read = [part.text for part in self._read(text)]
         for one in read:
             if one not in self._goals:
                 raise GoalError(f"{one} is not among the goals; {nearest(one, self._goals)}")
@@ -106,7 +107,7 @@ class Goals:
             PddlError: a text is no PDDL.
             UnknownNameError: one mentions what the domain does not have.
         """
-        read = [part for text in texts for part in conditions(self._domain, text)]
+        read = [part for text in texts for part in self._read(text)]
         before, self._goals = self._goals, {part.text: Goal(part.text, part.expression) for part in read}
         self._version += before != self._goals
 
@@ -123,5 +124,10 @@ class Goals:
         return f"Goals({', '.join(str(goal) for goal in self)})"
 
     def _put(self, text: str, worth: float | None) -> None:
-        for part in conditions(self._domain, text):
+        for part in self._read(text):
             self._goals[part.text] = Goal(part.text, part.expression, worth)
+
+    def _read(self, text: str) -> tuple[Condition, ...]:
+        # a planner may be reading the same environment of unified-planning, in a thread of its own
+        with lock_of(self._domain):
+            return conditions(self._domain, text)

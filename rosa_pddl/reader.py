@@ -12,7 +12,7 @@ from rosa_pddl.declarations import Kind, Mention, declared_types, mentions
 from rosa_pddl.domain import ACTION_TYPE, Domain, Schema, UpThing
 from rosa_pddl.exceptions import PddlError, UnsupportedPddlError
 from rosa_pddl.problem import Problem
-from rosa_pddl.syntax import Source, read_source
+from rosa_pddl.syntax import Node, Source, read_source
 
 _GLOBAL = threading.Lock()
 _LINE = re.compile(r"line:?\s*(\d+)")
@@ -87,6 +87,7 @@ def _rewritten(source: Source, found: Iterable[Mention], inside: Mapping[tuple[K
 
 def _tolerated(source: Source) -> Iterator[Edit]:
     """Yield what can be said otherwise so that the reader of unified-planning 1.3 understands it."""
+    yield from _untyped(source.root)
     for node in source.root.children[2:]:
         # requirements promise what the sections then show; unified-planning refuses the ones it does not know
         if node.head == ":requirements" or (len(node.children) == 1 and node.head not in (":init", ":goal")):
@@ -105,6 +106,16 @@ def _tolerated(source: Source) -> Iterator[Edit]:
             for keyword, body in zip(node.children, node.children[1:], strict=False):
                 if keyword.lower in (":precondition", ":condition", ":effect") and not body.children:
                     yield body.start, body.end, "(and)"
+
+
+def _untyped(node: Node) -> Iterator[Edit]:
+    """Yield the type that quantified variables without one have."""
+    if node.head in ("forall", "exists") and len(node.children) == 3:
+        variables = node.children[1]
+        if variables.children and (len(variables.children) < 3 or variables.children[-2].word != "-"):
+            yield variables.end - 1, variables.end, " - object)"
+    for child in node.children:
+        yield from _untyped(child)
 
 
 def _read(domain: str, problem: str, sources: tuple[Source, Source]) -> UpThing:
@@ -174,12 +185,16 @@ def _domain(domain: Source, problem: Source, up_problem: UpThing, found: Iterabl
         schema_of={schema.name: schema for schema in schemas},
         outside=outside,
         inside={(kind.value, word): name for (kind, word), name in inside.items()},
-        goals=tuple(
-            str(goal) for node in problem.root.children[2:] if node.head == ":goal" for goal in node.children[1:]
-        ),
+        goals=tuple(str(goal) for goal in _goals(problem)),
         places=places,
         types=types,
     )
+
+
+def _goals(problem: Source) -> Iterator[Node]:
+    for section in problem.root.children[2:]:
+        if section.head == ":goal":
+            yield from (goal for goal in section.children[1:] if goal.children)
 
 
 def _lineage(type_: UpThing, outside: Mapping[str, str]) -> Iterator[str]:

@@ -120,7 +120,7 @@ def test_a_goal_may_be_any_condition(world):
         ("(visited nort)", UnknownNameError, "no object 'nort'.*nearest: north"),
         ("(visited ?s)", UnknownNameError, r"\?s"),
         ("(forall (?s - sit) (visited ?s))", UnknownNameError, "no type 'sit'.*nearest: site"),
-        ("(forall (?s) (visited ?s))", PddlError, "of no type"),
+        ("(forall (?s) (visited ?s))", UnknownNameError, "no type 'object'.*known: site"),
         ("(not (home) (home))", PddlError, "2 parts .* expected 1"),
         ("visited north", PddlError, "expected"),
         ("(visited north", PddlError, "not closed"),

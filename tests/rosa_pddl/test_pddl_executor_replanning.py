@@ -1,5 +1,7 @@
 """When the executor plans anew, what runs meanwhile, and what it says when nothing helps."""
 
+from concurrent.futures import Future
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -210,8 +212,6 @@ class Answering:
         self.result = result
 
     def start(self, problem):
-        from concurrent.futures import Future
-
         future = Future()
         future.set_result(self.result)
         return future
@@ -234,3 +234,29 @@ def test_a_plan_of_a_planner_of_ones_own_that_does_not_work_is_not_executed(ways
         assert world.tick() is Status.RUNNING
     assert world.log == []
     assert "left(left) needs (half)" in world.executor.feedback_message
+
+
+class Raising(Answering):
+    def start(self, problem):
+        raise RuntimeError("no process could be started")
+
+
+def test_a_planner_that_cannot_even_begin_is_a_failure_by_name(ways):
+    world = World(ways, Raising(None), delay_s=None)
+    assert [world.tick() for _ in range(3)] == [Status.RUNNING, Status.FAILURE, Status.FAILURE]
+    assert world.executor.feedback_message == "no plan, engine crashed: RuntimeError: no process could be started"
+
+
+def test_in_real_time_a_planner_that_never_answers_is_out_of_time(ways):
+    class Silent(Answering):
+        def start(self, problem):
+            self.future = Future()
+            return self.future
+
+    planner = Silent(None)
+    world = World(ways, planner, delay_s=None)
+    for _ in range(60):
+        world.tick()
+    assert world.executor.status is Status.FAILURE
+    assert world.executor.feedback_message.startswith("no plan, out of time: Silent gave no answer in 3.1 s")
+    assert planner.future.cancelled()

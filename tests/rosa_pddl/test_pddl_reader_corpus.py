@@ -63,6 +63,30 @@ def test_windows_line_ends_tabs_and_a_byte_order_mark_make_no_difference(tmp_pat
     assert load_domain(tmp_path / "d.pddl", tmp_path / "p.pddl").schemas == ("move", "patrol", "charge")
 
 
+@pytest.mark.parametrize(("types", "of_type"), [("", ""), ("(:types t)", "- t"), ("(:types t s - object)", "- t")])
+def test_quantified_variables_without_a_type_are_of_any(tmp_path, types, of_type):
+    domain = f"""(define (domain bare) {types} (:predicates (p ?x))
+      (:action a :parameters (?x) :precondition (forall (?y) (p ?y)) :effect (forall (?z) (not (p ?z)))))"""
+    problem = f"""(define (problem none) (:domain bare) (:objects one two {of_type}) (:init (p one) (p two))
+      (:goal (forall (?x) (not (p ?x)))))"""
+    world = World(load_text(tmp_path, domain, problem))
+    assert world.run() is Status.SUCCESS
+    assert world.plans() == [["a"]]
+
+
+@pytest.mark.parametrize("goal", ["()", "(and)"])
+def test_a_problem_without_a_goal_is_done_at_once(tmp_path, goal):
+    world = World(load_text(tmp_path, PLAIN, PROBLEM.replace("(:goal (done))", f"(:goal {goal})")))
+    assert world.run() is Status.SUCCESS
+    assert world.executor.plans == ()
+
+
+@pytest.mark.parametrize(("goal", "count"), [("(:goal)", 0), ("(:goal (done) (ok a))", 2)])
+def test_a_goal_of_none_or_several_conditions_is_refused_with_what_to_write(tmp_path, goal, count):
+    with pytest.raises(PddlError, match=rf"problem\.pddl:2:2: found {count} conditions .*join them with \(and"):
+        load_text(tmp_path, PLAIN, PROBLEM.replace("(:goal (done))", goal))
+
+
 # ------------------------------------------------------------------ which ROSA action a PDDL action does
 
 
