@@ -16,7 +16,7 @@ from rich.table import Table
 
 from kb import KnowledgeBaseError
 from kb.judge.findings import Severity
-from missions.campaign.command import campaign
+from missions.campaign.command import campaign, report
 from missions.checking import inconsistencies, judge, print_judgement
 from missions.live import Narrator, Pace, Recorder
 from missions.managers import OURS, open_run
@@ -154,6 +154,7 @@ def check(
 
 app.command("plan")(plan)
 app.command("campaign")(campaign)
+app.command("report")(report)
 
 
 def main() -> None:

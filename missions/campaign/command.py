@@ -1,4 +1,4 @@
-"""`rosa campaign`: many runs on all cores or on a cluster, gone on with after whatever stopped it."""
+"""`rosa campaign`: many runs on all cores or on a cluster, gone on with after whatever stopped it; `rosa report`."""
 
 import shlex
 from collections.abc import Callable, Mapping
@@ -14,12 +14,12 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from missions.campaign.conduct import conduct, modules_needed
 from missions.campaign.plan import Campaign, check_campaign, paper_table, read_campaign, with_runs
-from missions.campaign.store import Store
+from missions.campaign.store import Store, read_store
 from missions.campaign.work import CRASHED
 from missions.campaign.workers import Cluster, Processes, Workers
 from missions.mission import MissionError
 
-__all__ = ["campaign"]
+__all__ = ["campaign", "report"]
 
 FAILED = 1
 TENTHS = 10
@@ -54,6 +54,20 @@ def campaign(
         crashed = _conduct(console, store, folder, _open(cluster, workers, store.campaign), retry, again)
     if crashed:
         raise typer.Exit(FAILED)
+
+
+def report(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Where the campaign is.")],
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Where to write; default: DIR/report.")] = None,
+) -> None:
+    """Say what came of a campaign, as report.md and report.html with pictures: published figures beside ours, tests."""
+    kept = read_store(folder)
+    from missions.campaign.report import write_report
+
+    written = write_report(kept, out or folder / "report")
+    for path in written:
+        if path.suffix in (".md", ".html"):
+            typer.echo(path)
 
 
 def _asked(file: Path | None, table: bool, runs: int | None) -> Campaign | None:

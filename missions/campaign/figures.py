@@ -1,0 +1,148 @@
+"""The pictures of a report: how a figure is distributed under each manager, and how soon each reacted."""
+
+from collections.abc import Sequence
+from io import BytesIO
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from missions.campaign.groups import Comparison, Group
+from missions.statistics import two_clusters
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["distribution", "reaction_histograms"]
+
+WIDTH, ROW, EDGES, DPI = 9.0, 0.8, 1.1, 130  # [inch], [inch], [inch], [px/inch]
+EARLY, LATE, PLAIN, PAPER, INK = "#0072b2", "#e69f00", "#7d8790", "#d55e00", "#222222"
+BINS, LOG_BINS = 40, 36
+CLEAR = 0.75
+"""Clusters are told apart where they explain more of the variance than in an even spread."""
+STYLE: Final[dict[Any, Any]] = {
+    **{"font.family": "DejaVu Sans", "font.size": 8.5, "text.color": INK, "text.parse_math": False},
+    **{"axes.edgecolor": "#b5b5b5", "axes.linewidth": 0.7, "axes.spines.top": False, "axes.spines.right": False},
+    **{"svg.hashsalt": "rosa", "legend.frameon": False},
+}
+
+
+def distribution(comparison: Comparison, figure: str, label: str, *, clusters: bool) -> dict[str, bytes]:
+    """Draw a histogram of a figure for each manager, one above the other.
+
+    Args:
+        comparison: what is compared.
+        figure: its name among the results.
+        label: what stands at its axis.
+        clusters: whether to show the two clusters that a sample falls into, if it does.
+
+    Returns:
+        The picture by the suffix of its file: "png" and "svg".
+    """
+    from matplotlib import rc_context
+
+    samples = {group: list(group.values(figure).values()) for group in comparison.groups}
+    everything = [value for values in samples.values() for value in values] or [0.0]
+    bins = np.linspace(min(everything), max(everything) + (max(everything) == min(everything)), BINS + 1)
+    with rc_context(STYLE):
+        drawing, axes = _rows(len(samples), 1)
+        for row, (group, values) in zip(axes[:, 0], samples.items(), strict=True):
+            _name(row, group, f"n = {len(values)}")
+            _bars(row, values, bins, clusters)
+            _mark(row, group.published.of(figure) if group.published else None)
+        axes[-1, 0].set_xlabel(label)
+        _explain(drawing, comparison.groups, clusters)
+        return _written(drawing)
+
+
+def reaction_histograms(comparison: Comparison) -> dict[str, bytes]:
+    """Draw how soon each manager reacted to each uncertainty, over a logarithmic axis [s].
+
+    Returns:
+        The picture by the suffix of its file: "png" and "svg".
+    """
+    from matplotlib import rc_context
+
+    names = comparison.uncertainties
+    groups = [group for group in comparison.groups if any(group.delays(name) for name in names)]
+    delays = [delay for group in groups for name in names for delay in group.delays(name)]
+    least = max(min(delays), 1e-3)
+    bins = np.geomspace(least * 0.9, max(*delays, least) * 1.1, LOG_BINS + 1)
+    with rc_context(STYLE):
+        drawing, axes = _rows(len(groups), len(names))
+        for row, group in zip(axes, groups, strict=True):
+            for cell, name in zip(row, names, strict=True):
+                found = group.delays(name)
+                cell.set_xscale("log")
+                _name(cell, group if cell is row[0] else None, f"n = {len(found)}")
+                cell.hist(np.maximum(found, least), bins=bins, color=PLAIN)
+                published = group.reactions_published.get(name)
+                _mark(cell, None if published is None else (published, 0.0))
+        for cell, name in zip(axes[-1], names, strict=True):
+            cell.set_xlabel(f"reaction to {name} [s]")
+        _explain(drawing, groups, clusters=False)
+        return _written(drawing)
+
+
+def _rows(rows: int, columns: int) -> "tuple[Figure, Any]":
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    height = rows * ROW + EDGES
+    drawing = Figure(figsize=(WIDTH, height), dpi=DPI)
+    FigureCanvasAgg(drawing)
+    drawing.subplots_adjust(left=0.15, right=0.98, top=1 - 0.5 / height, bottom=0.5 / height, hspace=0.25, wspace=0.08)
+    return drawing, drawing.subplots(rows, columns, sharex=True, squeeze=False)
+
+
+def _name(axes: "Axes", group: Group | None, count: str) -> None:
+    axes.set_yticks([])
+    axes.spines["left"].set_visible(False)
+    if group is not None:
+        axes.set_ylabel(group.label, rotation=0, ha="right", va="center")
+    axes.text(0.995, 0.9, count, transform=axes.transAxes, ha="right", va="top", color="#666666", fontsize=7.5)
+
+
+def _bars(axes: "Axes", values: Sequence[float], bins: Any, clusters: bool) -> None:  # noqa: ANN401  # an array
+    found = two_clusters(values) if clusters else None
+    if found is None or found.explained < CLEAR:
+        axes.hist(values, bins=bins, color=PLAIN)
+        return
+    parts = [[value for value in values if value < found.cut], [value for value in values if value >= found.cut]]
+    axes.hist(parts, bins=bins, color=[EARLY, LATE], stacked=True)
+    axes.margins(y=0.35)
+    for mean, share, color in ((found.low, found.share_low, EARLY), (found.high, 1 - found.share_low, LATE)):
+        text = axes.text(mean, 0.99, f"{share:.0%} around {mean:.0f}", transform=axes.get_xaxis_transform())
+        text.set(ha="center", va="top", color=color, fontsize=7.5, fontweight="bold")
+
+
+def _mark(axes: "Axes", published: tuple[float, float] | None) -> None:
+    """Mark a published mean, and one standard deviation to both sides."""
+    if published is not None:
+        bar = axes.errorbar(published[0], 0, xerr=published[1] or None, fmt="D", color=PAPER, markersize=4.5, capsize=3)
+        bar[0].set(clip_on=False, zorder=6)
+
+
+def _explain(drawing: "Figure", groups: Sequence[Group], clusters: bool) -> None:
+    from matplotlib.lines import Line2D
+
+    entries = []
+    if clusters:
+        entries += [Line2D([], [], color=color, linewidth=5, label=name) for name, color in _CLUSTERS]
+    if any(group.published for group in groups):
+        text = "published mean" + (" and standard deviation" if clusters or len(drawing.axes) == len(groups) else "")
+        entries.append(Line2D([], [], color=PAPER, marker="D", markersize=4.5, linestyle="", label=text))
+    if entries:
+        drawing.legend(handles=entries, loc="upper left", bbox_to_anchor=(0.14, 1), ncols=len(entries))
+
+
+_CLUSTERS = (("earlier cluster", EARLY), ("later cluster", LATE))
+
+
+def _written(drawing: "Figure") -> dict[str, bytes]:
+    files = {}
+    for suffix, metadata in (("png", {"Software": None}), ("svg", {"Date": None})):
+        content = BytesIO()
+        drawing.savefig(content, format=suffix, metadata=metadata)
+        files[suffix] = content.getvalue()
+    return files

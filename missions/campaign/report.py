@@ -1,0 +1,263 @@
+"""What came of a campaign: the published figures beside ours, tests, distributions and reaction times."""
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import combinations
+from pathlib import Path
+from statistics import fmean, median
+
+import numpy
+
+from missions.campaign.document import Document
+from missions.campaign.figures import CLEAR, distribution, reaction_histograms
+from missions.campaign.groups import SEARCH, Comparison, Group, comparisons
+from missions.campaign.store import Kept
+from missions.mission import MissionError
+from missions.output import OutputFile
+from missions.statistics import contrast, holm, interval_of_mean, interval_of_sd, two_clusters
+
+__all__ = ["write_report"]
+
+DISTANCE = "distance_inspected_m"
+HEADLINES = {SEARCH: "search time [s]", DISTANCE: "distance inspected [m]"}
+NONE = "-"
+
+
+def write_report(kept: Kept, folder: Path) -> list[Path]:
+    """Write the report on a campaign as report.md and report.html with their pictures, and return the files.
+
+    Raises:
+        MissionError: there is nothing to report, or a file cannot be written.
+    """
+    parts = list(comparisons(kept))
+    if not parts:
+        ended = f"all of its {len(kept.crashed)} runs crashed" if kept.crashed else "none of its runs is done"
+        raise MissionError(f"there is nothing to report of {kept.campaign.name}: {ended}")
+    document = Document(f"Campaign {kept.campaign.name}")
+    pictures: dict[str, bytes] = {}
+    _introduce(document, kept)
+    for comparison in parts:
+        document.heading(comparison.title)
+        _tell(document, comparison, pictures)
+    _tell_crashes(document, kept)
+    _tell_speed(document, parts)
+    _tell_method(document)
+    contents: dict[str, str | bytes] = {"report.md": document.as_markdown(), "report.html": document.as_html(pictures)}
+    return _write({**pictures, **contents}, folder)
+
+
+def _introduce(document: Document, kept: Kept) -> None:
+    total = len(kept.campaign.planned())
+    document.text(
+        f"{len(kept.records)} of {total} runs are done, {len(kept.crashed)} of them crashed. "
+        f"Made by {', '.join(f'{name} {version}' for name, version in kept.provenance.items())}."
+    )
+    if kept.missing:
+        document.text(f"{kept.missing} runs are still to be done: what follows is of those that are done.")
+
+
+def _tell(document: Document, comparison: Comparison, pictures: dict[str, bytes]) -> None:
+    headlines = {name: label for name, label in HEADLINES.items() if name in comparison.figures}
+    headlines = headlines or {name: name for name in comparison.figures[:2]}
+    stem = re.sub(r"\W+", "_", comparison.title).strip("_")
+    _tell_headlines(document, comparison, headlines)
+    for name, label in headlines.items():
+        document.heading(f"Distribution: {label}", 3)
+        if name == SEARCH:
+            _tell_clusters(document, comparison)
+        drawn = distribution(comparison, name, label, clusters=name == SEARCH)
+        pictures |= _filed(document, f"{stem}_{name}", f"{label} under each manager, {comparison.title}", drawn)
+    if comparison.uncertainties:
+        _tell_reactions(document, comparison)
+        drawn = reaction_histograms(comparison)
+        pictures |= _filed(document, f"{stem}_reactions", f"reaction times, {comparison.title}", drawn)
+    _tell_contrasts(document, comparison, headlines)
+    _tell_all(document, comparison)
+
+
+def _filed(document: Document, name: str, caption: str, drawn: Mapping[str, bytes]) -> dict[str, bytes]:
+    document.figure(name, caption)
+    return {f"{name}.{suffix}": content for suffix, content in drawn.items()}
+
+
+def _tell_headlines(document: Document, comparison: Comparison, headlines: Mapping[str, str]) -> None:
+    """Put the published table beside ours."""
+    head = ["manager", "runs"]
+    for label in headlines.values():
+        head += [f"{label}: published", "here, mean [95 %]", "sd [95 %]"]
+    found = any(SEARCH in record for group in comparison.groups for record in group.records.values())
+    rows = []
+    for group in comparison.groups:
+        row = [group.label, str(len(group.records))]
+        for name in headlines:
+            published = group.published.of(name) if group.published else None
+            values = list(group.values(name).values())
+            row += [f"{published[0]:.2f} ± {published[1]:.2f}" if published else NONE, *_estimates(values)]
+        rows.append([*row, str(group.not_found)] if found else row)
+    document.table([*head, "never found"] if found else head, rows)
+    for group in comparison.groups:
+        if group.inputs:
+            given = ", ".join(f"{name} = {value:g}" for name, value in group.inputs.items())
+            document.text(
+                f"{group.label}: {given} is an input taken from the paper's own figures; its reaction times are "
+                "reproduced, not predicted."
+            )
+
+
+def _tell_clusters(document: Document, comparison: Comparison) -> None:
+    rows = []
+    for group in comparison.groups:
+        found = two_clusters(list(group.values(SEARCH).values()))
+        if found is None:
+            rows.append([group.label, *[NONE] * 4])
+            continue
+        parts = f"{found.low:.0f} ({found.share_low:.0%})", f"{found.high:.0f} ({1 - found.share_low:.0%})"
+        clear = "yes" if found.explained > CLEAR else "no"
+        rows.append([group.label, *parts, f"{found.cut:.1f}", f"{found.explained:.0%}, {clear}"])
+    document.table(["manager", "earlier, mean (share)", "later", "cut", "variance explained, two clusters?"], rows)
+
+
+def _tell_reactions(document: Document, comparison: Comparison) -> None:
+    document.heading("Reaction times", 3)
+    document.text(
+        "Delay is simulated time: periods of monitors and managers, ticks, switching. Computing is time of the machine "
+        "that ran it, measured apart."
+    )
+    rows = []
+    for uncertainty in comparison.uncertainties:
+        for group in comparison.groups:
+            delays = group.delays(uncertainty)
+            if not delays:
+                continue
+            mean = interval_of_mean(delays, _chance())
+            thought = group.thought(uncertainty)
+            published = group.reactions_published.get(uncertainty)
+            rows.append(
+                [
+                    f"{uncertainty}, {group.label}",
+                    str(len(delays)),
+                    f"{published:.2f}" if published is not None else NONE,
+                    f"{mean.estimate:.3f} [{mean.low:.3f}, {mean.high:.3f}]",
+                    f"{median(delays):.3f}",
+                    f"{max(delays):.3f}",
+                    f"{1000 * fmean(thought):.2f}" if thought else NONE,
+                ]
+            )
+    head = ["to, manager", "events", "published mean [s]", "delay, mean [95 %] [s]", "median", "longest"]
+    document.table([*head, "computing, mean [ms]"], rows)
+
+
+def _tell_contrasts(document: Document, comparison: Comparison, headlines: Mapping[str, str]) -> None:
+    """Compare every two managers: the mean difference of runs with the same seed, and the ranks."""
+    pairs = [(later, earlier) for earlier, later in combinations(comparison.groups, 2)][::-1]
+    rows, ps = [], []
+    for name, label in headlines.items():
+        for one, other in pairs:
+            first, second = one.values(name), other.values(name)
+            both = sorted(first.keys() & second.keys())
+            if not both:
+                continue
+            mean = interval_of_mean([first[seed] - second[seed] for seed in both], _chance())
+            found = contrast(list(first.values()), list(second.values()))
+            ps.append(found.p)
+            names = f"{label}: {one.label} - {other.label}"
+            difference = f"{mean.estimate:+.2f} [{mean.low:+.2f}, {mean.high:+.2f}]"
+            rows.append(
+                [f"{label}: {one.label} - {other.label}", str(len(both)), difference, f"{found.superiority:.2f}"]
+            )
+    if not rows:
+        return
+    document.heading("Differences", 3)
+    head = ["figure: one - other", "pairs", "mean difference [95 %]", "P(one > other)", "p, corrected"]
+    document.table(head, [[*row, _p(p)] for row, p in zip(rows, holm(ps), strict=True)])
+
+
+def _tell_all(document: Document, comparison: Comparison) -> None:
+    document.heading("All figures", 3)
+    document.text("Mean ± standard deviation.")
+    figures = [name for name in comparison.figures if not name.startswith("reaction_")]
+    rows = []
+    for name in figures:
+        samples = [list(group.values(name).values()) for group in comparison.groups]
+        rows.append([name, *(_mean_sd(sample) for sample in samples)])
+    document.table(["figure", *(group.label for group in comparison.groups)], rows)
+
+
+def _tell_crashes(document: Document, kept: Kept) -> None:
+    if kept.crashed:
+        document.heading("Runs that crashed")
+        document.items([f"{record['run']}: {record['error']}" for record in kept.crashed])
+        document.text("Each can be run again alone; crashes.txt has their tracebacks:")
+        document.commands([record["rerun"] for record in kept.crashed])
+
+
+def _tell_speed(document: Document, parts: Sequence[Comparison]) -> None:
+    rows = list(_speeds(parts))
+    if rows:
+        document.heading("Speed")
+        document.text("Time of one process of the machine that ran it, set-up included; depends on what else it did.")
+        document.table(["mission, manager", "run, mean [s]", "longest [s]", "times real time"], rows)
+
+
+def _speeds(parts: Sequence[Comparison]) -> Iterator[list[str]]:
+    for comparison in parts:
+        for group in comparison.groups:
+            took = {seed: timing["wall_s"] for seed, timing in group.timings.items()}
+            if took:
+                simulated = sum(group.records[seed]["duration_s"] for seed in took)
+                speed = f"{simulated / sum(took.values()):.0f}"
+                mean, longest = f"{fmean(took.values()):.2f}", f"{max(took.values()):.2f}"
+                yield [f"{comparison.title}, {group.label}", mean, longest, speed]
+
+
+def _tell_method(document: Document) -> None:
+    document.heading("How it was computed")
+    document.items(
+        [
+            "Intervals: 95 %, percentiles of 10,000 bootstrap resamples; differences are of runs with the same seed.",
+            "p: two-sided Mann-Whitney tests, corrected by Holm's method for all tests of one table; it says whether "
+            "two distributions differ, P(one > other) by how much (0.5: not at all).",
+            "A search that never succeeds counts as long as the mission, as in SUAVE.",
+            "Two clusters: the cut that leaves the least variance within the parts; they are called clear if they "
+            "explain more than 75 % of it, as much as of an even spread.",
+            "Published: the table of the ROSA paper, 100 runs each.",
+        ]
+    )
+
+
+def _estimates(values: Sequence[float]) -> list[str]:
+    if not values:
+        return [NONE, NONE]
+    mean, sd = interval_of_mean(values, _chance()), interval_of_sd(values, _chance())
+    texts = [f"{one.estimate:.2f} [{one.low:.2f}, {one.high:.2f}]" for one in (mean, sd)]
+    return texts if len(values) > 1 else [texts[0], NONE]
+
+
+def _mean_sd(values: Sequence[float]) -> str:
+    if not values:
+        return NONE
+    sample = numpy.asarray(values)
+    return f"{sample.mean():.2f} ± {sample.std(ddof=1):.2f}" if sample.size > 1 else f"{sample.mean():.2f}"
+
+
+def _p(p: float) -> str:
+    return "< 0.001" if p < 0.001 else f"{p:.3f}"
+
+
+def _chance() -> numpy.random.Generator:
+    """Return the chance of one estimate: always the same, so that a report is the same to the byte."""
+    return numpy.random.default_rng(0)
+
+
+def _write(contents: Mapping[str, str | bytes], folder: Path) -> list[Path]:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise MissionError(f"cannot make {folder}: {error.strerror or error}") from error
+    paths = []
+    for name, content in contents.items():
+        paths.append(folder / name)
+        with OutputFile(paths[-1]) as file:
+            file.write(content)
+            file.keep()
+    return paths
