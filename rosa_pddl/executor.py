@@ -221,7 +221,7 @@ class PlanExecutor(Behaviour):
             self.feedback_message = "the goal holds"
             return Status.SUCCESS
         planned_from = self._unstarted(state)
-        if not self._running and not self._replanning.is_busy and (self._course is None or self._course.is_finished):
+        if not self._replanning.is_busy and (self._course is None or self._course.is_finished):
             why = self._replanning.why_hopeless(planned_from)
             if why is not None:
                 self._drop_plan()
@@ -310,9 +310,8 @@ class PlanExecutor(Behaviour):
             self._ticked += ticked
             if status == Status.RUNNING:
                 continue
-            wrong = (
-                self._ended(running) if status == Status.SUCCESS else f"{running.step} failed" + (text and f": {text}")
-            )
+            failure = ": ".join(filter(None, [f"{running.step} failed", text]))
+            wrong = self._ended(running) if status == Status.SUCCESS else failure
             if wrong is not None:
                 self._release([running])
                 self._want(Decision(wrong, is_needed=True))

@@ -55,6 +55,16 @@ def test_a_running_step_that_the_new_plan_starts_with_runs_on(ways):
     ]
 
 
+def test_when_there_is_no_way_on_what_runs_is_stopped_and_it_fails(ways):
+    world = world_of(ways)
+    world.ticks = {"start": 1000}
+    world.run(until="start")
+    world.kb.unfeasible = {"left", "right"}
+    assert world.run() is Status.FAILURE
+    assert world.log[-1][1:] == ("start", "INVALID")
+    assert world.now_s < 1.0
+
+
 def test_a_policy_that_holds_stops_it_and_starts_it_again(ways):
     world = world_of(ways, while_planning="hold")
     world.run(until="start")

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pddl_world import ROOMS_DOMAIN, ROOMS_PROBLEM, FakeKb, load_mission, load_text
 
-from rosa_pddl import Outcome, Planner, Problem, Step, feasible_atoms, initial_state
+from rosa_pddl import Outcome, Planner, Problem, Step, UnsupportedPddlError, feasible_atoms, initial_state
 from rosa_pddl.planning import downward
 from rosa_pddl.reader import _as_global
 from rosa_pddl.validate import ended, flaw, goal_holds, missing_at_start, started
@@ -93,11 +93,9 @@ def test_durations_as_metric_come_down_to_the_number_of_steps(tmp_path):
     assert names(Planner().plan(problem_of(domain))) == ["scan", "move", "clean", "scan"]
 
 
-def test_a_metric_that_cannot_be_kept_is_unsupported(tmp_path):
-    domain = load_text(tmp_path, COSTS, COSTS_PROBLEM % "(:metric maximize (total-cost))")
-    result = Planner().plan(Problem(domain, initial_state(domain)))
-    assert result.outcome is Outcome.UNSUPPORTED
-    assert "problem.pddl" in result.message
+def test_a_metric_that_cannot_be_kept_is_refused_at_load(tmp_path):
+    with pytest.raises(UnsupportedPddlError, match=r"problem\.pddl:\d+: the metric"):
+        load_text(tmp_path, COSTS, COSTS_PROBLEM % "(:metric maximize (total-cost))")
 
 
 # ------------------------------------------------------------------ trouble
