@@ -26,8 +26,9 @@ class OutputFile:
     def __init__(self, path: Path) -> None:
         self._path = path
         try:
-            self._target = path.resolve()  # a link is followed, not replaced
-            self._direct = self._target.exists() and not self._target.is_file()
+            self._direct = path.exists() and not path.is_file()
+            # a link is followed, not replaced; that to a pipe leads to no path
+            self._target = path if self._direct else path.resolve()
             if self._target.is_dir():
                 raise IsADirectoryError("it is a directory; name a file in it")
             if self._target.is_file() and not os.access(self._target, os.W_OK):
@@ -94,7 +95,7 @@ def open_files(paths: Mapping[str, Path], stack: ExitStack) -> dict[str, OutputF
     places: dict[str, str] = {}
     for name, path in paths.items():
         other = places.setdefault(os.path.realpath(path), name)
-        if other != name and not path.is_char_device():
+        if other != name and not (path.is_char_device() or path.is_fifo()):
             raise MissionError(f"--{other} and --{name} name the same file, {path}; give each its own")
     return {name: stack.enter_context(OutputFile(path)) for name, path in paths.items()}
 

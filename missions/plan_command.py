@@ -10,7 +10,7 @@ import typer
 
 from missions.mission import MissionError
 from missions.output import open_files
-from missions.planning.answer import answer
+from missions.planning.answer import Answer, answer
 from missions.planning.picture import svg_of_plan
 from missions.planning.question import ask, read_situation
 from missions.registry import find_mission
@@ -52,17 +52,24 @@ def plan(
         found = answer(question, timeout)
         for line in found.lines():
             typer.echo(line)
-        texts = {"json": json.dumps(found.data, indent=2) + "\n"}
-        if found.result.outcome.is_solved:
-            texts["svg"] = svg_of_plan(found.order, f"plan of {question.domain.name}")
-            texts["tree"] = found.tree(xml=tree is not None and tree.suffix.lower() == ".xml")
-        for name in outputs.keys() & texts.keys():
-            outputs[name].write(texts[name])
-            outputs[name].keep()
-        for name in outputs.keys() - texts.keys():
-            typer.echo(f"{wanted[name]} is not written, as there is no plan")
-    if not found.result.outcome.is_solved:
+        is_solved = found.result.outcome.is_solved
+        for name, output in outputs.items():
+            if is_solved or name == "json":
+                output.write(_text(name, found, wanted[name]))
+                output.keep()
+            else:
+                typer.echo(f"{wanted[name]} is not written, as there is no plan")
+    if not is_solved:
         raise typer.Exit(FAILED)
+
+
+def _text(name: str, found: Answer, path: Path | None) -> str:
+    """Return what is written for an option."""
+    if name == "json":
+        return json.dumps(found.data, indent=2) + "\n"
+    if name == "svg":
+        return svg_of_plan(found.order, f"plan of {found.question.domain.name}")
+    return found.tree(xml=path is not None and path.suffix.lower() == ".xml")
 
 
 def _names(text: str) -> list[str]:

@@ -60,6 +60,7 @@ def svg_of_plan(order: CausalOrder, title: str) -> str:
         rows[box.row].append(box)
     paths = [(_path(boxes[source], boxes[target], rows), later) for source, target, later in arrows]
     width, height = _place(rows)
+    height += _LINE if order.orders else 0.0
     width = max(width, 2 * _GAP + _LETTER * max(1.1 * len(title), len(_LEGEND) if order.orders else 0))
     font = 'font-family="sans-serif" font-size="12"'
     return "\n".join(

@@ -2,6 +2,8 @@
 
 import dataclasses
 import json
+import subprocess
+import sys
 from itertools import chain, combinations
 from pathlib import Path
 from xml.etree import ElementTree
@@ -265,6 +267,14 @@ def test_wrong_use_is_one_clear_message_and_exits_with_2(rosa, tmp_path, argumen
     assert message in " ".join(err.split())
     assert out == ""
     assert list(tmp_path.iterdir()) == []
+
+
+def test_files_may_go_to_a_pipe():
+    command = [sys.executable, "-m", "missions", "plan", "--mission", "suave"]
+    command += ["--json", "/dev/stdout", "--tree", "/dev/stdout"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert '"outcome": "solved optimally"' in done.stdout
+    assert "[-] ^ Plan" in done.stdout
 
 
 def test_action_without_a_schema_or_with_that_of_another_is_refused():
