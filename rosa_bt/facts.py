@@ -1,6 +1,5 @@
 """What a knowledge base was told and what it answered, written down as plain data, and told again."""
 
-import math
 import re
 from collections.abc import Callable, Mapping
 from typing import Any, Final, NamedTuple
@@ -18,7 +17,7 @@ _SAID: Final = tuple(
         ("component_failed", f" has failed{_REASON}"),
         ("component_recovered", " is recovered"),
         ("component_active", f" is (?P<inactive>in)?active{_REASON}"),
-        ("assert_selected", " is (?P<not>not )?selected"),
+        ("assert_selected", f" is (?P<not>not )?selected{_REASON}"),
         ("assert_required", " is (?P<not>no longer )?asserted required"),
         ("assert_status", f" is asserted (?P<status>{_STATUS})(?: until (?P<until>[0-9.]+) s)?{_REASON}"),
         ("retract_status", " is no longer asserted"),
@@ -29,7 +28,7 @@ _ARGUMENTS: Final[Mapping[str, Callable[[re.Match[str]], tuple[Any, ...]]]] = {
     "component_failed": lambda said: (said["reason"] or "",),
     "component_recovered": lambda said: (),
     "component_active": lambda said: (not said["inactive"], said["reason"] or ""),
-    "assert_selected": lambda said: (not said["not"],),
+    "assert_selected": lambda said: (not said["not"], said["reason"] or ""),
     "assert_required": lambda said: (None if said["not"] else True,),
     "assert_status": lambda said: (
         said["status"],
@@ -140,7 +139,9 @@ class Listener:
             if found is not None:
                 self._keep(event.time, verb, event.subject, *_ARGUMENTS[verb](found))
                 return
-        if event.subject in self._kb.attributes and self._kb.attributes[event.subject].time == event.time:
+        if not event.subject and said.endswith(" selected"):  # several at once
+            self._keep(event.time, "select", *_selection(self._kb))
+        elif event.subject in self._kb.attributes and self._kb.attributes[event.subject].time == event.time:
             self._keep(event.time, "measure", event.subject, self._kb.attributes[event.subject].value)
 
     def _keep(self, time: float, verb: str, *arguments: object) -> None:
@@ -148,10 +149,13 @@ class Listener:
             self._facts.append(Fact(time, verb, arguments))
 
     def _look_at_plans(self) -> None:
-        ended = [(number, plan) for number, plan in self._open if plan.end is not None]
-        self._open = [(number, plan) for number, plan in self._open if plan.end is None]
-        for number, plan in ended:
-            self._keep(plan.end or math.nan, "finish_plan", number, plan.result)
+        open_before, self._open = self._open, []
+        for number, plan in open_before:
+            if plan.end is None:
+                self._open.append((number, plan))
+            else:
+                self._keep(plan.end, "finish_plan", number, plan.result)
+        self._facts.sort(key=lambda fact: fact.time)  # no event tells that a plan has ended; it may have been long ago
 
 
 def tell(kb: KnowledgeBase, fact: Fact) -> None:

@@ -7,13 +7,14 @@ from py_trees.behaviour import Behaviour
 from py_trees.behaviours import Failure, Running, Success
 from py_trees.common import Status
 from py_trees.composites import Selector, Sequence
+from py_trees.decorators import Decorator
 
 from rosa_bt.behaviours import KbBehaviour, RosaAction
 from rosa_bt.decorators import ForAction
 from rosa_bt.endings import halt, told
 from rosa_bt.exceptions import TreeChangeError
 
-__all__ = ["Children", "Lock", "guard", "is_trusted"]
+__all__ = ["Children", "Lock", "guard", "is_trusted", "put_back"]
 
 _TRUSTED: Final = frozenset({Failure, Running, Selector, Sequence, Success})
 """What raises nothing of its own; a subclass may."""
@@ -33,6 +34,15 @@ class Lock:
         self.is_closed = False
         self.refused: list[TreeChangeError] = []
 
+    def refuse(self, parent: Behaviour) -> TreeChangeError:
+        """Note that the children of a behaviour were to be changed, and return the error that says so."""
+        error = TreeChangeError(
+            f"the children of {parent.name!r} were to be changed in the middle of a tick; ask the runner "
+            "instead (insert, replace, prune): it changes them before the next tick"
+        )
+        self.refused.append(error)
+        return error
+
 
 class Children(list[Behaviour]):
     """The children of a behaviour, which cannot be changed while the tree is being ticked."""
@@ -45,12 +55,7 @@ class Children(list[Behaviour]):
     def _check(self) -> None:
         if not self.lock.is_closed:
             return
-        error = TreeChangeError(
-            f"the children of {self._parent.name!r} were to be changed in the middle of a tick; ask the runner "
-            "instead (insert, replace, prune): it changes them before the next tick"
-        )
-        self.lock.refused.append(error)
-        raise error
+        raise self.lock.refuse(self._parent)
 
 
 def _checked(name: str) -> Callable[..., object]:
@@ -69,6 +74,19 @@ for _name in (
     *("__delitem__", "__iadd__", "__imul__", "__setitem__"),
 ):
     setattr(Children, _name, _checked(_name))
+
+
+def put_back(parent: Behaviour, children: Children) -> None:
+    """Undo that other children were put in the place of a behaviour's, and refuse it."""
+    found = [parent.decorated] if isinstance(parent, Decorator) else []
+    if parent.children is children and found == children[: len(found)]:
+        return
+    for stranger in [one for one in (*parent.children, *found) if one not in children]:
+        halt(stranger)
+    parent.children = children
+    if isinstance(parent, Decorator):
+        parent.decorated = children[0]
+    children.lock.refuse(parent)
 
 
 def is_trusted(behaviour: Behaviour) -> bool:

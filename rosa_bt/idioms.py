@@ -91,9 +91,6 @@ def _switched(
 ) -> Behaviour:
     """Put an action and its transitions in the place of the action."""
     name = f"switch to {task.action}" if needed else f"note {task.action}"
-    if task is root:
-        return SafeSwitch(name, task, needed, posture)
     place = Dummy("place")
-    replace(root, task, place)
-    replace(root, place, SafeSwitch(name, task, needed, posture))
-    return root
+    root = replace(root, task, place)
+    return replace(root, place, SafeSwitch(name, task, needed, posture))

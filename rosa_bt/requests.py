@@ -56,14 +56,17 @@ class ActionRequest:
         return reply
 
     def close(self, result: str, reason: str = "") -> None:
-        """Let go of the action; the last one who holds it tells the knowledge base how it ended."""
+        """Let go of the action; the last one who holds it tells the knowledge base how it ended, and why."""
         action, self._held = self._held, None
         if action is None:
             return
-        holders = _ledger(self._kb).holders
+        kb, holders = self._kb, _ledger(self._kb).holders
         holders[action] -= 1
-        if not holders[action] and action in self._kb.actions:  # one that left the model was cancelled with it
-            self._kb.cancel_action(action, result, reason)
+        if holders[action] or action not in kb.actions:  # one that left the model was cancelled with it
+            return
+        if not reason and result == RESULTS[Status.INVALID] and not kb.is_feasible(action):
+            reason = kb.why(kb.actions[action])
+        kb.cancel_action(action, result, reason)
 
 
 class Progress:

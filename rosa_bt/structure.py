@@ -60,8 +60,11 @@ def prune(root: Behaviour, subtree: Behaviour) -> None:
         halt(parent)
 
 
-def replace(root: Behaviour, old: Behaviour, new: Behaviour) -> None:
-    """Put a subtree in the place of another one, which is stopped; not for the root.
+def replace(root: Behaviour, old: Behaviour, new: Behaviour) -> Behaviour:
+    """Put a subtree in the place of another one, which is stopped.
+
+    Returns:
+        The root of the tree: the new subtree if the old one was the root.
 
     Raises:
         TreeChangeError: it cannot be put there; says why.
@@ -69,9 +72,9 @@ def replace(root: Behaviour, old: Behaviour, new: Behaviour) -> None:
     _check_member(root, old)
     _check_new(root, new)
     parent = old.parent
-    if parent is None:
-        raise TreeChangeError(f"{_named(old)} is the root; run another tree instead")
     halt(old)
+    if parent is None:
+        return new
     if isinstance(parent, Composite):
         was_current = parent.current_child is old
         parent.replace_child(old, new)
@@ -82,6 +85,7 @@ def replace(root: Behaviour, old: Behaviour, new: Behaviour) -> None:
         old.parent, new.parent = None, parent
     else:
         raise TreeChangeError(f"{_named(parent)} is neither a composite nor a decorator; its children are its own")
+    return root
 
 
 def _check_member(root: Behaviour, behaviour: Behaviour) -> None:

@@ -8,12 +8,13 @@ from concurrent.futures import Future
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 from py_trees.composites import Composite
+from py_trees.decorators import Decorator
 from py_trees.trees import BehaviourTree
 
 from rosa_bt.behaviours import RosaAction
 from rosa_bt.endings import halt
 from rosa_bt.exceptions import TreeChangeError
-from rosa_bt.guards import Children, Lock, guard, is_trusted
+from rosa_bt.guards import Children, Lock, guard, is_trusted, put_back
 from rosa_bt.structure import insert, prune, replace
 
 __all__ = ["GuardedTree", "TreeRunner"]
@@ -37,6 +38,7 @@ class GuardedTree(BehaviourTree):
         super().__init__(root)
         self._lock = Lock()
         self._guarded: dict[Behaviour, Callable[[], None]] = {}
+        self._families: dict[Behaviour, Children] = {}
         self._guard()
 
     def tick(self, pre_tick_handler: Handler | None = None, post_tick_handler: Handler | None = None) -> None:
@@ -79,6 +81,8 @@ class GuardedTree(BehaviourTree):
                     node.visit(visitor)
         finally:
             self._lock.is_closed = False
+            for parent, children in self._families.items():
+                put_back(parent, children)
 
     def _guard(self) -> None:
         """Guard what is new in the tree, and let go of what is not in it any more."""
@@ -91,8 +95,10 @@ class GuardedTree(BehaviourTree):
             if is_new:
                 is_free = behaviour is not self.root and is_trusted(behaviour)
                 guarded[behaviour] = _do_nothing if is_free else guard(behaviour)
-            if is_new or (children and type(children) is not Children):
-                behaviour.children = Children(children, behaviour, self._lock)
+            if is_new or type(children) is not Children:
+                behaviour.children = family = Children(children, behaviour, self._lock)
+                if isinstance(behaviour, Composite | Decorator):  # those of another kind are its own
+                    self._families[behaviour] = family
             if children:
                 pending += children
         if found != len(guarded):
@@ -102,6 +108,7 @@ class GuardedTree(BehaviourTree):
 
     def _let_go(self, behaviour: Behaviour) -> None:
         self._guarded.pop(behaviour)()
+        self._families.pop(behaviour, None)
         behaviour.children = list(behaviour.children)
 
     def _tell_refused(self) -> None:
@@ -194,8 +201,12 @@ class TreeRunner:
         return self._ask(lambda: insert(self.tree.root, child, parent, index))
 
     def replace(self, old: Behaviour, new: Behaviour) -> Future[None]:
-        """Put a subtree in the place of another one before the next tick; the old one is stopped."""
-        return self._ask(lambda: replace(self.tree.root, old, new))
+        """Put a subtree, or another root, in the place of one before the next tick; the old one is stopped."""
+
+        def change() -> None:
+            self.tree.root = replace(self.tree.root, old, new)
+
+        return self._ask(change)
 
     def prune(self, subtree: Behaviour) -> Future[None]:
         """Take a subtree out of the tree before the next tick, and stop it."""

@@ -265,6 +265,7 @@ class Switch(Control):
     """The child whose case equals the variable, or else the last; a subclass says how many cases there are."""
 
     has_fixed_children = True
+    runs = False
     _running: Slot | None = None
 
     def forget(self) -> None:

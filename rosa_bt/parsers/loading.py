@@ -178,6 +178,8 @@ class _Builder:
         model = self._document.models.get(tree)
         found = {}
         for port in model.children if model is not None and model.tag == "SubTree" else ():
+            if port.tag not in ("input_port", "output_port", "inout_port"):  # editors write other things, too
+                continue
             name = port.get("name")
             if "default" in port.attributes:
                 found[name] = port.attributes["default"]

@@ -143,11 +143,13 @@ class XmlNode(Behaviour):
         PORTS: what can be said in its attributes.
         CHILDREN: how many it takes, at least and at most.
         has_fixed_children: its children have parts to play: none is added or taken away.
+        runs: whether a tick makes it RUNNING before it does anything else, so that it has to be reset if skipped.
     """
 
     PORTS: ClassVar[Declared] = {}
     CHILDREN: ClassVar[tuple[int, int]] = (1, 10_000)
     has_fixed_children: ClassVar = False
+    runs = True
 
     ports: Ports
     _slots: list[Slot]
@@ -161,11 +163,6 @@ class XmlNode(Behaviour):
             self._slots = [known.get(child) or Slot(child, is_condition=is_plain(child)) for child in self.children]
             self._seen = list(self.children)
         return self._slots
-
-    @property
-    def runs(self) -> bool:
-        """Whether a tick makes the node RUNNING before it does anything else, so that it has to be reset if skipped."""
-        return True
 
     def decide(self) -> Ticking:
         """Tick children and return the outcome."""

@@ -91,7 +91,7 @@ class Entry:
         offered: dict[str, Any] = {**self.bound, self.name_parameter: name, "children": branches}
         if branches:
             offered["child"] = branches[0]
-        takes_more = any(one.kind in _VARIOUS for one in self.parameters.values())
+        takes_more = any(one.kind is one.VAR_KEYWORD for one in self.parameters.values())
         given = {
             key: value for key, value in offered.items() if key in self.parameters or (key == "name" and takes_more)
         }
@@ -138,19 +138,22 @@ class BehaviourRegistry:
         self._given: set[str] = set()
 
     @overload
+    def register(self, name: F) -> F: ...
+
+    @overload
     def register(self, name: str, *, kind: Kind | None = None) -> Callable[[F], F]: ...
 
     @overload
     def register(self, name: str, factory: F, *, kind: Kind | None = None) -> F: ...
 
-    def register(self, name: str, factory: Factory | None = None, *, kind: Kind | None = None) -> object:
+    def register(self, name: str | Factory, factory: Factory | None = None, *, kind: Kind | None = None) -> object:
         """Register a class of behaviours, or a function that makes one; also as a decorator.
 
         Parameters that are called `name`, `child` and `children` get what the file says; every other parameter, and
         every port that py_trees knows of, is an attribute, read as the type it declares.
 
         Args:
-            name: the tag or ID in the file.
+            name: the tag or ID in the file; a bare `@registry.register` takes the name of the class or function.
             factory: the class or function; without one, a decorator is returned.
             kind: "condition" for a leaf that is to be asked again when it has finished and was not reset, "action" for
                 one that is not. Without it, what the file says (`<Condition ID=...>` or its TreeNodesModel), and else:
@@ -162,6 +165,8 @@ class BehaviourRegistry:
         Raises:
             RegistryError: the name is taken.
         """
+        if callable(name):
+            return self.register(name.__name__, name)
         if factory is None:
             return lambda given: self.register(name, given, kind=kind)
         if name in BUILT_IN:

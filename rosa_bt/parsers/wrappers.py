@@ -110,7 +110,7 @@ class RunOnce(OneChild):
     _outcome = SKIPPED
 
     @property
-    def runs(self) -> bool:
+    def runs(self) -> bool:  # type: ignore[override]  # here it depends on what was done
         """Whether the child is still to be ticked."""
         return self._outcome is SKIPPED
 
@@ -210,6 +210,7 @@ class Precondition(OneChild):
         "if": PortInformation(str),
         "else": PortInformation(Otherwise, default_value=Otherwise.FAILURE),
     }
+    runs = False
     condition: Script
     blackboard: Blackboard
     _is_begun = False

@@ -12,6 +12,7 @@ from py_trees.composites import Sequence
 from kb import ConfigurationManager, KnowledgeBase, Model
 from rosa_bt import RosaAction, TreeRunner, do_until_unfeasible, feasible_then_act
 from rosa_bt.exceptions import TraceError
+from rosa_bt.facts import Fact, Listener
 from rosa_bt.replay import replay_trace
 from rosa_bt.traces import Trace, read_trace
 from rosa_bt.visitors import TraceVisitor
@@ -98,6 +99,28 @@ def test_replay_decides_the_same_and_a_file_holds_the_same(tmp_path_factory, tol
     assert str(run(told)) == str(trace), "the same run gives the same trace"
 
 
+def test_facts_of_one_gap_between_ticks_are_in_the_order_of_their_times_and_several_choices_are_one():
+    model, now = rover(), 0.0
+    kb = KnowledgeBase(model, clock=lambda: now)
+    listener = Listener(kb)
+    kb.request_action("explore")
+    kb.finish_plan(kb.select(designs={"look": "by_camera"}, configurations={"camera": "day"}), "completed")
+    now = 1.0
+    kb.assert_selected("by_camera", False, "a person (who knows) says so")
+    facts = listener.take_facts()
+    assert [(fact.time, fact.verb) for fact in facts] == [
+        (0.0, "select"),
+        (0.0, "finish_plan"),
+        (1.0, "assert_selected"),
+    ]
+    assert facts[-1].arguments == ("by_camera", False, "a person (who knows) says so")
+    kb.select(designs={"look": "by_camera"}, configurations={"camera": "day"})
+    kb.cancel_action("explore")
+    listener.take_facts()
+    assert kb.select() is None, "both are given up, and there is nothing to do for that"
+    assert listener.take_facts() == (Fact(1.0, "select", ({}, {})),)
+
+
 def test_tick_tells_what_was_ticked_what_was_told_and_what_was_decided_with_the_reason():
     first, _, third = run([[], [], [("energy", 1)]]).ticks
     assert [(node.depth, node.kind, node.name) for node in first.tree[:4]] == [
@@ -114,7 +137,7 @@ def test_tick_tells_what_was_ticked_what_was_told_and_what_was_decided_with_the_
     why = "explore is unfeasible because energy 0.1 violates >= 0.2 (measured 0.0 s ago)"
     assert third.decisions == (
         ("explore", "unfeasible", why),
-        ("explore", "abandoned", ""),
+        ("explore", "abandoned", why.replace("0.0 s", "0.2 s")),
         ("charge", "requested", ""),
     )
 

@@ -124,13 +124,48 @@ def test_replacement_takes_the_place_that_its_parent_had_got_to():
     assert root.children[2].decorated is other
 
 
+def test_root_is_replaced_by_another_tree_which_is_guarded_from_its_first_tick():
+    first = Probe("first")
+    root, runner = running(first)
+    runner.tick()
+    other = Probe("other", raises_at=2)
+    answer = runner.replace(root, other)
+    runner.tick()
+    assert answer.result(0) is None
+    assert (runner.tree.root, other.ticks, first.ended) == (other, 1, [Status.INVALID])
+    assert type(root.children) is list, "the old tree is let go"
+    runner.tick()
+    assert (runner.status, other.feedback_message) == (Status.FAILURE, "RuntimeError: boom")
+
+
+@pytest.mark.parametrize("how", ["children", "decorated"])
+def test_children_put_in_the_place_of_others_within_a_tick_are_refused(how):
+    stranger, rest = Probe("stranger"), Probe("rest")
+
+    class Rash(Probe):
+        def update(self):
+            if how == "children":
+                root.children = [self, stranger]
+            else:
+                decorator.decorated = stranger
+            return Status.SUCCESS
+
+    decorator = Inverter("not", rest)
+    root, runner = running(Rash("rash"), decorator)
+    with pytest.raises(TreeChangeError, match="were to be changed in the middle of a tick"):
+        runner.tick()
+    assert root.children == [root.children[0], decorator]
+    assert (decorator.decorated, decorator.children) == (rest, [rest])
+    assert stranger.status is not Status.RUNNING
+
+
 def test_change_that_is_not_possible_is_answered_with_the_reason_and_the_tree_goes_on():
     first, stranger = Probe("first"), Probe("stranger")
     root, runner = running(first)
     refused = {
         "is not in the tree of 'root', which has first, root": runner.prune(stranger),
         "is the root; shut the tree down": runner.prune(root),
-        "is the root; run another tree": runner.replace(root, stranger),
+        "'first' is part of a tree already": runner.replace(root, first),
         "is part of a tree already": runner.insert(first, root),
         "takes no more children": runner.insert(stranger, first),
         "has 1 children; a child is inserted at 0 to 1, not 7": runner.insert(stranger, root, 7),
