@@ -31,6 +31,13 @@ class Senses:
         """Tell whether the last word about something was "true"; what was never spoken of does not hold."""
         return self._said.get(key, "").casefold() == "true"
 
+    def value(self, key: str) -> float | None:
+        """Return the last word about something as a number; None if it is none, or nothing was said."""
+        try:
+            return float(self._said[key])
+        except (KeyError, ValueError):
+            return None
+
     def count(self, key: str) -> int:
         """How often something was spoken of."""
         return self._times[key]

@@ -34,7 +34,11 @@ class PipelineFound(Behaviour):
 
 
 class SearchPipeline(RosaAction):
-    """Search until the camera has seen the pipeline."""
+    """Search until the camera has seen the pipeline.
+
+    The spiral goes on where it was after an interruption, by itself; how long the search took, all goes together, is
+    kept here.
+    """
 
     schema: ClassVar = ActionSchema(
         "search_pipeline",
@@ -46,14 +50,43 @@ class SearchPipeline(RosaAction):
     def __init__(self, kb: KnowledgeBase, senses: Senses) -> None:
         super().__init__("search", kb, self.schema.rosa_action)
         self._senses = senses
+        self._since_s = 0.0
+
+    @property
+    def searched_s(self) -> float:
+        """How long it has searched [s]."""
+        return self.kb.now - self._since_s
+
+    def initialise(self) -> None:
+        """Count the time from now."""
+        self._since_s = self.kb.now
+
+    def save_progress(self) -> float:
+        """Return how long it has searched [s]."""
+        return self.searched_s
+
+    def restore_progress(self, progress: object) -> None:
+        """Count that in."""
+        if isinstance(progress, float):
+            self._since_s -= progress
 
     def update(self) -> Status:
         """Look at what was sensed."""
-        return Status.SUCCESS if self._senses.holds("pipeline_found") else Status.RUNNING
+        if not self._senses.holds("pipeline_found"):
+            return Status.RUNNING
+        self.feedback_message = f"found after {self.searched_s:.0f} s of searching"
+        return Status.SUCCESS
 
 
 class InspectPipeline(RosaAction):
-    """Follow the pipeline until all of it is inspected."""
+    """Follow the pipeline until all of it is inspected.
+
+    The follower goes on where it was after an interruption, by itself, but counts its metres from 0 again; the metres
+    of all goes together are kept here.
+
+    Attributes:
+        inspected_m: how much of the pipeline is inspected [m].
+    """
 
     schema: ClassVar = ActionSchema(
         "inspect_pipeline",
@@ -66,9 +99,27 @@ class InspectPipeline(RosaAction):
     def __init__(self, kb: KnowledgeBase, senses: Senses) -> None:
         super().__init__("inspect", kb, self.schema.rosa_action)
         self._senses = senses
+        self.inspected_m = self._told_m = 0.0
+
+    def initialise(self) -> None:
+        """Begin with nothing inspected."""
+        self.inspected_m = self._told_m = 0.0
+
+    def save_progress(self) -> tuple[float, float]:
+        """Return how much is inspected [m], and what of it the follower told last [m]."""
+        return self.inspected_m, self._told_m
+
+    def restore_progress(self, progress: object) -> None:
+        """Go on counting from there."""
+        if isinstance(progress, tuple):
+            self.inspected_m, self._told_m = progress
 
     def update(self) -> Status:
         """Look at what was sensed."""
+        told_m = self._senses.value("distance_inspected") or 0.0
+        self.inspected_m += told_m - self._told_m if told_m >= self._told_m else told_m
+        self._told_m = told_m
+        self.feedback_message = f"{self.inspected_m:.1f} m inspected"
         return Status.SUCCESS if self._senses.holds("pipeline_inspected") else Status.RUNNING
 
 
