@@ -1,0 +1,192 @@
+"""A building as a graph: places, and corridors between them with what is known of each; read from files and judged."""
+
+import json
+import math
+import re
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Final
+
+from missions.mission import MissionError
+
+__all__ = ["Building", "BuildingError", "Corridor", "building_from", "load_building"]
+
+_NAME: Final = re.compile(r"[a-z][a-z0-9_]*")
+_KEYS: Final = ("from", "to", "length_m", "obstacles", "light")
+
+
+class BuildingError(MissionError):
+    """A map means nothing, or nothing that can be driven; the message says where and what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class Corridor:
+    """A corridor between two places, the same in both directions.
+
+    Attributes:
+        name: lower snake_case.
+        ends: the two places.
+        length_m: how far it is [m].
+        obstacles: obstacles per metre [1/m].
+        light: from 0 (dark) to 1.
+    """
+
+    name: str
+    ends: tuple[str, str]
+    length_m: float
+    obstacles: float
+    light: float
+
+    def other(self, place: str) -> str:
+        """Return the end that is not this one."""
+        return self.ends[1] if self.ends[0] == place else self.ends[0]
+
+
+@dataclass(frozen=True)
+class Building:
+    """Places and corridors.
+
+    Attributes:
+        name: of the building.
+        places: x and y of each place [m], world frame.
+        corridors: by name.
+        start, goal: places.
+
+    Raises:
+        BuildingError: something in it makes no sense, or not every place can be reached.
+    """
+
+    name: str
+    places: Mapping[str, tuple[float, float]]
+    corridors: Mapping[str, Corridor]
+    start: str
+    goal: str
+
+    def __post_init__(self) -> None:
+        for corridor in self.corridors.values():
+            for end in corridor.ends:
+                self.check_place(end, f"corridor {corridor.name}")
+            _check_numbers(corridor)
+            if corridor.ends[0] == corridor.ends[1]:
+                raise BuildingError(f"corridor {corridor.name} leads from {corridor.ends[0]} to itself; take it out")
+        self.check_place(self.start, "start")
+        self.check_place(self.goal, "goal")
+        self._check_connected()
+
+    @cached_property
+    def exits(self) -> Mapping[str, tuple[Corridor, ...]]:
+        """The corridors at each place, in order of declaration."""
+        found: dict[str, list[Corridor]] = {place: [] for place in self.places}
+        for corridor in self.corridors.values():
+            for end in corridor.ends:
+                found[end].append(corridor)
+        return {place: tuple(corridors) for place, corridors in found.items()}
+
+    def check_place(self, place: str, what: str) -> None:
+        """Raise unless there is that place."""
+        if place not in self.places:
+            near = get_close_matches(str(place), self.places, n=3) or list(self.places)[:8]
+            raise BuildingError(
+                f"{what} names the place {place!r}, which map {self.name} lacks; near: {', '.join(near)}"
+            )
+
+    def check_corridor(self, corridor: str) -> None:
+        """Raise unless there is that corridor."""
+        if corridor not in self.corridors:
+            near = get_close_matches(str(corridor), self.corridors, n=3) or list(self.corridors)[:8]
+            raise BuildingError(f"map {self.name} has no corridor {corridor!r}; near: {', '.join(near)}")
+
+    def _check_connected(self) -> None:
+        seen, waiting = {self.start}, [self.start]
+        while waiting:
+            place = waiting.pop()
+            ends = {corridor.other(place) for corridor in self.exits[place]} - seen
+            seen |= ends
+            waiting += sorted(ends)
+        lost = [place for place in self.places if place not in seen]
+        if lost:
+            named = ", ".join(lost[:5]) + (f" and {len(lost) - 5} more" if len(lost) > 5 else "")
+            raise BuildingError(f"map {self.name} is disconnected: no way from {self.start} to {named}; add a corridor")
+
+
+def load_building(path: str | Path) -> Building:
+    """Read a map, a file of TOML or JSON such as `missions/agv/maps/paper.toml`.
+
+    Raises:
+        BuildingError: it cannot be read, or it is no map.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+        data = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
+    except (OSError, ValueError) as error:
+        raise BuildingError(
+            f"map {path} cannot be read: {error}; a map is a file of TOML, or of JSON if so named"
+        ) from error
+    return building_from(data, path.stem)
+
+
+def building_from(data: Any, name: str = "map") -> Building:  # noqa: ANN401  # whatever stands in a file
+    """Make a building of what a map file says: name, start, goal, places (x, y) and corridors.
+
+    A corridor without `length_m` is as long as its places are apart; without `obstacles` it has none, and without
+    `light` it is light.
+
+    Raises:
+        BuildingError: it is no map.
+    """
+    name = str(data.get("name", name)) if isinstance(data, Mapping) else name
+    for key in ("start", "goal", "places", "corridors"):
+        if not isinstance(data, Mapping) or key not in data:
+            raise BuildingError(f"map {name} says no {key}; it needs start, goal, places and corridors")
+    for key in ("places", "corridors"):
+        if not isinstance(data[key], Mapping) or not data[key]:
+            raise BuildingError(f"{key} of map {name} are given by name, at least one")
+        for one in data[key]:
+            if not _NAME.fullmatch(one):
+                raise BuildingError(
+                    f"{one!r} in {key} of map {name} is no name; a letter, then letters, digits, '_', all small"
+                )
+    places = {place: _point(place, point) for place, point in data["places"].items()}
+    corridors = {one: _corridor(one, told, places) for one, told in data["corridors"].items()}
+    return Building(name, places, corridors, str(data["start"]), str(data["goal"]))
+
+
+def _point(place: str, told: object) -> tuple[float, float]:
+    if not isinstance(told, list | tuple) or len(told) != 2:
+        raise BuildingError(f"place {place} is {told!r}; a place is x and y [m], such as [2.0, 5.0]")
+    return _number(f"x of place {place}", told[0]), _number(f"y of place {place}", told[1])
+
+
+def _corridor(name: str, told: object, places: Mapping[str, tuple[float, float]]) -> Corridor:
+    if not isinstance(told, Mapping) or not {"from", "to"} <= told.keys():
+        raise BuildingError(f"corridor {name} is {told!r}; it needs from and to")
+    for key in told:
+        if key not in _KEYS:
+            raise BuildingError(f"corridor {name} has an unknown {key!r}; known are {', '.join(_KEYS)}")
+    ends = str(told["from"]), str(told["to"])
+    apart = math.dist(*(places[end] for end in ends)) if all(end in places for end in ends) else 1.0
+    numbers = {"length_m": apart, "obstacles": 0.0, "light": 1.0}
+    values = {key: _number(f"{key} of corridor {name}", told.get(key, value)) for key, value in numbers.items()}
+    return Corridor(name, ends, **values)
+
+
+def _number(what: str, told: object) -> float:
+    if isinstance(told, bool) or not isinstance(told, int | float) or not math.isfinite(told):
+        raise BuildingError(f"{what} is {told!r}; a finite number is needed")
+    return float(told)
+
+
+def _check_numbers(corridor: Corridor) -> None:
+    rules = (
+        ("length_m", corridor.length_m > 0.0, "more than 0"),
+        ("obstacles", corridor.obstacles >= 0.0, "0 or more"),
+        ("light", 0.0 <= corridor.light <= 1.0, "from 0 to 1"),
+    )
+    for key, holds, needed in rules:
+        if not holds:
+            raise BuildingError(f"{key} of corridor {corridor.name} is {getattr(corridor, key):g}; it must be {needed}")

@@ -1,0 +1,334 @@
+"""Which corridors, and which configuration in each: planned together, to a proven optimum, within limits.
+
+What the corridors allow, and what that takes, is asked of the knowledge base; nothing here knows what a camera is.
+"""
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from operator import add
+from typing import Final, NamedTuple
+
+from kb import KnowledgeBase
+from missions.agv.building import Building, Corridor
+from missions.agv.costs import GOALS, Amounts, Costs, weighed
+from missions.agv.modes import Mode, Modes, running_mode
+from missions.agv.search import Graph, Move, cheapest, distances
+from missions.mission import MissionError
+
+__all__ = ["Answer", "JointPlanner", "Leg", "Place", "Question", "Task"]
+
+_UNITS: Final = {"time": (" s", 1e3), "energy": (" J", 1e3), "collisions": ("", 1e6)}
+
+
+class Place(NamedTuple):
+    """Where the robot is: at a place, or on the way from it along a corridor.
+
+    Attributes:
+        name: the place, or the one that it came from.
+        corridor: the corridor that it is in; empty at a place.
+        driven_m: how far along it [m].
+    """
+
+    name: str
+    corridor: str = ""
+    driven_m: float = 0.0
+
+
+@dataclass(frozen=True)
+class Question:
+    """What to plan.
+
+    Attributes:
+        start, goal: from where to which place; by default those of the building.
+        weights: what a second, a joule and a collision ("time", "energy", "collisions") are worth.
+        limits: at most how much of each may be used, by the same names, in [s], [J] and expected collisions.
+        light: of corridors in which it is not as the map says, by name.
+    """
+
+    start: Place | None = None
+    goal: str | None = None
+    weights: Mapping[str, float] = field(default_factory=lambda: {"time": 1.0})
+    limits: Mapping[str, float] = field(default_factory=dict)
+    light: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for what, told in (("weight", self.weights), ("limit", self.limits)):
+            for name, value in told.items():
+                if name not in GOALS:
+                    raise MissionError(f"there is no {what} {name!r}; there are {', '.join(GOALS)}")
+                if not math.isfinite(value) or value < 0.0:
+                    raise MissionError(f"the {what} of {name} is {value!r}; it must be a finite number from 0")
+        if not any(self.weights.values()):
+            raise MissionError(f"nothing is to be minimised; give one of {', '.join(GOALS)} a weight above 0")
+
+    @property
+    def goal_in_words(self) -> str:
+        """What is minimised, such as "time + 0.02 energy"."""
+        parts = [(name, weight) for name, weight in self.weights.items() if weight]
+        return " + ".join(name if weight == 1.0 else f"{weight:g} {name}" for name, weight in parts)
+
+
+@dataclass(frozen=True)
+class Leg:
+    """One corridor of a plan.
+
+    Attributes:
+        corridor: its name.
+        origin, to: from which of its ends to which.
+        mode: how the robot is configured.
+        conditions: what the corridor demands, as values of attributes.
+        takes: with what switching to the mode takes.
+        why: why in this mode.
+    """
+
+    corridor: str
+    origin: str
+    to: str
+    mode: Mode
+    conditions: Mapping[str, float]
+    takes: Amounts
+    why: str
+
+    def __str__(self) -> str:
+        return f"{self.corridor} from {self.origin} to {self.to}: {self.mode.name} ({self.why})"
+
+
+@dataclass(frozen=True)
+class Answer:
+    """A plan of least cost, or why there is none; either is proven.
+
+    Attributes:
+        legs: none if there is no plan, or the robot is there already.
+        is_solved: whether there is a plan.
+        cost: the weighted sum [thousandths].
+        takes: in all.
+        reason: what was chosen and why, or why there is no plan.
+        expanded: how many labels the proof took.
+    """
+
+    legs: tuple[Leg, ...]
+    is_solved: bool
+    cost: int
+    takes: Amounts
+    reason: str
+    expanded: int = 0
+
+
+class _Way(NamedTuple):
+    """A corridor as it can be driven: where it leads, how far, past how many obstacles, under which conditions."""
+
+    corridor: Corridor
+    origin: str
+    to: str
+    length_m: float
+    passed: float
+    conditions: Mapping[str, float]
+
+
+State = tuple[Place, Mode]
+Known = dict[tuple[str, Mode], Amounts]
+
+
+class Task:
+    """One question as a graph of places and modes; also for those who judge the planner.
+
+    Args:
+        building: the map.
+        question: what is wanted.
+        modes: asks the knowledge base.
+        running: how the robot is configured at the start.
+        costs: what things take.
+        known: what whole corridors take in each mode, as far as it is known; added to.
+    """
+
+    def __init__(
+        self, building: Building, question: Question, modes: Modes, running: Mode, costs: Costs, known: Known
+    ) -> None:
+        self.building, self.question, self.costs, self.modes = building, question, costs, modes
+        self.start: State = (question.start or Place(building.start), running)
+        self.goal = question.goal or building.goal
+        building.check_place(self.start[0].name, "start")
+        building.check_place(self.goal, "goal")
+        for corridor in (*question.light, *([self.start[0].corridor] if self.start[0].corridor else [])):
+            building.check_corridor(corridor)
+        self._known = known
+        self.limited = tuple(name for name in GOALS if name in question.limits)
+        self._indices = tuple(GOALS.index(name) for name in self.limited)
+        self.limits = tuple(math.floor(question.limits[name] * _UNITS[name][1] + 1e-6) for name in self.limited)
+        self._crossings: dict[Place, list[tuple[_Way, Mode, Amounts, int]]] = {}
+        self._switching: dict[tuple[Mode, Mode], tuple[Amounts, int]] = {}
+
+    def moves(self, state: State) -> Iterator[Move[State, tuple[_Way, Amounts]]]:
+        """Yield each corridor from here in each mode that is possible in it."""
+        place, before = state
+        for way, mode, crossing, cost in self.crossings(place):
+            switching, more = self.switching(before, mode)
+            takes = Amounts(*map(add, switching, crossing))
+            uses = tuple([takes[number] for number in self._indices])
+            yield Move((Place(way.to), mode), cost + more, uses, (way, takes))
+
+    def crossings(self, place: Place) -> list[tuple[_Way, Mode, Amounts, int]]:
+        """Return each way from a place, in each mode that is possible, with what that takes and costs."""
+        if place not in self._crossings:
+            weights = self.question.weights
+            self._crossings[place] = [
+                (way, mode, takes, weighed(takes, weights))
+                for way in self.ways(place)
+                for mode in self.modes.under(way.conditions)
+                for takes in (self._crossing(way, mode),)
+            ]
+        return self._crossings[place]
+
+    def switching(self, before: Mode, after: Mode) -> tuple[Amounts, int]:
+        """Return what it takes, and costs, to change modes."""
+        if (before, after) not in self._switching:
+            takes = self.costs.switching(before, after)
+            self._switching[before, after] = takes, weighed(takes, self.question.weights)
+        return self._switching[before, after]
+
+    def _crossing(self, way: _Way, mode: Mode) -> Amounts:
+        if way.length_m != way.corridor.length_m:  # part of one, not met again
+            return self.costs.crossing(mode, way.length_m, way.passed)
+        key = way.corridor.name, mode
+        if key not in self._known:
+            self._known[key] = self.costs.crossing(mode, way.length_m, way.passed)
+        return self._known[key]
+
+    def ways(self, place: Place) -> Iterator[_Way]:
+        """Yield the corridors at a place; from within one, on to its end, or back and into another."""
+        if not place.corridor:
+            yield from (self.way(corridor, place.name) for corridor in self.building.exits[place.name])
+            return
+        inside = self.building.corridors[place.corridor]
+        back_m = min(max(place.driven_m, 0.0), inside.length_m)
+        ahead_m, light = inside.length_m - back_m, self._light(inside)
+        demands = {"light": light, "obstacles": inside.obstacles}
+        to = inside.other(place.name)
+        yield _Way(inside, place.name, to, ahead_m, inside.obstacles * ahead_m, demands)
+        if place.name == self.goal:
+            yield _Way(inside, to, place.name, back_m, 0.0, {"light": light, "obstacles": 0.0})
+        for other in self.building.exits[place.name]:
+            if other is not inside:  # what was passed on the way here is known, so the way back is free
+                way = self.way(other, place.name)
+                both = {**way.conditions, "light": min(light, way.conditions["light"])}
+                yield way._replace(length_m=way.length_m + back_m, conditions=both)
+
+    def way(self, corridor: Corridor, origin: str) -> _Way:
+        """Return a whole corridor, from one of its ends."""
+        passed = corridor.obstacles * corridor.length_m
+        demands = {"light": self._light(corridor), "obstacles": corridor.obstacles}
+        return _Way(corridor, origin, corridor.other(origin), corridor.length_m, passed, demands)
+
+    def _light(self, corridor: Corridor) -> float:
+        return self.question.light.get(corridor.name, corridor.light)
+
+    def least(self, state: State) -> tuple[float, tuple[float, ...]]:
+        """Return the least that it costs, and uses, to get from here to the goal."""
+        place = state[0]
+        costs, *uses = self._least
+        return costs.get(place, math.inf), tuple(use.get(place, math.inf) for use in uses)
+
+    @cached_property
+    def _least(self) -> list[dict[Place, float]]:
+        places = [Place(name) for name in self.building.places]
+        places += [] if self.start[0] in places else [self.start[0]]
+        arcs: list[list[tuple[Place, Place, float]]] = [[] for _ in (None, *self.limited)]
+        for place in places:
+            least: dict[tuple[str, str], list[int]] = {}
+            for way, _, takes, cost in self.crossings(place):
+                amounts = [cost, *(takes[number] for number in self._indices)]
+                key = way.corridor.name, way.to
+                least[key] = list(map(min, least.get(key, amounts), amounts))
+            for (_, to), amounts in least.items():
+                for each, amount in zip(arcs, amounts, strict=True):
+                    each.append((place, Place(to), amount))
+        return [distances(each, [Place(self.goal)]) for each in arcs]
+
+    @property
+    def graph(self) -> Graph[State, tuple[_Way, Amounts]]:
+        """What is searched."""
+        return Graph(self.moves, lambda state: state[0] == Place(self.goal), self.least)
+
+
+class JointPlanner:
+    """Plans corridors and configurations together.
+
+    Args:
+        building: the map.
+        kb: what to ask for configurations; its failures count, its measurements of the demands do not.
+        function: whose designs are chosen.
+        costs: what things take.
+    """
+
+    def __init__(
+        self, building: Building, kb: KnowledgeBase, function: str = "navigate", costs: Costs | None = None
+    ) -> None:
+        self.building = building
+        self._kb, self._function = kb, function
+        self._modes = Modes(kb, function)
+        self._costs = costs or Costs()
+        self._known: Known = {}
+
+    def task(self, question: Question) -> Task:
+        """Return a question as a graph.
+
+        Raises:
+            BuildingError: the question names a place or corridor that there is not.
+        """
+        running = running_mode(self._kb, self._function)
+        return Task(self.building, question, self._modes, running, self._costs, self._known)
+
+    def plan(self, question: Question) -> Answer:
+        """Return the best plan, proven, or a proof that there is none with the reason.
+
+        Raises:
+            BuildingError: the question names a place or corridor that there is not.
+        """
+        task = self.task(question)
+        found = cheapest(task.graph, task.start, task.limits)
+        if found is None:
+            return Answer((), False, 0, Amounts(0, 0, 0), self._why_not(task))
+        legs = tuple(self._leg(task, move) for move in found.moves)
+        takes = Amounts(*(sum(leg.takes[number] for leg in legs) for number in range(len(GOALS))))
+        return Answer(legs, True, found.cost, takes, self._why(task, legs, takes), found.expanded)
+
+    def _leg(self, task: Task, move: Move[State, tuple[_Way, Amounts]]) -> Leg:
+        way, takes = move.what
+        mode = move.to[1]
+        possible = self._modes.under(way.conditions)
+        designs = {tuple(one.choice.designs.values()) for one in possible}
+        demands = f"light {way.conditions['light']:g} and {way.conditions['obstacles']:g} obstacles/m"
+        if len(designs) == 1:
+            why = f"the only design that is feasible with {demands}"
+        else:
+            why = f"of {len(possible)} that are feasible with {demands}"
+        return Leg(way.corridor.name, way.origin, way.to, mode, way.conditions, takes, why)
+
+    def _why(self, task: Task, legs: tuple[Leg, ...], takes: Amounts) -> str:
+        route = ", ".join(leg.corridor for leg in legs) or "nowhere"
+        within = [f"{name} {task.question.limits[name]:g}" for name in task.limited]
+        limits = f" within {' and '.join(within)}" if within else ""
+        told = f"{takes.time_s:.1f} s, {takes.energy_j:.0f} J, {takes.expected_collisions:.3f} collisions expected"
+        return f"{route}: of all ways the best for {task.question.goal_in_words}{limits} ({told})"
+
+    def _why_not(self, task: Task) -> str:
+        ways = [task.way(corridor, corridor.ends[0]) for corridor in self.building.corridors.values()]
+        blocked = [way for way in ways if not self._modes.under(way.conditions)]
+        if len(blocked) == len(ways):
+            why = self._modes.why_none(blocked[0].conditions)
+            return f"no corridor can be crossed in any configuration; in {blocked[0].corridor.name}, {why}"
+        if not task.limited or task.least(task.start)[0] == math.inf:
+            named = ", ".join(way.corridor.name for way in blocked[:5])
+            why = f"{named} cannot be crossed: {self._modes.why_none(blocked[0].conditions)}" if blocked else "no way"
+            return f"{task.goal} cannot be reached from {task.start[0].name}; {why}"
+        return self._broken_limits(task)
+
+    def _broken_limits(self, task: Task) -> str:
+        told = []
+        for name, least in zip(task.limited, task.least(task.start)[1], strict=True):
+            unit, scale = _UNITS[name]
+            amount, limit = least / scale, task.question.limits[name]
+            told.append(f"{name} would be {amount:.6g}{unit} at least, the limit is {limit:g}{unit}")
+        return f"no way keeps within the limits: {'; '.join(told)}"

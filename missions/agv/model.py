@@ -1,0 +1,77 @@
+"""What the ground vehicle is made of: three ways to localise, three sensors, a lamp, and a base with three speeds."""
+
+from collections.abc import Iterable, Mapping
+from types import MappingProxyType
+from typing import Final
+
+from kb import Model
+
+__all__ = ["DRAW_W", "NAVIGATE", "SPEEDS", "agv_model"]
+
+NAVIGATE: Final = "navigate"
+
+SPEEDS: Final[Mapping[str, float]] = MappingProxyType({"slow": 0.24, "medium": 0.35, "fast": 0.68})
+"""What the base can be set to [m/s]; the figures are those of the ROSA paper's source (Camara et al.)."""
+
+DRAW_W: Final[Mapping[str, float]] = MappingProxyType(
+    {"amcl": 3.0, "mrpt": 4.0, "aruco": 1.0, "lidar": 8.0, "kinect": 5.0, "camera": 2.0, "lamp": 4.0}
+)
+"""What each component draws while it runs [W]; own choice, of the order of such devices."""
+
+DRIVING_W: Final[Mapping[str, float]] = MappingProxyType({"slow": 8.0, "medium": 11.0, "fast": 24.0})
+"""What the base draws at each speed [W]; own choice."""
+
+MISHAPS: Final[Mapping[str, float]] = MappingProxyType({"slow": 0.002, "medium": 0.005, "fast": 0.02})
+"""Collisions expected for each obstacle that is passed at a speed; own choice."""
+
+_DESIGNS: Final = (  # name, components, metres of accuracy, collisions expected for each obstacle passed; own choice
+    ("aruco_camera", ("aruco", "camera"), 0.15, 0.05),
+    ("aruco_camera_lamp", ("aruco", "camera", "lamp"), 0.15, 0.05),
+    ("amcl_kinect", ("amcl", "kinect"), 0.03, 0.004),
+    ("amcl_lidar", ("amcl", "lidar"), 0.06, 0.01),
+    ("mrpt_kinect", ("mrpt", "kinect"), 0.08, 0.02),
+    ("mrpt_lidar", ("mrpt", "lidar"), 0.09, 0.025),
+)
+OBSTRUCTED_PER_M: Final = 0.1
+"""Obstacles per metre from which only AMCL with the Kinect is accurate enough; that only it is, the paper says."""
+
+NEEDED_LIGHT: Final = 0.3
+"""Light, 0 to 1, that the camera needs without the lamp; own choice."""
+
+
+def agv_model(name: str = "agv", actions: Iterable[str] = (NAVIGATE,)) -> Model:
+    """Build the model: 18 entities and 36 relations by the ROSA paper's counting; every call gives a new one.
+
+    Estimations: `energy` is what is taken from it [J/s], `safety` the collisions expected for each obstacle that is
+    passed, `accuracy` the error of the position [m]. Measured are `light` [0 to 1] and `obstacles` [1/m] of the
+    corridor to be crossed.
+
+    Args:
+        name: of the model.
+        actions: what a mission does with it; each requires to navigate.
+    """
+    model = Model(name)
+    energy, safety = model.quality_attribute("energy"), model.quality_attribute("safety")
+    accuracy = model.quality_attribute("accuracy")
+    light, obstacles = model.environmental_attribute("light"), model.environmental_attribute("obstacles")
+
+    for component in DRAW_W:
+        model.component(component, kind="lifecycle")
+    base = model.component("base", kind="lifecycle")
+    for priority, (speed, metres_per_second) in enumerate(SPEEDS.items(), start=1):
+        configuration = base.configuration(speed, {"speed": metres_per_second}, priority=priority)
+        configuration.estimate(energy, DRIVING_W[speed], "negative")
+        configuration.estimate(safety, MISHAPS[speed], "negative")
+
+    navigate = model.function(NAVIGATE)
+    for priority, (design_name, components, error_m, mishaps) in enumerate(_DESIGNS, start=1):
+        design = navigate.design(design_name, [*components, base], priority=priority)
+        design.estimate(energy, sum(DRAW_W[one] for one in components), "negative")
+        design.estimate(safety, mishaps, "negative")
+        design.estimate(accuracy, error_m, "absolute")
+    imprecise = [design for design, *_ in _DESIGNS if design != "amcl_kinect"]
+    model.constrain([model.designs[one] for one in imprecise], obstacles <= OBSTRUCTED_PER_M)
+    model.designs["aruco_camera"].constrain(light >= NEEDED_LIGHT)
+    for action in actions:
+        model.action(action, requires=[navigate])
+    return model
