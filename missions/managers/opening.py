@@ -20,7 +20,7 @@ __all__ = ["open_run"]
 def open_run(
     mission: Mission,
     *,
-    manager: str = OURS,
+    manager: str | type[Manager] = OURS,
     task: str = "bt",
     seed: int = 0,
     settings: Mapping[str, str] | None = None,
@@ -31,7 +31,7 @@ def open_run(
 
     Args:
         mission: what to run.
-        manager: the name of a manager, or "package:Class".
+        manager: the name of a manager, "package:Class", or the class itself.
         task: task layer of ours, "bt" or "pddl"; other managers bring their own.
         seed: of all chance in the run.
         settings: what differs from the defaults, by name; a unit at the end of a name may be left out.

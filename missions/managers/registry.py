@@ -29,12 +29,14 @@ MANAGERS: Mapping[str, type[Manager]] = MappingProxyType(
 """All but ours."""
 
 
-def find_manager(name: str) -> type[Manager]:
-    """Return a manager by its name, or as "package:Class" from anywhere that Python imports from.
+def find_manager(name: str | type[Manager]) -> type[Manager]:
+    """Return a manager by its name, or as "package:Class" from anywhere that Python imports from; a class is itself.
 
     Raises:
         MissionError: no such manager; the message lists those there are.
     """
+    if isinstance(name, type):
+        return _checked(name, name.__name__)
     if name in MANAGERS:
         return MANAGERS[name]
     module, colon, attribute = name.partition(":")
@@ -45,6 +47,10 @@ def find_manager(name: str) -> type[Manager]:
         found = getattr(import_module(module), attribute)
     except (ImportError, AttributeError, ValueError, SyntaxError) as error:
         raise MissionError(f"cannot import manager {name!r}: {type(error).__name__}: {error}") from error
+    return _checked(found, name)
+
+
+def _checked(found: object, name: str) -> type[Manager]:
     if not (isinstance(found, type) and issubclass(found, Manager)):
         raise MissionError(f"{name!r} is no subclass of missions.managers.Manager")
     return found

@@ -34,7 +34,7 @@ class WatchedSea(Sea):
     def __init__(self, sea: Sea, *, charges: bool = False, inputs: Mapping[str, float] | None = None) -> None:
         super().__init__(sea._env)
         self._charges = charges
-        self._inputs = {f"from_paper_{name}": value for name, value in (inputs or {}).items()}
+        self._inputs = {f"input_from_paper_{name}": value for name, value in (inputs or {}).items()}
         self._heard: list[Message] = []
         self._backlog: list[Message] = []
         self._thoughts: list[tuple[float, float]] = []

@@ -114,7 +114,7 @@ def test_reactions_of_rosa_as_published_are_its_calls_times_what_one_takes(servi
     for uncertainty, calls in CALLS.items():
         delays = [one.delay_s for one in run.world.reactions if one.uncertainty == uncertainty]
         assert min(delays) == pytest.approx(calls * service_s + SWITCHING_S)
-    assert run.world.results()["from_paper_service_s"] == service_s
+    assert run.world.results()["input_from_paper_service_s"] == service_s
 
 
 def test_rosa_whose_services_take_no_time_does_as_we_do():
@@ -133,7 +133,7 @@ def test_managers_that_take_nothing_from_the_paper_do_not_say_so():
     for manager in ("ours", "none", "random", "bt", "metacontrol"):
         run = open_run(SUAVE, manager=manager, settings={"duration_s": "3"})
         run.run()
-        assert not any(name.startswith("from_paper") for name in run.world.results())
+        assert not any(name.startswith("input_from_paper") for name in run.world.results())
 
 
 def test_random_picks_every_mode_at_the_period_of_the_rules():
@@ -195,3 +195,14 @@ def test_listeners_change_nothing_of_a_result():
         run = open_run(SUAVE, manager="rosa", seed=4, settings={"duration_s": "50"}, listeners=listeners)
         texts.append(as_json(summary(run, run.run(), 4, {})))
     assert texts[0] == texts[1]
+
+
+def test_manager_is_given_as_a_class_too():
+    by_name, by_class = (
+        open_run(SUAVE, manager=manager, settings={"duration_s": "5", "thought": "0"})
+        for manager in (f"{__name__}:Slow", Slow)
+    )
+    assert by_name.run() == by_class.run()
+    assert by_name.world.results() == by_class.world.results()
+    with pytest.raises(MissionError, match="'int' is no subclass"):
+        open_run(SUAVE, manager=int)
