@@ -146,7 +146,8 @@ class SafeSwitch(_Fixed):
         if transition is not None:
             self.current_child = transition
             yield from transition.tick()
-            self.feedback_message = f"switching from {self.posture.after}: {transition.feedback_message}"
+            said = transition.feedback_message
+            self.feedback_message = f"switching from {self.posture.after}{f': {said}' if said else ''}"
             if transition.status is not Status.SUCCESS:
                 self._end(transition.status)
                 yield self

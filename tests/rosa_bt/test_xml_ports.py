@@ -130,7 +130,8 @@ def test_two_subtrees_of_one_tree_and_two_loaded_trees_share_nothing():
 
 
 def test_model_of_a_tree_gives_defaults_and_says_what_is_needed():
-    model = '<SubTree ID="Sub"><input_port name="v" default="4"/><input_port name="w"/></SubTree>'
+    editor = '<MetadataFields><Metadata author="nobody"/></MetadataFields>'
+    model = f'<SubTree ID="Sub"><input_port name="v" default="4"/><input_port name="w"/>{editor}</SubTree>'
     text = wrapped('<SubTree ID="Sub" {0}/>', Sub='<Sequence><Say what="{v}"/><Say what="{w}"/></Sequence>')
     text = text.replace("</root>", f"<TreeNodesModel>{model}</TreeNodesModel></root>")
     heard = []
@@ -179,6 +180,22 @@ def test_functions_make_leaves_too_and_take_what_they_declare():
 
     load_xml(wrapped('<any name="n" a="1" b-c="x"/>'), registry)
     assert heard == [("n", {"a": "1", "b-c": "x"})]
+
+
+def test_bare_decorator_takes_the_name_of_the_class_or_function():
+    registry = BehaviourRegistry(heard=[])
+
+    @registry.register
+    class Greet(Say):
+        pass
+
+    @registry.register
+    def whisper(*_):
+        return Greet("whispered", [], Port, 1)
+
+    tree = load_xml(wrapped('<Sequence><Greet what="x"/><whisper/></Sequence>'), registry)
+    assert [type(one) for one in tree.child.node.children] == [Greet, Greet]
+    assert isinstance(Greet, type)
 
 
 def test_functions_and_partial_ones_get_the_name_and_the_types_of_what_they_call():

@@ -1,0 +1,462 @@
+"""A plain twin of BehaviorTree.CPP 4: its nodes told once more, statement by statement, to judge what is read from XML.
+
+Written from how its nodes are documented and behave, without a thought of py_trees: a node has a status of its own,
+`execute` asks pre-conditions, ticks and runs post-conditions, a parent halts and resets its children by name.
+"""
+
+import re
+from xml.etree import ElementTree
+
+IDLE, RUNNING, SUCCESS, FAILURE, SKIPPED = "IDLE", "RUNNING", "SUCCESS", "FAILURE", "SKIPPED"
+DONE = (SUCCESS, FAILURE)
+BY_LETTER = {"S": SUCCESS, "F": FAILURE, "R": RUNNING, "K": SKIPPED}
+
+
+class Thrown(Exception):
+    """What BehaviorTree.CPP would throw in the middle of a tick."""
+
+
+class World:
+    """What all nodes of a tree share: leaves as {tag: (kind, script)}, what happened, a blackboard, the time [s]."""
+
+    def __init__(self, leaves):
+        self.leaves = {tag: (kind, script) for tag, (kind, script) in leaves.items()}
+        self.ticked = dict.fromkeys(leaves, 0)
+        self.said, self.board, self.now = [], {}, 0.0
+
+    def holds(self, code):
+        python = re.sub(r"!(?!=)", " not ", code.replace("&&", " and ").replace("||", " or "))
+        return bool(eval(python, {"true": True, "false": False}, self.board))
+
+    def run(self, code):
+        for statement in code.split(";"):
+            key, value = statement.split(":=")
+            self.board[key.strip()] = self.holds(value.strip())
+
+
+class Node:
+    def __init__(self, tag, ports, children, world):
+        self.tag, self.ports, self.children, self.world = tag, ports, children, world
+        self.status = IDLE
+        self.clear()
+
+    def clear(self):
+        """Forget counters and places."""
+
+    def execute(self):
+        status = self.judged()
+        if status is None:
+            status = self.tick()
+        if status in DONE:
+            self.follow("_onSuccess" if status == SUCCESS else "_onFailure", "_post")
+        if status == IDLE:
+            raise Thrown
+        if status != SKIPPED:
+            self.status = status
+        return status
+
+    def judged(self):
+        for rule, verdict in (("_failureIf", FAILURE), ("_successIf", SUCCESS), ("_skipIf", SKIPPED)):
+            if self.status == IDLE and rule in self.ports and self.world.holds(self.ports[rule]):
+                return verdict
+        if "_while" in self.ports and self.status in (IDLE, RUNNING) and not self.world.holds(self.ports["_while"]):
+            if self.status == RUNNING:
+                self.halt_node()
+            return SKIPPED
+        return None
+
+    def follow(self, *rules):
+        for rule in rules:
+            if rule in self.ports:
+                self.world.run(self.ports[rule])
+
+    def halt_node(self):
+        self.halt()
+        self.follow("_onHalted")
+
+    def halt(self):
+        self.clear()
+        self.reset_all()
+        self.status = IDLE
+
+    def reset(self, child):
+        if child.status == RUNNING:
+            child.halt_node()
+        child.status = IDLE
+
+    def reset_all(self):
+        for child in self.children:
+            self.reset(child)
+
+
+class Leaf(Node):
+    def tick(self):
+        kind, script = self.world.leaves[self.tag]
+        if kind == "A" and self.status in DONE:
+            return self.status
+        letter = script[self.world.ticked[self.tag] % len(script)]
+        self.world.ticked[self.tag] += 1
+        hook = "c" if kind == "C" else "s" if self.status == IDLE else "r"
+        self.world.said.append(f"{self.tag}:{hook}:{letter}")
+        return BY_LETTER[letter]
+
+    def halt(self):
+        if self.world.leaves[self.tag][0] == "A":
+            self.world.said.append(f"{self.tag}:halt")
+        self.status = IDLE
+
+
+class InOrder(Node):
+    goes_on, remembers, is_async = SUCCESS, False, False
+
+    def clear(self):
+        self.index = 0
+
+    def halt(self):
+        index = self.index
+        super().halt()
+        self.index = index if self.remembers else 0
+
+    def tick(self):
+        if self.status == IDLE:
+            self.all_skipped = True
+        self.status = RUNNING
+        while self.index < len(self.children):
+            child = self.children[self.index]
+            was_idle = child.status == IDLE
+            status = child.execute()
+            self.all_skipped &= status == SKIPPED
+            if status == RUNNING:
+                return RUNNING
+            if status in DONE and status != self.goes_on:
+                self.give_up()
+                return status
+            self.index += 1
+            if status != SKIPPED and self.is_async and was_idle and self.index < len(self.children):
+                return RUNNING
+        self.reset_all()
+        self.index = 0
+        return SKIPPED if self.all_skipped else self.goes_on
+
+    def give_up(self):
+        for child in self.children[self.index if self.remembers else 0 :]:
+            self.reset(child)
+        self.index = self.index if self.remembers else 0
+
+
+class Reactive(Node):
+    goes_on = SUCCESS
+
+    def tick(self):
+        self.status, all_skipped = RUNNING, True
+        for child in self.children:
+            status = child.execute()
+            all_skipped &= status == SKIPPED
+            if status == RUNNING:
+                for other in self.children:
+                    if other is not child:
+                        self.reset(other)
+                return RUNNING
+            if status == SKIPPED:
+                self.reset(child)
+            elif status != self.goes_on:
+                self.reset_all()
+                return status
+        self.reset_all()
+        return SKIPPED if all_skipped else self.goes_on
+
+
+class Together(Node):
+    def clear(self):
+        self.ended = {}
+
+    def threshold(self, port, default):
+        count, wanted = len(self.children), int(self.ports.get(port, default))
+        wanted = wanted if wanted >= 0 else max(count + wanted + 1, 0)
+        if wanted > count:
+            raise Thrown
+        return wanted
+
+    def number(self, status):
+        return list(self.ended.values()).count(status)
+
+    def end(self, status):
+        self.clear()
+        self.reset_all()
+        return status
+
+
+class Parallel(Together):
+    def tick(self):
+        successes, failures = self.threshold("success_count", -1), self.threshold("failure_count", 1)
+        counts_skipped = int(self.ports.get("success_count", -1)) < 0
+        self.status, skipped, count = RUNNING, 0, len(self.children)
+        for child in self.children:
+            if child not in self.ended:
+                status = child.execute()
+                skipped += status == SKIPPED
+                if status in DONE:
+                    self.ended[child] = status
+            succeeded, failed = self.number(SUCCESS), self.number(FAILURE)
+            if succeeded >= successes or (counts_skipped and succeeded + skipped >= successes):
+                return self.end(SUCCESS)
+            if count - failed < successes or failed == failures:
+                return self.end(FAILURE)
+        return SKIPPED if skipped == count else RUNNING
+
+
+class ParallelAll(Together):
+    def tick(self):
+        failures = self.threshold("max_failures", 1)
+        self.status, skipped = RUNNING, 0
+        for child in self.children:
+            if child not in self.ended:
+                status = child.execute()
+                skipped += status == SKIPPED
+                if status in DONE:
+                    self.ended[child] = status
+        if skipped == len(self.children):
+            return SKIPPED
+        if skipped + len(self.ended) < len(self.children):
+            return RUNNING
+        return self.end(FAILURE if self.number(FAILURE) >= failures else SUCCESS)
+
+
+class IfThenElse(Node):
+    def clear(self):
+        self.chosen = 0
+
+    def tick(self):
+        self.status = RUNNING
+        if self.chosen == 0:
+            status = self.children[0].execute()
+            if status == SKIPPED:
+                raise Thrown
+            if status == RUNNING or (status == FAILURE and len(self.children) == 2):
+                return status
+            self.chosen = 1 if status == SUCCESS else 2
+        status = self.children[self.chosen].execute()
+        if status != RUNNING:
+            self.reset_all()
+            self.chosen = 0
+        return status
+
+
+class WhileDoElse(Node):
+    def tick(self):
+        self.status = RUNNING
+        condition, *rest = self.children
+        status = condition.execute()
+        if status == RUNNING:
+            return RUNNING
+        if status == SKIPPED:
+            raise Thrown
+        if status == SUCCESS:
+            for other in rest[1:]:
+                self.reset(other)
+            status = rest[0].execute()
+        elif len(rest) == 2:
+            self.reset(rest[0])
+            status = rest[1].execute()
+        if status != RUNNING:
+            self.reset_all()
+        return status
+
+
+class Switch(Node):
+    def clear(self):
+        self.running = None
+
+    def tick(self):
+        *cases, chosen = self.children
+        value = str(self.world.board[self.ports["variable"].strip("{}")])
+        for number in range(len(cases), 0, -1):
+            chosen = cases[number - 1] if self.ports[f"case_{number}"] == value else chosen
+        if self.running not in (None, chosen):
+            self.reset(self.running)
+        status = chosen.execute()
+        self.running = chosen if status == RUNNING else None
+        if status in DONE:
+            self.reset_all()
+        return status
+
+
+class Decorator(Node):
+    @property
+    def child(self):
+        return self.children[0]
+
+    def execute(self):
+        status = super().execute()
+        if self.child.status in DONE:
+            self.child.status = IDLE
+        return status
+
+    def tick_child(self):
+        status = self.child.execute()
+        if status in DONE:
+            self.reset(self.child)
+        return status
+
+
+WORDS = {
+    "Inverter": {SUCCESS: FAILURE, FAILURE: SUCCESS},
+    "ForceSuccess": {FAILURE: SUCCESS},
+    "ForceFailure": {SUCCESS: FAILURE},
+    "KeepRunningUntilFailure": {SUCCESS: RUNNING, SKIPPED: RUNNING},
+    "SubTree": {},
+}
+
+
+class Translated(Decorator):
+    def tick(self):
+        self.status = RUNNING
+        status = self.tick_child()
+        return WORDS[self.tag].get(status, status)
+
+
+class Again(Decorator):
+    once_more, port = SUCCESS, "num_cycles"
+
+    def clear(self):
+        self.count = 0
+
+    def is_left(self):
+        return int(self.ports[self.port]) in (-1, *range(self.count + 1, 100))
+
+    def tick(self):
+        self.status = RUNNING
+        while self.is_left():
+            was_idle = self.child.status == IDLE
+            status = self.child.execute()
+            if status == RUNNING:
+                return RUNNING
+            self.reset(self.child)
+            if status == self.once_more:
+                self.count += 1
+                if was_idle and self.is_left():
+                    return RUNNING
+                continue
+            if status != SKIPPED:
+                self.count = 0
+            return status
+        self.count = 0
+        return self.once_more
+
+
+class RunOnce(Decorator):
+    outcome = None
+
+    def tick(self):
+        if self.outcome is not None:
+            return SKIPPED if self.ports.get("then_skip", "true") == "true" else self.outcome
+        self.status = RUNNING
+        status = self.tick_child()
+        self.outcome = status if status in DONE else None
+        return status
+
+
+class Delay(Decorator):
+    def clear(self):
+        self.since = None
+
+    def tick(self):
+        if self.since is None:
+            self.since, self.status = self.world.now, RUNNING
+        if self.world.now - self.since < int(self.ports["delay_msec"]) / 1000:
+            return RUNNING
+        status = self.tick_child()
+        if status in DONE:
+            self.clear()
+        return status
+
+
+class Timeout(Decorator):
+    def clear(self):
+        self.since, self.is_spent = None, False
+
+    def tick(self):
+        if self.since is None:
+            self.since, self.status = self.world.now, RUNNING
+        if not self.is_spent and self.world.now - self.since >= int(self.ports["msec"]) / 1000:
+            self.is_spent = True
+            if self.child.status == RUNNING:
+                self.reset(self.child)
+                self.clear()
+                return FAILURE
+        status = self.tick_child()
+        if status in DONE:
+            self.clear()
+        return status
+
+
+class Precondition(Decorator):
+    def clear(self):
+        self.is_running = False
+
+    def tick(self):
+        if not self.is_running and not self.world.holds(self.ports["if"]):
+            return self.ports["else"]
+        status = self.tick_child()
+        self.is_running = status == RUNNING
+        return status
+
+
+class Script(Node):
+    def tick(self):
+        if self.tag == "ScriptCondition":
+            return SUCCESS if self.world.holds(self.ports["code"]) else FAILURE
+        self.follow("code")
+        return SUCCESS
+
+
+def kind(base, **given):
+    return type(base.__name__, (base,), given)
+
+
+KINDS = {
+    "Sequence": InOrder,
+    "AsyncSequence": kind(InOrder, is_async=True),
+    "SequenceWithMemory": kind(InOrder, is_async=True, remembers=True),
+    "Fallback": kind(InOrder, goes_on=FAILURE),
+    "AsyncFallback": kind(InOrder, goes_on=FAILURE, is_async=True),
+    "ReactiveSequence": Reactive,
+    "ReactiveFallback": kind(Reactive, goes_on=FAILURE),
+    **{one.__name__: one for one in (Parallel, ParallelAll, IfThenElse, WhileDoElse)},
+    "Switch2": Switch,
+    **dict.fromkeys(WORDS, Translated),
+    "Repeat": Again,
+    "RetryUntilSuccessful": kind(Again, once_more=FAILURE, port="num_attempts"),
+    **{one.__name__: one for one in (RunOnce, Delay, Timeout, Precondition)},
+    **dict.fromkeys(("Script", "ScriptCondition"), Script),
+    "AlwaysSuccess": kind(Node, tick=lambda self: SUCCESS),
+    "AlwaysFailure": kind(Node, tick=lambda self: FAILURE),
+}
+
+
+class Twin:
+    """A tree of a file; all its subtrees share one blackboard.
+
+    Args:
+        text: the file.
+        leaves: by tag, as (kind, script).
+    """
+
+    def __init__(self, text, leaves):
+        root = ElementTree.fromstring(text)
+        self.trees = {one.get("ID"): one[0] for one in root if one.tag == "BehaviorTree"}
+        self.world = World(leaves)
+        self.root = self.made(self.trees[root.get("main_tree_to_execute")])
+
+    def made(self, element):
+        children = [self.trees[element.get("ID")]] if element.tag == "SubTree" else list(element)
+        made = [self.made(child) for child in children]
+        return KINDS.get(element.tag, Leaf)(element.tag, dict(element.attrib), made, self.world)
+
+    def tick(self):
+        """Tick once, as `tickExactlyOnce` does; return what happened and the outcome."""
+        self.world.said.clear()
+        status = self.root.execute()
+        if status in DONE:
+            self.root.status = IDLE
+        return [*self.world.said, status]

@@ -1,0 +1,148 @@
+"""What is read from XML does what a plain twin of BehaviorTree.CPP does, whatever is in the tree and is skipped."""
+
+from random import Random
+
+import pytest
+from btcpp_twin import KINDS, Thrown, Twin
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from py_trees.common import Status
+from test_xml_traces import RANDOM
+from xml_leaves import registry_of, wrapped
+
+from rosa_bt import load_xml
+from rosa_bt.parsers.nodes import NodeError
+
+TICKS = 20
+MANY = ("Sequence", "AsyncSequence", "SequenceWithMemory", "ReactiveSequence", "Fallback", "AsyncFallback")
+COUNTED = {"Parallel": ("success_count", "failure_count"), "ParallelAll": ("max_failures",)}
+ONE = {
+    **dict.fromkeys(("Inverter", "ForceSuccess", "ForceFailure", "KeepRunningUntilFailure"), ("",)),
+    "RunOnce": ["", ' then_skip="false"'],
+    "Repeat": [f' num_cycles="{number}"' for number in (-1, 0, 1, 2, 3)],
+    "RetryUntilSuccessful": [f' num_attempts="{number}"' for number in (-1, 0, 1, 2, 3)],
+    "Delay": [f' delay_msec="{number}"' for number in (500, 1500, 3000)],
+    "Timeout": [f' msec="{number}"' for number in (1000, 2500, 4000)],
+    "Precondition": [f' if="!x" else="{word}"' for word in ("SUCCESS", "FAILURE", "RUNNING", "SKIPPED")],
+}
+CONSTANT = ("<AlwaysSuccess/>", "<AlwaysFailure/>", '<ScriptCondition code="x"/>', '<Script code="y := !y"/>')
+RULES = ("_failureIf", "_successIf", "_skipIf", "_while", "_onSuccess", "_onFailure", "_onHalted", "_post")
+
+
+class Grower:
+    """Writes a random file, and names its leaves."""
+
+    def __init__(self, seed, rules):
+        self.random, self.often, self.leaves, self.trees = Random(seed), rules, {}, {}
+
+    def file(self):
+        main = self.node(self.random.randint(1, 4))
+        return wrapped(main, **self.trees)
+
+    def rules(self):
+        chosen = self.random.sample(RULES, self.random.randint(1, 2)) if self.random.random() < self.often else []
+        said = {rule: self.random.choice(("x", "!x", "y")) for rule in chosen}
+        return "".join(
+            f' {rule}="{key.strip("!")} := !{key.strip("!")}"' if rule in RULES[4:] else f' {rule}="{key}"'
+            for rule, key in said.items()
+        )
+
+    def leaf(self):
+        tag, kind = f"L{len(self.leaves)}", self.random.choice("AAC")
+        script = "".join(self.random.choices("SF" if kind == "C" else "SFR", k=self.random.randint(1, 6)))
+        self.leaves[tag] = (kind, script)
+        return f"<{tag}{self.rules()}/>"
+
+    def around(self, tag, ports, children):
+        return f"<{tag}{ports}{self.rules()}>{''.join(children)}</{tag}>"
+
+    def node(self, depth):
+        if depth == 0:
+            return self.leaf()
+        grow = (self.leaf, self.constant, self.many, self.many, self.many, self.one, self.one, self.choice, self.tree)
+        chosen = self.random.choice(grow)
+        return chosen() if chosen in grow[:2] else chosen(depth - 1)
+
+    def constant(self):
+        return self.random.choice(CONSTANT)
+
+    def many(self, depth):
+        tag, count = self.random.choice((*MANY, "ReactiveFallback", *COUNTED)), self.random.randint(1, 4)
+        ports = [f' {port}="{self.random.randint(-count - 1, count)}"' for port in COUNTED.get(tag, ())]
+        children = [self.node(depth) for _ in range(count)]
+        if tag == "ReactiveSequence" and sum(child.startswith("<AsyncSequence") for child in children) > 1:
+            children = children[:1]  # which takes one asynchronous child only
+        return self.around(tag, "".join(ports[: self.random.randint(0, 2)]), children)
+
+    def one(self, depth):
+        tag = self.random.choice(list(ONE))
+        return self.around(tag, self.random.choice(ONE[tag]), [self.node(depth)])
+
+    def choice(self, depth):
+        tag = self.random.choice(("IfThenElse", "WhileDoElse", "Switch2"))
+        count = 3 if tag == "Switch2" else self.random.randint(2, 3)
+        ports = ' variable="{x}" case_1="True" case_2="other"' if tag == "Switch2" else ""
+        return self.around(tag, ports, [self.node(depth) for _ in range(count)])
+
+    def tree(self, depth):
+        name = f"Tree{len(self.trees)}"
+        self.trees[name] = ""
+        self.trees[name] = self.node(depth)
+        return f'<SubTree ID="{name}" _autoremap="true"{self.rules()}/>'
+
+
+def ours_and_theirs(text, leaves, told):
+    """Tick both as often as something is told; return what happened, up to the first exception."""
+    said, now, twin = [], 0.0, Twin(text, leaves)
+    tree = load_xml(text, registry_of(leaves, said), clock=lambda: now)
+    happened = []
+    for values in told:
+        said.clear()
+        now = twin.world.now = now + 1.0
+        twin.world.board.update(values)
+        tree.blackboard.update(values)
+        try:
+            expected = twin.tick()
+        except Thrown:
+            with pytest.raises(NodeError):
+                tree.tick_once()
+            break
+        tree.tick_once()
+        outcome = "SKIPPED" if tree.status is Status.INVALID else tree.status.name
+        happened.append(([*said, outcome], expected))
+    return happened
+
+
+@pytest.mark.parametrize("case", RANDOM, ids=range(len(RANDOM)))
+def test_twin_does_what_behaviortree_cpp_recorded_of_itself(case):
+    twin = Twin(case["xml"], case["leaves"])
+    for number, line in enumerate(case["trace"]):
+        *said, outcome = twin.tick()
+        assert f"{number}| {' '.join([*said, ''])}=> {outcome}" == line
+
+
+@settings(max_examples=400)
+@given(st.integers(0, 2**32), st.sampled_from([0.0, 0.1, 0.3]), st.integers(0, 2**32))
+def test_tree_that_is_read_does_what_its_twin_does(seed, rules, news):
+    grower, said = Grower(seed, rules), Random(news)
+    text = grower.file()
+    start = {"x": True, "y": False}
+    told = [start, *({"x": said.random() < 0.5} if rules and said.random() < 0.5 else {} for _ in range(TICKS))]
+    for ours, theirs in ours_and_theirs(text, grower.leaves, told):
+        assert ours == theirs, text
+
+
+def test_random_trees_hold_every_node_that_the_twin_knows():
+    texts = "".join(Grower(seed, 0.3).file() for seed in range(200))
+    assert [tag for tag in (*KINDS, *RULES) if tag not in texts] == []
+
+
+@pytest.mark.parametrize("tag", ['Switch2 variable="{x}" case_1="1" case_2="2"', 'Precondition if="x" else="FAILURE"'])
+def test_node_that_only_passes_on_what_was_skipped_is_asked_its_rules_again(tag):
+    child = '<a _skipIf="y"/>'
+    content = child * 3 if tag.startswith("Switch") else child
+    text = wrapped(f'<{tag} _failureIf="!y">{content}</{tag.split()[0]}>')
+    told = [{"x": True, "y": True}, {}, {"y": False}, {}]
+    happened = ours_and_theirs(text, {"a": ("A", "R")}, told)
+    assert [ours for ours, _ in happened] == [["SKIPPED"], ["SKIPPED"], ["FAILURE"], ["FAILURE"]]
+    assert [theirs for _, theirs in happened] == [ours for ours, _ in happened]
