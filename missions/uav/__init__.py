@@ -1,0 +1,29 @@
+"""UAV: an aerial vehicle searches a field for samples and analyses them, as its battery and its gripper allow."""
+
+from missions.mission import Mission
+from missions.planning.declared import by_schema
+from missions.uav.actions import (
+    PROBLEM,
+    AnalyseOnSite,
+    LandAndFoldGripper,
+    PickUpAndAnalyse,
+    ReturnAndRecharge,
+    SearchForSamples,
+    facts,
+)
+from missions.uav.model import uav_model
+from missions.uav.sky import SKY
+from missions.uav.tree import uav_tree
+
+__all__ = ["MISSION"]
+
+MISSION = Mission(
+    name="uav",
+    summary="fly over a field and analyse samples; the battery runs low and the gripper fails",
+    model=uav_model,
+    tree=uav_tree,
+    problem=PROBLEM,
+    actions=by_schema(SearchForSamples, PickUpAndAnalyse, AnalyseOnSite, ReturnAndRecharge, LandAndFoldGripper),
+    facts=facts,
+    world=SKY,
+)

@@ -1,0 +1,210 @@
+"""What the mission does: each action says when it is finished; the components that it needs do the flying.
+
+The tree and the plan executor run the same behaviours; their schemas are what the PDDL is made of. Every action waits
+until the robot is configured for it, so that one behaviour gives way to the next in a safe state only.
+"""
+
+from collections.abc import Mapping
+from typing import ClassVar, Final
+
+from py_trees.behaviour import Behaviour
+from py_trees.common import Status
+
+from kb import KnowledgeBase
+from missions.senses import Senses
+from missions.uav.settings import MOST_SAMPLES
+from rosa_bt import RosaAction
+from rosa_pddl.generation import ActionSchema, DeclaredProblem
+
+__all__ = [
+    "PROBLEM",
+    "AllAnalysed",
+    "AnalyseOnSite",
+    "LandAndFoldGripper",
+    "PickUpAndAnalyse",
+    "ReturnAndRecharge",
+    "SampleWaiting",
+    "SearchForSamples",
+    "analysed",
+    "facts",
+    "is_all_analysed",
+]
+
+SAMPLES: Final = tuple(f"sample_{number}" for number in range(1, MOST_SAMPLES + 1))
+
+# What is wanted is sensed, so the goal changes by itself when a sample is added.
+PROBLEM: Final = DeclaredProblem(
+    objects={**dict.fromkeys(SAMPLES, "sample"), "drone": "robot"},
+    goal=("(forall (?s - sample) (imply (wanted ?s) (analysed ?s)))",),
+)
+
+
+def analysed(senses: Senses) -> int:
+    """Return how many samples are analysed."""
+    return sum(senses.holds(f"{one}_analysed") for one in SAMPLES)
+
+
+def is_waiting(senses: Senses) -> bool:
+    """Whether there is a sample to be analysed next."""
+    return any(senses.holds(f"{one}_target") for one in SAMPLES)
+
+
+def is_all_analysed(senses: Senses) -> bool:
+    """Whether all samples are analysed that are wanted now, of which there is at least one."""
+    wanted = [one for one in SAMPLES if senses.holds(f"{one}_wanted")]
+    return bool(wanted) and all(senses.holds(f"{one}_analysed") for one in wanted)
+
+
+def facts(senses: Senses) -> Mapping[str, bool]:
+    """Return what was sensed as facts of the PDDL problem."""
+    told = {
+        f"({what} {one})": senses.holds(f"{one}_{what}") for what in ("wanted", "analysed", "target") for one in SAMPLES
+    }
+    return told | {
+        "(looking drone)": not is_waiting(senses),
+        "(gripper_folded drone)": senses.holds("gripper_folded"),
+    }
+
+
+class SampleWaiting(Behaviour):
+    """Condition: SUCCESS while there is a sample to be analysed next."""
+
+    def __init__(self, name: str, senses: Senses) -> None:
+        super().__init__(name)
+        self._senses = senses
+
+    def update(self) -> Status:
+        """Look at what was sensed."""
+        return Status.SUCCESS if is_waiting(self._senses) else Status.FAILURE
+
+
+class AllAnalysed(Behaviour):
+    """Condition: SUCCESS while all samples are analysed that are wanted."""
+
+    def __init__(self, name: str, senses: Senses) -> None:
+        super().__init__(name)
+        self._senses = senses
+
+    def update(self) -> Status:
+        """Look at what was sensed."""
+        return Status.SUCCESS if is_all_analysed(self._senses) else Status.FAILURE
+
+
+class SearchForSamples(RosaAction):
+    """Search until there is a sample to be analysed."""
+
+    schema: ClassVar = ActionSchema(
+        "search_for_samples",
+        parameters=("?s - sample", "?r - robot"),
+        start=("(looking ?r)", "(wanted ?s)"),
+        end_effects=("(target ?s)", "(not (looking ?r))"),
+        duration_s=15,
+        cost=1,
+    )
+
+    def __init__(self, kb: KnowledgeBase, senses: Senses) -> None:
+        super().__init__("search", kb, self.schema.rosa_action, wait=True)
+        self._senses = senses
+
+    def update(self) -> Status:
+        """Look at what was sensed."""
+        return Status.SUCCESS if is_waiting(self._senses) else Status.RUNNING
+
+
+class _Analyse(RosaAction):
+    """Analyse one sample; finished when one more is analysed than when it was begun."""
+
+    schema: ClassVar[ActionSchema]
+    title: ClassVar[str]
+
+    def __init__(self, kb: KnowledgeBase, senses: Senses) -> None:
+        super().__init__(self.title, kb, self.schema.rosa_action, wait=True)
+        self._senses = senses
+        self._before = 0
+
+    def initialise(self) -> None:
+        """Remember how many were analysed."""
+        self._before = analysed(self._senses)
+
+    def update(self) -> Status:
+        """Look whether there is one more."""
+        return Status.SUCCESS if analysed(self._senses) > self._before else Status.RUNNING
+
+
+class PickUpAndAnalyse(_Analyse):
+    """Pick a sample up and analyse it while it is held: the better analysis."""
+
+    title: ClassVar = "pick up"
+    schema: ClassVar = ActionSchema(
+        "pick_up_and_analyse",
+        parameters=("?s - sample", "?r - robot"),
+        start=("(target ?s)",),
+        start_effects=("(not (gripper_folded ?r))",),
+        end_effects=("(analysed ?s)", "(not (target ?s))", "(looking ?r)"),
+        duration_s=18,
+        cost=1,
+    )
+
+
+class AnalyseOnSite(_Analyse):
+    """Analyse a sample from above with the infra-red camera; the gripper has to be folded."""
+
+    title: ClassVar = "analyse on site"
+    schema: ClassVar = ActionSchema(
+        "analyse_on_site",
+        parameters=("?s - sample", "?r - robot"),
+        start=("(target ?s)",),
+        over_all=("(gripper_folded ?r)",),
+        end_effects=("(analysed ?s)", "(not (target ?s))", "(looking ?r)"),
+        duration_s=10,
+        cost=3,
+    )
+
+
+class LandAndFoldGripper(RosaAction):
+    """Land and fold the gripper."""
+
+    schema: ClassVar = ActionSchema(
+        "land_and_fold_gripper",
+        parameters=("?r - robot",),
+        end_effects=("(gripper_folded ?r)",),
+        duration_s=8,
+        cost=1,
+    )
+
+    def __init__(self, kb: KnowledgeBase, senses: Senses) -> None:
+        super().__init__("land and fold", kb, self.schema.rosa_action, wait=True)
+        self._senses = senses
+
+    def update(self) -> Status:
+        """Look at what was sensed."""
+        return Status.SUCCESS if self._senses.holds("gripper_folded") else Status.RUNNING
+
+
+class ReturnAndRecharge(RosaAction):
+    """Return to the base and recharge; in a plan only when nothing waits that can still be analysed on site.
+
+    It costs more than analysing every sample on site, so no plan recharges for the sake of a better analysis.
+    """
+
+    schema: ClassVar = ActionSchema(
+        "return_and_recharge",
+        parameters=("?r - robot",),
+        start=("(or (looking ?r) (not (action_feasible ?a3)))",),
+        duration_s=30,
+        cost=30,
+        hopes=("search_for_samples", "pick_up_and_analyse", "analyse_on_site"),
+    )
+
+    def __init__(self, kb: KnowledgeBase, senses: Senses) -> None:
+        super().__init__("recharge", kb, self.schema.rosa_action, wait=True)
+        self._senses = senses
+        self._before = 0
+
+    def initialise(self) -> None:
+        """Remember how many recharges there were."""
+        self._before = self._senses.count("battery_recharged")
+
+    def update(self) -> Status:
+        """Look whether there was one more."""
+        return Status.SUCCESS if self._senses.count("battery_recharged") > self._before else Status.RUNNING

@@ -1,0 +1,176 @@
+"""The quadrotor as MuJoCo simulates it, flown to a place. The only file of the mission that touches MuJoCo."""
+
+import logging
+import math
+from importlib.resources import files
+from typing import Any, Final
+
+import mujoco
+
+from missions.uav.control import Vector, attitude_torques, mast, mixed, velocity_wanted, wanted_force
+from missions.uav.settings import Settings
+
+__all__ = ["ON_GROUND_M", "Quadrotor"]
+
+_log = logging.getLogger(__name__)
+mujoco.set_mju_user_warning(_log.debug)  # MuJoCo's own handler prints, and writes a file into the working directory
+
+ON_GROUND_M: Final = 0.35
+"""Height of the vehicle's origin when it stands [m]."""
+STRAIGHT_M: Final = 0.6  # as near as that a place is approached straight, not at travelling height
+TRIM_GAIN: Final = 1.0  # [1/s2]
+TRIM_LIMIT: Final = 3.0  # [m/s2]
+TOUCH_M, TOUCH_M_S = 0.03, 0.2  # it stands when it is as low and as slow as that
+
+
+class Quadrotor:
+    """A rigid body with four rotors, an arm that folds, and a load; drag is linear in the speed through the air.
+
+    Args:
+        settings: the constants.
+        wind: (x, y) [m/s], world frame.
+
+    Attributes:
+        position: (x, y, z) [m], world frame, z is 0.35 m on the ground.
+        velocity: (x, y, z) [m/s], world frame.
+        is_landed: whether it stands with its rotors off.
+        rotor_w: power of the rotors [W].
+        has_power: without it, the rotors stand still.
+    """
+
+    def __init__(self, settings: Settings, wind: tuple[float, float]) -> None:
+        self._settings = settings
+        self.model: Any = _compiled(settings)
+        self.data: Any = mujoco.MjData(self.model)
+        self._mass = float(self.model.body_subtreemass[0])
+        self._drag = settings.drag
+        self._push = (settings.drag * wind[0], settings.drag * wind[1])
+        area = math.pi * settings.rotor_radius_m**2
+        self._watts = 1 / (settings.figure_of_merit * math.sqrt(2 * settings.air_kg_m3 * area))
+        self._target: Vector | None = None
+        self._lands = False
+        self._trim = (0.0, 0.0, 0.0)
+        self._arm, self._arm_wanted = 0.0, 0.0
+        self.position: Vector = (0.0, 0.0, ON_GROUND_M)
+        self.velocity: Vector = (0.0, 0.0, 0.0)
+        self.is_landed = True
+        self.rotor_w = 0.0
+        self.has_power = True
+
+    # ---------------------------------------------------------------- what it is told
+
+    def go_to(self, target: Vector) -> None:
+        """Fly to a place [m], world frame; at travelling height, unless it is near."""
+        self._target, self._lands = target, False
+
+    def hold(self) -> None:
+        """Stay where it is; a vehicle that stands stays standing."""
+        self._target, self._lands = (None if self.is_landed else self.position), False
+
+    def land(self, at: tuple[float, float] | None = None) -> None:
+        """Land at (x, y) [m], world frame, or right below; rotors stop on the ground."""
+        if self.is_landed and at is None:
+            return
+        x, y = at or self.position[:2]
+        self._target, self._lands = (x, y, 0.0), True
+
+    def fold(self, is_folded: bool) -> None:
+        """Begin to fold or to unfold the arm."""
+        self._arm_wanted = 0.0 if is_folded else math.pi / 2
+
+    def carry(self, mass: float) -> None:
+        """Have a load of that mass in the gripper [kg]; 0 for none."""
+        load, change = self.model.body("load").id, 0.0
+        change = max(mass, 1e-6) - self.model.body_mass[load]
+        self.model.body_mass[load] += change
+        for body in (0, self.model.body("vehicle").id, load):
+            self.model.body_subtreemass[body] += change
+
+    # ---------------------------------------------------------------- what it is like
+
+    @property
+    def altitude(self) -> float:
+        """Height of the legs above the ground [m]."""
+        return self.position[2] - ON_GROUND_M
+
+    @property
+    def arm_rad(self) -> float:
+        """Angle of the arm, 0 when folded, half pi when unfolded [rad]."""
+        return float(self.data.qpos[7])
+
+    def is_near(self, target: Vector, within: float) -> bool:
+        """Whether it is that close to a place [m] and slow."""
+        return math.dist(self.position, target) <= within and math.hypot(*self.velocity) < 0.4
+
+    # ---------------------------------------------------------------- flying
+
+    def step(self) -> None:
+        """Choose thrusts and advance by one step of the physics."""
+        data, step_s = self.data, self._settings.physics_step_s
+        thrusts = self._thrusts(step_s) if self._target is not None and self.has_power else [0.0] * 4
+        turn = math.pi / 2 / self._settings.fold_s * step_s
+        self._arm += max(-turn, min(turn, self._arm_wanted - self._arm))
+        data.ctrl[:] = (*thrusts, self._arm)
+        data.qfrc_applied[:2] = self._push
+        mujoco.mj_step(self.model, data)
+        self.rotor_w = self._watts * sum(one * math.sqrt(one) for one in thrusts)
+        x, y, z, *_ = data.qpos.tolist()
+        u, v, w, *_ = data.qvel.tolist()
+        self.position, self.velocity = (x, y, z), (u, v, w)
+        self._touch_down(thrusts)
+
+    def _touch_down(self, thrusts: list[float]) -> None:
+        is_low = self.altitude < TOUCH_M
+        if (
+            self._lands
+            and is_low
+            and math.hypot(*self.velocity) < TOUCH_M_S
+            and math.dist(self.position[:2], (self._target or self.position)[:2]) < STRAIGHT_M
+        ):
+            self._target, self._lands = None, False
+            self._trim = (0.0, 0.0, 0.0)
+        self.is_landed = is_low and self._target is None and not any(thrusts)
+
+    def _thrusts(self, step_s: float) -> list[float]:
+        settings = self._settings
+        qpos, qvel = self.data.qpos.tolist(), self.data.qvel.tolist()
+        wanted = velocity_wanted(self.position, self._aim(), settings.speed_m_s, settings.climb_m_s)
+        error = (wanted[0] - qvel[0], wanted[1] - qvel[1], wanted[2] - qvel[2])
+        self._trim = _trimmed(self._trim, error, step_s)
+        force = wanted_force(error, self._trim, self._mass, settings.gravity_m_s2)
+        axes = mast(qpos[3:7])
+        torques = attitude_torques(axes, (qvel[3], qvel[4], qvel[5]), force)
+        up = axes[2]
+        return mixed(up[0] * force[0] + up[1] * force[1] + up[2] * force[2], torques, settings.rotor_limit_n)
+
+    def _aim(self) -> Vector:
+        """Return where to go now: up first, then along, then down."""
+        assert self._target is not None
+        x, y, z = self._target
+        if math.dist((x, y), self.position[:2]) <= STRAIGHT_M:
+            return x, y, z
+        cruise = self._settings.cruise_m
+        if self.altitude < cruise - 2.0:
+            return self.position[0], self.position[1], cruise + ON_GROUND_M
+        return x, y, cruise + ON_GROUND_M
+
+
+def _trimmed(trim: Vector, error: Vector, step_s: float) -> Vector:
+    x, y, z = (
+        max(-TRIM_LIMIT, min(TRIM_LIMIT, one + TRIM_GAIN * max(-1.0, min(1.0, off)) * step_s))
+        for one, off in zip(trim, error, strict=True)
+    )
+    return x, y, z
+
+
+def _compiled(settings: Settings) -> Any:  # noqa: ANN401 - MuJoCo ships no types
+    spec = mujoco.MjSpec.from_string((files("missions.uav") / "quadrotor.xml").read_text(encoding="utf-8"))
+    spec.option.timestep = settings.physics_step_s
+    spec.option.gravity = (0, 0, -settings.gravity_m_s2)
+    for number in range(1, 5):
+        spec.actuator(f"rotor_{number}").ctrlrange = (0, settings.rotor_limit_n)
+    model = spec.compile()
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # what is lost stays lost
+    model.dof_damping[:3] = settings.drag
+    model.dof_damping[3:6] = 0.005
+    return model

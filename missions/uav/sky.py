@@ -1,0 +1,42 @@
+"""How the world of the aerial vehicle is opened; MuJoCo is imported only then."""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from numpy.random import Generator
+
+from kb import KnowledgeBase
+from missions.mission import Setting, Verdict, WorldKind
+from missions.senses import Senses
+from missions.uav.actions import analysed, is_all_analysed
+from missions.uav.settings import Settings
+
+if TYPE_CHECKING:
+    from missions.uav.world import UavWorld
+
+__all__ = ["SKY"]
+
+
+class _SkyKind(WorldKind):
+    def settings(self) -> tuple[Setting, ...]:
+        """Return every constant."""
+        return Settings.describe()
+
+    def open(self, values: Mapping[str, str], rng: Generator) -> "UavWorld":
+        """Open a field with a vehicle at its base."""
+        settings = Settings.read(values)
+        from missions.uav.world import UavWorld
+
+        return UavWorld(settings, rng)
+
+    def verdict(self, senses: Senses, results: Mapping[str, float | None], kb: KnowledgeBase) -> Verdict:
+        """Judge by the goal: every sample that is wanted is analysed, and the battery never ran empty."""
+        done, wanted = analysed(senses), results.get("wanted_samples") or 0
+        if senses.holds("battery_empty"):
+            return Verdict("aborted", f"the battery ran empty, {done} of {wanted:g} samples were analysed")
+        if is_all_analysed(senses):
+            return Verdict("analysed_all", f"all {wanted:g} samples are analysed")
+        return Verdict("aborted", f"time ran out, {done} of {wanted:g} samples were analysed")
+
+
+SKY = _SkyKind()

@@ -1,0 +1,46 @@
+"""The mission as a behaviour tree: find samples and analyse them one by one, as well as is feasible.
+
+until all are analysed
+└── one after another
+    ├── one sample
+    │   ├── find and analyse      fails as soon as the battery makes it unfeasible
+    │   │   ├── find: a sample waiting?, or else search if feasible
+    │   │   └── analyse: pick up if feasible, or else on site if feasible
+    │   └── meanwhile: return and recharge
+    └── all analysed?
+
+Before it analyses on site after a pick-up, it lands and folds the gripper, whatever happened in between.
+"""
+
+from py_trees.behaviour import Behaviour
+from py_trees.composites import Selector, Sequence
+
+from kb import KnowledgeBase
+from missions.senses import Senses
+from missions.uav.actions import (
+    AllAnalysed,
+    AnalyseOnSite,
+    LandAndFoldGripper,
+    PickUpAndAnalyse,
+    ReturnAndRecharge,
+    SampleWaiting,
+    SearchForSamples,
+)
+from rosa_bt import do_until_unfeasible, feasible_then_act, first_feasible, switch_safely
+from rosa_bt.decorators import UntilSuccess
+
+__all__ = ["uav_tree"]
+
+
+def uav_tree(kb: KnowledgeBase, senses: Senses) -> Behaviour:
+    """Build the tree; it runs until all samples are analysed that are wanted."""
+    search = feasible_then_act(SearchForSamples(kb, senses))
+    find = Selector("find", memory=True, children=[SampleWaiting("sample waiting?", senses), search])
+    analyse = first_feasible("analyse", [PickUpAndAnalyse(kb, senses), AnalyseOnSite(kb, senses)])
+    # With memory: what was found stays found while it is analysed, also in the moment in which it is no longer waiting.
+    work = Sequence("find and analyse", memory=True, children=[find, analyse])
+    one = do_until_unfeasible(work, ReturnAndRecharge(kb, senses), memory=True, name="one sample")
+    every = Sequence("one after another", memory=True, children=[one, AllAnalysed("all analysed?", senses)])
+    tree = UntilSuccess("until all are analysed", every)
+    fold = LandAndFoldGripper(kb, senses)
+    return switch_safely(tree, {("pick_up_and_analyse", "analyse_on_site"): fold})

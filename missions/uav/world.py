@@ -1,0 +1,173 @@
+"""The field with the vehicle above it, advanced step by step."""
+
+from collections.abc import Mapping
+from math import cos, pi, sin
+from typing import Any
+
+from numpy.random import Generator
+
+from missions.mission import Message, Sample, World
+from missions.uav.field import Field
+from missions.uav.managed import Components
+from missions.uav.model import ANALYSE_LEVEL, PICK_UP_LEVEL, SEARCH_LEVEL
+from missions.uav.nodes import NODES, PERIOD_S, Robot
+from missions.uav.quadrotor import Quadrotor
+from missions.uav.settings import Settings
+
+__all__ = ["UavWorld"]
+
+STATUS = "mission status"
+LEVELS = {
+    PICK_UP_LEVEL: "picking up a sample needs",
+    SEARCH_LEVEL: "searching needs",
+    ANALYSE_LEVEL: "analysing on site needs",
+}
+
+
+class UavWorld(World):
+    """Time moves only in `advance`; the same settings and seed give the same floats.
+
+    Args:
+        settings: the constants.
+        rng: the only source of chance: where the samples lie, the wind, the phase of the battery monitor, the jam.
+    """
+
+    def __init__(self, settings: Settings, rng: Generator) -> None:
+        self._settings = settings
+        self._now, self._steps, self._nodes_due = 0.0, 0, 0.0
+        self._outbox: list[Message] = []
+        self._disturbances: list[tuple[float, str]] = []
+        self._flown_m, self._least, self._charges = 0.0, 1.0, 0
+        bearing, phase = rng.uniform(0, 2 * pi), rng.uniform(0, settings.battery_period_s)
+        self._battery_due = float(phase)
+        wind = (settings.wind_m_s * cos(bearing), settings.wind_m_s * sin(bearing))
+        field = Field(settings, rng)
+        self._base = {one.name: [one.place] for one in field.samples}
+        self._robot = Robot(settings, Quadrotor(settings, wind), field, rng, self._tell, self._disturb)
+        self._nodes = {one.name: one for one in (kind(self._robot) for kind in NODES)}
+        self._managed = Components(
+            self._nodes, lambda: self._now, settings.activation_s, settings.deactivation_s, self._robot.vehicle.hold
+        )
+        self._not_wanted = list(field.samples)
+        self._want()
+        self._tell(STATUS, "gripper_folded", "true")
+        self._tell("QA measurement", "battery_level", "1.0")
+
+    # ---------------------------------------------------------------- what a mission needs
+
+    @property
+    def now(self) -> float:
+        """The time [s]."""
+        return self._now
+
+    @property
+    def managed(self) -> Components:
+        """The components."""
+        return self._managed
+
+    def advance(self, until: float) -> list[Message]:
+        """Simulate until something is published or switched, at most to the time `until` [s]."""
+        step_s = self._settings.physics_step_s
+        is_changed = bool(self._outbox)
+        while not is_changed and (self._steps + 1) * step_s <= until + 1e-9:
+            self._steps += 1
+            self._now = self._steps * step_s
+            self._step(step_s)
+            is_changed = self._managed.catch_up() or bool(self._outbox)
+        if not is_changed:
+            self._now = until
+        said, self._outbox = self._outbox, []
+        return said
+
+    def switching_s(self) -> Mapping[str, float]:
+        """Return how long commands take."""
+        return {"activate": self._settings.activation_s, "deactivate": self._settings.deactivation_s}
+
+    # ---------------------------------------------------------------- one step
+
+    def _step(self, step_s: float) -> None:
+        robot, before = self._robot, self._robot.vehicle.position
+        robot.now = self._now
+        robot.vehicle.step()
+        x, y, z = robot.vehicle.position
+        self._flown_m += ((x - before[0]) ** 2 + (y - before[1]) ** 2 + (z - before[2]) ** 2) ** 0.5
+        self._drain(step_s)
+        if self._now >= self._nodes_due - 1e-9:
+            self._nodes_due += PERIOD_S
+            self._want()
+            for node in self._nodes.values():
+                if node.is_active:
+                    node.update()
+            if robot.field.aim((x, y)) and robot.field.target is not None:
+                self._tell(STATUS, f"{robot.field.target.name}_target", "true")
+        if self._now >= self._battery_due - 1e-9:
+            self._battery_due += self._settings.battery_period_s
+            self._tell("QA measurement", "battery_level", repr(robot.level))
+
+    def _drain(self, step_s: float) -> None:
+        robot, settings, before = self._robot, self._settings, self._robot.level
+        watts = robot.vehicle.rotor_w + settings.avionics_w
+        watts += sum(node.watts for node in self._nodes.values() if node.is_active)
+        gained = step_s / settings.charge_s if robot.is_charging else 0.0
+        robot.level = max(0.0, min(1.0, before + gained - watts * step_s / settings.capacity_j))
+        self._least = min(self._least, robot.level)
+        for level, what in LEVELS.items():
+            if before >= level > robot.level:
+                self._disturb(f"the battery fell below {level:g}, which {what}")
+        if robot.level == 0.0 and before > 0.0:
+            robot.vehicle.has_power = False
+            self._disturb("the battery is empty")
+            self._tell(STATUS, "battery_empty", "true")
+
+    def _want(self) -> None:
+        """Tell which samples have become wanted."""
+        for one in [one for one in self._not_wanted if one.wanted_s <= self._now]:
+            self._not_wanted.remove(one)
+            self._tell(STATUS, f"{one.name}_wanted", "true")
+            if one.is_reported:
+                one.is_found = True
+                self._disturb(f"an operator reports {one.name}")
+                self._tell(STATUS, f"{one.name}_found", "true")
+
+    def _tell(self, message: str, key: str, value: str) -> None:
+        self._charges += key == "battery_recharged"
+        self._outbox.append(
+            {"time": self._now, "status": [{"name": "uav", "message": message, "values": {key: value}}]}
+        )
+
+    def _disturb(self, text: str) -> None:
+        self._disturbances.append((self._now, text))
+
+    # ---------------------------------------------------------------- what is reported
+
+    def results(self) -> dict[str, float | None]:
+        """Return how many samples were analysed and how well, and what that took."""
+        robot = self._robot
+        return {
+            "analysed_samples": float(len(robot.qualities)),
+            "quality_points": sum(robot.qualities),
+            "wanted_samples": float(len(robot.field.samples) - len(self._not_wanted)),
+            "lifted_samples": float(robot.pick_ups),
+            "recharged_times": float(self._charges),
+            "flown_m": self._flown_m,
+            "least_charge_percent": 100 * self._least,
+        }
+
+    def sample(self) -> Sample:
+        """Return position, battery, height and power."""
+        robot = self._robot
+        signals = {
+            "battery level [-]": robot.level,
+            "height [m]": robot.vehicle.altitude,
+            "rotors [W]": robot.vehicle.rotor_w,
+            "gripper [deg]": robot.vehicle.arm_rad * 180 / pi,
+        }
+        return Sample(self._now, robot.vehicle.position, signals)
+
+    def disturbances(self) -> list[tuple[float, str]]:
+        """Return what happened to battery, gripper and goal."""
+        return list(self._disturbances)
+
+    def scenery(self) -> Mapping[str, Any]:
+        """Return the base and where the samples were in the beginning."""
+        return {"base": [(0.0, 0.0)], **{name.replace("_", " "): place for name, place in self._base.items()}}
