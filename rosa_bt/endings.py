@@ -3,7 +3,7 @@
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 
-__all__ = ["halt", "told"]
+__all__ = ["halt", "halt_orphans", "told"]
 
 
 def told(error: Exception) -> str:
@@ -21,3 +21,12 @@ def halt(root: Behaviour) -> None:
         except Exception as error:
             behaviour.feedback_message = f"in terminate: {told(error)}"
         behaviour.status = Status.INVALID
+
+
+def halt_orphans(root: Behaviour) -> None:
+    """Stop what runs below behaviours that do not run."""
+    if root.status is not Status.RUNNING:
+        halt(root)
+    else:
+        for child in root.children:
+            halt_orphans(child)

@@ -76,17 +76,18 @@ for _name in (
     setattr(Children, _name, _checked(_name))
 
 
-def put_back(parent: Behaviour, children: Children) -> None:
-    """Undo that other children were put in the place of a behaviour's, and refuse it."""
+def put_back(parent: Behaviour, children: Children) -> bool:
+    """Undo that other children were put in the place of a behaviour's, and refuse it; tell whether there was need."""
     found = [parent.decorated] if isinstance(parent, Decorator) else []
     if parent.children is children and found == children[: len(found)]:
-        return
+        return False
     for stranger in [one for one in (*parent.children, *found) if one not in children]:
         halt(stranger)
     parent.children = children
     if isinstance(parent, Decorator):
         parent.decorated = children[0]
     children.lock.refuse(parent)
+    return True
 
 
 def is_trusted(behaviour: Behaviour) -> bool:

@@ -12,7 +12,7 @@ from py_trees.decorators import Decorator
 from py_trees.trees import BehaviourTree
 
 from rosa_bt.behaviours import RosaAction
-from rosa_bt.endings import halt
+from rosa_bt.endings import halt, halt_orphans
 from rosa_bt.exceptions import TreeChangeError
 from rosa_bt.guards import Children, Lock, guard, is_trusted, put_back
 from rosa_bt.structure import insert, prune, replace
@@ -81,8 +81,8 @@ class GuardedTree(BehaviourTree):
                     node.visit(visitor)
         finally:
             self._lock.is_closed = False
-            for parent, children in self._families.items():
-                put_back(parent, children)
+            if [parent for parent, children in self._families.items() if put_back(parent, children)]:
+                halt_orphans(self.root)
 
     def _guard(self) -> None:
         """Guard what is new in the tree, and let go of what is not in it any more."""

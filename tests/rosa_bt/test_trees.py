@@ -159,6 +159,20 @@ def test_children_put_in_the_place_of_others_within_a_tick_are_refused(how):
     assert stranger.status is not Status.RUNNING
 
 
+def test_what_the_refused_change_hid_from_its_parent_is_stopped_with_it():
+    class Rash(Probe):
+        def update(self):
+            root.children = [Probe("stranger")]
+            return Status.FAILURE
+
+    steady = Probe("steady")
+    root = Parallel("root", policy=ParallelPolicy.SuccessOnAll(), children=[steady, Rash("rash")])
+    runner = TreeRunner(root, clock=lambda: 0.0)
+    with pytest.raises(TreeChangeError):
+        runner.tick()
+    assert (root.status, steady.ended) == (Status.FAILURE, [Status.INVALID])
+
+
 def test_change_that_is_not_possible_is_answered_with_the_reason_and_the_tree_goes_on():
     first, stranger = Probe("first"), Probe("stranger")
     root, runner = running(first)
