@@ -1,11 +1,11 @@
 """How a run is opened under the manager that is asked for, ours or another."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import cast
 
 from missions.managers.manager import Manager
-from missions.managers.options import split_options
-from missions.managers.registry import OURS, find_manager
+from missions.managers.options import Option, split_options
+from missions.managers.registry import OURS, find_manager, options_of
 from missions.managers.run import ManagedRun
 from missions.managers.watch import Aside, WatchedSea
 from missions.mission import Mission, MissionError
@@ -50,14 +50,14 @@ def open_run(
 
     check_task(task)
     managed_by = None if manager == OURS else find_manager(manager)
-    options, values = split_options(managed_by.options if managed_by else (), settings or {})
-    if charge_compute:
+    options, values = split_options(options_of(manager), settings or {})
+    if charge_compute and "planning_delay" not in values:
         values = {"planning_delay_s": "0"} | values
     run_settings, world_settings = split_settings(mission, values)
     rng = numpy.random.default_rng(seed)
     world = mission.world.open(world_settings, rng)
     if isinstance(world, Sea):
-        world = WatchedSea(world, charges=charge_compute, inputs=_published(managed_by, options))
+        world = WatchedSea(world, charges=charge_compute, inputs=_published(options_of(manager), options))
         listeners = (Aside(listeners, world),) if listeners else ()
     elif charge_compute or managed_by is not None:
         wish = "--charge-compute" if charge_compute else f"--manager {manager}"
@@ -71,6 +71,6 @@ def open_run(
     return cast(MissionRun, managed)  # it has what reports and listeners look at
 
 
-def _published(manager: type[Manager] | None, options: Mapping[str, float]) -> dict[str, float]:
-    """Return those of a manager's figures that were taken from published results of it."""
-    return {one.name: options[one.name] for one in (manager.options if manager else ()) if one.is_published}
+def _published(options: Iterable[Option], values: Mapping[str, float]) -> dict[str, float]:
+    """Return the values that were taken from published results of the manager."""
+    return {one.name: values[one.name] for one in options if one.is_published}

@@ -8,11 +8,12 @@ from missions.managers.bt import TreeManager
 from missions.managers.manager import Manager
 from missions.managers.metacontrol import Metacontrol
 from missions.managers.none import NoManager
+from missions.managers.options import Option
 from missions.managers.random import RandomManager
 from missions.managers.rosa import RosaManager
 from missions.mission import MissionError
 
-__all__ = ["MANAGERS", "OURS", "find_manager"]
+__all__ = ["MANAGERS", "OURS", "find_manager", "options_of"]
 
 OURS = "ours"
 """The name under which the knowledge base and its configuration manager run, with the task layer that is asked for."""
@@ -48,6 +49,15 @@ def find_manager(name: str | type[Manager]) -> type[Manager]:
     except (ImportError, AttributeError, ValueError, SyntaxError) as error:
         raise MissionError(f"cannot import manager {name!r}: {type(error).__name__}: {error}") from error
     return _checked(found, name)
+
+
+def options_of(manager: str | type[Manager]) -> tuple[Option, ...]:
+    """Return what can be set of a manager; nothing of ours.
+
+    Raises:
+        MissionError: no such manager.
+    """
+    return () if manager == OURS else find_manager(manager).options
 
 
 def _checked(found: object, name: str) -> type[Manager]:
