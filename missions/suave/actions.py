@@ -99,11 +99,11 @@ class InspectPipeline(RosaAction):
     def __init__(self, kb: KnowledgeBase, senses: Senses) -> None:
         super().__init__("inspect", kb, self.schema.rosa_action)
         self._senses = senses
-        self.inspected_m = self._told_m = 0.0
+        self.inspected_m, self._told_m, self._heard = 0.0, 0.0, 0
 
     def initialise(self) -> None:
         """Begin with nothing inspected."""
-        self.inspected_m = self._told_m = 0.0
+        self.inspected_m, self._told_m, self._heard = 0.0, 0.0, 0
 
     def save_progress(self) -> tuple[float, float]:
         """Return how much is inspected [m], and what of it the follower told last [m]."""
@@ -116,11 +116,16 @@ class InspectPipeline(RosaAction):
 
     def update(self) -> Status:
         """Look at what was sensed."""
-        told_m = self._senses.value("distance_inspected") or 0.0
+        heard = self._senses.count("distance_inspected")
+        if heard != self._heard:
+            self._heard = heard
+            self._count(self._senses.value("distance_inspected") or 0.0)
+        return Status.SUCCESS if self._senses.holds("pipeline_inspected") else Status.RUNNING
+
+    def _count(self, told_m: float) -> None:
         self.inspected_m += told_m - self._told_m if told_m >= self._told_m else told_m
         self._told_m = told_m
         self.feedback_message = f"{self.inspected_m:.1f} m inspected"
-        return Status.SUCCESS if self._senses.holds("pipeline_inspected") else Status.RUNNING
 
 
 def facts(senses: Senses) -> Mapping[str, bool]:

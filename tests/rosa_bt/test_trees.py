@@ -162,12 +162,17 @@ def test_children_put_in_the_place_of_others_within_a_tick_are_refused(how):
 def test_what_the_refused_change_hid_from_its_parent_is_stopped_with_it():
     class Rash(Probe):
         def update(self):
+            self.ticks += 1
+            if self.ticks == 1:
+                return Status.SUCCESS
             root.children = [Probe("stranger")]
             return Status.FAILURE
 
     steady = Probe("steady")
-    root = Parallel("root", policy=ParallelPolicy.SuccessOnAll(), children=[steady, Rash("rash")])
+    root = Sequence("root", memory=False, children=[Rash("rash"), steady])
     runner = TreeRunner(root, clock=lambda: 0.0)
+    runner.tick()
+    assert steady.status is Status.RUNNING
     with pytest.raises(TreeChangeError):
         runner.tick()
     assert (root.status, steady.ended) == (Status.FAILURE, [Status.INVALID])
