@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from numpy.random import Generator
 
 from missions.managers.options import Option
-from missions.mission import Message, Mission
+from missions.mission import Message, Mission, MissionError
 
 if TYPE_CHECKING:
     from suave_env import ManagedSystem, Settings
@@ -117,7 +117,13 @@ class Robot:
         return self._managed.parameters(component)
 
     def later(self, delay_s: float, what: Callable[[], None]) -> None:
-        """Have something called after a delay [s]: how a manager takes time without waiting."""
+        """Have something called after a delay [s]: how a manager takes time without waiting.
+
+        Raises:
+            MissionError: the delay is no number from 0 on.
+        """
+        if not 0 <= delay_s < inf:
+            raise MissionError(f"cannot put something off by {delay_s!r} s; allowed is a number from 0")
         heapq.heappush(self._later, (self.now + delay_s, self._entered, what))
         self._entered += 1
 

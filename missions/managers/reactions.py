@@ -10,7 +10,7 @@ from missions.mission import Message
 if TYPE_CHECKING:
     from suave_env import Change
 
-__all__ = ["UNCERTAINTIES", "News", "Reaction", "find_reactions", "mean_reactions", "news_in"]
+__all__ = ["News", "Reaction", "UNCERTAINTIES", "find_reactions", "mean_reactions", "news_in"]
 
 UNCERTAINTIES: Final = ("U1", "U2", "U3")
 """Thruster, visibility, battery, as the ROSA paper calls them."""

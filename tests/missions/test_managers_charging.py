@@ -6,8 +6,8 @@ from time import perf_counter
 import numpy
 import pytest
 
-from missions.managers import Manager, open_run
-from missions.managers.options import Option, split_options
+from missions.managers import Manager, Option, open_run
+from missions.managers.options import split_options
 from missions.managers.rosa import CONFIGURING, FETCHING, INSERTING, PLANNING
 from missions.managers.watch import WatchedSea
 from missions.mission import MissionError
@@ -187,6 +187,14 @@ def test_what_is_put_off_comes_in_order_of_time_then_of_asking():
     calls = run._manager.calls
     assert [name for name, _ in calls] == ["now", "a", "b", "c"]
     assert [after_s for _, after_s in calls[1:]] == pytest.approx([1.0, 1.0, 2.0])
+
+
+@pytest.mark.parametrize("delay_s", [-1.0, float("nan"), float("inf")])
+def test_nothing_is_put_off_into_the_past_or_for_ever(delay_s):
+    run = open_run(SUAVE, manager="none")
+    with pytest.raises(MissionError, match="allowed is a number from 0"):
+        run.robot.later(delay_s, print)
+    run.world.close()
 
 
 def test_listeners_change_nothing_of_a_result():
