@@ -1,6 +1,5 @@
 """What a robot knows: which actions are feasible now, why, and how it has to be configured for what it does."""
 
-from kb.choice import ChoiceExplanation
 from kb.diagnostics import DiagnosticProblem
 from kb.elements import AttributeKind, ComponentKind, EstimationKind, Expression, StalePolicy
 from kb.events import Event, EventKind, StatusChange
@@ -9,7 +8,8 @@ from kb.execution.attempts import Attempt
 from kb.execution.condemned import Condemnation
 from kb.execution.executor import StagedExecutor
 from kb.execution.gate import VetoAnswer
-from kb.explanation import Explanation
+from kb.explanation.choice import ChoiceExplanation
+from kb.explanation.reasons import Explanation
 from kb.files import ModelFileError
 from kb.history import Process
 from kb.judge import Finding, Severity
@@ -24,7 +24,7 @@ from kb.requests import Reply, RequiredAction
 from kb.selection import Choice, Criterion, Optimum
 from kb.situation import Situation
 from kb.status import Status
-from kb.store import StoreError
+from kb.store.writer import StoreError
 
 __all__ = [
     "AmbiguousName",

@@ -14,10 +14,10 @@ from kb.facts import (
     StatusFact,
 )
 from kb.history import Process
-from kb.network import Node
+from kb.inference.network import Node
+from kb.inference.state import State
 from kb.reconfiguration import ReconfigurationPlan
 from kb.requests import RequiredAction
-from kb.state import State
 
 __all__ = ["past_plan", "past_process", "past_request", "stated"]
 

@@ -13,18 +13,18 @@ from kb.declarations import text
 from kb.elements import Action, Attribute, Component, Constraint, Element, Estimation, finite_number
 from kb.events import Event, EventKind
 from kb.exceptions import InvalidValue, KnowledgeBaseError
-from kb.explanation import why, why_selected
+from kb.explanation.reasons import why, why_selected
 from kb.facts import Fact, MeasurementFact, PlanFact, ProcessFact, RequiredActionFact
-from kb.growth import grown, shrunk
-from kb.inference import settle
-from kb.keeping import KEPT, Keeping
+from kb.inference.growth import grown, shrunk
+from kb.inference.network import Network, Node, is_steady
+from kb.inference.settling import settle
 from kb.model import Model
-from kb.network import Network, Node, is_steady
 from kb.reconfiguration import ReconfigurationPlan, Selection, planned, reselect
-from kb.recovery import open_store, resume
 from kb.requests import Reply, RequiredAction, check_result
 from kb.situation import Situation, assumptions, told_of
 from kb.status import Status
+from kb.store.keeping import KEPT, Keeping
+from kb.store.recovery import open_store, resume
 from kb.telling import status_changes
 
 __all__ = ["KnowledgeBase"]

@@ -18,7 +18,7 @@ from kb.exceptions import KnowledgeBaseError, ModelError, UnknownName
 from kb.files import ModelFileError, read_text
 from kb.individuals import CLASSES, GENERAL, MODEL, PARAMETER, PREFERENCE, STATED, Individual, Ref, Value
 from kb.rdfxml import ROSA, order, plain_text
-from kb.sparql import FUNCTIONS, Question, complaint, read_question
+from kb.store.queries import FUNCTIONS, Question, complaint, read_question
 
 if TYPE_CHECKING:
     from kb.model import Model

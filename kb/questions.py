@@ -9,16 +9,16 @@ from collections.abc import Callable, Iterable, Mapping
 from threading import RLock
 from typing import Any, Final
 
-from kb.choice import ChoiceExplanation, explain_choice
 from kb.declarations import listed
 from kb.elements import Configuration, Constraint, Element, FunctionDesign, Parameters
 from kb.exceptions import AmbiguousName, InvalidValue, UnknownName
-from kb.explanation import Explanation, explain, why
+from kb.explanation.choice import ChoiceExplanation, explain_choice
+from kb.explanation.reasons import Explanation, explain, why
 from kb.history import History
-from kb.network import Network, Node
+from kb.inference.network import Network, Node
+from kb.inference.state import Overlay, State
 from kb.reconfiguration import Obsolete, obsolete, reselect
 from kb.selection import Choice, Criterion, first_by_priority, summed_weights
-from kb.state import Overlay, State
 from kb.status import Status
 from kb.views import (
     ActionView,

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from kb.elements import Component, ComponentKind
-from kb.inference import Change, Node, State, settle
+from kb.inference.settling import Change, Node, State, settle
 
 __all__ = ["Obsolete", "ReconfigurationPlan", "Selection", "obsolete", "plain", "planned", "reselect"]
 

@@ -11,12 +11,12 @@ from kb.declarations import text as checked_text
 from kb.elements import Parameters
 from kb.exceptions import InvalidValue, KnowledgeBaseError
 from kb.history import KEPT_RECORDS, Attempt, Process, VetoAnswer
-from kb.inference import initial_state
-from kb.journal import Journal
-from kb.network import Network
+from kb.inference.network import Network
+from kb.inference.settling import initial_state
 from kb.questions import Questions
 from kb.reconfiguration import ReconfigurationPlan
 from kb.requests import check_result
+from kb.store.journal import Journal
 
 __all__ = ["Recording"]
 

@@ -7,12 +7,12 @@ from kb.declarations import listed
 from kb.elements import Constraint, exact, finite_number
 from kb.exceptions import InvalidValue
 from kb.history import History
-from kb.inference import settle
-from kb.network import Node
+from kb.inference.network import Node
+from kb.inference.settling import settle
+from kb.inference.state import Overlay, State
+from kb.inference.steadiness import verdict
 from kb.questions import Questions
-from kb.state import Overlay, State
 from kb.status import Status
-from kb.steadiness import verdict
 
 if TYPE_CHECKING:
     from kb.telling import Telling

@@ -4,20 +4,20 @@ import logging
 import math
 from collections.abc import Callable, Collection, Iterable
 
-from kb.alarms import Alarms
 from kb.declarations import text as checked_text
 from kb.diagnostics import DiagnosticProblem, Measurement, read_diagnostics
 from kb.elements import Constraint, Element, finite_number
 from kb.events import Event, EventKind, Publisher, StatusChange
 from kb.exceptions import InvalidValue, KnowledgeBaseError
-from kb.explanation import shortest
+from kb.explanation.reasons import shortest
 from kb.history import History
-from kb.inference import Change, settle
-from kb.measuring import Measurements
-from kb.network import Network, Node
+from kb.inference.alarms import Alarms
+from kb.inference.measuring import Measurements
+from kb.inference.network import Network, Node
+from kb.inference.settling import Change, settle
+from kb.inference.state import Reason, State
 from kb.questions import ELEMENTS
 from kb.recording import Recording
-from kb.state import Reason, State
 from kb.status import STATUSES, Status
 from kb.views import ElementView
 

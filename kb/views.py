@@ -20,7 +20,7 @@ from kb.elements import (
     finite_number,
 )
 from kb.exceptions import UnknownName
-from kb.inference import Node
+from kb.inference.settling import Node
 from kb.status import Status
 
 if TYPE_CHECKING:

@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 
 from kb.exceptions import InvalidValue
-from kb.explanation import why_selected
+from kb.explanation.reasons import why_selected
+from kb.inference.network import Node
 from kb.knowledge_base import KnowledgeBase
-from kb.network import Node
 from kb.reconfiguration import ReconfigurationPlan, planned, reselect
 from kb.requests import RequiredAction
 from kb.situation import Situation

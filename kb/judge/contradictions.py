@@ -9,9 +9,9 @@ from itertools import combinations
 from typing import Final, NamedTuple
 
 from kb.elements import Constraint
-from kb.inference import Network, Node
+from kb.explanation.requirements import Alternatives, Box, Interval, Requirements
+from kb.inference.settling import Network, Node
 from kb.judge.findings import Finding, found, listing
-from kb.requirements import Alternatives, Box, Interval, Requirements
 
 __all__ = ["bounds", "contradictions"]
 

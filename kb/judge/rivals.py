@@ -6,11 +6,11 @@ from itertools import groupby, pairwise
 from typing import TYPE_CHECKING, Final
 
 from kb.elements import Attribute, Configuration, Element, FunctionDesign, StalePolicy
+from kb.explanation.requirements import Interval
 from kb.facts import RequiredActionFact
-from kb.inference import Network, Node
+from kb.inference.settling import Network, Node
 from kb.judge.contradictions import bounds
 from kb.judge.findings import Finding, found, listing
-from kb.requirements import Interval
 
 if TYPE_CHECKING:
     from kb.model import Model

@@ -9,7 +9,7 @@ from kb.declarations import listed, text
 from kb.elements import Constraint, Element
 from kb.exceptions import UnknownName
 from kb.facts import RequiredActionFact
-from kb.inference import Network, Node
+from kb.inference.settling import Network, Node
 from kb.judge.contradictions import contradictions
 from kb.judge.findings import Finding, Severity, found
 from kb.judge.premises import doubtful_facts

@@ -5,10 +5,10 @@ from collections.abc import Mapping
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
-from kb.choice import ChoiceExplanation, explain_choice, note_nothing
 from kb.elements import Element, finite_number
 from kb.exceptions import InvalidValue
 from kb.execution.rehearsal import Rehearsal
+from kb.explanation.choice import ChoiceExplanation, explain_choice, note_nothing
 from kb.knowledge_base import KnowledgeBase
 from kb.manager import PriorityPlanner
 from kb.optimum.beside import Beside

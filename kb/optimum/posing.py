@@ -5,7 +5,8 @@ from decimal import Decimal, localcontext
 
 from kb.elements import Component, ComponentKind, Configuration, EstimationKind, FunctionDesign
 from kb.exceptions import UnknownName
-from kb.network import Network, Node
+from kb.inference.network import Network, Node
+from kb.inference.state import State
 from kb.optimum.problem import (
     EXACTLY,
     ComponentOptions,
@@ -17,7 +18,6 @@ from kb.optimum.problem import (
     whole,
 )
 from kb.selection import Criterion, by_priority
-from kb.state import State
 from kb.status import Status
 
 __all__ = ["check_names", "pose"]

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN, Context, Decimal, localcontext
 from typing import Final, NamedTuple
 
-from kb.network import Node
+from kb.inference.network import Node
 from kb.selection import Choice
 
 __all__ = ["ComponentOptions", "EXACTLY", "Effect", "FunctionOptions", "Option", "Picks", "Problem", "decimal", "whole"]

@@ -12,11 +12,11 @@ from typing import Any, Final
 
 from ortools.sat.python import cp_model
 
-from kb.network import Node
+from kb.inference.network import Node
+from kb.inference.state import State
 from kb.optimum.posing import pose
 from kb.optimum.problem import ComponentOptions, Effect, Option, Picks, Problem
 from kb.selection import Criterion, Optimum, number
-from kb.state import State
 
 __all__ = ["EFFORT", "best_choice", "solve", "verdicts"]
 

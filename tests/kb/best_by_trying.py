@@ -3,9 +3,9 @@
 from fractions import Fraction
 from itertools import product
 
+from kb.inference.state import Overlay
 from kb.reconfiguration import reselect
 from kb.selection import by_priority
-from kb.state import Overlay
 from kb.status import Status
 
 

@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from models import Clock, Twins, stories
 
 from kb import KnowledgeBase, Model, Status
-from kb.explanation import Comparison, explain
-from kb.inference import settle
-from kb.state import Overlay
+from kb.explanation.reasons import Comparison, explain
+from kb.inference.settling import settle
+from kb.inference.state import Overlay
 from kb.status import STATUSES
 
 SLOW = settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large], max_examples=150)

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from models import Clock, Twins, stories
 
 from kb import KnowledgeBase, Model, PriorityPlanner, Status
-from kb.choice import explain_choice
+from kb.explanation.choice import explain_choice
 from kb.selection import first_by_priority
 from kb.views import FunctionView
 

@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from models import NUMBERS, OPERATORS, Clock, amount, compare, subsets
 
 from kb import KnowledgeBase, Model, Status
-from kb.inference import initial_state, settle
-from kb.network import Network
-from kb.remedies import Measured, remedies
-from kb.requirements import MissingDesign, Recovered, Retracted
-from kb.state import Overlay
+from kb.explanation.remedies import Measured, remedies
+from kb.explanation.requirements import MissingDesign, Recovered, Retracted
+from kb.inference.network import Network
+from kb.inference.settling import initial_state, settle
+from kb.inference.state import Overlay
 from kb.status import STATUSES
 
 GRID = (-0.25, 0.0, 0.25, 0.5, 0.75, 1.0, 1.25)

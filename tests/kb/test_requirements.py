@@ -9,9 +9,9 @@ from models import OPERATORS, models
 
 from kb import Model, Status
 from kb.elements import Constraint
-from kb.inference import initial_state, settle
-from kb.network import Network
-from kb.requirements import Interval, Requirements, alternatives
+from kb.explanation.requirements import Interval, Requirements, alternatives
+from kb.inference.network import Network
+from kb.inference.settling import initial_state, settle
 
 GRID = (-0.25, 0.0, 0.25, 0.5, 0.75, 1.0, 1.25)
 """The thresholds of random models, and numbers between and beyond them."""

@@ -22,7 +22,7 @@ from models import Clock, Twins, stories
 from test_files import odd_models
 
 from kb import InvalidValue, KnowledgeBase, KnowledgeBaseError, Model, PriorityPlanner
-from kb.store import FORMAT, StoreError
+from kb.store.writer import FORMAT, StoreError
 
 FEW = settings(max_examples=40, suppress_health_check=[HealthCheck.too_slow])
 
@@ -446,7 +446,7 @@ def test_all_that_waited_is_saved_in_order_once_the_disk_has_room_again(tmp_path
 
 
 def test_waiting_for_room_is_given_up_when_too_much_waits(tmp_path, monkeypatch):
-    monkeypatch.setattr("kb.store._MOST_WAITING", 1000)
+    monkeypatch.setattr("kb.store.writer._MOST_WAITING", 1000)
     with kept(robot(), tmp_path / "m.sqlite3") as kb:
         with files_no_longer_than(100_000):
             fill(kb)

@@ -5,13 +5,13 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-from kb.alarms import Alarms
 from kb.elements import Attribute, Constraint
 from kb.history import History
-from kb.network import Node, is_steady
-from kb.state import State
+from kb.inference.alarms import Alarms
+from kb.inference.network import Node, is_steady
+from kb.inference.state import State
+from kb.inference.steadiness import verdict
 from kb.status import Status
-from kb.steadiness import verdict
 
 __all__ = ["Late", "Measurements"]
 

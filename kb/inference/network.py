@@ -101,7 +101,7 @@ _FIRST = itemgetter(0)
 
 
 def is_steady(node: Node) -> bool:
-    """Tell whether what a constraint is depends on earlier measurements too; see `kb.steadiness`."""
+    """Tell whether what a constraint is depends on earlier measurements too; see `kb.inference.steadiness`."""
     constraint, attribute = node.element, node.parts[0].element
     assert isinstance(constraint, Constraint)
     assert isinstance(attribute, Attribute)

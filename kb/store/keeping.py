@@ -11,11 +11,11 @@ from kb.elements import finite_number
 from kb.events import Event, EventKind
 from kb.exceptions import InvalidValue
 from kb.individuals import Individual, element_id, individuals
-from kb.journal import Group, Journal, Measured
-from kb.network import Network, Node
+from kb.inference.network import Network, Node
 from kb.rdfxml import metamodel
-from kb.recovery import Past, base_of
-from kb.store import measurement
+from kb.store.journal import Group, Journal, Measured
+from kb.store.recovery import Past, base_of
+from kb.store.writer import measurement
 from kb.telling import Telling
 
 if TYPE_CHECKING:

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 from typing import Final
 
 from kb.elements import Configuration, FunctionDesign
-from kb.explanation import why
-from kb.inference import is_adaptable
-from kb.network import Node
+from kb.explanation.reasons import why
+from kb.inference.network import Node
+from kb.inference.settling import is_adaptable
+from kb.inference.state import Overlay, State
 from kb.reconfiguration import reselect
 from kb.selection import first_by_priority
-from kb.state import Overlay, State
 from kb.status import Status
 
 __all__ = ["Alternative", "ChoiceExplanation", "explain_choice", "note_nothing"]

@@ -30,10 +30,10 @@ from kb.individuals import (
     nested,
     plain_json,
 )
-from kb.network import Node
+from kb.inference.network import Node
+from kb.inference.state import Reason, State
 from kb.reconfiguration import ReconfigurationPlan
 from kb.requests import RequiredAction
-from kb.state import Reason, State
 
 if TYPE_CHECKING:
     from kb.model import Model

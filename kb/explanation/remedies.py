@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import Final, NamedTuple
 
-from kb.network import Node
-from kb.requirements import Box, Interval, Repair, Requirements, is_counted_violated, is_outside
-from kb.state import State
+from kb.explanation.requirements import Box, Interval, Repair, Requirements, is_counted_violated, is_outside
+from kb.inference.network import Node
+from kb.inference.state import State
 from kb.status import Status
 
 __all__ = ["ChangedFact", "Measured", "Remedies", "Remedy", "remedies"]

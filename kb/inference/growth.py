@@ -3,9 +3,9 @@
 from collections.abc import Iterable
 
 from kb.elements import Constraint, Element
-from kb.inference import serve, settle
-from kb.network import Node
-from kb.state import State
+from kb.inference.network import Node
+from kb.inference.settling import serve, settle
+from kb.inference.state import State
 
 __all__ = ["grown", "shrunk"]
 

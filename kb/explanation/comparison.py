@@ -4,10 +4,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from kb.elements import Attribute, Constraint, exact
-from kb.network import Node
-from kb.state import State
+from kb.inference.network import Node
+from kb.inference.state import State
+from kb.inference.steadiness import turning_point
 from kb.status import OPERATORS, Status
-from kb.steadiness import turning_point
 
 __all__ = ["Comparison", "compared", "reading", "shortest", "told"]
 

@@ -12,10 +12,10 @@ from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
 from kb.elements import Attribute, Component, Constraint, Element, Function, StalePolicy, exact
-from kb.network import Node
-from kb.state import State
+from kb.inference.network import Node
+from kb.inference.state import State
+from kb.inference.steadiness import turning_point
 from kb.status import OPERATORS, Status
-from kb.steadiness import turning_point
 
 __all__ = [
     "Alternatives",

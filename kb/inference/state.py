@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from operator import attrgetter
 from typing import Any, Final, Generic, NamedTuple, Protocol, TypeVar
 
-from kb.network import Network, Node
+from kb.inference.network import Network, Node
 from kb.status import Status
 
 __all__ = ["Array", "Marked", "Overlay", "Reason", "State", "Users"]

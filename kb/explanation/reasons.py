@@ -5,11 +5,11 @@ from dataclasses import dataclass, field, replace
 from itertools import chain
 from typing import Final
 
-from kb.comparison import Comparison, compared, reading, shortest, told
 from kb.elements import Constraint
-from kb.network import Node
-from kb.remedies import Remedy, remedies
-from kb.state import Reason, State
+from kb.explanation.comparison import Comparison, compared, reading, shortest, told
+from kb.explanation.remedies import Remedy, remedies
+from kb.inference.network import Node
+from kb.inference.state import Reason, State
 from kb.status import Status
 
 __all__ = ["Comparison", "Explanation", "explain", "shortest", "why", "why_selected"]

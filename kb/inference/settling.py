@@ -9,8 +9,8 @@ from collections.abc import Iterable
 from typing import Final, NamedTuple
 
 from kb.elements import Attribute, Component, Constraint, Function, StalePolicy
-from kb.network import LEVELS, Network, Node
-from kb.state import Overlay, State
+from kb.inference.network import LEVELS, Network, Node
+from kb.inference.state import Overlay, State
 from kb.status import (
     Status,
     action_status,

@@ -1,4 +1,4 @@
-"""What is told is written to a file by one thread, in order; see `kb.store_file` for the file.
+"""What is told is written to a file by one thread, in order; see `kb.store.file` for the file.
 
 A commit holds whole calls, so a kill loses only the last of them. What cannot be written waits, and is tried again.
 """
@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING, Final
 
 from kb.elements import Attribute
 from kb.individuals import STATED, Individual, Ref, named_id
-from kb.journal import Group, Journal, Measured
-from kb.store_file import (
+from kb.store.file import (
     FORMAT,
     StoreError,
     blamed,
@@ -29,6 +28,7 @@ from kb.store_file import (
     make,
     values_of,
 )
+from kb.store.journal import Group, Journal, Measured
 
 if TYPE_CHECKING:
     from kb.owl import Book

@@ -23,16 +23,16 @@ from kb.individuals import (
     parameter_values,
     plain_json,
 )
-from kb.inference import settle
-from kb.journal import COLUMNS, Record
+from kb.inference.network import Node
+from kb.inference.settling import settle
+from kb.inference.state import Reason
 from kb.model import Model
-from kb.network import Node
 from kb.rdfxml import BASE
 from kb.reconfiguration import ReconfigurationPlan, plain
 from kb.requests import RequiredAction
-from kb.state import Reason
 from kb.status import Status
-from kb.store import Store, StoreError
+from kb.store.journal import COLUMNS, Record
+from kb.store.writer import Store, StoreError
 
 if TYPE_CHECKING:
     from kb.knowledge_base import KnowledgeBase
