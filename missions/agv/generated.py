@@ -13,7 +13,9 @@ _GRID_M: Final = 12.0
 
 
 def generated_building(rng: Generator, places: int = 58, corridors: int = 70) -> Building:
-    """Make a connected building on a jittered grid, so of random lengths; by default 58 places and 70 corridors, as the published one has.
+    """Make a connected building on a jittered grid, so of random lengths.
+
+    By default it has 58 places and 70 corridors, as the published one.
 
     A quarter of the corridors are obstructed, a quarter have a few obstacles, and a quarter are dark.
 

@@ -5,10 +5,13 @@ from types import MappingProxyType
 from typing import Final
 
 from kb import Model
+from missions.agv.building import Building
 
-__all__ = ["DRAW_W", "NAVIGATE", "SPEEDS", "agv_model"]
+__all__ = ["DRAW_W", "DRIVING_W", "FOLLOW", "NAVIGATE", "NAVIGATOR", "SPEEDS", "agv_model", "building_model", "heading"]
 
 NAVIGATE: Final = "navigate"
+FOLLOW: Final = "follow_route"
+NAVIGATOR: Final = "navigator"
 
 SPEEDS: Final[Mapping[str, float]] = MappingProxyType({"slow": 0.24, "medium": 0.35, "fast": 0.68})
 """What the base can be set to [m/s]; the figures are those of the ROSA paper's source (Camara et al.)."""
@@ -75,3 +78,27 @@ def agv_model(name: str = "agv", actions: Iterable[str] = (NAVIGATE,)) -> Model:
     for action in actions:
         model.action(action, requires=[navigate])
     return model
+
+
+def building_model(building: Building) -> Model:
+    """Build the model of the vehicle in a building: each corridor is an action, and each heading a configuration.
+
+    The demands of the corridors are not in it: they are measured. `driven` is how far it is to where the robot came
+    from, within a corridor [m].
+    """
+    model = agv_model("agv", actions=())
+    model.environmental_attribute("driven")
+    navigator = model.component(NAVIGATOR, kind="lifecycle")
+    for corridor in building.corridors.values():
+        for origin in corridor.ends:
+            navigator.configuration(heading(corridor.name, origin), {"corridor": corridor.name, "origin": origin})
+    follow = model.function(FOLLOW)
+    follow.design("by_navigator", [navigator])
+    for corridor in building.corridors.values():
+        model.action(f"cross_{corridor.name}", requires=[NAVIGATE, follow])
+    return model
+
+
+def heading(corridor: str, origin: str) -> str:
+    """Return the name of the configuration in which a corridor is driven from one of its ends."""
+    return f"{corridor}_from_{origin}"

@@ -1,6 +1,6 @@
 """In which ways the robot can be configured in a situation, and what each takes: read off the knowledge base."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import product
 
@@ -39,10 +39,12 @@ class Modes:
     Args:
         kb: what to ask; its failures count.
         function: for which designs are chosen.
+        failed: components that are supposed to have failed, too.
     """
 
-    def __init__(self, kb: KnowledgeBase, function: str) -> None:
+    def __init__(self, kb: KnowledgeBase, function: str, failed: Iterable[str] = ()) -> None:
         self._kb = kb
+        self._supposed = tuple(failed)
         self._function = function
         self._model = kb.model
         self._found: dict[tuple[object, ...], tuple[Mode, ...]] = {}
@@ -54,14 +56,14 @@ class Modes:
         """Return the modes that are possible while attributes have these values; none if the function is unfeasible."""
         key = self._key(conditions)
         if key not in self._found:
-            self._found[key] = tuple(self._possible(self._kb.situation(conditions)))
+            self._found[key] = tuple(self._possible(self._situation(conditions)))
         return self._found[key]
 
     def why_none(self, conditions: Mapping[str, float]) -> str:
         """Say why nothing is possible while attributes have these values."""
         key = self._key(conditions)
         if key not in self._reasons:
-            situation = self._kb.situation(conditions)
+            situation = self._situation(conditions)
             self._reasons[key] = situation.why(situation.functions[self._function])
         return self._reasons[key]
 
@@ -77,6 +79,9 @@ class Modes:
             failed = (name for name in kb.components if kb.components[name].status is Status.FAILURE)
             self._failed = (kb.revision, tuple(failed))
         return (*held, *self._failed[1])
+
+    def _situation(self, conditions: Mapping[str, float]) -> Situation:
+        return self._kb.situation(conditions, failed=self._supposed)
 
     def _possible(self, situation: Situation) -> Iterator[Mode]:
         for design in situation.selectable_designs(self._function):

@@ -1,0 +1,53 @@
+"""A ground vehicle finds its way through a building: which corridors, and configured how in each, planned together."""
+
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+from types import MappingProxyType
+from typing import Final
+
+from kb import KnowledgeBase
+from missions.agv.actions import Crossing, facts_of, problem_of
+from missions.agv.building import Building, load_building
+from missions.agv.model import agv_model, building_model
+from missions.agv.tree import agv_tree
+from missions.agv.world import AgvKind
+from missions.mission import Mission
+
+__all__ = ["MAPS", "MISSION", "WEIGHTS", "agv_mission"]
+
+MAPS: Final = Path(__file__).with_name("maps")
+"""The folder of the maps that come with the mission."""
+
+WEIGHTS: Final[Mapping[str, float]] = MappingProxyType({"time": 1.0, "energy": 0.02, "collisions": 10.0})
+"""What is minimised unless said otherwise: seconds, joules, expected collisions; own choice."""
+
+
+def agv_mission(name: str, summary: str, building: Building, weights: Mapping[str, float] = WEIGHTS) -> Mission:
+    """Make a mission of a map.
+
+    Args:
+        name: of the mission.
+        summary: what happens in it, in a line.
+        building: the map.
+        weights: what is minimised, see `missions.agv.joint.Question`.
+    """
+    crossings = [Crossing(building, corridor, weights) for corridor in building.corridors.values()]
+    known = KnowledgeBase(agv_model(), clock=lambda: 0.0)
+    return Mission(
+        name=name,
+        summary=summary,
+        model=partial(building_model, building),
+        tree=partial(agv_tree, building, weights),
+        problem=problem_of(building),
+        actions={one.schema.name: one for one in crossings},
+        facts=partial(facts_of, building, known),
+        world=AgvKind(building, weights),
+    )
+
+
+MISSION = agv_mission(
+    "agv",
+    "drive through a building; the Kinect fails on the way, and a corridor goes dark",
+    load_building(MAPS / "paper.toml"),
+)

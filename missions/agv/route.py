@@ -1,0 +1,84 @@
+"""What the task layer believes, and the joint plan for that: made anew when what is believed changes."""
+
+from collections.abc import Mapping
+from typing import Final
+
+from kb import KnowledgeBase, Status
+from missions.agv.building import Building
+from missions.agv.joint import Answer, JointPlanner, Leg, Place, Question
+from missions.senses import Senses
+
+__all__ = ["DARK", "Route"]
+
+DARK: Final = 0.1
+"""How light it is where the lamps of a corridor have gone out, from 0 to 1; own choice."""
+
+
+class Route:
+    """Knows where the robot is, what has failed and where it has become dark; plans when one of these changes.
+
+    Args:
+        building: the map.
+        kb: the knowledge base of the robot.
+        senses: what else was told.
+        weights: what is minimised, see `Question`.
+
+    Attributes:
+        plans: how often it was planned.
+    """
+
+    def __init__(self, building: Building, kb: KnowledgeBase, senses: Senses, weights: Mapping[str, float]) -> None:
+        self.building, self.kb, self.plans = building, kb, 0
+        self._senses = senses
+        self._weights = weights
+        self._planner = JointPlanner(building, kb)
+        self._believed: tuple[object, ...] = ()
+        self._answer: Answer | None = None
+
+    @property
+    def at(self) -> str:
+        """The place where the robot is, or the one that it came from."""
+        return next((place for place in self.building.places if self._senses.holds(f"at {place}")), self.building.start)
+
+    @property
+    def is_there(self) -> bool:
+        """Whether the robot has arrived."""
+        return self.at == self.building.goal and not self.inside
+
+    @property
+    def answer(self) -> Answer:
+        """The best plan from here, or why there is none."""
+        failed = [name for name in self.kb.components if self.kb.components[name].status is Status.FAILURE]
+        believed = (self.at, self.inside, *failed, *self._dark)
+        if self._answer is None or believed != self._believed:
+            self._believed = believed
+            self._answer = self._planner.plan(self.question)
+            self.plans += 1
+        return self._answer
+
+    @property
+    def leg(self) -> Leg | None:
+        """What to do now; None if there is no plan, or nothing left to do."""
+        legs = self.answer.legs
+        return legs[0] if legs else None
+
+    def leg_through(self, corridor: str) -> Leg | None:
+        """Return the best that can be done now to cross a corridor, wherever that leads; None if it cannot be."""
+        return self._planner.first_leg(self.question, corridor)
+
+    @property
+    def question(self) -> Question:
+        """What is to be planned from here; no more energy than there is."""
+        energy_j, driven_m = (self.kb.attributes[name].value for name in ("energy", "driven"))
+        limits = {} if energy_j is None else {"energy": max(0.0, energy_j)}
+        place = Place(self.at, self.inside, driven_m or 0.0) if self.inside else Place(self.at)
+        return Question(place, None, self._weights, limits, dict.fromkeys(self._dark, DARK))
+
+    @property
+    def inside(self) -> str:
+        """The corridor that the robot is in; empty at a place."""
+        return next((one.name for one in self.building.exits[self.at] if self._senses.holds(f"in {one.name}")), "")
+
+    @property
+    def _dark(self) -> list[str]:
+        return [name for name in self.building.corridors if self._senses.holds(f"dark {name}")]

@@ -1,0 +1,71 @@
+"""The mission as a behaviour tree: what is planned is done, and planned anew when what is believed changes.
+
+until arrived
+└── follow route             one child for each corridor; the one that is planned next is ticked
+    ├── cross c1 if feasible
+    └── ...
+"""
+
+from collections.abc import Iterator, Mapping
+
+from py_trees.behaviour import Behaviour
+from py_trees.common import Status
+from py_trees.composites import Composite
+
+from kb import KnowledgeBase
+from missions.agv.actions import Cross
+from missions.agv.building import Building
+from missions.agv.joint import Leg
+from missions.agv.route import Route
+from missions.senses import Senses
+from rosa_bt import feasible_then_act
+from rosa_bt.decorators import UntilSuccess
+
+__all__ = ["FollowRoute", "agv_tree"]
+
+
+class FollowRoute(Composite):
+    """Ticks the child for the corridor that is planned next; another one that runs is stopped first.
+
+    SUCCESS at the goal, FAILURE while there is no plan, with the reason as feedback, and when a corridor is crossed.
+    """
+
+    def __init__(self, route: Route) -> None:
+        self._route = route
+        self._crossings = {name: Cross(route, name, self._leg) for name in route.building.corridors}
+        self._by_corridor = {name: feasible_then_act(one) for name, one in self._crossings.items()}
+        super().__init__("follow route", list(self._by_corridor.values()))
+
+    def tick(self) -> Iterator[Behaviour]:
+        """Do what is planned next."""
+        leg = None if self._route.is_there else self._route.leg
+        planned = None if leg is None else self._by_corridor[leg.corridor]
+        for name, child in self._by_corridor.items():
+            if child is not planned and child.status is Status.RUNNING:
+                if self._crossings[name].is_crossed:
+                    yield from child.tick()
+                else:
+                    child.stop(Status.INVALID)
+        self.current_child = planned
+        if planned is None:
+            self.feedback_message = "" if self._route.is_there else self._route.answer.reason
+            self._end(Status.SUCCESS if self._route.is_there else Status.FAILURE)
+        else:
+            self.feedback_message = self._route.answer.reason
+            yield from planned.tick()
+            self._end(Status.RUNNING if planned.status is Status.RUNNING else Status.FAILURE)
+        yield self
+
+    def _leg(self) -> Leg | None:
+        return self._route.leg
+
+    def _end(self, status: Status) -> None:
+        if status is Status.RUNNING:
+            self.status = status
+        else:
+            self.stop(status)
+
+
+def agv_tree(building: Building, weights: Mapping[str, float], kb: KnowledgeBase, senses: Senses) -> Behaviour:
+    """Build the tree; it runs until the goal is reached."""
+    return UntilSuccess("until arrived", FollowRoute(Route(building, kb, senses, weights)))

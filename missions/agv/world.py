@@ -1,0 +1,273 @@
+"""The building as a world of missions; the simulator is imported when a mission is run in it, not before."""
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.random import Generator
+
+from kb import KnowledgeBase, ManagedSystem
+from missions.agv.building import Building
+from missions.agv.components import Components
+from missions.agv.model import DRAW_W, DRIVING_W, NAVIGATOR, SPEEDS
+from missions.agv.route import DARK, Route
+from missions.agv.scene import boxes
+from missions.agv.settings import Incident, Settings, described, incidents, settings_from
+from missions.agv.steering import Aim, Array, aim_along, steer
+from missions.mission import Message, Sample, Setting, Verdict, World, WorldKind
+from missions.senses import Senses
+
+if TYPE_CHECKING:
+    pass
+
+__all__ = ["AgvKind", "BuildingWorld"]
+
+_STAND: Final = Aim(0.0, 0.0)
+_LOCALIZERS: Final = {"amcl": ("kinect", "lidar"), "mrpt": ("kinect", "lidar"), "aruco": ("camera",)}
+_ERROR_M: Final = {("amcl", "kinect"): 0.03, ("amcl", "lidar"): 0.06, ("mrpt", "kinect"): 0.08, ("mrpt", "lidar"): 0.09}
+_CAMERA_ERROR_M: Final = 0.15
+_ERROR_KEEPS: Final = 0.98  # of the error of the position, from one look to the next
+_WELL_INSIDE_M: Final = 1.0  # from there on the robot is in a corridor, no longer at a place
+
+
+class BuildingWorld(World):
+    """A vehicle that drives where its navigator is told to, as long as it knows where it is.
+
+    Args:
+        building: the map.
+        settings: the constants.
+        rng: of all chance.
+    """
+
+    def __init__(self, building: Building, settings: Settings, rng: Generator) -> None:
+        from missions.agv.vehicle import Vehicle
+
+        self._building, self._settings, self._rng = building, settings, rng
+        start = building.places[building.start]
+        self._vehicle: Vehicle = Vehicle(
+            building, boxes(building, rng), (*start, rng.uniform(-math.pi, math.pi)), settings.physics_step_s
+        )
+        self._components = Components({**DRAW_W, "base": 0.0, NAVIGATOR: 0.0}, settings, lambda: self.now)
+        self._waiting = {one: rng.uniform(0.25, 0.6) for one in incidents(settings.incidents, building)}
+        self._light = {corridor.name: corridor.light for corridor in building.corridors.values()}
+        self._ticks = 0
+        self._at, self._inside, self._way = building.start, "", [building.start]
+        self._goal_said = False
+        self._ordered: Mapping[str, Any] = {}
+        self._sensor = ""
+        self._error: Array = np.zeros(2)
+        self._energy_j, self._driven_total_m = settings.capacity_j, 0.0
+        self._news: dict[str, dict[str, str]] = {}
+        self._happened: list[tuple[float, str]] = []
+        self._monitor_due = 0.0
+        self._say("mission status", f"at {self._at}", "true")
+
+    @property
+    def now(self) -> float:
+        """Time since the start [s]."""
+        return self._ticks * self._settings.control_period_s
+
+    @property
+    def managed(self) -> ManagedSystem:
+        """The components of the vehicle."""
+        return self._components
+
+    def advance(self, until: float) -> list[Message]:
+        """Drive until something is published or switched, at most to the time `until` [s]."""
+        while self.now < until - 1e-9:
+            self._step()
+            switched = self._components.settle()
+            if self.now >= self._monitor_due - 1e-9:
+                self._monitor()
+            if self._news or switched:
+                break
+        news, self._news = self._news, {}
+        said = [{"name": "building", "message": kind, "values": values} for kind, values in news.items()]
+        return [{"time": self.now, "status": said}] if said else []
+
+    def switching_s(self) -> Mapping[str, float]:
+        """Return how long commands take."""
+        switching_s = self._settings.switching_s
+        return {"activate": switching_s, "deactivate": switching_s, "set_parameters": self._settings.parameter_s}
+
+    def results(self) -> Mapping[str, float | None]:
+        """Return what was driven and used, and how often something was touched."""
+        return {
+            "driven_m": self._driven_total_m,
+            "energy_used_j": self._settings.capacity_j - self._energy_j,
+            "collisions": float(self._vehicle.collisions),
+        }
+
+    def sample(self) -> Sample:
+        """Return where the vehicle is, how fast it may drive, the light there and what it draws."""
+        x, y = self._vehicle.position
+        signals = {"light [-]": self._light_here, "draws [W]": self._draws_w(self._sensor != "")}
+        return Sample(self.now, (float(x), float(y), 0.0), {**signals, "speed set [m/s]": self._speed})
+
+    def disturbances(self) -> list[tuple[float, str]]:
+        """Return what failed and where it became dark."""
+        return list(self._happened)
+
+    def scenery(self) -> Mapping[str, Any]:
+        """Return the corridors, with what is special in them."""
+        shown = {}
+        for corridor in self._building.corridors.values():
+            words = [corridor.name] + (["obstructed"] if corridor.obstacles > 0 else [])
+            words += ["dark"] if self._light[corridor.name] < corridor.light or corridor.light < 0.3 else []
+            start, end = (np.array(self._building.places[place]) for place in corridor.ends)
+            shown[", ".join(words)] = np.linspace(start, end, 9)
+        return shown
+
+    # ---------------------------------------------------------------- one period
+
+    def _step(self) -> None:
+        self._ticks += 1
+        before = self._vehicle.position
+        self._take_orders()
+        aim = self._aim()
+        self._vehicle.drive(aim, round(self._settings.control_period_s / self._settings.physics_step_s))
+        self._energy_j = max(0.0, self._energy_j - self._draws_w(aim is not _STAND) * self._settings.control_period_s)
+        self._driven_total_m += math.dist(before, self._vehicle.position)
+        self._look_where_it_is()
+        for one in [one for one, part in self._waiting.items() if self._is_due(one, part)]:
+            del self._waiting[one]
+            self._happen(one)
+
+    def _take_orders(self) -> None:
+        """Take over where to drive: to the origin first, unless the vehicle is there or in that corridor already."""
+        ordered = self._components.parameters(NAVIGATOR) if self._components.is_active(NAVIGATOR) else {}
+        if not ordered or ordered == self._ordered:
+            return
+        self._ordered = ordered
+        to = self._building.corridors[ordered["corridor"]].other(ordered["origin"])
+        is_on_it = self._inside == ordered["corridor"] or (self._at == ordered["origin"] and not self._inside)
+        self._way = [to] if is_on_it else [ordered["origin"], to]
+
+    def _aim(self) -> Aim:
+        sensor = self._seeing()
+        if sensor != self._sensor:
+            self._sensor = sensor
+            self._vehicle.forget()
+        if not sensor or not self._way or self._speed == 0.0 or self._energy_j == 0.0:
+            return _STAND
+        target = np.array(self._building.places[self._way[0]])
+        believed = self._vehicle.position + self._drift()
+        corridor = self._building.corridors[self._ordered["corridor"] if len(self._way) == 1 else self._inside]
+        start = np.array(self._building.places[corridor.other(self._way[0])])
+        to = aim_along(believed, start, target) - believed
+        bearing = math.remainder(math.atan2(to[1], to[0]) - self._vehicle.yaw, math.tau)
+        return steer(bearing, self._vehicle.look(sensor), self._speed)
+
+    def _seeing(self) -> str:
+        """Return the sensor by which the vehicle knows where it is; empty if it does not."""
+        active = self._components.is_active
+        for localizer, sensors in _LOCALIZERS.items():
+            for sensor in sensors:
+                sees = sensor != "camera" or self._light_here >= 0.3 or active("lamp")
+                if active(localizer) and active(sensor) and active("base") and active(NAVIGATOR) and sees:
+                    self._error_m = _ERROR_M.get((localizer, sensor), _CAMERA_ERROR_M)
+                    return sensor
+        return ""
+
+    def _drift(self) -> Array:
+        """Return how wrong the position is that the vehicle believes in (2,) [m]; it wanders."""
+        fresh = self._error_m * math.sqrt((1 - _ERROR_KEEPS**2) / 2)
+        self._error = _ERROR_KEEPS * self._error + fresh * self._rng.standard_normal(2)
+        return self._error
+
+    def _look_where_it_is(self) -> None:
+        position = self._vehicle.position
+        if self._way and math.dist(position, self._building.places[self._way[0]]) < self._settings.reach_m:
+            place = self._way.pop(0)
+            self._leave()
+            if place != self._at:
+                self._say("mission status", f"at {self._at}", "false")
+                self._at = place
+                self._say("mission status", f"at {place}", "true")
+        elif not self._inside and len(self._way) == 1 and self._driven_m > _WELL_INSIDE_M:
+            self._inside = str(self._ordered["corridor"])
+            self._say("EA measurement", "driven", repr(self._driven_m))
+            self._say("mission status", f"in {self._inside}", "true")
+
+    def _leave(self) -> None:
+        if self._inside:
+            self._say("mission status", f"in {self._inside}", "false")
+            self._inside = ""
+
+    # ---------------------------------------------------------------- what happens, and what is told of it
+
+    def _is_due(self, one: Incident, part: float) -> bool:
+        corridor = self._building.corridors[one.corridor]
+        return self._inside == one.corridor and self._driven_m >= part * corridor.length_m
+
+    def _happen(self, one: Incident) -> None:
+        if one.component:
+            is_failed = one.what == "fails"
+            self._components.fail(one.component, is_failed)
+            self._say("component status", one.component, "failure" if is_failed else "recovered")
+            self._say("mission status", f"{one.component} failed", str(is_failed).lower())
+            self._happened.append((self.now, f"{one.component} {'failed' if is_failed else 'recovered'}"))
+            return
+        self._light[one.corridor] = DARK if one.what == "dark" else 1.0
+        self._say("EA measurement", "light", repr(self._light_here))
+        self._say("mission status", f"dark {one.corridor}", str(one.what == "dark").lower())
+        self._happened.append((self.now, f"light in {one.corridor} goes {'out' if one.what == 'dark' else 'on'}"))
+
+    def _monitor(self) -> None:
+        self._monitor_due += self._settings.monitor_period_s
+        if self._inside:
+            self._say("EA measurement", "light", repr(self._light_here))
+            self._say("EA measurement", "driven", repr(self._driven_m))
+        self._say("QA measurement", "energy", repr(self._energy_j))
+
+    def _say(self, kind: str, key: str, value: str) -> None:
+        self._news.setdefault(kind, {})[key] = value
+
+    @property
+    def _driven_m(self) -> float:
+        return math.dist(self._vehicle.position, self._building.places[self._at])
+
+    @property
+    def _light_here(self) -> float:
+        return self._light[self._inside] if self._inside else 1.0
+
+    @property
+    def _speed(self) -> float:
+        return (
+            float(self._components.parameters("base").get("speed", 0.0)) if self._components.is_active("base") else 0.0
+        )
+
+    def _draws_w(self, is_driving: bool) -> float:
+        speed = next((name for name, value in SPEEDS.items() if value == self._speed), "")
+        base_w = DRIVING_W[speed] if is_driving and speed else self._settings.standing_w
+        return base_w + sum(watts for name, watts in DRAW_W.items() if self._components.is_active(name))
+
+
+class AgvKind(WorldKind):
+    """Opens a building.
+
+    Args:
+        building: the map.
+        weights: what the mission minimises, to say why there was no plan.
+    """
+
+    def __init__(self, building: Building, weights: Mapping[str, float]) -> None:
+        self._building, self._weights = building, weights
+
+    def settings(self) -> tuple[Setting, ...]:
+        """Return every constant."""
+        return described()
+
+    def open(self, values: Mapping[str, str], rng: Generator) -> BuildingWorld:
+        """Open the building."""
+        return BuildingWorld(self._building, settings_from(values), rng)
+
+    def verdict(self, senses: Senses, results: Mapping[str, float | None], kb: KnowledgeBase) -> Verdict:
+        """Judge by where the robot is."""
+        route = Route(self._building, kb, senses, self._weights)
+        if route.is_there:
+            return Verdict("arrived", f"the robot is at {self._building.goal}")
+        if not route.answer.is_solved:
+            return Verdict("aborted", f"there is no way from {route.at}: {route.answer.reason}")
+        return Verdict("aborted", f"time ran out on the way from {route.at}")
