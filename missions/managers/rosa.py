@@ -12,7 +12,7 @@ from typing import ClassVar
 from py_trees.common import Status
 
 from kb import ConfigurationManager, Event, EventKind, KnowledgeBase, PriorityPlanner, ReconfigurationPlan
-from missions.managers.manager import COMPONENT_STATUS, MEASUREMENTS, Manager, Robot
+from missions.managers.manager import Manager, Robot
 from missions.managers.options import Option
 from missions.mission import Message
 from missions.senses import Senses
@@ -69,10 +69,8 @@ class RosaManager(Manager):
         return self._runner.status is Status.SUCCESS
 
     def receive(self, message: Message) -> None:
-        """Have it inserted into the knowledge base, if it is for that."""
-        self._senses.receive(message)
-        if any(status["message"].casefold() in (*MEASUREMENTS, COMPONENT_STATUS) for status in message["status"]):
-            self._after(INSERTING, lambda: self._insert(message))
+        """Have it inserted; the tree, which asks the knowledge base, does not hear of it earlier."""
+        self._after(INSERTING, lambda: self._insert(message))
 
     def update(self) -> None:
         """Tick the tree."""
@@ -82,6 +80,7 @@ class RosaManager(Manager):
         self.robot.later(calls * self._service_s, what)
 
     def _insert(self, message: Message) -> None:
+        self._senses.receive(message)
         before = self._kb.revision
         self._kb.receive(message)
         if self._kb.revision != before and self._manager.dry_run() is not None:

@@ -129,6 +129,13 @@ def test_rosa_whose_services_take_no_time_does_as_we_do():
     assert rosa.world.results()["found_s"] == pytest.approx(ours.world.results()["found_s"], abs=2.0)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_rosa_as_published_recharges_once_though_it_learns_of_it_late(seed):
+    run = open_run(find_mission("suave_extended"), manager="rosa", seed=seed)
+    run.run()
+    assert [task.action for task in run.robot.tasks].count("recharge") == 1
+
+
 def test_managers_that_take_nothing_from_the_paper_do_not_say_so():
     for manager in ("ours", "none", "random", "bt", "metacontrol"):
         run = open_run(SUAVE, manager=manager, settings={"duration_s": "3"})
