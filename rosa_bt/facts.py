@@ -162,13 +162,16 @@ def tell(kb: KnowledgeBase, fact: Fact) -> None:
     """Tell a fact again; the clock of the knowledge base shows its time.
 
     Raises:
-        TraceError: no such kind of fact.
+        TraceError: no such kind of fact, or not with such arguments.
     """
     try:
         verb = _VERBS[fact.verb]
     except KeyError:
         raise TraceError(f"{fact.verb!r} is no fact; facts are {', '.join(_VERBS)}") from None
-    verb(kb, *fact.arguments)
+    try:
+        verb(kb, *fact.arguments)
+    except (IndexError, TypeError) as error:
+        raise TraceError(f"{fact.verb}{fact.arguments!r} cannot be told again: {error}") from error
 
 
 def _select(kb: KnowledgeBase, designs: Mapping[str, str], configurations: Mapping[str, str]) -> None:

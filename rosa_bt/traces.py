@@ -149,7 +149,7 @@ def _read(text: str, where: str, read: Callable[[dict[str, Any]], T]) -> T:
         return read(json.loads(text))
     except json.JSONDecodeError as error:
         raise TraceError(f"{where}:{error.colno}: not JSON ({error.msg}); one object per line is expected") from None
-    except (KeyError, TypeError, ValueError) as error:
+    except (AttributeError, KeyError, OverflowError, RecursionError, TypeError, ValueError) as error:
         raise TraceError(f"{where}: no line of a trace ({type(error).__name__}: {error})") from None
 
 

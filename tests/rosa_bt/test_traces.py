@@ -189,6 +189,9 @@ def test_what_is_told_after_a_trace_is_closed_is_not_heard():
         ('{"rosa_bt_trace":2,"model":"x"}\n', "version 2; this program reads version 1"),
         ('{"rosa_bt_trace":1,"model":"x"}\n{"tick":0}\n', r":2: no line of a trace"),
         ('{"rosa_bt_trace":1,"model":"x"}\n{"tick":0,"time":0.0,"visited":[[1]]}\n', r":2: no line of a trace"),
+        ('{"rosa_bt_trace":1,"model":"x"}\n"tick"\n', r":2: no line of a trace"),
+        ('{"rosa_bt_trace":1,"model":"x"}\n{"tick":1e999,"time":0.0}\n', r":2: no line of a trace"),
+        pytest.param("[" * 100_000, r":1: no line of a trace \(RecursionError", id="deep"),
     ],
 )
 def test_file_that_is_no_trace_is_refused_with_its_line(tmp_path, text, message):
@@ -198,10 +201,18 @@ def test_file_that_is_no_trace_is_refused_with_its_line(tmp_path, text, message)
         read_trace(path)
 
 
-def test_fact_that_nobody_knows_is_refused(tmp_path):
+@pytest.mark.parametrize(
+    ("fact", "message"),
+    [
+        ('[0,"explode",[]]', "'explode' is no fact; facts are measure, "),
+        ('[0,"measure",["light"]]', r"measure\('light',\) cannot be told again"),
+        ('[0,"finish_plan",[3,"completed"]]', "finish_plan.3, 'completed'. cannot be told again"),
+    ],
+)
+def test_fact_that_nobody_knows_is_refused(tmp_path, fact, message):
     path = tmp_path / "run.jsonl"
-    path.write_text('{"rosa_bt_trace":1,"model":"x"}\n{"tick":0,"time":0.0,"visited":[],"facts":[[0,"explode",[]]]}\n')
-    with pytest.raises(TraceError, match="'explode' is no fact; facts are measure, "):
+    path.write_text(f'{{"rosa_bt_trace":1,"model":"x"}}\n{{"tick":0,"time":0.0,"visited":[],"facts":[{fact}]}}\n')
+    with pytest.raises(TraceError, match=message):
         replay_trace(read_trace(path), rover(), tree)
 
 
