@@ -18,8 +18,6 @@ __all__ = ["distribution", "reaction_histograms"]
 WIDTH, ROW, EDGES, DPI = 9.0, 0.8, 1.1, 130  # [inch], [inch], [inch], [px/inch]
 EARLY, LATE, PLAIN, PAPER, INK = "#0072b2", "#e69f00", "#7d8790", "#d55e00", "#222222"
 BINS, LOG_BINS = 40, 36
-CLEAR = 0.75
-"""Clusters are told apart where they explain more of the variance than in an even spread."""
 STYLE: Final[dict[Any, Any]] = {
     **{"font.family": "DejaVu Sans", "font.size": 8.5, "text.color": INK, "text.parse_math": False},
     **{"axes.edgecolor": "#b5b5b5", "axes.linewidth": 0.7, "axes.spines.top": False, "axes.spines.right": False},
@@ -34,7 +32,7 @@ def distribution(comparison: Comparison, figure: str, label: str, *, clusters: b
         comparison: what is compared.
         figure: its name among the results.
         label: what stands at its axis.
-        clusters: whether to show the two clusters that a sample falls into, if it does.
+        clusters: whether to show the two clusters that each sample falls into.
 
     Returns:
         The picture by the suffix of its file: "png" and "svg".
@@ -62,6 +60,7 @@ def reaction_histograms(comparison: Comparison) -> dict[str, bytes]:
         The picture by the suffix of its file: "png" and "svg".
     """
     from matplotlib import rc_context
+    from matplotlib.ticker import NullFormatter
 
     names = comparison.uncertainties
     groups = [group for group in comparison.groups if any(group.delays(name) for name in names)]
@@ -80,6 +79,8 @@ def reaction_histograms(comparison: Comparison) -> dict[str, bytes]:
                 _mark(cell, None if published is None else (published, 0.0))
         for cell, name in zip(axes[-1], names, strict=True):
             cell.set_xlabel(f"reaction to {name} [s]")
+            cell.xaxis.set_major_formatter("{x:g}")
+            cell.xaxis.set_minor_formatter(NullFormatter())
         _explain(drawing, groups, clusters=False)
         return _written(drawing)
 
@@ -91,7 +92,7 @@ def _rows(rows: int, columns: int) -> "tuple[Figure, Any]":
     height = rows * ROW + EDGES
     drawing = Figure(figsize=(WIDTH, height), dpi=DPI)
     FigureCanvasAgg(drawing)
-    drawing.subplots_adjust(left=0.15, right=0.98, top=1 - 0.5 / height, bottom=0.5 / height, hspace=0.25, wspace=0.08)
+    drawing.subplots_adjust(left=0.15, right=0.98, top=1 - 0.5 / height, bottom=0.5 / height, hspace=0.4, wspace=0.08)
     return drawing, drawing.subplots(rows, columns, sharex=True, squeeze=False)
 
 
@@ -100,12 +101,12 @@ def _name(axes: "Axes", group: Group | None, count: str) -> None:
     axes.spines["left"].set_visible(False)
     if group is not None:
         axes.set_ylabel(group.label, rotation=0, ha="right", va="center")
-    axes.text(0.995, 0.9, count, transform=axes.transAxes, ha="right", va="top", color="#666666", fontsize=7.5)
+    axes.text(1, 1, count, transform=axes.transAxes, ha="right", va="bottom", color="#666666", fontsize=7.5)
 
 
 def _bars(axes: "Axes", values: Sequence[float], bins: Any, clusters: bool) -> None:  # noqa: ANN401  # an array
     found = two_clusters(values) if clusters else None
-    if found is None or found.explained < CLEAR:
+    if found is None:
         axes.hist(values, bins=bins, color=PLAIN)
         return
     parts = [[value for value in values if value < found.cut], [value for value in values if value >= found.cut]]
@@ -132,6 +133,8 @@ def _explain(drawing: "Figure", groups: Sequence[Group], clusters: bool) -> None
     if any(group.published for group in groups):
         text = "published mean" + (" and standard deviation" if clusters or len(drawing.axes) == len(groups) else "")
         entries.append(Line2D([], [], color=PAPER, marker="D", markersize=4.5, linestyle="", label=text))
+    if any(group.inputs for group in groups):
+        entries.append(Line2D([], [], linestyle="", label="* figures of the paper are put in"))
     if entries:
         drawing.legend(handles=entries, loc="upper left", bbox_to_anchor=(0.14, 1), ncols=len(entries))
 

@@ -36,8 +36,8 @@ class Group:
 
     @property
     def label(self) -> str:
-        """What it is called in the report."""
-        return f"{self.manager} ({self.task})" if self.task else self.manager
+        """What it is called in the report; a star says that figures of the paper were put in."""
+        return f"{self.manager}{f' ({self.task})' if self.task else ''}{'*' if self.inputs else ''}"
 
     @property
     def inputs(self) -> dict[str, float]:

@@ -9,9 +9,10 @@ from statistics import fmean, median
 import numpy
 
 from missions.campaign.document import Document
-from missions.campaign.figures import CLEAR, distribution, reaction_histograms
-from missions.campaign.groups import SEARCH, Comparison, Group, comparisons
+from missions.campaign.figures import distribution, reaction_histograms
+from missions.campaign.groups import SEARCH, Comparison, comparisons
 from missions.campaign.store import Kept
+from missions.managers import OURS
 from missions.mission import MissionError
 from missions.output import OutputFile
 from missions.statistics import contrast, holm, interval_of_mean, interval_of_sd, two_clusters
@@ -21,6 +22,8 @@ __all__ = ["write_report"]
 DISTANCE = "distance_inspected_m"
 HEADLINES = {SEARCH: "search time [s]", DISTANCE: "distance inspected [m]"}
 NONE = "-"
+CLEAR = 3.5
+"""Separation of two clusters: above that of the halves of an even spread."""
 
 
 def write_report(kept: Kept, folder: Path) -> list[Path]:
@@ -112,9 +115,9 @@ def _tell_clusters(document: Document, comparison: Comparison) -> None:
             rows.append([group.label, *[NONE] * 4])
             continue
         parts = f"{found.low:.0f} ({found.share_low:.0%})", f"{found.high:.0f} ({1 - found.share_low:.0%})"
-        clear = "yes" if found.explained > CLEAR else "no"
-        rows.append([group.label, *parts, f"{found.cut:.1f}", f"{found.explained:.0%}, {clear}"])
-    document.table(["manager", "earlier, mean (share)", "later", "cut", "variance explained, two clusters?"], rows)
+        clear = "clear" if found.separation > CLEAR else "not clear"
+        rows.append([group.label, *parts, f"{found.cut:.1f}", f"{found.separation:.1f}, {clear}"])
+    document.table(["manager", "earlier cluster, mean (share)", "later cluster", "cut", "separation"], rows)
 
 
 def _tell_reactions(document: Document, comparison: Comparison) -> None:
@@ -148,8 +151,9 @@ def _tell_reactions(document: Document, comparison: Comparison) -> None:
 
 
 def _tell_contrasts(document: Document, comparison: Comparison, headlines: Mapping[str, str]) -> None:
-    """Compare every two managers: the mean difference of runs with the same seed, and the ranks."""
+    """Compare ours with each other manager, or without ours each two: runs with the same seed, and ranks."""
     pairs = [(later, earlier) for earlier, later in combinations(comparison.groups, 2)][::-1]
+    pairs = [pair for pair in pairs if OURS in (pair[0].manager, pair[1].manager)] or pairs
     rows, ps = [], []
     for name, label in headlines.items():
         for one, other in pairs:
@@ -160,7 +164,6 @@ def _tell_contrasts(document: Document, comparison: Comparison, headlines: Mappi
             mean = interval_of_mean([first[seed] - second[seed] for seed in both], _chance())
             found = contrast(list(first.values()), list(second.values()))
             ps.append(found.p)
-            names = f"{label}: {one.label} - {other.label}"
             difference = f"{mean.estimate:+.2f} [{mean.low:+.2f}, {mean.high:+.2f}]"
             rows.append(
                 [f"{label}: {one.label} - {other.label}", str(len(both)), difference, f"{found.superiority:.2f}"]
@@ -218,8 +221,8 @@ def _tell_method(document: Document) -> None:
             "p: two-sided Mann-Whitney tests, corrected by Holm's method for all tests of one table; it says whether "
             "two distributions differ, P(one > other) by how much (0.5: not at all).",
             "A search that never succeeds counts as long as the mission, as in SUAVE.",
-            "Two clusters: the cut that leaves the least variance within the parts; they are called clear if they "
-            "explain more than 75 % of it, as much as of an even spread.",
+            "Two clusters: the cut that leaves the least variance within the parts. Separation is the distance of "
+            f"their means over the root of the mean of their variances; clear above {CLEAR}, that of an even spread.",
             "Published: the table of the ROSA paper, 100 runs each.",
         ]
     )

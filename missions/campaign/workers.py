@@ -1,5 +1,8 @@
 """Who does the runs of a campaign: processes of this machine, or workers of a cluster; both are executors."""
 
+import os
+import threading
+import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
@@ -12,6 +15,7 @@ from missions.mission import MissionError
 __all__ = ["Cluster", "Processes", "Workers", "outcomes"]
 
 PATIENCE_S = 10.0
+WATCH_S = 0.5
 
 
 class Workers(Protocol):
@@ -66,7 +70,7 @@ class Processes:
         from joblib.externals.loky import ProcessPoolExecutor
 
         if self._executor is None:
-            self._executor = ProcessPoolExecutor(self._count)
+            self._executor = ProcessPoolExecutor(self._count, initializer=_end_with, initargs=(os.getpid(),))
         started: Executor = self._executor
         return started
 
@@ -218,6 +222,17 @@ def _hand_out(waiting: deque[PlannedRun], under_way: dict[Future[Outcome], Plann
                 workers.renew()
             return
         under_way[future] = waiting.popleft()
+
+
+def _end_with(parent: int) -> None:
+    """Have this process end when the one that started it is gone, which a killed program cannot ask for."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(WATCH_S)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def _probe(needs: tuple[str, ...]) -> Callable[[], dict[str, str]]:

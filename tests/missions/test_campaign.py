@@ -1,0 +1,417 @@
+"""Campaigns: what they unfold into, the same results whoever does them, and nothing lost however they end."""
+
+import csv
+import json
+import os
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from functools import cache
+from io import StringIO
+from pathlib import Path
+
+import pyarrow.parquet
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rich.console import Console
+
+from missions import cli
+from missions.campaign import Campaign, Store, paper_table, read_store
+from missions.campaign import tables as tables_module
+from missions.campaign.command import _Teller
+from missions.campaign.plan import PlannedRun, from_data
+from missions.campaign.work import Outcome, do, provenance
+from missions.managers import MANAGERS
+from missions.mission import MissionError
+
+SMALL = """
+name = "small"
+missions = ["suave"]
+managers = ["none", "bt", "ours"]
+runs = 3
+rules = "2024"
+
+[settings]
+duration_s = 20
+
+[sweep]
+bias = [0, 1.0]
+"""
+RUNS = 3 * 3 * 2
+TABLES = ("runs.csv", "runs.parquet", "reactions.csv", "reactions.parquet")
+
+
+@pytest.fixture
+def quick(capsys, monkeypatch):
+    """Run the command line in this process; returns exit status, output and errors."""
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["rosa", *map(str, arguments)])
+        monkeypatch.setattr(sys, "path", [*sys.path])
+        try:
+            cli.main()
+            code = 0
+        except SystemExit as end:
+            code = end.code or 0
+        captured = capsys.readouterr()
+        return code, captured.out, " ".join(captured.err.split())
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def small(tmp_path_factory):
+    """Return the file of a small campaign, and what two workers made of it."""
+    folder = tmp_path_factory.mktemp("campaign")
+    file = folder / "small.toml"
+    file.write_text(SMALL)
+    return file, rosa("campaign", file, "--workers", 2, "--out", folder / "two")
+
+
+def rosa(*arguments):
+    """Run the command line in a process of its own, which must do what it is for; return its folder."""
+    command = [sys.executable, "-m", "missions", *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return Path(arguments[-1])
+
+
+def tables(folder):
+    return {name: (folder / name).read_bytes() for name in TABLES}
+
+
+def lines(folder):
+    return [json.loads(line) for line in (folder / "runs.jsonl").read_text().splitlines()]
+
+
+WORDS = st.lists(st.sampled_from("abcdefgh"), min_size=1, max_size=3, unique=True).map(tuple)
+CAMPAIGNS = st.builds(
+    Campaign,
+    name=st.just("any"),
+    missions=WORDS,
+    managers=st.lists(st.sampled_from(["ours", "bt", "none"]), min_size=1, unique=True).map(tuple),
+    tasks=st.sampled_from([("bt",), ("pddl",), ("bt", "pddl")]),
+    runs=st.integers(1, 3),
+    first_seed=st.integers(0, 5),
+    settings=st.dictionaries(st.sampled_from(["a", "b"]), st.sampled_from(["1", "x"])),
+    cases=st.lists(st.fixed_dictionaries({"c": st.sampled_from("123")}), max_size=3, unique_by=repr).map(tuple),
+    sweep=st.dictionaries(st.sampled_from(["d", "e"]), st.lists(st.sampled_from("123"), min_size=1, unique=True)),
+)
+
+
+@given(CAMPAIGNS)
+def test_every_run_has_a_name_of_its_own_and_managers_meet_the_same_seeds(campaign):
+    planned = campaign.planned()
+    assert len({run.name for run in planned}) == len(planned)
+    layers = len(campaign.managers) + ("ours" in campaign.managers) * (len(campaign.tasks) - 1)
+    assert len(planned) == len(campaign.missions) * len(campaign.variants) * layers * campaign.runs
+    by_manager = {}
+    for run in planned:
+        by_manager.setdefault(run.manager, set()).add(run.seed)
+    assert len(set(map(frozenset, by_manager.values()))) == 1
+
+
+@given(CAMPAIGNS)
+def test_campaign_is_the_same_after_it_was_written_and_read(campaign):
+    data = json.loads(json.dumps(campaign.as_data()))
+    assert from_data(data, "here").planned() == campaign.planned()
+    assert from_data(data, "here").as_data() == campaign.as_data()
+
+
+def test_seed_of_a_run_stands_in_its_name_and_in_what_does_it_again():
+    run = PlannedRun("suave", "ours", "pddl", 7, (("bias", "0"), ("start_y", "2.8")))
+    assert run.name == "suave/ours/pddl/bias=0,start_y=2.8/7"
+    assert run.command == "rosa run suave --manager ours --task pddl --seed 7 --set bias=0 --set start_y=2.8"
+
+
+def test_paper_table_has_both_missions_under_every_manager_a_hundred_times():
+    planned = paper_table().planned()
+    layers = {(run.manager, run.task) for run in planned}
+    assert layers == {*((name, None) for name in MANAGERS), ("ours", "bt"), ("ours", "pddl")}
+    assert len(planned) == 100 * 2 * len(layers)
+
+
+@pytest.mark.parametrize("workers", [1, 4])
+def test_results_are_the_same_to_the_byte_on_any_number_of_workers(small, tmp_path, workers):
+    file, two = small
+    other = rosa("campaign", file, "--workers", workers, "--out", tmp_path / "other")
+    assert tables(other) == tables(two)
+    assert len(lines(other)) == RUNS
+
+
+def test_tables_hold_what_the_runs_gave(small):
+    _, folder = small
+    records = {one["run"]: one for one in lines(folder)}
+    with (folder / "runs.csv").open(newline="") as file:
+        rows = {row["run"]: row for row in csv.DictReader(file)}
+    columns = pyarrow.parquet.read_table(folder / "runs.parquet").to_pylist()
+    assert list(rows) == [run.name for run in read_store(folder).campaign.planned()] == [one["run"] for one in columns]
+    for row in columns:
+        record = records[row["run"]]
+        assert row["set_bias"] == rows[row["run"]]["set_bias"] == record["settings"]["bias"]
+        assert row["search_time_s"] == record["search_time_s"]
+        assert float(rows[row["run"]]["violation_s"]) == row["violation_s"] == record["violation_s"]
+    reactions = pyarrow.parquet.read_table(folder / "reactions.parquet").to_pylist()
+    assert len(reactions) == sum(len(record["reactions"]) for record in records.values()) > 0
+
+
+def test_without_pyarrow_there_is_csv_only(small, tmp_path, monkeypatch):
+    monkeypatch.setattr(tables_module, "find_spec", lambda name: None)
+    written = tables_module.write_tables(read_store(small[1]), tmp_path)
+    assert [path.name for path in written] == ["runs.csv", "reactions.csv"]
+
+
+def test_record_of_a_run_is_what_its_command_line_gives(small, quick, tmp_path):
+    record = next(one for one in lines(small[1]) if one["manager"] == "bt" and one["seed"] == 1)
+    run = next(run for run in read_store(small[1]).campaign.planned() if run.name == record["run"])
+    quick(*shlex.split(run.command)[1:], "--no-progress", "--json", tmp_path / "again.json")
+    again = json.loads((tmp_path / "again.json").read_text())
+    assert {key: again[key] for key in ("seed", "violation_s", "switches", "energy_j")} == {
+        key: record[key] for key in ("seed", "violation_s", "switches", "energy_j")
+    }
+
+
+def test_killed_campaign_goes_on_without_losing_or_repeating_a_run(small, tmp_path):
+    file, two = small
+    folder = tmp_path / "killed"
+    command = [sys.executable, "-m", "missions", "campaign", str(file), "--workers", "2", "--out", str(folder)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as running:
+        while running.poll() is None and not ((folder / "runs.jsonl").exists() and len(lines(folder)) > 2):
+            time.sleep(0.02)
+        os.kill(running.pid, signal.SIGKILL)
+        running.communicate()
+    before = (folder / "runs.jsonl").read_bytes()
+    done = len(before.splitlines())
+    assert 2 < done < RUNS
+    with (folder / "runs.jsonl").open("ab") as unfinished:
+        unfinished.write(b'{"run": "suave/none/bias=0')
+    assert len(read_store(folder).records) == done  # what is half-written is passed over
+    rosa("campaign", "--resume", "--workers", 2, "--out", folder)
+    after = (folder / "runs.jsonl").read_bytes()
+    assert after.startswith(before)
+    names = [one["run"] for one in lines(folder)]
+    assert len(names) == len(set(names)) == RUNS
+    assert tables(folder) == tables(two)
+
+
+def test_campaign_that_is_done_is_done(small, quick):
+    file, two = small
+    before = tables(two)
+    code, out, _ = quick("campaign", file, "--resume", "--workers", "1", "--out", two)
+    assert code == 0
+    assert f"{RUNS} of {RUNS} runs done, 0 of them now" in out
+    assert tables(two) == before
+
+
+CLUMSY = """
+import os, sys
+
+from missions.managers import Manager
+
+
+class Clumsy(Manager):
+    def update(self):
+        if self.robot.now > 1:
+            {trouble}
+"""
+TROUBLE = """[lambda: None, lambda: 1 / 0, lambda: os._exit(9), lambda: sys.exit("enough")][
+                int(self.robot.settings.start_y_m)
+            ]()"""
+
+
+def test_run_that_crashes_is_recorded_and_the_others_go_on(tmp_path, monkeypatch, quick):
+    monkeypatch.chdir(tmp_path)
+    Path("clumsy.py").write_text(CLUMSY.format(trouble=TROUBLE))
+    Path("c.toml").write_text(
+        'missions = ["suave"]\nmanagers = ["none", "clumsy:Clumsy"]\nruns = 2\n[settings]\nduration_s = 5\n'
+        "[sweep]\nstart_y = [0, 1, 2, 3]\n"
+    )
+    code, out, _ = quick("campaign", "c.toml", "--workers", "2", "--out", "c")
+    assert code == 1
+    assert "16 of 16 runs done" in out
+    kept = read_store(Path("c"))
+    crashed = {record["run"]: record["error"] for record in kept.crashed}
+    errors = {1: "ZeroDivisionError: division by zero", 2: "the process that ran it died", 3: "SystemExit: enough"}
+    assert crashed == {
+        f"suave/clumsy:Clumsy/duration_s=5,start_y={y}/{seed}": error for y, error in errors.items() for seed in (0, 1)
+    }
+    assert "rosa run suave --manager clumsy:Clumsy --seed 1 --set duration_s=5 --set start_y=2" in out
+    assert "ZeroDivisionError" in Path("c/crashes.txt").read_text()
+    assert len(lines(Path("c"))) == 16
+
+    Path("clumsy.py").write_text(CLUMSY.format(trouble="pass"))
+    assert quick("campaign", "--resume", "--out", "c")[0] == 0
+    assert len(read_store(Path("c")).crashed) == 6  # a run that crashed is done too
+    code, out, _ = quick("campaign", "--resume", "--retry", "--workers", "2", "--out", "c")
+    assert code == 0
+    assert "16 of 16 runs done, 6 of them now" in out
+    assert not read_store(Path("c")).crashed
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('mission = ["suave"]', "unknown key 'mission'; did you mean missions?"),
+        ('missions = ["suave"]\nquux = 1', "unknown key 'quux'; there are name, missions, managers"),
+        ("runs = 3", "says no missions"),
+        ('missions = "suave"', "missions is 'suave'; expected is a list"),
+        ("missions = []", "missions is []; expected is a list of one name or more"),
+        ('missions = ["suaf"]', "unknown mission 'suaf'; there are suave"),
+        ('missions = ["suave"]\nmanagers = ["bd"]', "unknown manager 'bd'; there are ours"),
+        ('missions = ["suave"]\ntasks = ["xml"]', "unknown task layer 'xml'"),
+        ('missions = ["suave"]\nruns = 0', "runs is 0; expected is a whole number from 1"),
+        ('missions = ["suave"]\nruns = true', "runs is True"),
+        ('missions = ["suave"]\nfirst_seed = -1', "first_seed is -1; expected is a whole number from 0"),
+        ('missions = ["suave", "suave"]', "missions has suave twice"),
+        ('missions = ["suave"]\n[sweep]\nbias = []', "bias is empty"),
+        ('missions = ["suave"]\n[sweep]\nbias = 1', "bias is 1; expected is a list"),
+        ('missions = ["suave"]\n[sweep]\nbias = [[1]]', "bias is [1]; expected is a number"),
+        ('missions = ["suave"]\n[settings]\nbais = 1', "unknown setting 'bais' of mission suave; did you mean bias"),
+        ('missions = ["suave"]\n[settings]\nduration_s = -1', "duration_s is '-1'"),
+        ('missions = ["suave"]\n[sweep]\nmass_kg = [1, -1]', "mass_kg"),
+        ('missions = ["suave"]\nrules = "2023"', "there are no rules '2023'"),
+        ('missions = ["suave"]\n[settings]\nbias = 0\n[sweep]\nbias = [1]', "bias is given in settings and in sweep"),
+        ('missions = ["suave"]\n[sweep]\nbias = [1]\n[[cases]]\nbias = 0', "bias is given in sweep and in cases"),
+        ('missions = ["suave"]\nname = "../up"', "name is '../up'"),
+        ('missions = ["suave"', "c.toml is no TOML"),
+    ],
+)
+def test_file_that_is_wrong_is_refused_before_anything_runs(tmp_path, monkeypatch, quick, text, message):
+    monkeypatch.chdir(tmp_path)
+    Path("c.toml").write_text(text)
+    code, out, err = quick("campaign", "c.toml")
+    assert code == 2
+    assert message in err
+    assert out == ""
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["c.toml"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["none.toml"], "cannot read none.toml: No such file"),
+        ([], "say what to run: FILE.toml or --paper-table, or --resume --out DIR"),
+        (["--resume"], "say what to run"),
+        (["--runs", "3"], "--runs goes with FILE.toml or --paper-table"),
+        (["--paper-table", "--runs", "0"], "a campaign of 0 runs does nothing"),
+        (["c.toml", "--paper-table"], "give either FILE.toml or --paper-table"),
+        (["c.toml", "--workers", "2", "--cluster", "x:1"], "not both"),
+        (["c.toml", "--retry"], "--retry goes with --resume"),
+        (["--resume", "--out", "nowhere"], "there is no folder nowhere"),
+        (["--resume", "--out", "."], ". holds no campaign: there is no campaign.json"),
+        (["c.toml", "--out", "c.toml/in"], "cannot make c.toml/in: Not a directory"),
+        (["c.toml", "--workers", "0"], "--workers"),
+    ],
+)
+def test_wrong_use_is_one_clear_message(tmp_path, monkeypatch, quick, arguments, message):
+    monkeypatch.chdir(tmp_path)
+    Path("c.toml").write_text(SMALL)
+    code, _, err = quick("campaign", *arguments)
+    assert code == 2
+    assert message in err
+
+
+def begun(folder, text=SMALL):
+    """Begin a campaign and keep one run of it."""
+    file = folder.with_suffix(".toml")
+    file.write_text(text)
+    data = Campaign("small", ("suave",), ("none",), runs=2, settings={"duration_s": "1"})
+    with Store(folder, data) as store:
+        store.keep(first())
+    return data
+
+
+@cache
+def first() -> Outcome:
+    return do(Campaign("small", ("suave",), ("none",), runs=2, settings={"duration_s": "1"}).planned()[0])
+
+
+def test_folder_that_holds_another_campaign_is_left_alone(tmp_path, quick):
+    data = begun(tmp_path / "c")
+    code, _, err = quick("campaign", tmp_path / "c.toml", "--out", tmp_path / "c")
+    assert code == 2
+    assert "holds a campaign already; go on with it by --resume" in err
+    code, _, err = quick("campaign", tmp_path / "c.toml", "--resume", "--out", tmp_path / "c")
+    assert code == 2
+    assert "holds another campaign: its managers is ['none'], not ['none', 'bt', 'ours']" in err
+    assert read_store(tmp_path / "c").campaign == data
+    assert len(read_store(tmp_path / "c").records) == 1
+
+
+def test_folder_is_held_by_one_program_at_a_time(tmp_path, quick):
+    begun(tmp_path / "c")
+    with Store(tmp_path / "c", None, resume=True):
+        code, _, err = quick("campaign", "--resume", "--out", tmp_path / "c")
+    assert code == 2
+    assert "another program is running the campaign" in err
+
+
+def test_results_of_different_code_are_never_mixed(tmp_path, quick):
+    begun(tmp_path / "c")
+    with Store(tmp_path / "c", None, resume=True) as store:
+        strange = Outcome(store.campaign.planned()[1], "other", {"run": "x"})
+        with pytest.raises(MissionError, match=r"was run by other code \(other\) than the campaign"):
+            store.keep(strange)
+    head = json.loads((tmp_path / "c" / "campaign.json").read_text())
+    head["provenance"]["code"] = "older"
+    (tmp_path / "c" / "campaign.json").write_text(json.dumps(head))
+    code, _, err = quick("campaign", "--resume", "--out", tmp_path / "c")
+    assert code == 2
+    assert f"was begun with code older, here is {provenance()['code']}" in err
+    with pytest.raises(MissionError, match="results of different versions cannot be mixed"):
+        read_store(tmp_path / "c")
+
+
+@pytest.mark.parametrize(
+    ("file", "content", "message"),
+    [
+        ("campaign.json", "{", "is damaged"),
+        ("campaign.json", '{"format": 1}', "is damaged: KeyError"),
+        ("campaign.json", '{"format": 9, "campaign": {}, "provenance": {"code": ""}}', "has format 9; this version"),
+        ("runs.jsonl", "nonsense\n", "line 1 is damaged"),
+        ("runs.jsonl", "[]\n", "line 1 is damaged"),
+    ],
+)
+def test_damaged_folder_says_which_file_is_damaged(tmp_path, file, content, message):
+    begun(tmp_path / "c")
+    (tmp_path / "c" / file).write_text(content)
+    with pytest.raises(MissionError, match=message):
+        read_store(tmp_path / "c")
+
+
+def test_run_of_another_campaign_among_the_results_is_found_out(tmp_path):
+    begun(tmp_path / "c")
+    with (tmp_path / "c" / "runs.jsonl").open("a") as file:
+        file.write(json.dumps({"run": "suave/none/99", "code": provenance()["code"], "outcome": "time_limit"}) + "\n")
+    with pytest.raises(MissionError, match="holds suave/none/99, which is no run of the campaign"):
+        read_store(tmp_path / "c")
+
+
+@settings(max_examples=25)
+@given(st.data())
+def test_whatever_is_cut_off_at_the_end_costs_the_last_line_at_most(data, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("cut") / "c"
+    begun(folder)
+    content = (folder / "runs.jsonl").read_bytes()
+    kept = data.draw(st.integers(0, len(content)))
+    (folder / "runs.jsonl").write_bytes(content[:kept])
+    with Store(folder, None, resume=True) as store:
+        store.keep(first())
+    records = read_store(folder).records
+    assert list(records) == [first().run.name]
+    assert len(lines(folder)) == 1 + (kept == len(content))
+
+
+def test_bar_shows_how_far_how_fast_and_how_long():
+    shown = StringIO()
+    with _Teller(Console(file=shown, force_terminal=True, width=120)) as teller:
+        teller.begin(1, 4)
+        teller.done(first().record)
+        teller.note("no worker is left")
+        teller._progress.refresh()
+    text = shown.getvalue()
+    for part in ("2/4", "a second", "left", first().run.name, "no worker is left"):
+        assert part in text
