@@ -44,6 +44,9 @@ _COMPARISONS: Final[dict[str, Callable[[Any, Any], bool]]] = {
 }
 
 
+_WORDS: Final = {"true": True, "false": False}
+
+
 def parse_script(code: str) -> Script:
     """Read a script.
 
@@ -54,7 +57,8 @@ def parse_script(code: str) -> Script:
 
 
 def truth(value: object) -> bool:
-    """Return what a value means where a condition is expected."""
+    """Return what a value means where a condition is expected; a port's text "true" or "false" is what it says."""
+    value = _WORDS.get(value, value) if isinstance(value, str) else value
     if isinstance(value, bool | int | float):
         return bool(value)
     raise ScriptError(f"{value!r} is neither true nor false; compare it with something")
@@ -155,8 +159,8 @@ def _constant(value: object) -> Script:
 
 
 def _variable(name: str) -> Script:
-    if name in ("true", "false"):
-        return _constant(name == "true")
+    if name in _WORDS:
+        return _constant(_WORDS[name])
 
     def read(blackboard: MutableMapping[str, Any]) -> Any:  # noqa: ANN401  # a value of any type
         if name not in blackboard:
@@ -193,6 +197,6 @@ def _compared(left: Script, right: Script, sign: str) -> Script:
 
 def _number(value: object) -> float:
     try:
-        return float(value)  # type: ignore[arg-type]  # what has no number is refused below
+        return float(_WORDS.get(value, value) if isinstance(value, str) else value)  # type: ignore[arg-type]  # what has no number is refused below
     except (TypeError, ValueError):
         raise ScriptError(f"{value!r} cannot be compared with a number") from None

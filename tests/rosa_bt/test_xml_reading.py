@@ -3,6 +3,7 @@
 import re
 
 import pytest
+from py_trees.common import Status
 from xml_leaves import registry_of, trace, wrapped
 
 from rosa_bt import RosaBtError, TreeRunner, XmlError, export_xml, load_xml
@@ -187,3 +188,22 @@ def test_error_in_an_included_file_names_that_file(tmp_path):
 def test_what_editors_write_beside_is_passed_over():
     text = wrapped('<Sequence _description="d" _uid="3" _fullPath="x/y" _collapsed="true"><a/></Sequence>')
     load(text)
+
+
+@pytest.mark.parametrize(
+    ("code", "is_so"),
+    [
+        ("flag", True),
+        ("!flag", False),
+        ("flag == true", True),
+        ("flag == false", False),
+        ("count == 3 &amp;&amp; count &lt; 3.5", True),
+        ("word == 'true'", False),
+        ("!(count &gt; 5) || flag", True),
+    ],
+)
+def test_script_reads_the_text_that_a_subtree_is_given_as_what_it_says(code, is_so):
+    inner = f'<ScriptCondition code="{code}"/>'
+    tree = load(wrapped('<SubTree ID="Other" flag="true" count="3" word="tru"/>', Other=inner))
+    tree.tick_once()
+    assert (tree.status is Status.SUCCESS) == is_so
