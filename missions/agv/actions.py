@@ -9,7 +9,7 @@ from py_trees.common import Status
 from kb import KnowledgeBase
 from missions.agv.building import Building, Corridor
 from missions.agv.joint import Leg
-from missions.agv.model import FOLLOW, NAVIGATE, NAVIGATOR, heading
+from missions.agv.model import FOLLOW, NAVIGATE, NAVIGATOR, heading, headings
 from missions.agv.modes import Modes
 from missions.agv.route import DARK, Route
 from missions.senses import Senses
@@ -44,9 +44,11 @@ class Cross(RosaAction):
         """Tell what the corridor demands, and select what was planned."""
         self._leg = self._choose()
         if self._leg is not None:
-            for attribute, value in self._leg.conditions.items():
+            way = headings(self._route.building).index((self._leg.corridor, self._leg.origin)) + 1.0
+            for attribute, value in {**self._leg.conditions, "way": way}.items():
                 self.kb.measure(attribute, value)
-            self._select(self._leg)
+            if self.kb.pending_plan is None:  # else it would be abandoned together with that one
+                self._select(self._leg)
 
     def update(self) -> Status:
         """Look whether the other end is reached; take over what was planned anew for the same corridor."""
@@ -57,10 +59,10 @@ class Cross(RosaAction):
         if self.is_crossed:
             return Status.SUCCESS
         anew = self._choose()
-        if anew is not None and anew is not leg and anew.to == leg.to:
-            self._leg = anew
-            if anew.mode.choice != leg.mode.choice:
-                self._select(anew)
+        if anew is not None and anew.to == leg.to:
+            self._leg = leg = anew
+        if self.kb.pending_plan is None and not self._is_selected(leg):  # it was planned anew, or the manager had to choose before it was
+            self._select(leg)
         return Status.RUNNING
 
     def terminate(self, new_status: Status) -> None:
@@ -68,9 +70,21 @@ class Cross(RosaAction):
         self.kb.measure("obstacles", 0.0)
 
     def _select(self, leg: Leg) -> None:
-        designs = {**leg.mode.choice.designs, FOLLOW: "by_navigator"}
-        configurations = {**leg.mode.choice.configurations, NAVIGATOR: heading(leg.corridor, leg.origin)}
-        self.kb.select(designs, configurations, f"{leg.mode.name} is the best to cross {leg.corridor}, {leg.why}")
+        why = f"{leg.mode.name} is the best to cross {leg.corridor}, {leg.why}"
+        self.kb.select(_designs(leg), _configurations(leg), why)
+
+    def _is_selected(self, leg: Leg) -> bool:
+        designs = (self.kb.designs[name] for name in _designs(leg).values())
+        configurations = (self.kb.configurations[name] for name in _configurations(leg).values())
+        return all(one.is_selected for one in (*designs, *configurations))
+
+
+def _designs(leg: Leg) -> dict[str, str]:
+    return {**leg.mode.choice.designs, FOLLOW: "by_navigator"}
+
+
+def _configurations(leg: Leg) -> dict[str, str]:
+    return {**leg.mode.choice.configurations, NAVIGATOR: heading(leg.corridor, leg.origin)}
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,18 @@ from typing import Final
 from kb import Model
 from missions.agv.building import Building
 
-__all__ = ["DRAW_W", "DRIVING_W", "FOLLOW", "NAVIGATE", "NAVIGATOR", "SPEEDS", "agv_model", "building_model", "heading"]
+__all__ = [
+    "DRAW_W",
+    "DRIVING_W",
+    "FOLLOW",
+    "NAVIGATE",
+    "NAVIGATOR",
+    "SPEEDS",
+    "agv_model",
+    "building_model",
+    "heading",
+    "headings",
+]
 
 NAVIGATE: Final = "navigate"
 FOLLOW: Final = "follow_route"
@@ -84,19 +95,29 @@ def building_model(building: Building) -> Model:
     """Build the model of the vehicle in a building: each corridor is an action, and each heading a configuration.
 
     The demands of the corridors are not in it: they are measured. `driven` is how far it is to where the robot came
-    from, within a corridor [m].
+    from, within a corridor [m], and `way` the number of the heading that is to be taken, from 1 in their order.
     """
     model = agv_model("agv", actions=())
-    model.environmental_attribute("driven")
+    driven = model.environmental_attribute("driven")
     navigator = model.component(NAVIGATOR, kind="lifecycle")
-    for corridor in building.corridors.values():
-        for origin in corridor.ends:
-            navigator.configuration(heading(corridor.name, origin), {"corridor": corridor.name, "origin": origin})
+    way = model.environmental_attribute("way")
+    for number, (corridor, origin) in enumerate(headings(building), start=1):
+        navigator.configuration(
+            heading(corridor, origin),
+            {"corridor": corridor, "origin": origin},
+            priority=number,
+            constraints=[way >= number, way <= number],
+        )
     follow = model.function(FOLLOW)
-    follow.design("by_navigator", [navigator])
-    for corridor in building.corridors.values():
-        model.action(f"cross_{corridor.name}", requires=[NAVIGATE, follow])
+    follow.design("by_navigator", [navigator], constraints=[driven >= 0.0])
+    for name in building.corridors:
+        model.action(f"cross_{name}", requires=[NAVIGATE, follow])
     return model
+
+
+def headings(building: Building) -> tuple[tuple[str, str], ...]:
+    """Return every corridor with each of its ends to drive it from, in order."""
+    return tuple((corridor.name, origin) for corridor in building.corridors.values() for origin in corridor.ends)
 
 
 def heading(corridor: str, origin: str) -> str:

@@ -34,6 +34,7 @@ class Route:
         self._planner = JointPlanner(building, kb)
         self._believed: tuple[object, ...] = ()
         self._answer: Answer | None = None
+        self._through: dict[str, Leg | None] = {}
 
     @property
     def at(self) -> str:
@@ -48,10 +49,8 @@ class Route:
     @property
     def answer(self) -> Answer:
         """The best plan from here, or why there is none."""
-        failed = [name for name in self.kb.components if self.kb.components[name].status is Status.FAILURE]
-        believed = (self.at, self.inside, *failed, *self._dark)
-        if self._answer is None or believed != self._believed:
-            self._believed = believed
+        self._believe()
+        if self._answer is None:
             self._answer = self._planner.plan(self.question)
             self.plans += 1
         return self._answer
@@ -64,7 +63,19 @@ class Route:
 
     def leg_through(self, corridor: str) -> Leg | None:
         """Return the best that can be done now to cross a corridor, wherever that leads; None if it cannot be."""
-        return self._planner.first_leg(self.question, corridor)
+        self._believe()
+        if corridor not in self._through:
+            self._through[corridor] = self._planner.first_leg(self.question, corridor)
+        return self._through[corridor]
+
+    def _believe(self) -> None:
+        """Drop what was planned if what is believed has changed."""
+        failed = [name for name in self.kb.components if self.kb.components[name].status is Status.FAILURE]
+        believed = (self.at, self.inside, *failed, *self._dark)
+        if believed != self._believed:
+            self._believed = believed
+            self._answer = None
+            self._through = {}
 
     @property
     def question(self) -> Question:
