@@ -4,13 +4,13 @@ from collections.abc import Mapping
 from importlib import import_module
 from types import MappingProxyType
 
-from missions import suave, suave_extended
+from missions import suave, suave_extended, uav
 from missions.mission import Mission, MissionError
 
 __all__ = ["MISSIONS", "find_mission"]
 
 MISSIONS: Mapping[str, Mission] = MappingProxyType(
-    {mission.name: mission for mission in (suave.MISSION, suave_extended.MISSION)}
+    {mission.name: mission for mission in (suave.MISSION, suave_extended.MISSION, uav.MISSION)}
 )
 
 

@@ -35,6 +35,7 @@ SAMPLES: Final = tuple(f"sample_{number}" for number in range(1, MOST_SAMPLES + 
 # What is wanted is sensed, so the goal changes by itself when a sample is added.
 PROBLEM: Final = DeclaredProblem(
     objects={**dict.fromkeys(SAMPLES, "sample"), "drone": "robot"},
+    facts=("(looking drone)", "(gripper_folded drone)", *(f"(wanted {one})" for one in SAMPLES[:-1])),
     goal=("(forall (?s - sample) (imply (wanted ?s) (analysed ?s)))",),
 )
 

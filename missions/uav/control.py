@@ -22,7 +22,7 @@ TILT_GAIN: Final = 8.0  # [1/s]
 RATE_GAIN: Final = 25.0  # [1/s]
 YAW_GAIN: Final = 2.0  # [1/s]
 SIDEWAYS_M_S2: Final = 4.0  # largest horizontal acceleration that is asked for
-VERTICAL_M_S2: Final = 4.0
+VERTICAL_M_S2: Final = 4.0  # the same, upwards; downwards it is half of gravity
 
 
 def velocity_wanted(position: Vector, target: Vector, speed: float, climb: float) -> Vector:
@@ -53,7 +53,7 @@ def wanted_force(error: Vector, trim: Vector, mass: float, gravity: float) -> Ve
     """
     x, y, z = (VELOCITY_GAIN * one + more for one, more in zip(error, trim, strict=True))
     scale = min(1.0, SIDEWAYS_M_S2 / max(math.hypot(x, y), 1e-9))
-    lift = gravity + max(-VERTICAL_M_S2, min(VERTICAL_M_S2, z))
+    lift = max(gravity / 2, gravity + min(VERTICAL_M_S2, z))
     return mass * x * scale, mass * y * scale, mass * lift
 
 

@@ -10,13 +10,15 @@ import mujoco
 from missions.uav.control import Vector, attitude_torques, mast, mixed, velocity_wanted, wanted_force
 from missions.uav.settings import Settings
 
-__all__ = ["ON_GROUND_M", "Quadrotor"]
+__all__ = ["ON_GROUND_M", "SUBSTEPS", "Quadrotor"]
 
 _log = logging.getLogger(__name__)
 mujoco.set_mju_user_warning(_log.debug)  # MuJoCo's own handler prints, and writes a file into the working directory
 
 ON_GROUND_M: Final = 0.35
 """Height of the vehicle's origin when it stands [m]."""
+SUBSTEPS: Final = 2
+"""Steps of the physics for which thrust is held."""
 STRAIGHT_M: Final = 0.6  # as near as that a place is approached straight, not at travelling height
 TRIM_GAIN: Final = 1.0  # [1/s2]
 TRIM_LIMIT: Final = 3.0  # [m/s2]
@@ -80,7 +82,7 @@ class Quadrotor:
 
     def carry(self, mass: float) -> None:
         """Have a load of that mass in the gripper [kg]; 0 for none."""
-        load, change = self.model.body("load").id, 0.0
+        load = self.model.body("load").id
         change = max(mass, 1e-6) - self.model.body_mass[load]
         self.model.body_mass[load] += change
         for body in (0, self.model.body("vehicle").id, load):
@@ -105,14 +107,14 @@ class Quadrotor:
     # ---------------------------------------------------------------- flying
 
     def step(self) -> None:
-        """Choose thrusts and advance by one step of the physics."""
-        data, step_s = self.data, self._settings.physics_step_s
+        """Choose thrusts and advance by one period of the control."""
+        data, step_s = self.data, SUBSTEPS * self._settings.physics_step_s
         thrusts = self._thrusts(step_s) if self._target is not None and self.has_power else [0.0] * 4
         turn = math.pi / 2 / self._settings.fold_s * step_s
         self._arm += max(-turn, min(turn, self._arm_wanted - self._arm))
         data.ctrl[:] = (*thrusts, self._arm)
         data.qfrc_applied[:2] = self._push
-        mujoco.mj_step(self.model, data)
+        mujoco.mj_step(self.model, data, SUBSTEPS)
         self.rotor_w = self._watts * sum(one * math.sqrt(one) for one in thrusts)
         x, y, z, *_ = data.qpos.tolist()
         u, v, w, *_ = data.qvel.tolist()

@@ -53,7 +53,9 @@ class Settings:
     sample_kg: float = _setting(0.2, "kg", "mass of a sample", _OWN, 0, 0.5)
 
     # Flight
-    physics_step_s: float = _setting(0.01, "s", "step of the physics engine and of the control", _OWN, 0.001, 0.01)
+    physics_step_s: float = _setting(
+        0.01, "s", "step of the physics engine; thrust is chosen every second one", _OWN, 0.001, 0.01
+    )
     cruise_m: float = _setting(5.0, "m", "height at which it searches and travels", _OWN, 2, 20)
     speed_m_s: float = _setting(3.0, "m/s", "horizontal speed limit", _CONTROL, 0.5, 5)
     climb_m_s: float = _setting(1.5, "m/s", "vertical speed limit", _CONTROL, 0.2, 3)
@@ -62,7 +64,7 @@ class Settings:
     figure_of_merit: float = _setting(0.6, "-", "ideal by actual power of a hovering rotor", _CONTROL, 0.1, 1)
     drag: float = _setting(0.3, "N s/m", "linear drag of the air", _CONTROL, 0, 2)
     wind_m_s: float = _setting(1.0, "m/s", "steady wind, from a direction of chance", _OWN, 0, 4)
-    gravity_m_s2: float = _setting(9.81, "m/s2", "gravity", "standard gravity", 1, 12)
+    gravity_m_s2: float = _setting(9.81, "m/s2", "gravity", "standard gravity", 7, 12)
     air_kg_m3: float = _setting(1.225, "kg/m3", "density of the air", "standard atmosphere at sea level", 0.5, 2)
 
     # Battery

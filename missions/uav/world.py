@@ -11,7 +11,7 @@ from missions.uav.field import Field
 from missions.uav.managed import Components
 from missions.uav.model import ANALYSE_LEVEL, PICK_UP_LEVEL, SEARCH_LEVEL
 from missions.uav.nodes import NODES, PERIOD_S, Robot
-from missions.uav.quadrotor import Quadrotor
+from missions.uav.quadrotor import SUBSTEPS, Quadrotor
 from missions.uav.settings import Settings
 
 __all__ = ["UavWorld"]
@@ -67,7 +67,7 @@ class UavWorld(World):
 
     def advance(self, until: float) -> list[Message]:
         """Simulate until something is published or switched, at most to the time `until` [s]."""
-        step_s = self._settings.physics_step_s
+        step_s = SUBSTEPS * self._settings.physics_step_s
         is_changed = bool(self._outbox)
         while not is_changed and (self._steps + 1) * step_s <= until + 1e-9:
             self._steps += 1
