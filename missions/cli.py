@@ -19,7 +19,9 @@ from kb.judge.findings import Severity
 from missions.campaign.command import campaign, report
 from missions.checking import inconsistencies, judge, print_judgement
 from missions.live import Narrator, Pace, Recorder
-from missions.managers import OURS, open_run
+from missions.managers import MANAGERS, OURS, open_run
+from missions.managers.options import split_options
+from missions.managers.registry import options_of
 from missions.mission import MissionError, Verdict
 from missions.output import open_files
 from missions.plan_command import plan
@@ -54,7 +56,10 @@ def list_missions() -> None:
 
 
 @app.command("settings")
-def list_settings(mission: str) -> None:
+def list_settings(
+    mission: str,
+    manager: Annotated[str, typer.Option(help="List what is to be set of this manager, too.")] = OURS,
+) -> None:
     """List what `rosa run MISSION --set NAME=VALUE` takes, with unit, default and source."""
     table = Table(box=None, pad_edge=False)
     for column in ("name", "default", "unit"):
@@ -62,7 +67,7 @@ def list_settings(mission: str) -> None:
     table.add_column("meaning", ratio=1)
     table.add_column("source of the default", ratio=1)
     found = find_mission(mission)
-    for setting in describe(found):
+    for setting in (*options_of(manager), *describe(found)):
         default = found.fixed.get(setting.name, setting.default)
         shown = f"{default:g}" if isinstance(default, float) else str(default)
         table.add_row(setting.name, shown, setting.unit, setting.meaning, setting.source)
@@ -73,7 +78,9 @@ def list_settings(mission: str) -> None:
 def run_mission(
     mission: str,
     task: Annotated[str, typer.Option(help="Task layer of ours: bt (behaviour tree) or pddl (planned).")] = "bt",
-    manager: Annotated[str, typer.Option(help="ours, none, bt, or one of your own: package:Class.")] = "ours",
+    manager: Annotated[
+        str, typer.Option(help=f"{OURS}, {', '.join(MANAGERS)}, or one of your own: package:Class.")
+    ] = OURS,
     rules: Annotated[str | None, typer.Option(help="Rules of SUAVE: 2024 (the ROSA paper) or 2025.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of all chance in the run.")] = 0,
     json: Annotated[Path | None, typer.Option(help="Write the result as JSON.")] = None,
@@ -81,13 +88,17 @@ def run_mission(
     timing_file: Annotated[Path | None, typer.Option("--timing", help="Write the compute times as JSON.")] = None,
     record: Annotated[Path | None, typer.Option(help="Write the diagnostics, one message per line.")] = None,
     settings: Annotated[list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Change a setting.")] = None,
+    charge_compute: Annotated[
+        bool, typer.Option("--charge-compute", help="What the manager computes takes simulated time.")
+    ] = False,
     realtime: Annotated[bool, typer.Option("--realtime", help="Run no faster than the wall clock.")] = False,
     progress: Annotated[bool, typer.Option("--progress/--no-progress", help="Show what happens meanwhile.")] = True,
 ) -> None:
     """Run a mission, say what happened and why, and exit with 0 if it did what it was for."""
     found = find_mission(mission)
     changed = _assignments(settings or []) | ({} if rules is None else {"rules": rules})
-    run_settings, _ = split_settings(found, changed)
+    _, of_mission = split_options(options_of(manager), changed)
+    run_settings, _ = split_settings(found, of_mission)
     console = _console()
     wanted = {"json": json, "plot": plot, "timing": timing_file, "record": record}
     with ExitStack() as stack:
@@ -100,7 +111,15 @@ def run_mission(
         narrator = Narrator(console, run_settings.duration_s)
         if progress:
             listeners.append(narrator)
-        run = open_run(found, manager=manager, task=task, seed=seed, settings=changed, listeners=tuple(listeners))
+        run = open_run(
+            found,
+            manager=manager,
+            task=task,
+            seed=seed,
+            settings=changed,
+            listeners=tuple(listeners),
+            charge_compute=charge_compute,
+        )
         if "record" in files:
             files["record"].write(line_of(header(run, seed)))
         with narrator if progress else nullcontext():
@@ -108,7 +127,9 @@ def run_mission(
             start = time.perf_counter()
             verdict = _run(run)
             wall_s = time.perf_counter() - start
-        _print_result(console, run, wall_s)
+        if run.adaptations and not progress:  # otherwise each was told as it happened
+            console.print(adaptation_table(run.adaptations))
+        _print_figures(console, run, wall_s)
         _print_verdict(console, run, verdict)
         data = summary(run, verdict, seed, changed) | {"manager": manager}
         texts = {"json": as_json(data), "timing": as_json(timing(run, wall_s)), "record": ""}
@@ -200,9 +221,7 @@ def _assignments(texts: list[str]) -> dict[str, str]:
     return values
 
 
-def _print_result(console: Console, run: MissionRun, wall_s: float) -> None:
-    if run.adaptations:
-        console.print(adaptation_table(run.adaptations))
+def _print_figures(console: Console, run: MissionRun, wall_s: float) -> None:
     figures = {_with_unit(name): value for name, value in run.world.results().items()} | {
         "simulated [s]": run.world.now,
         "computed in [s]": wall_s,
@@ -210,7 +229,7 @@ def _print_result(console: Console, run: MissionRun, wall_s: float) -> None:
     }
     for label, value in figures.items():
         shown = "-" if value is None else f"{value:.2f}" if value < 10 else f"{value:.1f}"
-        console.print(f"{label:<24}{shown:>8}", highlight=False, markup=False)
+        console.print(f"{label:<32}{shown:>8}", highlight=False, markup=False)
 
 
 def _with_unit(name: str) -> str:

@@ -10,6 +10,8 @@ from rich.markup import escape
 from rich.table import Table
 
 from missions.adaptations import Adaptation
+from missions.managers.reactions import Reaction
+from missions.managers.watch import WatchedSea
 from missions.mission import Verdict
 from missions.runner import MissionRun
 
@@ -69,6 +71,10 @@ def summary(run: MissionRun, verdict: Verdict, seed: int, changed: Mapping[str, 
             }
             for plan in run.plans
         ],
+        "reactions": [
+            {"uncertainty": one.uncertainty, "start_s": one.start_s, "delay_s": one.delay_s}
+            for one, _ in _reactions(run)
+        ],
         "disturbances": [{"at_s": time, "what": text} for time, text in run.world.disturbances()],
         "diagnostics_problems": [{"at_s": time, "problem": str(problem)} for time, problem in run.problems],
     }
@@ -80,12 +86,16 @@ def as_json(data: Mapping[str, Any]) -> str:
 
 
 def timing(run: MissionRun, wall_s: float) -> dict[str, Any]:
-    """Return how long a run took on this machine: whole, and the compute time of each part [s]."""
+    """Return how long a run took on this machine: whole, and the compute time of each part and each reaction [s]."""
     return {
         "simulated_s": run.world.now,
         "wall_s": wall_s,
         "simulated_s_per_wall_s": run.world.now / wall_s,
         "compute_s": dict(run.compute_s),
+        "reactions": [
+            {"uncertainty": one.uncertainty, "start_s": one.start_s, "compute_s": computed_s}
+            for one, computed_s in _reactions(run)
+        ],
     }
 
 
@@ -101,6 +111,12 @@ def adaptation_table(adaptations: Iterable[Adaptation]) -> Table:
         reaction = "-" if one.reaction_s is None else f"{one.reaction_s:.2f}"
         table.add_row(f"{one.at_s:.1f}", one.kind, escape(one.change), escape(one.why), reaction)
     return table
+
+
+def _reactions(run: MissionRun) -> list[tuple[Reaction, float]]:
+    """Return each reaction of a run in the sea with the time of this machine that went into it [s]."""
+    sea = run.world
+    return [(one, sea.compute_s(one)) for one in sea.reactions] if isinstance(sea, WatchedSea) else []
 
 
 def _rounded(value: object) -> object:
