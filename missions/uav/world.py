@@ -42,7 +42,7 @@ class UavWorld(World):
         self._battery_due = float(phase)
         wind = (settings.wind_m_s * cos(bearing), settings.wind_m_s * sin(bearing))
         field = Field(settings, rng)
-        self._base = {one.name: [one.place] for one in field.samples}
+        self._places = {one.name: [one.place] for one in field.samples}
         self._robot = Robot(settings, Quadrotor(settings, wind), field, rng, self._tell, self._disturb)
         self._nodes = {one.name: one for one in (kind(self._robot) for kind in NODES)}
         self._managed = Components(
@@ -170,4 +170,4 @@ class UavWorld(World):
 
     def scenery(self) -> Mapping[str, Any]:
         """Return the base and where the samples were in the beginning."""
-        return {"base": [(0.0, 0.0)], **{name.replace("_", " "): place for name, place in self._base.items()}}
+        return {"base": [(0.0, 0.0)], **{name.replace("_", " "): place for name, place in self._places.items()}}

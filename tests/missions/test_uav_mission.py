@@ -138,6 +138,14 @@ def test_whatever_happens_the_switch_is_safe_and_the_battery_lasts(changed, seed
     assert run.kb.required_actions == ()
 
 
+def test_tree_without_the_transition_is_found_to_break_the_rule_and_gets_nowhere(monkeypatch):
+    monkeypatch.setattr("missions.uav.tree.switch_safely", lambda root, transitions: root)
+    run, verdict, data = run_mission("uav", duration_s=110)
+    assert any(f"{LOOK} after {PICK_UP}" in one for one in breaches(run, data))
+    assert any("unfolded gripper" in one for one in breaches(run, data))
+    assert not verdict.success
+
+
 def test_battery_that_cannot_last_is_no_success_and_says_so():
     _, verdict, _ = run_mission("uav", capacity_j=1000, duration_s=60)
     assert not verdict.success
