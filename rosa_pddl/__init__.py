@@ -12,16 +12,20 @@ from rosa_pddl.exceptions import (
     UnsupportedPddlError,
 )
 from rosa_pddl.executor import PlanExecutor
+from rosa_pddl.generation import ActionSchema, Declarations, DeclaredProblem
 from rosa_pddl.goals import Goal, Goals
 from rosa_pddl.planning import Attempt, Outcome, Planner, PlanningResult, TimedStep, awaited, schedule_flaw
 from rosa_pddl.policy import ReplanningPolicy
 from rosa_pddl.problem import Problem, feasible_atoms, initial_state
-from rosa_pddl.reader import load_domain
+from rosa_pddl.reader import load_domain, parse_domain
 from rosa_pddl.replanning import PlanRecord
 from rosa_pddl.validate import flaw
 
 __all__ = [
+    "ActionSchema",
     "Attempt",
+    "Declarations",
+    "DeclaredProblem",
     "Domain",
     "Feasibility",
     "Goal",
@@ -50,5 +54,6 @@ __all__ = [
     "flaw",
     "initial_state",
     "load_domain",
+    "parse_domain",
     "schedule_flaw",
 ]

@@ -1,13 +1,15 @@
 """Which names a PDDL domain and problem declare and use, and whether each used one is declared."""
 
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from itertools import chain, pairwise
 
 from rosa_pddl.exceptions import nearest
+from rosa_pddl.sections import BODY, check_frames, start_of
 from rosa_pddl.syntax import Node, Source
+from rosa_pddl.timing import check_times, is_timed
 
 
 class Kind(Enum):
@@ -38,32 +40,7 @@ class Mention:
     arity: int | None = None
 
 
-_DOMAIN_SECTIONS = (
-    "domain",
-    ":requirements",
-    ":types",
-    ":constants",
-    ":predicates",
-    ":functions",
-    ":action",
-    ":durative-action",
-)
-_PROBLEM_SECTIONS = ("problem", ":domain", ":requirements", ":objects", ":init", ":goal", ":metric")
-# What unified-planning or the executor cannot take, and which engine would do.
-_UNSUPPORTED = {
-    ":derived": "unified-planning has no derived predicates; Fast Downward by itself would do. Sense the predicate, or "
-    "make it an effect of actions",
-    ":process": "it changes numbers while time passes; ENHSP (up-enhsp) would do",
-    ":event": "it happens by itself; ENHSP (up-enhsp) would do",
-    ":task": "hierarchies are not executed here; Aries (up-aries) by itself would do",
-    ":method": "hierarchies are not executed here; Aries (up-aries) by itself would do",
-    ":htn": "hierarchies are not executed here; Aries (up-aries) by itself would do",
-    ":constraints": "what shall hold on the way is not planned for; SymK (up-symk) after compilation would do",
-}
-_BODY = {
-    ":action": (":parameters", ":precondition", ":effect"),
-    ":durative-action": (":parameters", ":duration", ":condition", ":effect"),
-}
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?")
 _CONNECTIVES = ("and", "or", "not", "imply", "when")
 _QUANTIFIERS = ("forall", "exists")
@@ -79,54 +56,13 @@ def mentions(domain: Source, problem: Source) -> tuple[Mention, ...]:
         PddlError: something is misspelt, undeclared or misplaced.
         UnsupportedPddlError: a construct that cannot be planned or executed here.
     """
-    _check_frame(domain, "domain", _DOMAIN_SECTIONS)
-    _check_frame(problem, "problem", _PROBLEM_SECTIONS)
-    _check_belongs(domain, problem)
+    check_frames(domain, problem)
     found_in_domain = tuple(chain.from_iterable(_section(domain, node) for node in domain.root.children[2:]))
     found_in_problem = tuple(chain.from_iterable(_section(problem, node) for node in problem.root.children[2:]))
     _check(found_in_domain, _declared(found_in_domain))
     _check_lineage(domain)
     _check(found_in_problem, _declared(found_in_domain + found_in_problem))
     return found_in_domain + found_in_problem
-
-
-def _check_frame(source: Source, what: str, sections: Collection[str]) -> None:
-    root = source.root
-    if root.head != "define" or len(root.children) < 2:
-        raise source.error(root, f"found {_start(root)!r}, expected '(define ({what} ...) ...)'")
-    title = root.children[1]
-    if title.head != what or len(title.children) != 2:
-        raise source.error(title, f"found {_start(title)!r}, expected '({what} NAME)'; is this the {what} file?")
-    for node in root.children[2:]:
-        if node.head in _UNSUPPORTED:
-            raise source.unsupported(node, f"found '({node.head}': {_UNSUPPORTED[node.head]}")
-        if node.head not in sections:
-            raise source.error(node, f"found {_start(node)!r}, expected a section; {nearest(node.head, sections)}")
-    if what == "problem":
-        for needed in (":domain", ":init", ":goal"):
-            if all(node.head != needed for node in root.children):
-                raise source.error(root, f"the problem has no '({needed} ...)'")
-        for node in root.children[2:]:
-            if node.head == ":goal" and len(node.children) != 2:
-                count = len(node.children) - 1
-                raise source.error(
-                    node, f"found {count} conditions in (:goal ...), expected one; join them with (and ...)"
-                )
-
-
-def _check_belongs(domain: Source, problem: Source) -> None:
-    """Assure that the problem names this domain."""
-    title = domain.root.children[1].children[1]
-    for node in problem.root.children[2:]:
-        if node.head == ":domain" and [child.lower for child in node.children[1:]] != [title.lower]:
-            raise problem.error(
-                node, f"found {_start(node)!r}, expected '(:domain {title})', as {domain.file} is called"
-            )
-
-
-def _start(node: Node) -> str:
-    text = str(node)
-    return text if len(text) <= 40 else text[:37] + "..."
 
 
 def _section(source: Source, node: Node) -> Iterator[Mention]:
@@ -137,12 +73,14 @@ def _section(source: Source, node: Node) -> Iterator[Mention]:
         yield from _typed(source, body, Kind.OBJECT)
     elif node.head in (":predicates", ":functions"):
         yield from _signatures(source, body)
-    elif node.head in _BODY:
+    elif node.head in BODY:
         yield from _schema(source, node)
     elif node.head == ":init":
         yield from chain.from_iterable(_fact(source, fact) for fact in body)
     elif node.head == ":goal":
-        yield from chain.from_iterable(_formula(source, goal, frozenset()) for goal in body)
+        for goal in body:
+            _refuse_numbers(source, goal, "the goal", may_cost=False)
+            yield from _formula(source, goal, frozenset())
 
 
 def _typed(source: Source, nodes: Iterable[Node], kind: Kind | None) -> Iterator[Mention]:
@@ -155,7 +93,7 @@ def _typed(source: Source, nodes: Iterable[Node], kind: Kind | None) -> Iterator
                     "found '(either ...)': no engine of unified-planning takes a type of several; Fast Downward by "
                 )
                 raise source.unsupported(node, message + "itself would do. Declare a type above them")
-            raise source.error(node, f"found {_start(node)!r}, expected {'a type' if expects_type else 'a name'}")
+            raise source.error(node, f"found {start_of(node)!r}, expected {'a type' if expects_type else 'a name'}")
         if node.word == "-":
             expects_type = True
         elif expects_type:
@@ -183,7 +121,7 @@ def _signatures(source: Source, nodes: Sequence[Node]) -> Iterator[Mention]:
                 raise source.unsupported(node, message + "itself would do. Write a predicate with one more argument")
             raise source.error(node, f"found {node.word!r}, expected a list such as '({node.word} ?x)'")
         if not node.head:
-            raise source.error(node, f"found {_start(node)!r}, expected a name")
+            raise source.error(node, f"found {start_of(node)!r}, expected a name")
         arguments = node.children[1:]
         yield from _typed(source, arguments, None)
         yield Mention(Kind.PREDICATE, node.children[0], source, declares=True, arity=len(_variables(arguments)))
@@ -191,16 +129,20 @@ def _signatures(source: Source, nodes: Sequence[Node]) -> Iterator[Mention]:
 
 def _schema(source: Source, node: Node) -> Iterator[Mention]:
     if len(node.children) < 2 or node.children[1].is_list or node.children[1].lower.startswith(":"):
-        raise source.error(node, f"found {_start(node)!r}, expected '({node.head} NAME ...)'")
+        raise source.error(node, f"found {start_of(node)!r}, expected '({node.head} NAME ...)'")
     name = node.children[1]
     yield Mention(Kind.SCHEMA, name, source, declares=True)
     parts = _parts(source, node)
     parameters = parts[":parameters"].children if ":parameters" in parts else ()
     yield from _typed(source, parameters, None)
     scope = _variables(parameters)
+    _check_once(source, parameters)
     for keyword in (":precondition", ":condition", ":effect"):
         if keyword in parts:
-            _refuse_numbers(source, parts[keyword], name)
+            is_effect = keyword == ":effect"
+            _refuse_numbers(source, parts[keyword], str(name), may_cost=is_effect)
+            check_times(source, node, parts[keyword], is_effect=is_effect)
+            _check_one_cost(source, parts[keyword])
             yield from _formula(source, parts[keyword], scope)
     if ":duration" in parts:
         yield from _term(source, parts[":duration"], scope)
@@ -209,13 +151,13 @@ def _schema(source: Source, node: Node) -> Iterator[Mention]:
 
 
 def _parts(source: Source, schema: Node) -> dict[str, Node]:
-    allowed = _BODY[schema.head]
+    allowed = BODY[schema.head]
     parts: dict[str, Node] = {}
     words = list(schema.children[2:])
     while words:
         keyword = words.pop(0)
         if keyword.lower not in allowed:
-            message = f"found {_start(keyword)!r} in {schema.head} {schema.children[1]}, expected one of "
+            message = f"found {start_of(keyword)!r} in {schema.head} {schema.children[1]}, expected one of "
             message += f"{' '.join(allowed)}; {nearest(keyword.lower, allowed)}"
             raise source.error(keyword, message)
         if not words or not words[0].is_list:
@@ -224,17 +166,42 @@ def _parts(source: Source, schema: Node) -> dict[str, Node]:
     return parts
 
 
-def _refuse_numbers(source: Source, node: Node, schema: Node) -> None:
+def _check_once(source: Source, parameters: Iterable[Node]) -> None:
+    seen: set[str] = set()
+    for node in parameters:
+        if node.lower.startswith("?") and node.lower in seen:
+            raise source.error(node, f"found the parameter {node.word!r} again, expected another name")
+        seen.add(node.lower)
+
+
+def _refuse_numbers(source: Source, node: Node, place: str, *, may_cost: bool) -> None:
     """Numbers may only be action costs: the planner of this package and the executor know true and false."""
-    if node.head == "increase" and len(node.children) > 1 and node.children[1].head == "total-cost":
+    if may_cost and node.head == "increase" and len(node.children) == 3 and node.children[1].head == "total-cost":
+        cost = node.children[2].lower
+        if _is_number(cost) and float(cost) < 0.0:
+            raise source.unsupported(node, f"{start_of(node)!r} in {place} is less than nothing; costs are 0 or more")
         return
     numeric = node.head in _COMPARISONS + _CHANGES
     numeric = numeric or (node.head == "=" and any(child.is_list for child in node.children))
     if numeric:
-        message = f"{_start(node)!r} in {schema.word} computes with numbers; the engines here plan with costs only"
-        raise source.unsupported(node, message + "; a numeric engine such as ENHSP (up-enhsp) would do")
+        message = f"{start_of(node)!r} in {place} computes with numbers; the engines here plan with costs only, which "
+        message += "no condition changes; a numeric engine such as ENHSP (up-enhsp) would do"
+        raise source.unsupported(node, message)
     for child in node.children:
-        _refuse_numbers(source, child, schema)
+        _refuse_numbers(source, child, place, may_cost=may_cost and node.head not in ("when", "forall"))
+
+
+def _check_one_cost(source: Source, effect: Node) -> None:
+    costs = list(_costs(effect))
+    if len(costs) > 1:
+        raise source.error(costs[1], f"found a second cost {start_of(costs[1])!r}, expected one; add them up")
+
+
+def _costs(node: Node) -> Iterator[Node]:
+    if node.head == "increase":
+        yield node
+    for child in node.children:
+        yield from _costs(child)
 
 
 def _formula(source: Source, node: Node, scope: frozenset[str]) -> Iterator[Mention]:
@@ -248,9 +215,9 @@ def _formula(source: Source, node: Node, scope: frozenset[str]) -> Iterator[Ment
     elif head in _QUANTIFIERS:
         yield from _quantified(source, node, scope)
     elif head == "preference":
-        message = f"found {_start(node)!r}: no installed engine takes preferences; LPG (up-lpg) by itself would do. "
+        message = f"found {start_of(node)!r}: no installed engine takes preferences; LPG (up-lpg) by itself would do. "
         raise source.unsupported(node, message + "Leave it out and add it as a soft goal: goals.add(TEXT, worth=COST)")
-    elif _is_timed(node):
+    elif is_timed(node):
         yield from _formula(source, rest[1], scope)
     elif head in ("=", *_COMPARISONS, *_CHANGES):
         yield from chain.from_iterable(_term(source, child, scope) for child in rest)
@@ -258,15 +225,9 @@ def _formula(source: Source, node: Node, scope: frozenset[str]) -> Iterator[Ment
         yield from _atom(source, node, scope)
 
 
-def _is_timed(node: Node) -> bool:
-    if len(node.children) != 3 or not node.children[2].is_list:
-        return False
-    return (node.head, node.children[1].lower) in (("at", "start"), ("at", "end"), ("over", "all"))
-
-
 def _quantified(source: Source, node: Node, scope: frozenset[str]) -> Iterator[Mention]:
     if len(node.children) != 3 or not node.children[1].is_list:
-        raise source.error(node, f"found {_start(node)!r}, expected '({node.head} (?x - type) (...))'")
+        raise source.error(node, f"found {start_of(node)!r}, expected '({node.head} (?x - type) (...))'")
     variables = node.children[1].children
     yield from _typed(source, variables, None)
     yield from _formula(source, node.children[2], scope | _variables(variables))
@@ -274,14 +235,14 @@ def _quantified(source: Source, node: Node, scope: frozenset[str]) -> Iterator[M
 
 def _atom(source: Source, node: Node, scope: frozenset[str]) -> Iterator[Mention]:
     if not node.head:
-        raise source.error(node, f"found {_start(node)!r}, expected the name of a predicate first")
+        raise source.error(node, f"found {start_of(node)!r}, expected the name of a predicate first")
     yield Mention(Kind.PREDICATE, node.children[0], source, arity=len(node.children) - 1)
     yield from chain.from_iterable(_term(source, child, scope) for child in node.children[1:])
 
 
 def _term(source: Source, node: Node, scope: frozenset[str]) -> Iterator[Mention]:
     if node.is_list:
-        if _is_timed(node):
+        if is_timed(node):
             yield from _term(source, node.children[2], scope)
         elif node.head in ("+", "-", "*", "/", "=", "and", *_COMPARISONS):
             yield from chain.from_iterable(_term(source, child, scope) for child in node.children[1:])
@@ -303,7 +264,7 @@ def _is_number(word: str) -> bool:
 def _fact(source: Source, node: Node) -> Iterator[Mention]:
     if node.head == "at" and len(node.children) == 3 and _is_number(node.children[1].lower):
         message = (
-            f"found {_start(node)!r}: facts that become true at a time are not supported; Aries (up-aries) by itself "
+            f"found {start_of(node)!r}: facts that become true at a time are not supported; Aries (up-aries) by itself "
         )
         raise source.unsupported(node, message + "would do. Sense the fact instead")
     yield from _formula(source, node, frozenset())
@@ -355,6 +316,11 @@ def _check_lineage(domain: Source) -> None:
 def _check(found: Iterable[Mention], declared: Declared) -> None:
     for mention in found:
         kind, node, source = mention.kind, mention.node, mention.source
+        if mention.declares and not _NAME.fullmatch(str(node)):
+            message = (
+                f"found the {kind.value} {str(node)!r}, expected a name: a letter, then letters, digits, '_' or '-'"
+            )
+            raise source.error(node, message)
         if (kind is Kind.TYPE and node.lower in ("object", "number")) or mention.declares:
             continue
         known = declared.get((kind, node.lower))

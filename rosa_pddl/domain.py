@@ -87,6 +87,7 @@ class Domain:
         goals: the conditions of the problem file that shall hold in the end, as text.
         places: file and line of what is declared, by kind (object, action) and name, and of (section, `:metric`).
         types: for each object its type and the ancestors of that, in lower case.
+        oversights: what may be one in the files, in sentences, such as a misspelt requirement.
     """
 
     name: str
@@ -101,14 +102,15 @@ class Domain:
     goals: tuple[str, ...] = field(repr=False)
     places: Mapping[tuple[str, str], tuple[str, int]] = field(repr=False)
     types: Mapping[str, tuple[str, ...]] = field(repr=False)
+    oversights: tuple[str, ...] = ()
     _atoms: dict[str, str] = field(default_factory=dict, repr=False)
 
     def check(self, kb: Feasibility) -> tuple[str, ...]:
         """Assure that the knowledge base knows every ROSA action of the files.
 
         Returns:
-            What may be an oversight, in sentences: actions of the knowledge base that the files lack, and those of the
-            files that no PDDL action does.
+            What may be an oversight, in sentences: misspelt requirements, actions of the knowledge base that the files
+            lack, and those of the files that no PDDL action does.
 
         Raises:
             PddlError: it does not know one; the message points at the object and names the nearest actions.
@@ -124,7 +126,11 @@ class Domain:
         unplanned = [name for name in kb.actions if name not in self.rosa_actions]
         findings = [f"the action {name!r} of the knowledge base is never planned: {self.file}" for name in unplanned]
         idle = [action for action in self.rosa_actions if not self._doers(action)]
-        return (*findings, *(f"no PDDL action of {self.file} does the ROSA action {action!r}" for action in idle))
+        return (
+            *self.oversights,
+            *findings,
+            *(f"no PDDL action of {self.file} does the ROSA action {action!r}" for action in idle),
+        )
 
     def _doers(self, action: str) -> list[str]:
         """Return the PDDL actions that may be doing a ROSA action, as far as the facts of the problem file tell."""

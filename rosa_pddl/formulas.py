@@ -37,7 +37,7 @@ def conditions(domain: Domain, text: str) -> tuple[Condition, ...]:
         UnsupportedPddlError: it computes with numbers.
     """
     where = f"condition {text.strip()!r}"
-    root = parse(text, where).root
+    root = parse(text, where, "(predicate object)").root
     return tuple(Condition(*_Reader(domain, where).read(node, {})) for node in _conjuncts(root))
 
 

@@ -5,15 +5,13 @@ What is generated follows ROSA's convention: a type `action` with one object for
 """
 
 import re
-import tempfile
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
-from pathlib import Path
+from dataclasses import dataclass, field
 from typing import Final
 
 from rosa_pddl.domain import ACTION_TYPE, FEASIBLE, Domain
 from rosa_pddl.exceptions import PddlError, nearest
-from rosa_pddl.reader import load_domain
+from rosa_pddl.reader import parse_domain
 from rosa_pddl.signatures import Signatures, Uses, typed_names
 
 __all__ = ["ActionSchema", "Declarations", "DeclaredProblem"]
@@ -158,20 +156,8 @@ class Declarations:
         Raises:
             PddlError: it is no PDDL, or none that can be planned here; the place is that in the generated text.
         """
-        files = {"domain.pddl": self.domain_pddl, "problem.pddl": self.problem_pddl}
-        with tempfile.TemporaryDirectory(prefix="rosa-") as folder:
-            for file, text in files.items():
-                Path(folder, file).write_text(text, encoding="utf-8")
-            titles = {str(Path(folder, file)): f"{file} generated from the {self._place}" for file in files}
-            try:
-                loaded = load_domain(*titles)
-            except PddlError as error:
-                message, title = error.message, titles.get(error.file, error.file)
-                for path, other in titles.items():
-                    message = message.replace(path, other)
-                raise type(error)(message, title, error.line, error.column) from error
-        places = {key: (titles.get(file, file), line) for key, (file, line) in loaded.places.items()}
-        return replace(loaded, file=titles[loaded.file], problem_file=titles[loaded.problem_file], places=places)
+        domain, problem = (f"{kind}.pddl generated from the {self._place}" for kind in ("domain", "problem"))
+        return parse_domain(self.domain_pddl, self.problem_pddl, names=(domain, problem))
 
     # ---------------------------------------------------------------- checks
 

@@ -5,6 +5,8 @@ import threading
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 from rosa_pddl.conventions import rosa_action_of, with_told
@@ -12,10 +14,19 @@ from rosa_pddl.declarations import Kind, Mention, declared_types, mentions
 from rosa_pddl.domain import ACTION_TYPE, Domain, Schema, UpThing
 from rosa_pddl.exceptions import PddlError, UnsupportedPddlError
 from rosa_pddl.problem import Problem
-from rosa_pddl.syntax import Node, Source, read_source
+from rosa_pddl.sections import BODY, doubtful_requirements, in_order
+from rosa_pddl.syntax import Node, Source, parse, read_source
+from rosa_pddl.timing import is_timed
+
+__all__ = ["load_domain", "parse_domain"]
 
 _GLOBAL = threading.Lock()
 _LINE = re.compile(r"line:?\s*(\d+)")
+# Places in what unified-planning was given, and how its objects look in memory.
+_NOISE = re.compile(
+    r"<[\w.]+ object at 0x\w+>,? ?|\(at char \d+\),? ?|\(?(found |from |Error from )?line: ?\d+, col:? ?\d+\)?( to )?"
+)
+_ILL_TYPED = re.compile(r"expression '([\w-]+)\(.*\)' is not well-formed")
 
 Edit = tuple[int, int, str]
 
@@ -39,16 +50,70 @@ def load_domain(domain: str | Path, problem: str | Path, *, actions: Mapping[str
         UnknownNameError: `actions` names a PDDL action or a parameter that is not in the files.
         UnsupportedPddlError: correct PDDL that cannot be planned or executed here.
     """
-    domain_source, problem_source = read_source(domain), read_source(problem)
-    found = mentions(domain_source, problem_source)
+    return _load(read_source(domain), read_source(problem), actions or {})
+
+
+def parse_domain(
+    domain: str,
+    problem: str,
+    *,
+    names: tuple[str, str] = ("domain.pddl", "problem.pddl"),
+    actions: Mapping[str, str] | None = None,
+) -> Domain:
+    """Read a PDDL domain and problem that are texts, as `load_domain` does files.
+
+    Args:
+        domain: text of the domain.
+        problem: text of the problem.
+        names: what to call them in messages.
+        actions: for PDDL actions the ROSA action that they do, as for `load_domain`.
+
+    Raises:
+        PddlError, UnknownNameError, UnsupportedPddlError: as `load_domain`.
+    """
+    return _load(parse(domain, names[0]), parse(problem, names[1]), actions or {})
+
+
+def _load(domain: Source, problem: Source, actions: Mapping[str, str]) -> Domain:
+    found = mentions(domain, problem)
     inside = _unique_names(found)
-    texts = [_rewritten(source, found, inside) for source in (domain_source, problem_source)]
-    up_problem = _read(texts[0], texts[1], (domain_source, problem_source))
-    read = _domain(domain_source, problem_source, up_problem, found, inside)
+    up_problem = _read(_rewritten(domain, found, inside), _rewritten(problem, found, inside))
+    read = _domain(domain, problem, up_problem, found, inside)
     loaded = with_told(read, actions) if actions else read
     # what cannot be planned for is refused here, not at the first planning
     Problem(loaded, frozenset()).build()
     return loaded
+
+
+@dataclass(frozen=True)
+class _Rewritten:
+    """What unified-planning reads: unique names, sections in order, none of what its grammar stumbles over.
+
+    Args:
+        source: the file.
+        title: such as `(domain rover)`.
+        sections: each as it stands in the file, and as it is read; lines within it are kept.
+    """
+
+    source: Source
+    title: Node
+    sections: tuple[tuple[Node, str], ...]
+
+    @property
+    def text(self) -> str:
+        return "\n".join([f"(define {self.title}", *(text for _, text in self.sections), ")"])
+
+    def line(self, read: int) -> int | None:
+        """Return the line of the file that became a line of the text, both counted from 1."""
+        lines = [self.title.line]
+        for node, text in self.sections:
+            lines += range(node.line, node.line + text.count("\n") + 1)
+        return lines[read - 1] if 0 < read <= len(lines) else None
+
+    def with_action(self, wanted: Node) -> "_Rewritten":
+        """Return the same with one only of the actions."""
+        kept = tuple(one for one in self.sections if one[0].head not in BODY or one[0] is wanted)
+        return replace(self, sections=kept)
 
 
 def _unique_names(found: Iterable[Mention]) -> dict[tuple[Kind, str], str]:
@@ -70,8 +135,7 @@ def _declared_words(found: Iterable[Mention], kind: Kind) -> list[str]:
     return [word for word in words if (kind, word) != (Kind.TYPE, "object")]
 
 
-def _rewritten(source: Source, found: Iterable[Mention], inside: Mapping[tuple[Kind, str], str]) -> str:
-    """Return the text that unified-planning reads: same lines, unique names, none of what its grammar stumbles over."""
+def _rewritten(source: Source, found: Iterable[Mention], inside: Mapping[tuple[Kind, str], str]) -> _Rewritten:
     edits: dict[int, Edit] = {}
     for mention in found:
         new = inside.get((mention.kind, mention.node.lower))
@@ -79,33 +143,62 @@ def _rewritten(source: Source, found: Iterable[Mention], inside: Mapping[tuple[K
             edits[mention.node.start] = (mention.node.start, mention.node.end, new)
     for start, end, new in _tolerated(source):
         edits[start] = (start, end, new + "\n" * source.text.count("\n", start, end))
-    text = source.text
-    for start, end, new in sorted(edits.values(), reverse=True):
-        text = text[:start] + new + text[end:]
-    return text
+    texts = [(node, _edited(source.text, node, edits.values())) for node in in_order(source) if not _is_needless(node)]
+    return _Rewritten(source, source.root.children[1], tuple(texts))
+
+
+def _is_needless(node: Node) -> bool:
+    """Requirements promise what the sections then show; unified-planning refuses ones it does not know."""
+    return node.head == ":requirements" or (len(node.children) == 1 and node.head not in (":init", ":goal"))
+
+
+def _edited(text: str, node: Node, edits: Iterable[Edit]) -> str:
+    parts, at = [], node.start
+    for start, end, new in sorted(edit for edit in edits if node.start <= edit[0] < node.end):
+        parts += [text[at:start], new]
+        at = end
+    return "".join([*parts, text[at : node.end]])
 
 
 def _tolerated(source: Source) -> Iterator[Edit]:
     """Yield what can be said otherwise so that the reader of unified-planning 1.3 understands it."""
     yield from _untyped(source.root)
     for node in source.root.children[2:]:
-        # requirements promise what the sections then show; unified-planning refuses the ones it does not know
-        if node.head == ":requirements" or (len(node.children) == 1 and node.head not in (":init", ":goal")):
-            yield node.start, node.end, ""
-        elif node.head == ":types" and any(
-            up is not None and up.lower == name.lower for name, up in declared_types(node)
-        ):
-            # a type above itself, as in `dock charger - dock`, was meant to be on top
-            pairs = [(name.lower, up.lower if up is not None else "object") for name, up in declared_types(node)]
-            listed = " ".join(f"{name} - {'object' if up == name else up}" for name, up in pairs)
-            yield node.start, node.end, f"(:types {listed})"
-        elif node.head in (":action", ":durative-action"):
-            words = [child.lower for child in node.children]
-            if ":parameters" not in words:
-                yield node.children[1].end, node.children[1].end, " :parameters ()"
-            for keyword, body in zip(node.children, node.children[1:], strict=False):
-                if keyword.lower in (":precondition", ":condition", ":effect") and not body.children:
-                    yield body.start, body.end, "(and)"
+        if node.head == ":types":
+            yield from _above_itself(node)
+        elif node.head in BODY:
+            yield from _body(node)
+
+
+def _above_itself(section: Node) -> Iterator[Edit]:
+    """Put a type above itself, as in `dock charger - dock`, on top."""
+    listed = [(name.lower, up.lower if up is not None else "object") for name, up in declared_types(section)]
+    if any(up == name for name, up in listed):
+        text = " ".join(f"{name} - {'object' if up == name else up}" for name, up in listed)
+        yield section.start, section.end, f"(:types {text})"
+
+
+def _body(schema: Node) -> Iterator[Edit]:
+    if ":parameters" not in [child.lower for child in schema.children]:
+        yield schema.children[1].end, schema.children[1].end, " :parameters ()"
+    for keyword, part in pairwise(schema.children):
+        if keyword.lower in (":precondition", ":condition", ":effect") and not part.children:
+            yield part.start, part.end, "(and)"
+        elif keyword.lower == ":duration":
+            yield from _duration(part)
+
+
+def _duration(node: Node) -> Iterator[Edit]:
+    """Yield a single duration in place of a bound on one side: any that is allowed will do."""
+    if not node.children:
+        yield node.start, node.end, "(= ?duration 1)"
+    elif is_timed(node) or (node.head == "and" and len(node.children) == 2):
+        inner = node.children[-1]
+        yield node.start, inner.start, ""
+        yield from _duration(inner)
+        yield inner.end, node.end, ""
+    elif node.head in (">=", "<="):
+        yield node.children[0].start, node.children[0].end, "="
 
 
 def _untyped(node: Node) -> Iterator[Edit]:
@@ -118,16 +211,16 @@ def _untyped(node: Node) -> Iterator[Edit]:
         yield from _untyped(child)
 
 
-def _read(domain: str, problem: str, sources: tuple[Source, Source]) -> UpThing:
+def _read(domain: _Rewritten, problem: _Rewritten) -> UpThing:
     try:
-        return _parsed(domain, problem)
+        return _parsed(domain.text, problem.text)
     except Exception as error:
-        raise _located(error, sources[1] if _is_readable(domain) else sources[0]) from error
+        raise _located(error, problem if _is_readable(domain) else domain, domain.source) from error
 
 
-def _is_readable(domain: str) -> bool:
+def _is_readable(domain: _Rewritten) -> bool:
     try:
-        _parsed(domain, None)
+        _parsed(domain.text, None)
     except Exception:
         return False
     return True
@@ -159,12 +252,30 @@ def _as_global(environment: UpThing) -> Iterator[None]:
             module.GLOBAL_ENVIRONMENT = before
 
 
-def _located(error: Exception, source: Source) -> PddlError:
+def _located(error: Exception, read: _Rewritten, domain: Source) -> PddlError:
     """Turn what unified-planning says into an error with its line; columns may have moved by renaming."""
     text = " ".join(str(error).split()) or repr(error)
-    place = _LINE.search(text)
-    message = f"unified-planning cannot read this file: {text}"
-    return PddlError(message, source.file, int(place.group(1)) if place else None)
+    place, ill = _LINE.search(text), _ILL_TYPED.search(text)
+    line = read.line(int(place.group(1))) if place else _culprit(read)
+    message = f"unified-planning cannot read this: {' '.join(_NOISE.sub('', text).split())}"
+    if ill is not None:
+        message = (
+            f"the arguments of {ill.group(1)!r} are of other types than declared: {_declaration(domain, ill.group(1))}"
+        )
+    return PddlError(message, read.source.file, line)
+
+
+def _declaration(domain: Source, name: str) -> str:
+    """Return how a predicate is declared, by the name that unified-planning was given."""
+    sections = [node for node in domain.root.children if node.head in (":predicates", ":functions")]
+    declared = [node for section in sections for node in section.children[1:] if node.head]
+    return " or ".join(str(node) for node in declared if name in (node.head, f"{node.head}_predicate")) or name
+
+
+def _culprit(read: _Rewritten) -> int | None:
+    """Return the line of the first action that cannot be read even without the others."""
+    actions = [node for node, _ in read.sections if node.head in BODY]
+    return next((node.line for node in actions if not _is_readable(read.with_action(node))), None)
 
 
 def _domain(domain: Source, problem: Source, up_problem: UpThing, found: Iterable[Mention], inside: UpThing) -> Domain:
@@ -188,6 +299,7 @@ def _domain(domain: Source, problem: Source, up_problem: UpThing, found: Iterabl
         goals=tuple(str(goal) for goal in _goals(problem)),
         places=places,
         types=types,
+        oversights=(*doubtful_requirements(domain), *doubtful_requirements(problem)),
     )
 
 

@@ -93,17 +93,26 @@ def read_source(path: str | Path) -> Source:
     return parse(text, str(path))
 
 
-def parse(text: str, file: str) -> Source:
-    """Parse PDDL text into its one outermost list."""
+def parse(text: str, file: str, expected: str = "(define ...)") -> Source:
+    """Parse PDDL text into its one outermost list.
+
+    Args:
+        text: PDDL.
+        file: what to call it in messages.
+        expected: what the list should be, for messages.
+
+    Raises:
+        PddlError: there is no list, more than one, or its parentheses do not balance.
+    """
     stack: list[_Open] = []
     root: Node | None = None
     for token, start, line, column in _tokens(text):
         if root is not None:
-            raise PddlError(f"found {token!r} after the end of (define ...), expected nothing more", file, line, column)
+            raise PddlError(f"found {token!r} after the end of {expected}, expected nothing more", file, line, column)
         if token == "(":
             stack.append(_Open(start, line, column, []))
         elif not stack:
-            raise PddlError(f"found {token!r}, expected '(define'", file, line, column)
+            raise PddlError(f"found {token!r}, expected '{expected}'", file, line, column)
         elif token == ")":
             node = stack.pop().closed(start + 1)
             if stack:
@@ -116,7 +125,7 @@ def parse(text: str, file: str) -> Source:
     if stack:
         raise _unclosed(stack[-1], file, "the end of the file")
     if root is None:
-        raise PddlError("the file is empty, expected '(define'", file)
+        raise PddlError(f"it is empty, expected '{expected}'", file)
     return Source(file, text, root)
 
 

@@ -9,8 +9,7 @@ from kb import KnowledgeBase
 from missions.mission import Mission, MissionError
 from missions.names import Names, names_in_pddl
 from missions.senses import Senses
-from rosa_pddl import Domain, load_domain
-from rosa_pddl.generation import ActionSchema, Declarations, DeclaredProblem
+from rosa_pddl import ActionSchema, Declarations, DeclaredProblem, Domain, load_domain
 
 __all__ = ["by_schema", "declarations_of", "mission_domain", "planned_names", "schema_of"]
 

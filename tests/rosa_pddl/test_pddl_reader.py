@@ -111,12 +111,12 @@ MALFORMED = {
     "argument of the wrong type": (
         in_rooms("(over all (lit ?x))", "(over all (lit ?r))"),
         "domain.pddl:15:",
-        "unified-planning",
+        "'lit' are of other types than declared: (lit ?x - room)",
     ),
     "fact about the wrong type": (
         in_rooms("(broken kitchen)", "(broken robby)"),
-        "problem.pddl:",
-        "unified-planning",
+        "problem.pddl:3:",
+        "'broken' are of other types than declared: (broken ?x - room)",
     ),
     "object declared twice": (
         in_rooms("kitchen hall", "kitchen kitchen"),

@@ -1,0 +1,149 @@
+"""Files as they come: sections in any order, durations of any form, misspelt words; what is wrong has a place."""
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pddl_world import FakeKb
+
+from rosa_pddl import PddlError, Planner, Problem, UnsupportedPddlError, initial_state, parse_domain
+from rosa_pddl.syntax import parse
+
+CORPUS = Path(__file__).with_name("corpus")
+DOMAIN = """(define (domain plain)
+  (:types thing other)
+  (:predicates (ok ?t - thing) (odd ?o - other) (done ?t - thing))
+  (:functions (total-cost))
+  (:durative-action go
+    :parameters (?t - thing)
+    :duration (= ?duration 5)
+    :condition (at start (ok ?t))
+    :effect (and (at end (done ?t))))
+  (:action jump
+    :parameters (?t - thing)
+    :precondition (ok ?t)
+    :effect (and (done ?t) (increase (total-cost) 2))))
+"""
+PROBLEM = """(define (problem p)
+  (:domain plain)
+  (:objects a - thing)
+  (:init (ok a))
+  (:goal (done a)))
+"""
+
+
+def read(old="", new=""):
+    assert old in DOMAIN + PROBLEM
+    return parse_domain(DOMAIN.replace(old, new, 1), PROBLEM.replace(old, new, 1))
+
+
+def plan(domain):
+    state = initial_state(domain) | {domain.feasible_atom(action) for action in domain.rosa_actions}
+    return Planner(warm=False).plan(Problem(domain, state))
+
+
+def texts(name):
+    return [(CORPUS / name / f"{kind}.pddl").read_text() for kind in ("domain", "problem")]
+
+
+def shuffled(text, rng):
+    """The same sections in another order; all but the first two words of the file."""
+    root = parse(text, "file").root
+    sections = [text[node.start : node.end] for node in root.children[2:]]
+    rng.shuffle(sections)
+    return "\n".join([f"(define {root.children[1]}", *sections, ")"])
+
+
+@settings(max_examples=15)
+@given(name=st.sampled_from(sorted(path.name for path in CORPUS.iterdir())), rng=st.randoms(use_true_random=False))
+def test_the_order_of_sections_makes_no_difference(name, rng):
+    whole, mixed = parse_domain(*texts(name)), parse_domain(*(shuffled(text, rng) for text in texts(name)))
+    assert sorted(mixed.schemas) == sorted(whole.schemas)
+    assert {name: schema.action for name, schema in mixed.schema_of.items()} == {
+        name: schema.action for name, schema in whole.schema_of.items()
+    }
+    assert initial_state(mixed) == initial_state(whole)
+    assert mixed.goals == whole.goals
+
+
+@given(rng=st.randoms(use_true_random=False))
+def test_what_unified_planning_refuses_is_placed_wherever_its_section_stands(rng):
+    text = shuffled(DOMAIN.replace("(at start (ok ?t))", "(at start\n (odd ?t))"), rng)
+    with pytest.raises(PddlError) as caught:
+        parse_domain(text, PROBLEM)
+    assert caught.value.line == text[: text.index("(odd ?t)")].count("\n") + 1
+    assert "'odd' are of other types than declared: (odd ?o - other)" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "duration",
+    [
+        "(= ?duration 5)",
+        "(>= ?duration 3)",
+        "(<= ?duration 3)",
+        "(and (>= ?duration 1) (<= ?duration 10))",
+        "(and (= ?duration 5))",
+        "(at start (>= ?duration 5))",
+        "()",
+    ],
+)
+def test_a_duration_may_be_of_any_form(duration):
+    domain = read("(= ?duration 5)", duration)
+    result = plan(domain)
+    assert [step.schema for step in result.steps] in (["go"], ["jump"])
+
+
+@pytest.mark.parametrize("word", [":durativ-actions", "typing"])
+def test_a_misspelt_requirement_does_no_harm_and_is_told(word):
+    domain = read("(:types", f"(:requirements :strips {word} :adl)\n  (:types")
+    (told,) = domain.check(FakeKb(()))
+    assert told.startswith(f"domain.pddl:2:26: PDDL has no requirement {word!r}; nearest: :{word.strip(':')[:6]}")
+    assert read("(:types", "(:requirements :STRIPS :adl)\n  (:types").check(FakeKb(())) == ()
+
+
+REFUSED = {
+    "second section": (("(:functions", "(:types third) (:functions"), 4, "put both together, the first is in line 2"),
+    "name with a digit first": (("(:objects a", "(:objects 1a a"), 3, "the object '1a', expected a name: a letter"),
+    "name with an accent": (("(:objects a", "(:objects é a"), 3, "the object 'é', expected a name: a letter"),
+    "parameter twice": ((":parameters (?t - thing)", ":parameters (?t ?t - thing)"), 6, "the parameter '?t' again"),
+    "untimed condition": (
+        ("(at start (ok ?t))", "(ok ?t)"),
+        8,
+        "expected '(at start ...)' or '(at end ...)' or '(over",
+    ),
+    "untimed effect": (("(at end (done ?t))", "(done ?t)"), 9, "expected '(at start ...)' or '(at end ...)' around it"),
+    "effect over all": (("(at end (done ?t))", "(over all (done ?t))"), 9, "or '(at end ...)' around it"),
+    "timed in an instant": ((":precondition (ok ?t)", ":precondition (at start (ok ?t))"), 12, "leave out 'at start'"),
+    "times within or": (("(at start (ok ?t))", "(or (at start (ok ?t)) (at end (ok ?t)))"), 8, "around it"),
+    "two costs": (
+        ("(increase (total-cost) 2)", "(increase (total-cost) 2) (increase (total-cost) 1)"),
+        13,
+        "add them up",
+    ),
+}
+UNSUPPORTED = {
+    "condition at another time": (
+        ("(at end (done ?t))", "(when (at start (ok ?t)) (at end (done ?t)))"),
+        9,
+        "an effect at one time that depends on another",
+    ),
+    "numeric goal": (("(:goal (done a))", "(:goal (> (total-cost) 3))"), 5, "in the goal computes with numbers"),
+    "negative cost": (("(total-cost) 2)", "(total-cost) -2)"), 13, "less than nothing"),
+    "conditional cost": (
+        ("(increase (total-cost) 2)", "(when (ok ?t) (increase (total-cost) 2))"),
+        13,
+        "which no condition changes",
+    ),
+    "sum as metric": (("(done a))", "(done a)) (:metric minimize (+ (total-time) 1))"), 5, "(:metric minimize (total-"),
+}
+
+
+@pytest.mark.parametrize("case", [*REFUSED, *UNSUPPORTED])
+def test_what_cannot_be_read_is_refused_with_its_place_and_what_to_write(case):
+    (old, new), line, words = (REFUSED | UNSUPPORTED)[case]
+    with pytest.raises(PddlError) as caught:
+        read(old, new)
+    assert words in str(caught.value)
+    assert caught.value.line == line
+    assert isinstance(caught.value, UnsupportedPddlError) == (case in UNSUPPORTED)
