@@ -32,7 +32,7 @@ def distribution(comparison: Comparison, figure: str, label: str, *, clusters: b
         comparison: what is compared.
         figure: its name among the results.
         label: what stands at its axis.
-        clusters: whether to show the two clusters that each sample falls into.
+        clusters: whether these are search times, whose two clusters are shown, and apart those that never succeeded.
 
     Returns:
         The picture by the suffix of its file: "png" and "svg".
@@ -46,7 +46,10 @@ def distribution(comparison: Comparison, figure: str, label: str, *, clusters: b
         drawing, axes = _rows(len(samples), 1)
         for row, (group, values) in zip(axes[:, 0], samples.items(), strict=True):
             _name(row, group, f"n = {len(values)}")
-            _bars(row, values, bins, clusters)
+            if clusters:
+                _stack(row, values, group.searches, bins)
+            else:
+                row.hist(values, bins=bins, color=PLAIN)
             _mark(row, group.published.of(figure) if group.published else None)
         axes[-1, 0].set_xlabel(label)
         _explain(drawing, comparison.groups, clusters)
@@ -104,13 +107,15 @@ def _name(axes: "Axes", group: Group | None, count: str) -> None:
     axes.text(1, 1, count, transform=axes.transAxes, ha="right", va="bottom", color="#666666", fontsize=7.5)
 
 
-def _bars(axes: "Axes", values: Sequence[float], bins: Any, clusters: bool) -> None:  # noqa: ANN401  # an array
-    found = two_clusters(values) if clusters else None
+def _stack(axes: "Axes", values: Sequence[float], searches: Sequence[float], bins: Any) -> None:  # noqa: ANN401  # array
+    """Draw the two clusters of those searches that succeeded, and apart from them the others."""
+    found = two_clusters(searches)
     if found is None:
         axes.hist(values, bins=bins, color=PLAIN)
         return
-    parts = [[value for value in values if value < found.cut], [value for value in values if value >= found.cut]]
-    axes.hist(parts, bins=bins, color=[EARLY, LATE], stacked=True)
+    parts = [[one for one in searches if one < found.cut], [one for one in searches if one > found.cut]]
+    others = [max(values)] * (len(values) - len(searches))
+    axes.hist([*parts, others], bins=bins, color=[EARLY, LATE, PLAIN], stacked=True)
     axes.margins(y=0.35)
     for mean, share, color in ((found.low, found.share_low, EARLY), (found.high, 1 - found.share_low, LATE)):
         text = axes.text(mean, 0.99, f"{share:.0%} around {mean:.0f}", transform=axes.get_xaxis_transform())
@@ -139,7 +144,7 @@ def _explain(drawing: "Figure", groups: Sequence[Group], clusters: bool) -> None
         drawing.legend(handles=entries, loc="upper left", bbox_to_anchor=(0.14, 1), ncols=len(entries))
 
 
-_CLUSTERS = (("earlier cluster", EARLY), ("later cluster", LATE))
+_CLUSTERS = (("earlier cluster", EARLY), ("later cluster", LATE), ("never found", PLAIN))
 
 
 def _written(drawing: "Figure") -> dict[str, bytes]:

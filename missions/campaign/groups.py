@@ -60,6 +60,11 @@ class Group:
         """How many runs never found what they searched for."""
         return sum(SEARCH in record and record[SEARCH] is None for record in self.records.values())
 
+    @property
+    def searches(self) -> list[float]:
+        """The search times of the runs that found what they searched for [s]."""
+        return [float(record[SEARCH]) for record in self.records.values() if record.get(SEARCH) is not None]
+
     def values(self, figure: str) -> dict[int, float]:
         """Return a figure by seed; as in SUAVE, a search without success takes as long as the mission."""
         found = {}

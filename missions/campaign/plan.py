@@ -2,6 +2,7 @@
 
 import tomllib
 from collections.abc import Iterator, Mapping
+from contextlib import closing
 from dataclasses import asdict, dataclass, field, fields, replace
 from difflib import get_close_matches
 from itertools import product
@@ -11,13 +12,16 @@ from typing import Any
 from missions.managers import MANAGERS, OURS, find_manager
 from missions.managers.options import split_options
 from missions.mission import Mission, MissionError
-from missions.registry import MISSIONS, find_mission
+from missions.registry import find_mission
+from missions.sea import Sea
 from missions.settings import split_settings
 from missions.task import check_task
 
 __all__ = ["Campaign", "PlannedRun", "check_campaign", "from_data", "paper_table", "read_campaign", "with_runs"]
 
 Settings = Mapping[str, str]
+
+PAPER_MISSIONS = ("suave", "suave_extended")
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +113,7 @@ class Campaign:
 
 def paper_table(runs: int = 100) -> Campaign:
     """Return the campaign behind the table of the ROSA paper: both missions under every manager, rules of 2024."""
-    return Campaign("paper_table", tuple(MISSIONS), (*MANAGERS, OURS), ("bt", "pddl"), runs)
+    return Campaign("paper_table", PAPER_MISSIONS, (*MANAGERS, OURS), ("bt", "pddl"), runs)
 
 
 def read_campaign(path: Path) -> Campaign:
@@ -187,7 +191,9 @@ def _check_settings(mission: Mission, manager: str, settings: Settings) -> None:
     options = () if manager == OURS else find_manager(manager).options
     _, values = split_options(options, settings)
     _, world = split_settings(mission, values)
-    mission.world.open(world, numpy.random.default_rng(0)).close()
+    with closing(mission.world.open(world, numpy.random.default_rng(0))) as opened:
+        if manager != OURS and not isinstance(opened, Sea):
+            raise MissionError(f"mission {mission.name} does not happen in the sea; run it under {OURS}, not {manager}")
 
 
 def _check_once(campaign: Campaign, source: str) -> None:

@@ -110,7 +110,7 @@ def _tell_headlines(document: Document, comparison: Comparison, headlines: Mappi
 def _tell_clusters(document: Document, comparison: Comparison) -> None:
     rows = []
     for group in comparison.groups:
-        found = two_clusters(list(group.values(SEARCH).values()))
+        found = two_clusters(group.searches)
         if found is None:
             rows.append([group.label, *[NONE] * 4])
             continue
@@ -220,7 +220,7 @@ def _tell_method(document: Document) -> None:
             "Intervals: 95 %, percentiles of 10,000 bootstrap resamples; differences are of runs with the same seed.",
             "p: two-sided Mann-Whitney tests, corrected by Holm's method for all tests of one table; it says whether "
             "two distributions differ, P(one > other) by how much (0.5: not at all).",
-            "A search that never succeeds counts as long as the mission, as in SUAVE.",
+            "A search that never succeeds counts as long as the mission, as in SUAVE; clusters are of those that did.",
             "Two clusters: the cut that leaves the least variance within the parts. Separation is the distance of "
             f"their means over the root of the mean of their variances; clear above {CLEAR}, that of an even spread.",
             "Published: the table of the ROSA paper, 100 runs each.",

@@ -4,7 +4,7 @@ import csv
 import json
 import os
 import shlex
-import signal
+import shutil
 import subprocess
 import sys
 import time
@@ -23,10 +23,11 @@ from missions.campaign import Campaign, Store, paper_table, read_store
 from missions.campaign import tables as tables_module
 from missions.campaign.command import _Teller
 from missions.campaign.plan import PlannedRun, from_data
-from missions.campaign.work import Outcome, do, provenance
+from missions.campaign.work import PACKAGES, Outcome, do, provenance
 from missions.managers import MANAGERS
 from missions.mission import MissionError
 
+ROOT = Path(__file__).parents[2]
 SMALL = """
 name = "small"
 missions = ["suave"]
@@ -63,20 +64,37 @@ def quick(capsys, monkeypatch):
 
 
 @pytest.fixture(scope="session")
-def small(tmp_path_factory):
+def rosa(tmp_path_factory):
+    """Run the command line in a process of its own, on a copy of the code that nobody changes meanwhile."""
+    copy = tmp_path_factory.mktemp("code")
+    for package in PACKAGES:
+        shutil.copytree(ROOT / package, copy / package, ignore=shutil.ignore_patterns("__pycache__"))
+
+    def start(*arguments, cwd=None):
+        command = [sys.executable, "-m", "missions", *map(str, arguments)]
+        settings = {**os.environ, "PYTHONPATH": str(copy)}
+        return subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=settings, cwd=cwd or copy
+        )
+
+    return start
+
+
+def finish(running, code=0):
+    """Wait until a command has ended, as it should, and return what it printed."""
+    out, err = running.communicate()
+    assert running.returncode == code, out + err
+    return out
+
+
+@pytest.fixture(scope="session")
+def small(rosa, tmp_path_factory):
     """Return the file of a small campaign, and what two workers made of it."""
     folder = tmp_path_factory.mktemp("campaign")
     file = folder / "small.toml"
     file.write_text(SMALL)
-    return file, rosa("campaign", file, "--workers", 2, "--out", folder / "two")
-
-
-def rosa(*arguments):
-    """Run the command line in a process of its own, which must do what it is for; return its folder."""
-    command = [sys.executable, "-m", "missions", *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
-    return Path(arguments[-1])
+    finish(rosa("campaign", file, "--workers", 2, "--out", folder / "two"))
+    return file, folder / "two"
 
 
 def tables(folder):
@@ -132,14 +150,15 @@ def test_paper_table_has_both_missions_under_every_manager_a_hundred_times():
     layers = {(run.manager, run.task) for run in planned}
     assert layers == {*((name, None) for name in MANAGERS), ("ours", "bt"), ("ours", "pddl")}
     assert len(planned) == 100 * 2 * len(layers)
+    assert {run.mission for run in planned} == {"suave", "suave_extended"}
 
 
 @pytest.mark.parametrize("workers", [1, 4])
-def test_results_are_the_same_to_the_byte_on_any_number_of_workers(small, tmp_path, workers):
+def test_results_are_the_same_to_the_byte_on_any_number_of_workers(rosa, small, tmp_path, workers):
     file, two = small
-    other = rosa("campaign", file, "--workers", workers, "--out", tmp_path / "other")
-    assert tables(other) == tables(two)
-    assert len(lines(other)) == RUNS
+    finish(rosa("campaign", file, "--workers", workers, "--out", tmp_path))
+    assert tables(tmp_path) == tables(two)
+    assert len(lines(tmp_path)) == RUNS
 
 
 def test_tables_hold_what_the_runs_gave(small):
@@ -164,32 +183,32 @@ def test_without_pyarrow_there_is_csv_only(small, tmp_path, monkeypatch):
     assert [path.name for path in written] == ["runs.csv", "reactions.csv"]
 
 
-def test_record_of_a_run_is_what_its_command_line_gives(small, quick, tmp_path):
+def test_record_of_a_run_is_what_its_command_line_gives(rosa, small, tmp_path):
     record = next(one for one in lines(small[1]) if one["manager"] == "bt" and one["seed"] == 1)
     run = next(run for run in read_store(small[1]).campaign.planned() if run.name == record["run"])
-    quick(*shlex.split(run.command)[1:], "--no-progress", "--json", tmp_path / "again.json")
+    found = 0 if record["search_time_s"] else 1
+    finish(rosa(*shlex.split(run.command)[1:], "--no-progress", "--json", tmp_path / "again.json"), found)
     again = json.loads((tmp_path / "again.json").read_text())
     assert {key: again[key] for key in ("seed", "violation_s", "switches", "energy_j")} == {
         key: record[key] for key in ("seed", "violation_s", "switches", "energy_j")
     }
 
 
-def test_killed_campaign_goes_on_without_losing_or_repeating_a_run(small, tmp_path):
+def test_killed_campaign_goes_on_without_losing_or_repeating_a_run(rosa, small, tmp_path):
     file, two = small
     folder = tmp_path / "killed"
-    command = [sys.executable, "-m", "missions", "campaign", str(file), "--workers", "2", "--out", str(folder)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as running:
-        while running.poll() is None and not ((folder / "runs.jsonl").exists() and len(lines(folder)) > 2):
-            time.sleep(0.02)
-        os.kill(running.pid, signal.SIGKILL)
-        running.communicate()
+    running = rosa("campaign", file, "--workers", 2, "--out", folder)
+    while running.poll() is None and not ((folder / "runs.jsonl").exists() and len(lines(folder)) > 2):
+        time.sleep(0.02)
+    running.kill()
+    running.communicate()  # returns when its workers have ended, too
     before = (folder / "runs.jsonl").read_bytes()
     done = len(before.splitlines())
     assert 2 < done < RUNS
     with (folder / "runs.jsonl").open("ab") as unfinished:
         unfinished.write(b'{"run": "suave/none/bias=0')
     assert len(read_store(folder).records) == done  # what is half-written is passed over
-    rosa("campaign", "--resume", "--workers", 2, "--out", folder)
+    finish(rosa("campaign", "--resume", "--workers", 2, "--out", folder))
     after = (folder / "runs.jsonl").read_bytes()
     assert after.startswith(before)
     names = [one["run"] for one in lines(folder)]
@@ -197,11 +216,10 @@ def test_killed_campaign_goes_on_without_losing_or_repeating_a_run(small, tmp_pa
     assert tables(folder) == tables(two)
 
 
-def test_campaign_that_is_done_is_done(small, quick):
+def test_campaign_that_is_done_is_done(rosa, small):
     file, two = small
     before = tables(two)
-    code, out, _ = quick("campaign", file, "--resume", "--workers", "1", "--out", two)
-    assert code == 0
+    out = finish(rosa("campaign", file, "--resume", "--workers", 1, "--out", two))
     assert f"{RUNS} of {RUNS} runs done, 0 of them now" in out
     assert tables(two) == before
 
@@ -222,33 +240,30 @@ TROUBLE = """[lambda: None, lambda: 1 / 0, lambda: os._exit(9), lambda: sys.exit
             ]()"""
 
 
-def test_run_that_crashes_is_recorded_and_the_others_go_on(tmp_path, monkeypatch, quick):
-    monkeypatch.chdir(tmp_path)
-    Path("clumsy.py").write_text(CLUMSY.format(trouble=TROUBLE))
-    Path("c.toml").write_text(
+def test_run_that_crashes_is_recorded_and_the_others_go_on(rosa, tmp_path):
+    (tmp_path / "clumsy.py").write_text(CLUMSY.format(trouble=TROUBLE))
+    (tmp_path / "c.toml").write_text(
         'missions = ["suave"]\nmanagers = ["none", "clumsy:Clumsy"]\nruns = 2\n[settings]\nduration_s = 5\n'
         "[sweep]\nstart_y = [0, 1, 2, 3]\n"
     )
-    code, out, _ = quick("campaign", "c.toml", "--workers", "2", "--out", "c")
-    assert code == 1
+    out = finish(rosa("campaign", "c.toml", "--workers", 2, "--out", "c", cwd=tmp_path), 1)
     assert "16 of 16 runs done" in out
-    kept = read_store(Path("c"))
-    crashed = {record["run"]: record["error"] for record in kept.crashed}
+    folder = tmp_path / "c"
+    crashed = {record["run"]: record["error"] for record in read_store(folder).crashed}
     errors = {1: "ZeroDivisionError: division by zero", 2: "the process that ran it died", 3: "SystemExit: enough"}
     assert crashed == {
         f"suave/clumsy:Clumsy/duration_s=5,start_y={y}/{seed}": error for y, error in errors.items() for seed in (0, 1)
     }
     assert "rosa run suave --manager clumsy:Clumsy --seed 1 --set duration_s=5 --set start_y=2" in out
-    assert "ZeroDivisionError" in Path("c/crashes.txt").read_text()
-    assert len(lines(Path("c"))) == 16
+    assert "ZeroDivisionError" in (folder / "crashes.txt").read_text()
+    assert len(lines(folder)) == 16
 
-    Path("clumsy.py").write_text(CLUMSY.format(trouble="pass"))
-    assert quick("campaign", "--resume", "--out", "c")[0] == 0
-    assert len(read_store(Path("c")).crashed) == 6  # a run that crashed is done too
-    code, out, _ = quick("campaign", "--resume", "--retry", "--workers", "2", "--out", "c")
-    assert code == 0
+    (tmp_path / "clumsy.py").write_text(CLUMSY.format(trouble="pass"))
+    out = finish(rosa("campaign", "--resume", "--out", "c", cwd=tmp_path))
+    assert "16 of 16 runs done, 0 of them now" in out  # a run that crashed is done too
+    out = finish(rosa("campaign", "--resume", "--retry", "--workers", 2, "--out", "c", cwd=tmp_path))
     assert "16 of 16 runs done, 6 of them now" in out
-    assert not read_store(Path("c")).crashed
+    assert not read_store(folder).crashed
 
 
 @pytest.mark.parametrize(
@@ -391,7 +406,7 @@ def test_run_of_another_campaign_among_the_results_is_found_out(tmp_path):
 
 
 @settings(max_examples=25)
-@given(st.data())
+@given(data=st.data())
 def test_whatever_is_cut_off_at_the_end_costs_the_last_line_at_most(data, tmp_path_factory):
     folder = tmp_path_factory.mktemp("cut") / "c"
     begun(folder)
