@@ -61,7 +61,9 @@ class Cross(RosaAction):
         anew = self._choose()
         if anew is not None and anew.to == leg.to:
             self._leg = leg = anew
-        if self.kb.pending_plan is None and not self._is_selected(leg):  # it was planned anew, or the manager had to choose before it was
+        if self.kb.pending_plan is None and not self._is_selected(
+            leg
+        ):  # it was planned anew, or the manager had to choose before it was
             self._select(leg)
         return Status.RUNNING
 

@@ -70,9 +70,9 @@ class Building:
         for corridor in self.corridors.values():
             for end in corridor.ends:
                 self.check_place(end, f"corridor {corridor.name}")
-            _check_numbers(corridor)
             if corridor.ends[0] == corridor.ends[1]:
                 raise BuildingError(f"corridor {corridor.name} leads from {corridor.ends[0]} to itself; take it out")
+            _check_numbers(corridor)
         self.check_place(self.start, "start")
         self.check_place(self.goal, "goal")
         self._check_connected()

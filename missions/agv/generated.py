@@ -47,7 +47,8 @@ def _chosen(pairs: list[tuple[int, int]], places: int, corridors: int) -> list[t
 
     def find(place: int) -> int:
         while root[place] != place:
-            place = root[place] = root[root[place]]
+            root[place] = root[root[place]]
+            place = root[place]
         return place
 
     tree, rest = [], []

@@ -32,7 +32,7 @@ DRAW_W: Final[Mapping[str, float]] = MappingProxyType(
 )
 """What each component draws while it runs [W]; own choice, of the order of such devices."""
 
-DRIVING_W: Final[Mapping[str, float]] = MappingProxyType({"slow": 8.0, "medium": 11.0, "fast": 24.0})
+DRIVING_W: Final[Mapping[str, float]] = MappingProxyType({"slow": 8.0, "medium": 11.0, "fast": 30.0})
 """What the base draws at each speed [W]; own choice."""
 
 MISHAPS: Final[Mapping[str, float]] = MappingProxyType({"slow": 0.002, "medium": 0.005, "fast": 0.02})

@@ -1,0 +1,102 @@
+"""Maps of the ground vehicle: what can be read, what is refused with which words, and what is generated."""
+
+import json
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.random import default_rng
+
+from missions.agv import MAPS
+from missions.agv.building import BuildingError, building_from, load_building
+from missions.agv.generated import generated_building
+
+
+def told(**changes):
+    """Return a map of two places, as a file says it."""
+    return {
+        "name": "small",
+        "start": "a",
+        "goal": "b",
+        "places": {"a": [0, 0], "b": [3, 4]},
+        "corridors": {"c1": {"from": "a", "to": "b"}},
+        **changes,
+    }
+
+
+def corridor(**changes):
+    return told(corridors={"c1": {"from": "a", "to": "b", **changes}})
+
+
+@given(st.integers(2, 200), st.integers(0, 40), st.integers(0, 2**32 - 1))
+def test_generated_building_is_a_map_and_the_same_for_the_same_seed(places, more, seed):
+    try:
+        building = generated_building(default_rng(seed), places, places - 1 + more)
+    except BuildingError as error:
+        assert "corridors" in str(error)  # noqa: PT017  # both ends are judged
+        return
+    assert len(building.places) == places
+    assert len(building.corridors) == places - 1 + more
+    assert building == generated_building(default_rng(seed), places, places - 1 + more)
+    for one in building.corridors.values():
+        assert one.length_m == pytest.approx(math.dist(*(building.places[end] for end in one.ends)))
+
+
+def test_generated_building_is_as_large_as_the_published_one():
+    building = generated_building(default_rng(0))
+    assert (len(building.places), len(building.corridors)) == (58, 70)
+    assert {one.obstacles > 0.1 for one in building.corridors.values()} == {True, False}
+    assert {one.light < 0.3 for one in building.corridors.values()} == {True, False}
+
+
+def test_paper_map_has_a_straight_way_and_a_way_round():
+    building = load_building(MAPS / "paper.toml")
+    assert building.corridors["c1"].ends == ("a", "b")
+    assert {name for name, one in building.corridors.items() if one.obstacles > 0} == {"c1"}
+
+
+def test_map_in_json_is_the_map_in_python(tmp_path):
+    (tmp_path / "small.json").write_text(json.dumps(told()))
+    building = load_building(tmp_path / "small.json")
+    assert building == building_from(told())
+    assert building.corridors["c1"].length_m == 5.0
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (corridor(length_m=-2.0), "length_m of corridor c1 is -2; it must be more than 0"),
+        (corridor(length_m=0), "more than 0"),
+        (corridor(obstacles=-1), "obstacles of corridor c1 is -1; it must be 0 or more"),
+        (corridor(light=1.5), "from 0 to 1"),
+        (corridor(length_m="long"), "length_m of corridor c1 is 'long'; a finite number is needed"),
+        (corridor(length_m=math.nan), "a finite number is needed"),
+        (corridor(lenght_m=2), "unknown 'lenght_m'; known are"),
+        (corridor(to="d"), "names the place 'd', which map small lacks"),
+        (corridor(to="a"), "leads from a to itself"),
+        (told(places={"a": [0, 0], "b": [3, 4], "z": [9, 9]}), "disconnected: no way from a to z; add a corridor"),
+        (told(places={"a": [0], "b": [3, 4]}), "a place is x and y"),
+        (told(places={"A b": [0, 0]}), "is no name"),
+        (told(corridors={}), "at least one"),
+        (told(goal="c"), "goal names the place 'c'"),
+        ({"places": {}}, "says no start"),
+        ([], "says no start"),
+    ],
+)
+def test_bad_map_is_refused_in_words_that_say_what_to_do(data, words):
+    with pytest.raises(BuildingError, match=words):
+        building_from(data)
+
+
+def test_unreadable_map_is_refused(tmp_path):
+    (tmp_path / "broken.toml").write_text("name = ")
+    for name in ("broken.toml", "missing.json"):
+        with pytest.raises(BuildingError, match="cannot be read"):
+            load_building(tmp_path / name)
+
+
+def test_too_many_or_too_few_corridors_are_refused():
+    for corridors in (4, 13):
+        with pytest.raises(BuildingError, match="9 places take 8 to 12 corridors"):
+            generated_building(default_rng(0), 9, corridors)

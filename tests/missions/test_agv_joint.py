@@ -1,0 +1,253 @@
+"""The joint plan of corridors and configurations: judged by an exhaustive search and by Fast Downward."""
+
+from itertools import product
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.random import default_rng
+
+from kb import KnowledgeBase
+from missions.agv import MAPS, WEIGHTS
+from missions.agv.building import BuildingError, building_from, load_building
+from missions.agv.costs import GOALS, Costs, weighed
+from missions.agv.declared import asked_of
+from missions.agv.generated import generated_building
+from missions.agv.joint import JointPlanner, Place, Question
+from missions.agv.model import agv_model
+from missions.agv.search import Graph, Move, cheapest
+from missions.mission import MissionError
+from rosa_pddl import Outcome, Planner
+
+MODEL = agv_model()
+
+
+def known(*failed):
+    kb = KnowledgeBase(MODEL, clock=lambda: 0.0)
+    for name in failed:
+        kb.component_failed(name)
+    return kb
+
+
+def paper(*failed):
+    return JointPlanner(load_building(MAPS / "paper.toml"), known(*failed))
+
+
+def simple_ways(building, start, goal):
+    """Return every way as corridors and places that visits no place twice."""
+    found, waiting = [], [((), (start,))]
+    while waiting:
+        corridors, places = waiting.pop()
+        if places[-1] == goal:
+            found.append((corridors, places))
+            continue
+        for one in building.exits[places[-1]]:
+            if one.other(places[-1]) not in places:
+                waiting.append(((*corridors, one), (*places, one.other(places[-1]))))
+    return found
+
+
+def by_exhaustion(building, kb, question):
+    """Try every way in every sequence of modes; knows nothing of the planner but what crossing and switching take."""
+    costs = Costs()
+    running = JointPlanner(building, kb).task(question).start[1]
+    best = None
+    modes = JointPlanner(building, kb).task(question).modes
+    scales = {"time": 1e3, "energy": 1e3, "collisions": 1e6}
+    for corridors, _ in simple_ways(building, building.start, building.goal):
+        demands = [{"light": one.light, "obstacles": one.obstacles} for one in corridors]
+        for chosen in product(*(modes.under(each) for each in demands)):
+            total, cost = [0, 0, 0], 0
+            for before, mode, one in zip((running, *chosen), chosen, corridors, strict=False):
+                parts = (
+                    costs.switching(before, mode),
+                    costs.crossing(mode, one.length_m, one.obstacles * one.length_m),
+                )
+                cost += sum(weighed(part, question.weights) for part in parts)
+                total = [a + b + c for a, b, c in zip(total, *parts, strict=True)]
+            used = dict(zip(GOALS, total, strict=True))
+            if all(used[name] / scales[name] <= limit for name, limit in question.limits.items()):
+                best = cost if best is None else min(best, cost)
+    return best
+
+
+weights = st.fixed_dictionaries({"time": st.sampled_from([0.0, 1.0]), "energy": st.sampled_from([0.01, 0.1])})
+
+
+@settings(max_examples=40)
+@given(
+    st.integers(0, 10_000), weights, st.floats(0.5, 2.0), st.sampled_from(["energy", "collisions", "time"]), st.data()
+)
+def test_exhaustive_search_agrees_also_within_limits(seed, weighed_by, part, limited, data):
+    building = generated_building(default_rng(seed), 4, data.draw(st.integers(3, 4)))
+    kb = known(
+        *data.draw(st.sampled_from([("kinect", "mrpt"), ("lidar", "mrpt"), ("camera", "mrpt"), ("amcl", "kinect")]))
+    )
+    planner = JointPlanner(building, kb)
+    free = Question(weights=weighed_by)
+    answer = planner.plan(free)
+    assert (answer.cost if answer.is_solved else None) == by_exhaustion(building, kb, free)
+    if not answer.is_solved:
+        return
+    takes = dict(
+        zip(GOALS, (answer.takes.time_s, answer.takes.energy_j, answer.takes.expected_collisions), strict=True)
+    )
+    tight = Question(weights=weighed_by, limits={limited: takes[limited] * part})
+    within = planner.plan(tight)
+    assert (within.cost if within.is_solved else None) == by_exhaustion(building, kb, tight)
+
+
+@settings(max_examples=60)
+@given(st.integers(0, 10_000), st.integers(2, 12), st.integers(0, 2))
+def test_least_is_never_more_than_what_is_left(seed, places, more):
+    try:
+        building = generated_building(default_rng(seed), places, places - 1 + more)
+    except BuildingError:
+        return
+    task = JointPlanner(building, known()).task(Question(weights=WEIGHTS, limits={"energy": 1e6}))
+    states = [task.start]
+    for state in states[:40]:
+        here, (here_j,) = task.least(state)
+        for move in task.moves(state):
+            there, (there_j,) = task.least(move.to)
+            assert here <= move.cost + there
+            assert here_j <= move.uses[0] + there_j
+            states.append(move.to)
+
+
+@given(st.dictionaries(st.integers(0, 5), st.lists(st.tuples(st.integers(0, 5), st.integers(0, 9), st.integers(0, 9)))))
+def test_search_without_bounds_finds_what_all_short_ways_give(arcs):
+    def ways(state, seen, cost, used):
+        if state == 5:
+            yield cost, used
+        for to, more, use in arcs.get(state, ()):
+            if to not in seen:
+                yield from ways(to, {*seen, to}, cost + more, used + use)
+
+    graph = Graph(lambda state: [Move(to, cost, (use,), to) for to, cost, use in arcs.get(state, ())], lambda s: s == 5)
+    best = min((cost for cost, used in ways(0, {0}, 0, 0) if used <= 7), default=None)
+    found = cheapest(graph, 0, [7])
+    assert (None if found is None else found.cost) == best
+
+
+@pytest.mark.parametrize("failed", [("kinect", "mrpt", "aruco"), ("lidar", "mrpt", "aruco")])
+@pytest.mark.parametrize("start", [None, Place("a", "c1", 5.0)])
+def test_fast_downward_proves_the_same_cost(failed, start):
+    planner = paper(*failed)
+    question = Question(start=start, weights=WEIGHTS)
+    answer = planner.plan(question)
+    result = asked_of(Planner(timeout_s=60.0), planner.task(question))
+    assert result.outcome is Outcome.SOLVED_OPTIMALLY
+    assert result.cost == answer.cost
+
+
+def test_straight_way_with_the_kinect_and_round_without_it():
+    assert [(leg.corridor, leg.mode.name) for leg in paper().plan(Question(weights=WEIGHTS)).legs] == [
+        ("c1", "amcl_kinect fast")
+    ]
+    without = paper("kinect").plan(Question(weights=WEIGHTS))
+    assert [leg.corridor for leg in without.legs] == ["c4", "c3", "c2"]
+    assert all("kinect" not in leg.mode.name for leg in without.legs)
+
+
+def test_collisions_that_are_expected_can_decide_the_way():
+    weights = {"time": 1.0, "collisions": 10_000.0}
+    assert [leg.corridor for leg in paper().plan(Question(weights=weights)).legs] == ["c4", "c3", "c2"]
+
+
+def test_robot_within_a_corridor_goes_back_only_if_it_must():
+    inside = Question(start=Place("a", "c1", 15.0), weights=WEIGHTS)
+    assert [leg.corridor for leg in paper().plan(inside).legs] == ["c1"]
+    assert [leg.corridor for leg in paper("kinect").plan(inside).legs] == ["c4", "c3", "c2"]
+    longer = paper("kinect").plan(inside).takes.time_s
+    assert longer > paper("kinect").plan(Question(start=Place("a", "c1", 1.0), weights=WEIGHTS)).takes.time_s
+
+
+def test_camera_needs_the_lamp_where_it_is_dark():
+    weights = {"energy": 1.0}
+    light = paper("kinect", "lidar").plan(Question(weights=weights)).legs
+    dark = paper("kinect", "lidar").plan(Question(weights=weights, light={"c3": 0.1})).legs
+    assert ["lamp" in leg.mode.name for leg in light] == [False, False, False]
+    assert "lamp" in dark[1].mode.name
+
+
+def test_switching_is_counted_so_a_short_dark_corridor_keeps_the_lamp_on():
+    corridors = {f"c{n}": {"from": f"p{n}", "to": f"p{n + 1}", "light": 0.1 if n % 2 else 1.0} for n in range(5)}
+    data = {
+        "start": "p0",
+        "goal": "p5",
+        "places": {f"p{n}": [n, 0] for n in range(6)},
+        "corridors": corridors,
+    }
+    planner = JointPlanner(building_from(data), known("kinect", "lidar"))
+    lit = ["lamp" in leg.mode.name for leg in planner.plan(Question()).legs]
+    assert lit[1:4] == [True, True, True]
+
+
+def test_nothing_is_planned_where_no_configuration_is_possible_and_the_reason_says_why():
+    answer = paper("kinect", "lidar", "camera").plan(Question())
+    assert not answer.is_solved
+    assert answer.legs == ()
+    assert "no corridor can be crossed in any configuration" in answer.reason
+    assert "navigate is unfeasible" in answer.reason
+
+
+def test_goal_behind_a_corridor_that_cannot_be_crossed_is_said_to_be_out_of_reach():
+    data = {
+        "start": "a",
+        "goal": "c",
+        "places": {"a": [0, 0], "b": [5, 0], "c": [9, 0]},
+        "corridors": {"free": {"from": "a", "to": "b"}, "full": {"from": "b", "to": "c", "obstacles": 1.0}},
+    }
+    answer = JointPlanner(building_from(data), known("kinect")).plan(Question())
+    assert not answer.is_solved
+    assert "c cannot be reached from a; full cannot be crossed" in answer.reason
+
+
+def test_limits_that_contradict_each_other_are_named_with_what_is_possible():
+    answer = paper().plan(Question(limits={"energy": 700.0, "collisions": 0.01}))
+    assert not answer.is_solved
+    assert "no way keeps within the limits" in answer.reason
+    assert "the limit is 700 J" in answer.reason
+
+
+def test_battery_limit_makes_the_robot_take_a_thriftier_way():
+    planner = paper("kinect")
+    free, least = planner.plan(Question()), planner.plan(Question(weights={"energy": 1.0}))
+    limit = (free.takes.energy_j + least.takes.energy_j) / 2
+    thrifty = planner.plan(Question(limits={"energy": limit}))
+    assert thrifty.is_solved
+    assert least.takes.energy_j <= thrifty.takes.energy_j <= limit < free.takes.energy_j
+    assert thrifty.takes.time_s > free.takes.time_s
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"weights": {"speed": 1.0}}, "no weight 'speed'; there are time, energy, collisions"),
+        ({"weights": {"time": -1.0}}, "must be a finite number from 0"),
+        ({"weights": {}}, "nothing is to be minimised"),
+        ({"limits": {"energy": float("nan")}}, "the limit of energy is nan"),
+        ({"goal": "z"}, "goal names the place 'z'"),
+        ({"light": {"c9": 0.1}}, "no corridor 'c9'"),
+        ({"start": Place("a", "c9", 1.0)}, "no corridor 'c9'"),
+    ],
+)
+def test_bad_question_is_refused(changes, words):
+    with pytest.raises(MissionError, match=words):
+        paper().plan(Question(**changes))
+
+
+def test_start_at_the_goal_needs_no_leg():
+    answer = paper().plan(Question(start=Place("b")))
+    assert answer.is_solved
+    assert answer.legs == ()
+    assert answer.cost == 0
+
+
+def test_asking_tells_the_knowledge_base_nothing():
+    kb = known()
+    before = kb.revision
+    JointPlanner(generated_building(default_rng(0)), kb).plan(Question())
+    assert kb.revision == before
+    assert kb.attributes["light"].value is None

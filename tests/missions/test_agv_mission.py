@@ -1,0 +1,167 @@
+"""The ground vehicle driving: whatever the seed, the Kinect fails, a corridor goes dark, and the robot arrives."""
+
+from collections import Counter
+
+import numpy
+import pytest
+from running import result, run_mission, text
+
+from kb import KnowledgeBase
+from missions.agv import agv_mission
+from missions.agv.building import building_from
+from missions.agv.model import agv_model
+from missions.agv.settings import settings_from
+from missions.mission import MissionError
+from missions.report import as_json
+from missions.runner import MissionRun
+from missions.task import TASK_KINDS
+
+SEEDS = range(10)
+AGV = "missions.agv:MISSION"
+
+
+def driven(building, task="bt", **settings):
+    """Run a mission on a map; returns verdict and run."""
+    mission = agv_mission("small", "drives", building_from(building))
+    values = {"incidents": "", **{key: str(value) for key, value in settings.items()}}
+    world = mission.world.open(values, numpy.random.default_rng(0))
+    run = MissionRun(mission, task, world)
+    return run.run(), run
+
+
+def straight(**corridor):
+    return {
+        "start": "a",
+        "goal": "b",
+        "places": {"a": [0, 0], "b": [6, 0]},
+        "corridors": {"c1": {"from": "a", "to": "b", **corridor}},
+    }
+
+
+def test_model_has_as_many_elements_as_the_paper_counts():
+    model = agv_model()
+    parameters = {key for one in model.configurations.values() for key in one.parameters}
+    entities = len(model.actions) + len(model.functions) + len(model.components) + len(model.attributes)
+    relations = len(model.actions) + len(model.designs) + len(model.configurations)
+    relations += len(model.constraints) + len(model.estimations)
+    assert parameters == {"speed"}
+    assert (entities + len(model.configurations), relations) == (18, 36)  # a parameter value is an entity
+    assert model.check() == ()
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_kinect_fails_and_plan_and_architecture_change_together(seed):
+    data = result(AGV, "bt", seed)
+    assert data["outcome"] == "arrived"
+    assert data["collisions"] == 0
+    assert data["diagnostics_problems"] == []
+    assert [(one["name"], one["result"]) for one in data["actions"]] == [
+        ("cross_c1", "abandoned"),
+        ("cross_c4", "completed"),
+        ("cross_c3", "completed"),
+        ("cross_c2", "completed"),
+    ]
+    assert [one["what"] for one in data["disturbances"]] == ["kinect failed", "light in c3 goes out"]
+    failure, dark = data["disturbances"]
+    task, structural = data["adaptations"]
+    assert task["kind"] == "task"
+    assert task["trigger"] == "kinect has failed"
+    assert task["change"].startswith("cross_c1 -> cross_c4; stop amcl; start aruco, camera; set navigator to c4_from_a")
+    assert failure["at_s"] <= task["at_s"] <= failure["at_s"] + 0.2
+    assert (structural["kind"], structural["change"]) == ("structural", "start lamp")
+    assert dark["at_s"] <= structural["at_s"] <= dark["at_s"] + 0.2
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_plan_executor_goes_the_same_way(seed):
+    data = result(AGV, "pddl", seed)
+    assert data["outcome"] == "arrived"
+    assert [one["name"] for one in data["actions"]] == ["cross_c1", "cross_c4", "cross_c3", "cross_c2"]
+    assert [[step.split("(")[0] for step in plan["steps"]] for plan in data["plans"]] == [
+        ["cross_c1"],
+        ["cross_c4", "cross_c3", "cross_c2"],
+    ]
+
+
+@pytest.mark.parametrize("task", TASK_KINDS)
+def test_same_seed_gives_the_same_bytes_and_another_does_not(task):
+    assert as_json(run_mission(AGV, task, 0)[2]) == text(AGV, task, 0)
+    assert text(AGV, task, 1) != text(AGV, task, 0)
+
+
+def test_without_incidents_it_drives_straight_past_the_boxes():
+    data = run_mission(AGV, incidents="")[2]
+    assert [one["name"] for one in data["actions"]] == ["cross_c1"]
+    assert data["collisions"] == 0
+    assert data["adaptations"] == []
+    assert data["driven_m"] > 20.0  # round the boxes
+
+
+def test_energy_that_was_used_is_what_the_components_drew():
+    data = run_mission(AGV, incidents="")[2]
+    moving_s = data["duration_s"] - 1.0
+    assert 25.0 * moving_s < data["energy_used_j"] < 38.0 * data["duration_s"]  # AMCL, Kinect and driving: 38 W
+
+
+def test_camera_without_light_or_lamp_stands_still():
+    verdict, run = driven(straight(light=0.0), incidents="lamp fails in c1, lidar fails in c1, kinect fails in c1")
+    assert not verdict.success
+    assert "no corridor can be crossed in any configuration" in verdict.reason
+    assert run.kb.required_actions == ()
+
+
+def test_robot_without_a_way_says_why_and_requests_nothing():
+    blocked = straight(obstacles=1.0)
+    blocked["places"]["d"] = [0, 9]
+    blocked["corridors"]["c2"] = {"from": "a", "to": "d"}
+    verdict, run = driven(blocked, incidents="kinect fails in c1")
+    assert not verdict.success
+    assert "cannot be crossed" in verdict.reason
+    assert Counter(one.result for one in run.kb.action_history) == {"abandoned": 1}
+
+
+def test_battery_that_cannot_last_is_no_reason_to_set_out():
+    verdict, run = driven(straight(), capacity_j=20.0)
+    assert not verdict.success
+    assert "energy would be" in verdict.reason
+    assert run.world.results()["driven_m"] < 3.0
+
+
+def test_dark_corridor_is_entered_with_the_lamp_on():
+    _, run = driven(straight(light=0.1))
+    assert run.kb.action_history[0].result == "completed"
+    designs = [one.name for one in run.kb.designs.values() if one.status.value != "unfeasible"]
+    assert "aruco_camera_lamp" in designs
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"incidents": "kinect breaks in c1"}, "allowed is text such as"),
+        ({"incidents": "radar fails in c1"}, "the component 'radar'; there are amcl"),
+        ({"incidents": "dark in c9"}, "no corridor 'c9'"),
+        ({"capacity_j": "much"}, "capacity_j is 'much'; allowed is a number from 1"),
+        ({"reach": "1"}, "unknown setting 'reach'; near: reach_m"),
+        ({"control_period_s": "0.015"}, "no whole multiple"),
+    ],
+)
+def test_bad_setting_is_refused(values, words):
+    mission = agv_mission("small", "drives", building_from(straight()))
+    with pytest.raises(MissionError, match=words):
+        mission.world.open(values, numpy.random.default_rng(0))
+
+
+def test_defaults_of_the_settings_are_allowed():
+    assert settings_from({}).capacity_j == 20_000.0
+
+
+def test_facts_of_the_plan_executor_come_from_situations():
+    mission = agv_mission("small", "drives", building_from(straight(obstacles=0.5)))
+    from missions.senses import Senses
+
+    senses = Senses()
+    assert mission.facts(senses)["(passable_c1)"]
+    said = {"message": "mission status", "values": {"kinect failed": "true"}}
+    senses.receive({"time": 0.0, "status": [said]})
+    assert not mission.facts(senses)["(passable_c1)"]
+    assert isinstance(KnowledgeBase(mission.model(), clock=lambda: 0.0), KnowledgeBase)
