@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy
 import pytest
 from py_trees.behaviours import Running
+from py_trees.common import Status
 from running import run_mission
 
-from missions import cli, registry, runner, suave_extended, task
+from missions import cli, registry, runner, suave_extended
 from missions.registry import MISSIONS
 from rosa_bt import IsActionFeasible, RosaAction
 from rosa_pddl import Planner
@@ -66,7 +67,6 @@ def test_action_in_the_domain_that_the_model_does_not_know_names_the_nearest(alt
         (lambda text: text.rstrip()[:-1], "domain.pddl:"),
         (lambda text: text.replace("(pipeline_found ?p - pipeline)", ""), "pipeline_found"),
         (lambda text: text.replace(":types", ":tipes"), ":tipes"),
-        (lambda text: text.replace(":durative-actions", ":durativ-actions"), "nearest: :durative-actions"),
         (lambda text: text.replace("action_feasible", "act_feas"), "no predicate (action_feasible ?a - action)"),
     ],
 )
@@ -97,29 +97,57 @@ def test_missing_domain_file_is_named(altered, monkeypatch, capsys, tmp_path):
     assert "nowhere.pddl" in err
 
 
-def test_missing_planner_ends_the_mission_and_says_what_to_install(monkeypatch, capsys, altered):
+def test_misspelt_requirement_stops_nothing_but_is_noted_when_asked_for_a_plan(monkeypatch, capsys, altered, tmp_path):
+    domain = tmp_path / "domain.pddl"
+    domain.write_text(DOMAIN.read_text().replace(":durative-actions", ":durativ-actions"))
+    altered(domain=domain)
+    monkeypatch.setattr("sys.argv", ["rosa", "plan", "--mission", "altered"])
+    with pytest.raises(SystemExit) as end:
+        cli.main()
+    out = " ".join(capsys.readouterr().out.split())
+    assert not end.value.code
+    assert f"note: {domain}:5:" in out
+    assert ": PDDL has no requirement ':durativ-actions'; nearest: :durative-actions" in out
+
+
+def planning_with(monkeypatch, planner):
+    """Give missions that are planned another planner than Fast Downward."""
+    monkeypatch.setattr("rosa_pddl.Planner", planner)
+
+
+def test_planner_that_is_gone_when_it_is_needed_ends_the_mission_and_says_what_to_install(monkeypatch, capsys, altered):
+    class Gone(Planner):
+        """Was there when it was looked for, and is not any more."""
+
+        def missing(self, domain):
+            return None
+
     altered()
-    executor = task._planning
-
-    def with_other_engine(*arguments):
-        layer = executor(*arguments)
-        layer.root.decorated._planner = Planner(engine="fast-forward")
-        return layer
-
-    monkeypatch.setattr(task, "_planning", with_other_engine)
+    planning_with(monkeypatch, lambda: Gone("tamer"))
     code, out, _ = run_altered(monkeypatch, capsys, "--task", "pddl")
     assert code == 1
     assert "aborted" in out
     assert "engine missing" in out
-    assert "fast-forward" in out
+    assert "try 'pip install up-tamer'" in out
 
 
 def test_planner_that_is_not_installed_is_found_out_before_the_mission(monkeypatch, capsys, altered):
     altered()
-    monkeypatch.setattr(Planner.__init__, "__defaults__", ("aries", 10.0))
+    planning_with(monkeypatch, lambda: Planner("tamer"))
     code, out, err = run_altered(monkeypatch, capsys, "--task", "pddl")
     assert code == 2
-    assert "the planning engine 'aries' is not installed; try 'pip install up-aries'" in err
+    assert "the planning engine 'tamer' is not installed; try 'pip install up-tamer'" in err
+    assert "adaptation" not in out
+
+
+def test_planner_that_runs_out_of_wall_clock_time_ends_the_mission_by_name_instead_of_deciding(
+    monkeypatch, capsys, altered
+):
+    altered()
+    planning_with(monkeypatch, lambda: Planner(timeout_s=1e-6))
+    code, out, err = run_altered(monkeypatch, capsys, "--task", "pddl")
+    assert code == 2
+    assert "planning ran out of wall-clock time, and going on would make the run depend on the machine" in err
     assert "adaptation" not in out
 
 
@@ -170,7 +198,7 @@ def test_unknown_names_and_nan_in_diagnostics_are_reported_and_the_mission_goes_
     ]
 
 
-def test_exception_in_a_plain_behaviour_leaves_nothing_open(altered):
+def test_exception_in_a_plain_behaviour_is_its_failure_and_leaves_nothing_open(altered):
     class Rash(Running):
         def update(self):
             raise RuntimeError("boom")
@@ -178,6 +206,7 @@ def test_exception_in_a_plain_behaviour_leaves_nothing_open(altered):
     mission = dataclasses.replace(MISSIONS["suave_extended"], tree=lambda kb, senses: Rash("rash"))
     world = mission.world.open({}, numpy.random.default_rng(0))
     run = runner.MissionRun(mission, "bt", world)
-    with pytest.raises(RuntimeError, match="boom"):
-        run.run()
+    assert not run.run().success
+    assert run.tree.root.status is Status.FAILURE
+    assert run.tree.root.feedback_message == "RuntimeError: boom"
     assert run.kb.required_actions == ()
