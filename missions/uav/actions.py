@@ -17,10 +17,10 @@ from rosa_bt import RosaAction
 from rosa_pddl.generation import ActionSchema, DeclaredProblem
 
 __all__ = [
-    "PROBLEM",
     "AllAnalysed",
     "AnalyseOnSite",
     "LandAndFoldGripper",
+    "PROBLEM",
     "PickUpAndAnalyse",
     "ReturnAndRecharge",
     "SampleWaiting",

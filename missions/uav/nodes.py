@@ -15,7 +15,7 @@ from missions.uav.field import Field, Sample
 from missions.uav.quadrotor import ON_GROUND_M, Quadrotor
 from missions.uav.settings import Settings
 
-__all__ = ["NODES", "PERIOD_S", "Node", "Robot"]
+__all__ = ["NODES", "Node", "PERIOD_S", "Robot"]
 
 PERIOD_S: Final = 0.1
 GRIP_M: Final = 0.12  # height of the legs from which the gripper reaches the ground

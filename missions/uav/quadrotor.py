@@ -10,7 +10,7 @@ import mujoco
 from missions.uav.control import Vector, attitude_torques, mast, mixed, velocity_wanted, wanted_force
 from missions.uav.settings import Settings
 
-__all__ = ["ON_GROUND_M", "SUBSTEPS", "Quadrotor"]
+__all__ = ["ON_GROUND_M", "Quadrotor", "SUBSTEPS"]
 
 _log = logging.getLogger(__name__)
 mujoco.set_mju_user_warning(_log.debug)  # MuJoCo's own handler prints, and writes a file into the working directory
@@ -165,7 +165,7 @@ def _trimmed(trim: Vector, error: Vector, step_s: float) -> Vector:
     return x, y, z
 
 
-def _compiled(settings: Settings) -> Any:  # noqa: ANN401 - MuJoCo ships no types
+def _compiled(settings: Settings) -> Any:  # noqa: ANN401  # MuJoCo ships no types
     spec = mujoco.MjSpec.from_string((files("missions.uav") / "quadrotor.xml").read_text(encoding="utf-8"))
     spec.option.timestep = settings.physics_step_s
     spec.option.gravity = (0, 0, -settings.gravity_m_s2)
