@@ -1,6 +1,7 @@
-"""What a plan executor takes to be true: sensed facts, the knowledge base's feasibility, effects of its own steps."""
+"""What is taken to be true while a plan is executed: what is sensed, what is feasible, effects of its own steps."""
 
 from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 
 from rosa_pddl.domain import Domain, Feasibility, State, Step
@@ -39,6 +40,11 @@ class Belief:
         self._domain, self._kb, self._sense = domain, kb, sense
         self._facts = without_feasibility(domain, initial_state(domain))
 
+    @property
+    def domain(self) -> Domain:
+        """What the facts are about."""
+        return self._domain
+
     def observe(self) -> State:
         """Take in what is sensed; return what is true then, with what is feasible.
 
@@ -57,6 +63,10 @@ class Belief:
     def end(self, step: Step, state: State) -> None:
         """Assume the effects of a step's end."""
         self._facts = without_feasibility(self._domain, ended(self._domain, step, state))
+
+    def assume(self, gone: AbstractSet[str], come: AbstractSet[str]) -> None:
+        """Assume that atoms became false, and others true; what becomes true wins, as PDDL says."""
+        self._facts = without_feasibility(self._domain, (self._facts - gone) | come)
 
     def take_back(self, undo: Undo) -> None:
         """Believe what would be so had a step not started."""

@@ -12,11 +12,12 @@ from py_trees.behaviour import Behaviour
 
 from kb import KnowledgeBase
 from missions.mission import MissionError
-from missions.planning.belief import Assume, Belief, Holds
 from missions.planning.formulas import written_condition, written_effects
+from missions.planning.leaves import Assume, Holds
 from rosa_bt.exceptions import RosaBtError
 from rosa_bt.parsers import BehaviourRegistry, load_xml
 from rosa_pddl import Domain, MissingBehaviourError, Schema, Step
+from rosa_pddl.belief import Belief
 from rosa_pddl.domain import ACTION_TYPE, FEASIBLE, UpThing
 from rosa_pddl.exceptions import nearest
 from rosa_pddl.validate import binding_of, mentioned_atoms

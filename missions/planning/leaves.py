@@ -1,50 +1,20 @@
-"""What is believed while a plan is executed as a tree, and the leaves that ask and change it."""
+"""The leaves of a plan's tree that ask and change what is believed."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 
-from rosa_pddl import Domain, Feasibility, State, feasible_atoms, initial_state
+from rosa_pddl import Domain, State
+from rosa_pddl.belief import Belief
 from rosa_pddl.formulas import conditions
-from rosa_pddl.problem import sensed_into, without_feasibility
 from rosa_pddl.syntax import Node, parse
 from rosa_pddl.validate import holds
 
-__all__ = ["Assume", "Belief", "Holds"]
+__all__ = ["Assume", "Holds"]
 
 Change = Callable[[State], tuple[set[str], set[str]]]
 """From a state to the atoms that become false, and those that become true."""
-
-
-class Belief:
-    """The facts: as sensed, or else as the problem file and the effects of what was done say.
-
-    Args:
-        domain: what `load_domain` returned.
-        kb: says which ROSA actions are feasible; no effect overrides that.
-        sense: returns the facts that are sensed now, by text such as `(lit room)`.
-    """
-
-    def __init__(self, domain: Domain, kb: Feasibility, sense: Callable[[], Mapping[str, bool]] = dict) -> None:
-        self.domain = domain
-        self._kb = kb
-        self._sense = sense
-        self._believed = without_feasibility(domain, initial_state(domain))
-
-    @property
-    def state(self) -> State:
-        """The atoms that are true now."""
-        self._believed = without_feasibility(self.domain, sensed_into(self.domain, self._believed, self._sense()))
-        return self._believed | feasible_atoms(self.domain, self._kb)
-
-    def change(self, changes: Iterable[Change]) -> None:
-        """Believe effects until it is sensed otherwise; what becomes true wins, as PDDL says."""
-        state = self.state
-        told = [change(state) for change in changes]
-        gone = {atom for deleted, _ in told for atom in deleted}
-        come = {atom for _, added in told for atom in added}
-        self._believed = without_feasibility(self.domain, (state - gone) | come)
 
 
 class Holds(Behaviour):
@@ -61,7 +31,7 @@ class Holds(Behaviour):
 
     def update(self) -> Status:
         """Look at what is believed."""
-        state = self._belief.state
+        state = self._belief.observe()
         for part in self._parts:
             if not holds(self._belief.domain, part.expression, {}, state):
                 self.feedback_message = f"{part} does not hold"
@@ -84,7 +54,9 @@ class Assume(Behaviour):
 
     def update(self) -> Status:
         """Change what is believed."""
-        self._belief.change(self._changes)
+        state = self._belief.observe()
+        told = [change(state) for change in self._changes]
+        self._belief.assume({atom for gone, _ in told for atom in gone}, {atom for _, come in told for atom in come})
         return Status.SUCCESS
 
 
