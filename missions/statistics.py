@@ -1,5 +1,6 @@
 """The statistics of a report, on plain samples; every function is pure, and chance is handed in."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -55,15 +56,16 @@ class Clusters:
         low: mean of the part below the cut.
         high: mean of the part above it.
         share_low: which part of the sample is below the cut.
-        explained: which part of the variance lies between the two, from 0 to 1. An even spread has 0.75, a bell curve
-            0.64: what is much above that is two clusters.
+        separation: between the means, in units of the spread within the parts (the root of the mean of their
+            variances; infinite if there is none). The halves of an even spread have 3.5, those of a bell curve 2.6:
+            what is above that is two clusters.
     """
 
     cut: float
     low: float
     high: float
     share_low: float
-    explained: float
+    separation: float
 
 
 def interval_of_mean(values: Sequence[float], rng: Generator) -> Interval:
@@ -122,13 +124,13 @@ def two_clusters(values: Sequence[float]) -> Clusters | None:
     within = [sample[:cut].var() * cut + sample[cut:].var() * (sample.size - cut) for cut in cuts]
     best = int(np.argmin(within))
     low, high = sample[: cuts[best]], sample[cuts[best] :]
-    explained = 1 - within[best] / (sample.var() * sample.size)
+    spread, apart = math.sqrt((low.var() + high.var()) / 2), float(high.mean() - low.mean())
     return Clusters(
         (float(low[-1]) + float(high[0])) / 2,
         float(low.mean()),
         float(high.mean()),
         low.size / sample.size,
-        float(explained),
+        apart / spread if spread else math.inf,
     )
 
 

@@ -136,12 +136,14 @@ def _explain(drawing: "Figure", groups: Sequence[Group], clusters: bool) -> None
     if clusters:
         entries += [Line2D([], [], color=color, linewidth=5, label=name) for name, color in _CLUSTERS]
     if any(group.published for group in groups):
-        text = "published mean" + (" and standard deviation" if clusters or len(drawing.axes) == len(groups) else "")
+        text = "published mean" + (" ± sd" if len(drawing.axes) == len(groups) else "")
         entries.append(Line2D([], [], color=PAPER, marker="D", markersize=4.5, linestyle="", label=text))
     if any(group.inputs for group in groups):
         entries.append(Line2D([], [], linestyle="", label="* figures of the paper are put in"))
     if entries:
-        drawing.legend(handles=entries, loc="upper left", bbox_to_anchor=(0.14, 1), ncols=len(entries))
+        drawing.legend(
+            handles=entries, loc="upper left", bbox_to_anchor=(0.01, 1), ncols=len(entries), columnspacing=1.4
+        )
 
 
 _CLUSTERS = (("earlier cluster", EARLY), ("later cluster", LATE), ("never found", PLAIN))

@@ -134,8 +134,8 @@ class Cluster:
         """Do nothing: whoever started the workers starts them anew."""
 
     def executor(self) -> Executor:
-        """Return the cluster as an executor."""
-        executor: Executor = self._client.get_executor()
+        """Return the cluster as an executor, for which a run that is done again is another one."""
+        executor: Executor = self._client.get_executor(pure=False)
         return executor
 
     def look(self) -> str:

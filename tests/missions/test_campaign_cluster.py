@@ -1,0 +1,171 @@
+"""The same campaign on a cluster: a real scheduler and real workers on this machine, one of which is killed."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from missions.campaign.work import PACKAGES
+
+ROOT = Path(__file__).parents[2]
+SMALL = """
+missions = ["suave"]
+managers = ["none", "bt", "ours"]
+runs = 8
+[settings]
+duration_s = 20
+"""
+RUNS = 3 * 8
+FATAL = """
+import os
+
+from missions.managers import Manager
+
+
+class Fatal(Manager):
+    def update(self):
+        os._exit(1)
+"""
+TABLES = ("runs.csv", "runs.parquet", "reactions.csv", "reactions.parquet")
+
+
+class Machines:
+    """A scheduler, workers and command lines as processes of their own, which see a copy of the code."""
+
+    def __init__(self, folder):
+        self.folder, self.path, self.workers = folder, [str(folder / "code"), str(folder)], []
+        for package in PACKAGES:
+            unwanted = shutil.ignore_patterns("__pycache__")
+            shutil.copytree(ROOT / package, folder / "code" / package, ignore=unwanted)
+        (folder / "fatal.py").write_text(FATAL)
+        (folder / "small.toml").write_text(SMALL)
+        options = ["--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", "scheduler.json"]
+        self.scheduler = self.start("distributed.cli.dask_scheduler", *options, path=self.path)
+        self.wait_for(lambda: (folder / "scheduler.json").exists())
+        self.address = json.loads((folder / "scheduler.json").read_text())["address"]
+
+    def start(self, module, *arguments, path):
+        settings = {**os.environ, "PYTHONPATH": os.pathsep.join(path), "DASK_LOGGING__DISTRIBUTED": "error"}
+        settings["DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES"] = "0"  # so that a fatal run kills two workers only
+        command = [sys.executable, "-m", module, *map(str, arguments)]
+        with (self.folder / "log.txt").open("a") as log:
+            return subprocess.Popen(command, stdout=log, stderr=log, env=settings, cwd=self.folder)
+
+    def add_workers(self, count, path=None):
+        options = ["--nthreads", "1", "--no-nanny", "--no-dashboard", "--host", "127.0.0.1"]
+        for _ in range(count):
+            started = self.start("distributed.cli.dask_worker", self.address, *options, path=path or self.path)
+            self.workers.append(started)
+        self.wait_for(lambda: self.count() == len([one for one in self.workers if one.poll() is None]))
+
+    def count(self):
+        from distributed import Client
+
+        with Client(self.address, set_as_default=False) as client:
+            return len(client.scheduler_info(n_workers=-1)["workers"])
+
+    def rosa(self, *arguments):
+        command = [sys.executable, "-m", "missions", *map(str, arguments)]
+        settings = {**os.environ, "PYTHONPATH": os.pathsep.join(self.path)}
+        return subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=settings, cwd=self.folder
+        )
+
+    def wait_for(self, holds):
+        end = time.monotonic() + 60
+        while not holds():
+            assert time.monotonic() < end, (self.folder / "log.txt").read_text()
+            time.sleep(0.05)
+
+    def lines(self, name):
+        path = self.folder / name / "runs.jsonl"
+        return path.read_text().splitlines() if path.exists() else []
+
+    def end(self):
+        for one in (*self.workers, self.scheduler):
+            one.kill()
+            one.wait()
+        self.workers.clear()
+
+
+@pytest.fixture
+def machines(tmp_path):
+    found = Machines(tmp_path)
+    yield found
+    found.end()
+
+
+def test_killed_worker_costs_nothing_and_results_are_those_of_local_processes(machines):
+    machines.add_workers(3)
+    running = machines.rosa("campaign", "small.toml", "--cluster", machines.address, "--out", "far")
+    machines.wait_for(lambda: running.poll() is not None or len(machines.lines("far")) > 2)
+    assert running.poll() is None
+    machines.workers[0].kill()
+    out, err = running.communicate()
+    assert running.returncode == 0, out + err
+    assert f"{RUNS} of {RUNS} runs done, {RUNS} of them now" in out
+    names = [json.loads(line)["run"] for line in machines.lines("far")]
+    assert len(names) == len(set(names)) == RUNS
+    local = machines.rosa("campaign", "small.toml", "--workers", "2", "--out", "near")
+    local.communicate()
+    for name in TABLES:
+        assert (machines.folder / "far" / name).read_bytes() == (machines.folder / "near" / name).read_bytes()
+
+
+def test_run_that_kills_its_workers_is_recorded_and_the_others_go_on(machines):
+    machines.add_workers(3)
+    (machines.folder / "c.toml").write_text(
+        'missions = ["suave"]\nmanagers = ["none", "fatal:Fatal"]\nruns = 1\n[settings]\nduration_s = 5\n'
+    )
+    running = machines.rosa("campaign", "c.toml", "--cluster", machines.address, "--out", "c")
+    out, err = running.communicate()
+    assert running.returncode == 1, out + err
+    found = {one["run"]: one.get("error") for one in map(json.loads, machines.lines("c"))}
+    assert found == {
+        "suave/none/duration_s=5/0": None,
+        "suave/fatal:Fatal/duration_s=5/0": "the process that ran it died",
+    }
+
+
+def refused(machines, *arguments):
+    running = machines.rosa("campaign", "small.toml", "--out", "refused", *arguments)
+    _, err = running.communicate()
+    assert running.returncode == 2, err
+    return " ".join(err.split())
+
+
+def test_cluster_that_cannot_do_it_is_refused_at_once(machines):
+    assert f"the scheduler at {machines.address} has no workers" in refused(machines, "--cluster", machines.address)
+
+    shutil.rmtree(machines.folder / "refused")
+    other = machines.folder / "other"
+    shutil.copytree(machines.folder / "code", other)
+    (other / "kb" / "changed.py").touch()
+    machines.add_workers(1, path=[str(other)])
+    assert "has code" in refused(machines, "--cluster", machines.address)
+
+    shutil.rmtree(machines.folder / "refused")
+    gone = machines.workers.pop()
+    gone.kill()
+    gone.wait()
+    bare = machines.folder / "bare" / "missions"
+    bare.mkdir(parents=True)
+    (bare / "__init__.py").touch()
+    machines.wait_for(lambda: machines.count() == 0)
+    machines.add_workers(1, path=[str(bare.parent)])
+    said = refused(machines, "--cluster", machines.address)
+    assert "cannot do missions: ModuleNotFoundError: No module named 'missions.campaign'" in said
+
+
+def test_scheduler_that_is_not_there_is_told_with_what_starts_one(tmp_path, monkeypatch):
+    from missions.campaign import workers
+    from missions.mission import MissionError
+
+    monkeypatch.setattr(workers, "PATIENCE_S", 0.5)
+    with pytest.raises(MissionError, match=r"no scheduler at 127\.0\.0\.1:9: .*start one with `dask scheduler`"):
+        workers.Cluster("127.0.0.1:9")
