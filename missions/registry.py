@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from importlib import import_module
 from types import MappingProxyType
 
-from missions import suave, suave_extended, uav
+from missions import agv, suave, suave_extended, uav
 from missions.mission import Mission, MissionError
 
 __all__ = ["MISSIONS", "find_mission"]

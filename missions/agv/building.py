@@ -130,7 +130,7 @@ def load_building(path: str | Path) -> Building:
     return building_from(data, path.stem)
 
 
-def building_from(data: Any, name: str = "map") -> Building:  # noqa: ANN401  # whatever stands in a file
+def building_from(data: Any, name: str = "unnamed") -> Building:  # noqa: ANN401  # whatever stands in a file
     """Make a building of what a map file says: name, start, goal, places (x, y) and corridors.
 
     A corridor without `length_m` is as long as its places are apart; without `obstacles` it has none, and without
