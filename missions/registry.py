@@ -10,7 +10,7 @@ from missions.mission import Mission, MissionError
 __all__ = ["MISSIONS", "find_mission"]
 
 MISSIONS: Mapping[str, Mission] = MappingProxyType(
-    {mission.name: mission for mission in (suave.MISSION, suave_extended.MISSION, uav.MISSION)}
+    {mission.name: mission for mission in (suave.MISSION, suave_extended.MISSION, agv.MISSION, uav.MISSION)}
 )
 
 

@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 
 from missions.agv.modes import Mode
 
-__all__ = ["GOALS", "Amounts", "Costs", "weighed"]
+__all__ = ["Amounts", "Costs", "GOALS", "weighed"]
 
 GOALS: Final = ("time", "energy", "collisions")
 """What can be weighed: seconds, joules, and collisions expected."""
