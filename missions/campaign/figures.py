@@ -41,7 +41,7 @@ def distribution(comparison: Comparison, figure: str, label: str, *, clusters: b
 
     samples = {group: list(group.values(figure).values()) for group in comparison.groups}
     everything = [value for values in samples.values() for value in values] or [0.0]
-    bins = np.linspace(min(everything), max(everything) + (max(everything) == min(everything)), BINS + 1)
+    bins = np.linspace(min(everything), max(everything) + (max(everything) == min(everything)), BINS + 1).tolist()
     with rc_context(STYLE):
         drawing, axes = _rows(len(samples), 1)
         for row, (group, values) in zip(axes[:, 0], samples.items(), strict=True):
@@ -69,7 +69,7 @@ def reaction_histograms(comparison: Comparison) -> dict[str, bytes]:
     groups = [group for group in comparison.groups if any(group.delays(name) for name in names)]
     delays = [delay for group in groups for name in names for delay in group.delays(name)]
     least = max(min(delays), 1e-3)
-    bins = np.geomspace(least * 0.9, max(*delays, least) * 1.1, LOG_BINS + 1)
+    bins = np.geomspace(least * 0.9, max(*delays, least) * 1.1, LOG_BINS + 1).tolist()
     with rc_context(STYLE):
         drawing, axes = _rows(len(groups), len(names))
         for row, group in zip(axes, groups, strict=True):
@@ -107,7 +107,7 @@ def _name(axes: "Axes", group: Group | None, count: str) -> None:
     axes.text(1, 1, count, transform=axes.transAxes, ha="right", va="bottom", color="#666666", fontsize=7.5)
 
 
-def _stack(axes: "Axes", values: Sequence[float], searches: Sequence[float], bins: Any) -> None:  # noqa: ANN401  # array
+def _stack(axes: "Axes", values: Sequence[float], searches: Sequence[float], bins: Sequence[float]) -> None:
     """Draw the two clusters of those searches that succeeded, and apart from them the others."""
     found = two_clusters(searches)
     if found is None:
