@@ -10,9 +10,11 @@ from missions.agv.building import Building
 __all__ = [
     "DRAW_W",
     "DRIVING_W",
+    "ERROR_M",
     "FOLLOW",
     "NAVIGATE",
     "NAVIGATOR",
+    "NEEDED_LIGHT",
     "SPEEDS",
     "agv_model",
     "building_model",
@@ -38,13 +40,24 @@ DRIVING_W: Final[Mapping[str, float]] = MappingProxyType({"slow": 8.0, "medium":
 MISHAPS: Final[Mapping[str, float]] = MappingProxyType({"slow": 0.002, "medium": 0.005, "fast": 0.02})
 """Collisions expected for each obstacle that is passed at a speed; own choice."""
 
-_DESIGNS: Final = (  # name, components, metres of accuracy, collisions expected for each obstacle passed; own choice
-    ("aruco_camera", ("aruco", "camera"), 0.15, 0.05),
-    ("aruco_camera_lamp", ("aruco", "camera", "lamp"), 0.15, 0.05),
-    ("amcl_kinect", ("amcl", "kinect"), 0.03, 0.004),
-    ("amcl_lidar", ("amcl", "lidar"), 0.06, 0.01),
-    ("mrpt_kinect", ("mrpt", "kinect"), 0.08, 0.02),
-    ("mrpt_lidar", ("mrpt", "lidar"), 0.09, 0.025),
+ERROR_M: Final[Mapping[tuple[str, str], float]] = MappingProxyType(
+    {
+        ("aruco", "camera"): 0.15,
+        ("amcl", "kinect"): 0.03,
+        ("amcl", "lidar"): 0.06,
+        ("mrpt", "kinect"): 0.08,
+        ("mrpt", "lidar"): 0.09,
+    }
+)
+"""Error of the position by algorithm and sensor [m]; which go together is the paper's, the figures are own choice."""
+
+_DESIGNS: Final = (  # name, components, collisions expected for each obstacle passed; own choice
+    ("aruco_camera", ("aruco", "camera"), 0.05),
+    ("aruco_camera_lamp", ("aruco", "camera", "lamp"), 0.05),
+    ("amcl_kinect", ("amcl", "kinect"), 0.004),
+    ("amcl_lidar", ("amcl", "lidar"), 0.01),
+    ("mrpt_kinect", ("mrpt", "kinect"), 0.02),
+    ("mrpt_lidar", ("mrpt", "lidar"), 0.025),
 )
 OBSTRUCTED_PER_M: Final = 0.1
 """Obstacles per metre from which only AMCL with the Kinect is accurate enough; that only it is, the paper says."""
@@ -78,11 +91,11 @@ def agv_model(name: str = "agv", actions: Iterable[str] = (NAVIGATE,)) -> Model:
         configuration.estimate(safety, MISHAPS[speed], "negative")
 
     navigate = model.function(NAVIGATE)
-    for priority, (design_name, components, error_m, mishaps) in enumerate(_DESIGNS, start=1):
+    for priority, (design_name, components, mishaps) in enumerate(_DESIGNS, start=1):
         design = navigate.design(design_name, [*components, base], priority=priority)
         design.estimate(energy, sum(DRAW_W[one] for one in components), "negative")
         design.estimate(safety, mishaps, "negative")
-        design.estimate(accuracy, error_m, "absolute")
+        design.estimate(accuracy, ERROR_M[components[0], components[1]], "absolute")
     imprecise = [design for design, *_ in _DESIGNS if design != "amcl_kinect"]
     model.constrain([model.designs[one] for one in imprecise], obstacles <= OBSTRUCTED_PER_M)
     model.designs["aruco_camera"].constrain(light >= NEEDED_LIGHT)

@@ -8,10 +8,13 @@ from missions.agv.building import Building
 from missions.agv.joint import Answer, JointPlanner, Leg, Place, Question
 from missions.senses import Senses
 
-__all__ = ["DARK", "Route"]
+__all__ = ["DARK", "RESERVE", "Route"]
 
 DARK: Final = 0.1
 """How light it is where the lamps of a corridor have gone out, from 0 to 1; own choice."""
+
+RESERVE: Final = 0.1
+"""Part of the energy that is not planned with, as driving round what stands in the way takes more; own choice."""
 
 
 class Route:
@@ -79,9 +82,9 @@ class Route:
 
     @property
     def question(self) -> Question:
-        """What is to be planned from here; no more energy than there is."""
+        """What is to be planned from here; no more energy than there is, less the reserve."""
         energy_j, driven_m = (self.kb.attributes[name].value for name in ("energy", "driven"))
-        limits = {} if energy_j is None else {"energy": max(0.0, energy_j)}
+        limits = {} if energy_j is None else {"energy": (1.0 - RESERVE) * max(0.0, energy_j)}
         place = Place(self.at, self.inside, driven_m or 0.0) if self.inside else Place(self.at)
         return Question(place, None, self._weights, limits, dict.fromkeys(self._dark, DARK))
 

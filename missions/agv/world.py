@@ -10,7 +10,7 @@ from numpy.random import Generator
 from kb import KnowledgeBase, ManagedSystem
 from missions.agv.building import Building
 from missions.agv.components import Components
-from missions.agv.model import DRAW_W, DRIVING_W, NAVIGATOR, SPEEDS
+from missions.agv.model import DRAW_W, DRIVING_W, ERROR_M, NAVIGATOR, NEEDED_LIGHT, SPEEDS
 from missions.agv.route import DARK, Route
 from missions.agv.scene import boxes
 from missions.agv.settings import Incident, Settings, described, incidents, settings_from
@@ -24,9 +24,6 @@ if TYPE_CHECKING:
 __all__ = ["AgvKind", "BuildingWorld"]
 
 _STAND: Final = Aim(0.0, 0.0)
-_LOCALIZERS: Final = {"amcl": ("kinect", "lidar"), "mrpt": ("kinect", "lidar"), "aruco": ("camera",)}
-_ERROR_M: Final = {("amcl", "kinect"): 0.03, ("amcl", "lidar"): 0.06, ("mrpt", "kinect"): 0.08, ("mrpt", "lidar"): 0.09}
-_CAMERA_ERROR_M: Final = 0.15
 _ERROR_KEEPS: Final = 0.98  # of the error of the position, from one look to the next
 _WELL_INSIDE_M: Final = 1.0  # from there on the robot is in a corridor, no longer at a place
 
@@ -57,6 +54,7 @@ class BuildingWorld(World):
         self._ordered: Mapping[str, Any] = {}
         self._sensor = ""
         self._error: Array = np.zeros(2)
+        self._error_m = 0.0
         self._energy_j, self._driven_total_m = settings.capacity_j, 0.0
         self._news: dict[str, dict[str, str]] = {}
         self._happened: list[tuple[float, str]] = []
@@ -114,7 +112,7 @@ class BuildingWorld(World):
         shown = {}
         for corridor in self._building.corridors.values():
             words = [corridor.name] + (["obstructed"] if corridor.obstacles > 0 else [])
-            words += ["dark"] if self._light[corridor.name] < corridor.light or corridor.light < 0.3 else []
+            words += ["dark"] if self._light[corridor.name] < corridor.light or corridor.light < NEEDED_LIGHT else []
             start, end = (np.array(self._building.places[place]) for place in corridor.ends)
             shown[", ".join(words)] = np.linspace(start, end, 9)
         return shown
@@ -162,12 +160,11 @@ class BuildingWorld(World):
     def _seeing(self) -> str:
         """Return the sensor by which the vehicle knows where it is; empty if it does not."""
         active = self._components.is_active
-        for localizer, sensors in _LOCALIZERS.items():
-            for sensor in sensors:
-                sees = sensor != "camera" or self._light_here >= 0.3 or active("lamp")
-                if active(localizer) and active(sensor) and active("base") and active(NAVIGATOR) and sees:
-                    self._error_m = _ERROR_M.get((localizer, sensor), _CAMERA_ERROR_M)
-                    return sensor
+        for (localizer, sensor), error_m in ERROR_M.items():
+            sees = sensor != "camera" or self._light_here >= NEEDED_LIGHT or active("lamp")
+            if sees and all(active(name) for name in (localizer, sensor, "base", NAVIGATOR)):
+                self._error_m = error_m
+                return sensor
         return ""
 
     def _drift(self) -> Array:

@@ -7,8 +7,10 @@ import pytest
 from running import result, run_mission, text
 
 from kb import KnowledgeBase
-from missions.agv import agv_mission
+from missions.agv import WEIGHTS, agv_mission
 from missions.agv.building import building_from
+from missions.agv.generated import generated_building
+from missions.agv.joint import JointPlanner, Question
 from missions.agv.model import agv_model
 from missions.agv.settings import settings_from
 from missions.mission import MissionError
@@ -103,7 +105,7 @@ def test_energy_that_was_used_is_what_the_components_drew():
     assert 25.0 * moving_s < data["energy_used_j"] < 38.0 * data["duration_s"]  # AMCL, Kinect and driving: 38 W
 
 
-def test_camera_without_light_or_lamp_stands_still():
+def test_robot_that_loses_lamp_lidar_and_kinect_in_the_dark_says_why_it_stands():
     verdict, run = driven(straight(light=0.0), incidents="lamp fails in c1, lidar fails in c1, kinect fails in c1")
     assert not verdict.success
     assert "no corridor can be crossed in any configuration" in verdict.reason
@@ -125,6 +127,18 @@ def test_battery_that_cannot_last_is_no_reason_to_set_out():
     assert not verdict.success
     assert "energy would be" in verdict.reason
     assert run.world.results()["driven_m"] < 3.0
+
+
+def test_generated_building_is_driven_through_as_planned():
+    building = generated_building(numpy.random.default_rng(3), 6, 7)
+    mission = agv_mission("generated", "drives", building)
+    planned = JointPlanner(building, KnowledgeBase(agv_model(), clock=lambda: 0.0)).plan(Question(weights=WEIGHTS))
+    run = MissionRun(mission, "bt", mission.world.open({"incidents": ""}, numpy.random.default_rng(0)))
+    assert run.run().outcome == "arrived"
+    assert [one.action for one in run.kb.action_history] == [f"cross_{leg.corridor}" for leg in planned.legs]
+    assert {one.result for one in run.kb.action_history} == {"completed"}
+    assert run.world.results()["collisions"] == 0
+    assert run.world.now == pytest.approx(planned.takes.time_s, rel=0.25)
 
 
 def test_dark_corridor_is_entered_with_the_lamp_on():
