@@ -153,6 +153,7 @@ class Task:
         building.check_place(self.goal, "goal")
         for corridor in (*question.light, *([self.start[0].corridor] if self.start[0].corridor else [])):
             building.check_corridor(corridor)
+        _check_inside(building, self.start[0])
         self._known = known
         self.limited = tuple(name for name in GOALS if name in question.limits)
         self._indices = tuple(GOALS.index(name) for name in self.limited)
@@ -189,7 +190,7 @@ class Task:
         return self._switching[before, after]
 
     def _crossing(self, way: _Way, mode: Mode) -> Amounts:
-        if way.length_m != way.corridor.length_m:  # part of one, not met again
+        if way != self.way(way.corridor, way.origin)._replace(conditions=way.conditions):  # a part, not met again
             return self.costs.crossing(mode, way.length_m, way.passed)
         key = way.corridor.name, mode
         if key not in self._known:
@@ -250,6 +251,13 @@ class Task:
     def graph(self) -> Graph[State, tuple[_Way, Amounts]]:
         """What is searched."""
         return Graph(self.moves, lambda state: state[0] == Place(self.goal), self.least)
+
+
+def _check_inside(building: Building, start: Place) -> None:
+    if start.corridor and start.name not in building.corridors[start.corridor].ends:
+        raise MissionError(f"corridor {start.corridor} does not begin at {start.name}, from where the robot came")
+    if not math.isfinite(start.driven_m):
+        raise MissionError(f"driven_m is {start.driven_m!r}; a finite number of metres is needed")
 
 
 class JointPlanner:

@@ -163,6 +163,18 @@ def test_robot_within_a_corridor_goes_back_only_if_it_must():
     assert longer > paper("kinect").plan(Question(start=Place("a", "c1", 1.0), weights=WEIGHTS)).takes.time_s
 
 
+def test_way_back_past_known_obstacles_is_not_taken_for_the_whole_corridor():
+    planner = paper()
+    weights = {"collisions": 1000.0, "time": 1.0}
+    there = planner.plan(Question(Place("a"), "b", {"time": 1.0}))
+    back = planner.plan(Question(Place("a", "c1", 20.0), "a", weights))
+    again = planner.plan(Question(Place("a"), "b", {"time": 1.0}))
+    assert [(leg.corridor, leg.to) for leg in back.legs] == [("c1", "a")]
+    assert back.takes.collisions == 0
+    assert there.takes == again.takes
+    assert there.takes.collisions > 0
+
+
 def test_camera_needs_the_lamp_where_it_is_dark():
     weights = {"energy": 1.0}
     light = paper("kinect", "lidar").plan(Question(weights=weights)).legs
@@ -231,6 +243,8 @@ def test_battery_limit_makes_the_robot_take_a_thriftier_way():
         ({"goal": "z"}, "goal names the place 'z'"),
         ({"light": {"c9": 0.1}}, "no corridor 'c9'"),
         ({"start": Place("a", "c9", 1.0)}, "no corridor 'c9'"),
+        ({"start": Place("d", "c1", 1.0)}, "c1 does not begin at d"),
+        ({"start": Place("a", "c1", float("nan"))}, "driven_m is nan"),
     ],
 )
 def test_bad_question_is_refused(changes, words):
