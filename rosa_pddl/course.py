@@ -1,7 +1,8 @@
 """A plan on its way: in which order its steps may start, how far it has come, and whether the rest still works."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain, groupby
 from typing import NamedTuple
 
 from rosa_pddl.domain import Domain, State, Step
@@ -150,7 +151,7 @@ class Course:
 
 def _scheduled(domain: Domain, schedule: Sequence[TimedStep], goals: tuple[Goal, ...]) -> Course:
     timed = sorted(schedule, key=lambda one: one.start_s)
-    events = _in_time(timed)
+    events = _in_time(domain, timed)
     touched = [_touched(domain, one.step) for one in timed]
     at_events = {event: _touched(domain, timed[event.number].step, [event.is_end]) for event in events}
     after = tuple(
@@ -161,16 +162,79 @@ def _scheduled(domain: Domain, schedule: Sequence[TimedStep], goals: tuple[Goal,
         )
         for number in range(len(timed))
     )
-    return Course(domain, tuple(one.step for one in timed), events, after, goals)
+    return Course(domain, tuple(one.step for one in timed), events, _not_too_early(domain, timed, after), goals)
 
 
-def _in_time(timed: Sequence[TimedStep]) -> tuple[Event, ...]:
+def _not_too_early(
+    domain: Domain, timed: Sequence[TimedStep], after: Sequence[frozenset[Event]]
+) -> tuple[frozenset[Event], ...]:
+    """Let a step that provides something only while it lasts, such as light, wait for what its first user waits for.
+
+    Otherwise it might be over before it is of use, as nothing tells how long the others take.
+    """
+    waits = list(after)
+    for number, one in enumerate(timed):
+        lent = _lent(domain, one.step)
+        users = [user for user in range(len(timed)) if Event(number, False) in after[user]]
+        first = next((user for user in users if lent & _touched(domain, timed[user].step)[0]), None)
+        if first is not None and one.duration_s > 0.0:
+            waits[number] |= {e for e in after[first] if not _depends(waits, e.number, number)}
+    return tuple(waits)
+
+
+def _lent(domain: Domain, step: Step) -> frozenset[str]:
+    """Return the atoms that a step makes true when it starts, and false when it ends."""
+    schema, binding = domain.schema_of[step.schema], binding_of(domain, step)
+    given = [effect for effect in schema.start_effects if not effect.value.is_false()]
+    taken = [effect for effect in schema.end_effects if not effect.value.is_true()]
+    return frozenset(affected_atoms(domain, given, binding)) & frozenset(affected_atoms(domain, taken, binding))
+
+
+def _depends(waits: Sequence[frozenset[Event]], number: int, other: int) -> bool:
+    """Whether a step is another one, or has to wait for it."""
+    return number == other or any(_depends(waits, event.number, other) for event in waits[number])
+
+
+def _in_time(domain: Domain, timed: Sequence[TimedStep]) -> tuple[Event, ...]:
     """Order starts and ends; at one moment first what ends, then what starts, then what is over at once."""
     dated: list[tuple[int, int, Event]] = []
     for number, one in enumerate(timed):
         dated.append((round(one.start_s / _SAME_TIME_S), 1, Event(number, False)))
         dated.append((round(one.end_s / _SAME_TIME_S), 0 if one.duration_s > 0.0 else 2, Event(number, True)))
-    return tuple(event for _, _, event in sorted(dated))
+    moments = groupby(sorted(dated), key=lambda one: one[0])
+    return tuple(chain.from_iterable(_in_turn(domain, timed, [event for *_, event in moment]) for _, moment in moments))
+
+
+def _in_turn(domain: Domain, timed: Sequence[TimedStep], together: list[Event]) -> Iterator[Event]:
+    """Yield what happens at one moment in an order that keeps what holds over all.
+
+    A step needs that from just after its start until just before its end: it starts after what brings it about, and
+    ends before what takes it away.
+    """
+    left = list(together)
+    while left:
+        free = (one for one in left if not any(_precedes(domain, timed, other, one) for other in left))
+        event = next(free, left[0])
+        left.remove(event)
+        yield event
+
+
+def _precedes(domain: Domain, timed: Sequence[TimedStep], one: Event, other: Event) -> bool:
+    if one.number == other.number:
+        return other.is_end and not one.is_end
+    if one.is_end and timed[one.number].duration_s > 0.0:
+        return bool(_held(domain, timed[one.number].step) & _changed(domain, timed, other))
+    return not other.is_end and bool(_held(domain, timed[other.number].step) & _changed(domain, timed, one))
+
+
+def _held(domain: Domain, step: Step) -> frozenset[str]:
+    """Return the atoms that a step looks at all the while."""
+    over_all = domain.schema_of[step.schema].over_all
+    return frozenset(mentioned_atoms(domain, over_all, (), binding_of(domain, step)))
+
+
+def _changed(domain: Domain, timed: Sequence[TimedStep], event: Event) -> frozenset[str]:
+    return _touched(domain, timed[event.number].step, [event.is_end])[1]
 
 
 _Touched = tuple[frozenset[str], frozenset[str]]

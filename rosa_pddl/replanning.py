@@ -158,7 +158,13 @@ class Replanning:
         outcome, steps = result.outcome, result.steps
         self.records.append(PlanRecord(question.at_s, decision.reason, outcome, steps, result.engine, result.message))
         if outcome.is_solved:
-            return Found(Course.of(self._domain, result, promised), decision)
+            course = Course.of(self._domain, result, promised)
+            wrong = course.replay(state).flaw if state == question.state else None
+            if wrong is None:
+                return Found(course, decision)
+            # the same question would get the same answer, again and again
+            self._hopeless = (state, f"no plan: what {result.engine} gave cannot be done event by event: {wrong}")
+            return None
         if not decision.is_needed:
             return None
         if state != question.state:

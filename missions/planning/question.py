@@ -99,6 +99,8 @@ def ask(
         kb.component_failed(component)
     _suppose_feasible(kb, domain, supposed, has_model=bool(models or mission))
     state = without_feasibility(domain, initial_state(domain)) | feasible_atoms(domain, kb)
+    if not all(text.strip() for text in goals):
+        raise MissionError("--goal is empty; give a condition such as '(found it)', or leave it out")
     # a goal may be several conditions side by side
     texts = [f"(and {text})" for text in goals] if goals else domain.goals
     wanted = [condition for text in texts for condition in conditions(domain, text)]

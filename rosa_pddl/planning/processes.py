@@ -51,7 +51,8 @@ class Ended:
     @property
     def last_words(self) -> str:
         """The last lines that it wrote, for a message."""
-        text = (self.output[-2000:] + b"\n" + self.complaints[-2000:]).decode(errors="replace")
+        said = (self.output[-2000:] + b"\n" + self.complaints[-2000:]).decode(errors="replace")
+        text = "".join(letter if letter.isprintable() or letter == "\n" else "?" for letter in said)
         lines = [line.strip() for line in text.splitlines() if line.strip()]
         return " / ".join(lines[-3:])[-400:] or "nothing"
 

@@ -4,8 +4,9 @@ import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 
-from rosa_pddl.domain import Step
+from rosa_pddl.domain import Domain, Schema, Step, UpThing
 from rosa_pddl.exceptions import UnsupportedPddlError
 from rosa_pddl.planning.costs import Numbers
 from rosa_pddl.planning.downward import Answer, Trouble, search
@@ -20,6 +21,7 @@ from rosa_pddl.validate import flaw, missing_at_start
 
 __all__ = ["Settings", "Trial"]
 
+_OVERLAP = "steps may overlap with Planner('aries', overlapping=True), pip install 'rosa-taca[temporal]'"
 # Of several troubles, the first of these that was met is the outcome of all.
 _TELLING_FIRST = (
     Outcome.OUT_OF_TIME,
@@ -169,7 +171,11 @@ class Trial:
             limit_s=_left_s(deadline),
             memory_bytes=self._settings.memory_bytes,
         )
-        return _Found(answer.outcome, tuple(task.step(number) for number in answer.numbers))
+        try:
+            steps = tuple(task.step(number) for number in answer.numbers)
+        except IndexError as error:
+            raise Trouble(Outcome.ENGINE_CRASHED, "the search named steps that the task does not have") from error
+        return _Found(answer.outcome, steps)
 
     def _wrong(self, found: _Found) -> str | None:
         if not found.outcome.is_solved:
@@ -180,19 +186,22 @@ class Trial:
         return flaw(problem.domain, found.steps, problem.state, problem.wanted)
 
     def _report(self, found: _Found, way: str, attempts: list[Attempt]) -> PlanningResult:
-        engine = self._settings.engine if way in ("warm", "cold") else way
+        engine, domain = self._settings.engine if way in ("warm", "cold") else way, self._problem.domain
         if found.outcome.is_solved:
             cost = self._cost(found)
             return PlanningResult(found.outcome, found.steps, engine, "", cost, found.schedule, tuple(attempts))
-        message = f"{engine}: {found.outcome}"
-        if found.outcome.is_trouble:
+        outcome, message = found.outcome, f"{engine}: {found.outcome}"
+        if outcome is Outcome.UNSOLVABLE_PROVEN and not self._settings.overlapping and _may_have_to_overlap(domain):
+            outcome = Outcome.UNSOLVABLE_AS_FAR_AS_KNOWN
+            message = f"{engine}: {outcome}: there is no plan of one step after the other; {_OVERLAP}"
+        if outcome.is_trouble:
             message = "; ".join(
                 f"{engine}, {attempt}" if engine != attempt.way else str(attempt) for attempt in attempts
             )
         safe = self._safe_step
-        if safe is not None and missing_at_start(self._problem.domain, safe, self._problem.state) is not None:
+        if safe is not None and missing_at_start(domain, safe, self._problem.state) is not None:
             safe = None
-        return PlanningResult(found.outcome, (), engine, message, attempts=tuple(attempts), safe_step=safe)
+        return PlanningResult(outcome, (), engine, message, attempts=tuple(attempts), safe_step=safe)
 
     @cached_property
     def _numbers(self) -> Numbers:
@@ -203,6 +212,29 @@ class Trial:
             return instantaneous(self._problem.domain)[1].total(found.steps, self._numbers)
         except UnsupportedPddlError:
             return None
+
+
+def _may_have_to_overlap(domain: Domain) -> bool:
+    """Whether a step provides something only while it lasts, and others need that."""
+    return any(
+        start.fluent.fluent() in _needed(other)
+        for schema in domain.schema_of.values()
+        for start, end in product(schema.start_effects, schema.end_effects)
+        if start.fluent == end.fluent and start.value.is_true() and end.value.is_false()
+        for other in domain.schema_of.values()
+        if other is not schema
+    )
+
+
+def _needed(schema: Schema) -> set[UpThing]:
+    """Return the predicates that the conditions of an action mention."""
+    left, found = [*schema.start, *schema.over_all, *schema.end], set()
+    while left:
+        formula = left.pop()
+        left += formula.args
+        if formula.is_fluent_exp():
+            found.add(formula.fluent())
+    return found
 
 
 def _left_s(deadline: float) -> float:

@@ -19,8 +19,7 @@ from missions.planning.tree import plan_registry
 from missions.registry import MISSIONS
 from missions.suave.actions import SearchPipeline
 from rosa_bt.parsers import load_xml
-from rosa_pddl import Planner, Problem, initial_state, load_domain
-from rosa_pddl.generation import ActionSchema
+from rosa_pddl import ActionSchema, Planner, Problem, initial_state, load_domain
 
 FOLDERS = {module.MISSION.name: module.__path__[0] for module in (suave, suave_extended)}
 EXTENDED = [f"{FOLDERS['suave_extended']}/{file}.pddl" for file in ("domain", "problem")]
@@ -254,6 +253,7 @@ def test_without_a_plan_only_the_json_is_written_and_the_rest_is_told(rosa, tmp_
         (["--mission", "suave", "--goal", "(pipeline_found bluerov)"], "is not of type 'pipeline'"),
         (["--mission", "suave", "--goal", "pipeline_found"], "found pipeline_found, expected a list"),
         (["--mission", "suave", "--goal", "(pipeline_found pipeline"], "unbalanced parentheses"),
+        (["--mission", "suave", "--goal", " "], "--goal is empty; give a condition such as '(found it)'"),
         (["--mission", "suave", "--timeout", "0"], "timeout_s is 0, expected more than 0"),
         (["--mission", "suave", "--json", "nowhere/plan.json"], "cannot write nowhere/plan.json"),
         (["--mission", "suave", "--tree", "."], "it is a directory; name a file in it"),

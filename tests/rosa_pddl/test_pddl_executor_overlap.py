@@ -1,10 +1,22 @@
 """Temporal plans: steps overlap as the causal order of the plan allows, whatever they really take."""
 
+from itertools import permutations
+
 import pytest
 from pddl_world import World, load_text
 from py_trees.common import Status
 
-from rosa_pddl import Planner
+from rosa_pddl import (
+    Outcome,
+    Planner,
+    PlanningResult,
+    Problem,
+    TimedStep,
+    initial_state,
+    parse_domain,
+    schedule_flaw,
+)
+from rosa_pddl.course import Course
 
 pytest.importorskip("up_aries")
 
@@ -96,3 +108,54 @@ def test_two_runs_with_overlapping_steps_are_the_same(rig):
         return world.log
 
     assert run() == run()
+
+
+# ------------------------------------------------------------------ what is provided only for a while
+
+CELLAR = """(define (domain cellar) (:requirements :durative-actions) (:types fuse match)
+  (:predicates (lit ?m - match) (unused ?m - match) (mended ?f - fuse) (free))
+  (:durative-action light :parameters (?m - match) :duration (= ?duration 8)
+    :condition (at start (unused ?m))
+    :effect (and (at start (not (unused ?m))) (at start (lit ?m)) (at end (not (lit ?m)))))
+  (:durative-action mend :parameters (?f - fuse ?m - match) :duration (= ?duration 5)
+    :condition (and (over all (lit ?m)) (at start (free)))
+    :effect (and (at start (not (free))) (at end (mended ?f)) (at end (free)))))
+"""
+FUSES = """(define (problem p) (:domain cellar) (:objects one two - fuse red blue - match)
+  (:init (unused red) (unused blue) (free)) (:goal (and (mended one) (mended two))))
+"""
+
+
+@pytest.fixture(scope="module")
+def cellar():
+    return parse_domain(CELLAR, FUSES)
+
+
+@pytest.mark.parametrize("ticks", [{"light": 8, "mend": 5}, {"light": 12, "mend": 10}])
+def test_a_match_is_not_lit_before_the_fuse_box_is_free(cellar, ticks):
+    world = World(cellar, Planner("aries", overlapping=True))
+    world.ticks = ticks
+    assert world.run() is Status.SUCCESS
+    assert len(world.executor.plans) == 1
+
+
+# The match goes out as the first fuse is mended; the second is begun as the next match is lit.
+SCHEDULE = (("light", "red", 0.0, 8.0), ("mend", "one red", 3.0, 5.0), ("light", "blue", 8.1, 8.0))
+SCHEDULE += (("mend", "two blue", 8.1, 5.0),)
+
+
+@pytest.mark.parametrize("order", list(permutations(range(4))))
+def test_a_schedule_that_the_judge_accepts_can_be_executed_in_whatever_order_it_is_written(cellar, order):
+    listed = [SCHEDULE[number] for number in order]
+    schedule = [TimedStep(cellar.step(name, words.split()), at_s, took_s) for name, words, at_s, took_s in listed]
+    state = initial_state(cellar)
+    assert schedule_flaw(cellar, schedule, state) is None
+    steps = tuple(timed.step for timed in schedule)
+    course = Course.of(cellar, PlanningResult(Outcome.SOLVED, steps, schedule=tuple(schedule)), ())
+    assert course.replay(state).flaw is None
+
+
+def test_that_there_is_no_plan_without_overlapping_is_no_proof_and_says_what_would_do(cellar):
+    result = Planner().plan(Problem(cellar, initial_state(cellar)))
+    assert result.outcome is Outcome.UNSOLVABLE_AS_FAR_AS_KNOWN
+    assert "Planner('aries', overlapping=True)" in result.message

@@ -237,13 +237,13 @@ def test_trouble_of_any_kind_fails_by_name_and_ticks_go_on(ways, outcome):
     assert world.executor.feedback_message == f"no plan, {outcome}: it said nothing"
 
 
-def test_a_plan_of_a_planner_of_ones_own_that_does_not_work_is_not_executed(ways):
+def test_a_plan_of_a_planner_of_ones_own_that_does_not_work_is_not_executed_nor_asked_for_again(ways):
     nonsense = PlanningResult(Outcome.SOLVED, (ways.step("left", ["left"]),))
     world = World(ways, Answering(nonsense))
-    for _ in range(30):
-        assert world.tick() is Status.RUNNING
+    assert [world.tick() for _ in range(6)][-1] is Status.FAILURE
     assert world.log == []
-    assert "left(left) needs (half)" in world.executor.feedback_message
+    assert len(world.executor.plans) == 1
+    assert "cannot be done event by event: left(left) needs (half)" in world.executor.feedback_message
 
 
 class Raising(Answering):

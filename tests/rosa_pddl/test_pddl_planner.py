@@ -94,7 +94,7 @@ def test_durations_as_metric_come_down_to_the_number_of_steps(tmp_path):
 
 
 def test_a_metric_that_cannot_be_kept_is_refused_at_load(tmp_path):
-    with pytest.raises(UnsupportedPddlError, match=r"problem\.pddl:\d+: the metric"):
+    with pytest.raises(UnsupportedPddlError, match=r"problem\.pddl:\d+:\d+: .*expected none, or one of"):
         load_text(tmp_path, COSTS, COSTS_PROBLEM % "(:metric maximize (total-cost))")
 
 
@@ -156,7 +156,11 @@ def test_a_plan_that_does_not_work_is_the_engines_fault(rooms, monkeypatch, tmp_
     ("script", "outcome", "words"),
     [
         ("echo no plan here", Outcome.ENGINE_CRASHED, "promised a plan but showed none"),
-        ("echo '999999 (1)'; echo 'Plan length: 1 step(s).'", Outcome.ENGINE_CRASHED, "IndexError"),
+        (
+            "echo '999999 (1)'; echo 'Plan length: 1 step(s).'",
+            Outcome.ENGINE_CRASHED,
+            "named steps that the task does not have",
+        ),
         ("exit 12", Outcome.UNSOLVABLE_AS_FAR_AS_KNOWN, "unsolvable as far as known"),
         ("exit 22", Outcome.OUT_OF_MEMORY, "out of memory"),
         ("exit 23", Outcome.OUT_OF_TIME, "out of time"),
