@@ -94,11 +94,16 @@ def picture(run: MissionRun, data: Mapping[str, Any]) -> Figure:
     _legend(figure, story)
     top = _timelines(figure, story)
     if np.isfinite(story.xy).any():
-        split = 960 if story.adaptations else 1420
+        split = 960 if story.adaptations else 1420 if _is_ours(data) else WIDTH - 34
         places = {name: np.asarray(points, dtype=float) for name, points in run.world.scenery().items() if len(points)}
         _map(_axes(figure, 72, 106, split - 72, top - 162), story, places)
-    _list(_axes(figure, split + 22, 106, WIDTH - split - 30, top - 120), story.adaptations)
+    if _is_ours(data):  # how others adapt is not told, only what they switch
+        _list(_axes(figure, split + 22, 106, WIDTH - split - 30, top - 120), story.adaptations)
     return figure
+
+
+def _is_ours(data: Mapping[str, Any]) -> bool:
+    return bool(data.get("manager", "ours") == "ours")
 
 
 def _story(run: MissionRun, data: Mapping[str, Any]) -> _Story:
@@ -154,6 +159,8 @@ FACTS = 3
 
 def _title(figure: Figure, data: Mapping[str, Any], results: Mapping[str, float | None]) -> None:
     task = {"bt": "behaviour tree", "pddl": "PDDL plans"}.get(data["task"], data["task"])
+    if not _is_ours(data):
+        task = f"manager: {data['manager']}"
     name = f"{data['mission']}  ·  {task}  ·  seed {data['seed']}"
     figure.text(0.015, 1 - 32 / HEIGHT, name, fontsize=13, fontweight="bold", va="center")
     facts = [f"{data['outcome'].replace('_', ' ')} after {data['duration_s']:.0f} s"]

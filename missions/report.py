@@ -17,8 +17,6 @@ from missions.runner import MissionRun
 
 __all__ = ["adaptation_table", "as_json", "summary", "timing"]
 
-MANAGER = "ours"
-
 
 def summary(run: MissionRun, verdict: Verdict, seed: int, changed: Mapping[str, str]) -> dict[str, Any]:
     """Return a finished run as plain data; times in [s], units in the names.
@@ -33,7 +31,7 @@ def summary(run: MissionRun, verdict: Verdict, seed: int, changed: Mapping[str, 
     return {
         "mission": run.mission.name,
         "task": run.task,
-        "manager": MANAGER,
+        "manager": run.manager,
         "seed": seed,
         "settings": dict(sorted(changed.items())),
         "outcome": verdict.outcome,

@@ -69,6 +69,7 @@ class MissionRun:
         listeners: who hears of it.
 
     Attributes:
+        manager: whose run it is, as `rosa run --manager` takes it.
         kb: the knowledge base.
         trace: what was seen.
         compute_s: seconds of this machine's time by part, not part of any decision.
@@ -86,6 +87,7 @@ class MissionRun:
         settings: RunSettings | None = None,
         listeners: tuple[Listener, ...] = (),
     ) -> None:
+        self.manager = "ours"
         self.mission = mission
         self.task = task
         self.world = world

@@ -105,7 +105,7 @@ class _SeaKind(WorldKind):
         return self.judge(senses, results, any(one.action == "recharge" for one in kb.action_history))
 
     def judge(self, senses: Senses, results: Mapping[str, float | None], needed_recharge: bool) -> Verdict:
-        """Judge by the goal, given whether a recharge was begun."""
+        """Judge by the goal, given whether the battery ran low or a recharge was begun."""
         if senses.holds("pipeline_inspected"):
             return Verdict("inspected_all", "the whole pipeline is inspected")
         if not senses.holds("pipeline_found"):
@@ -113,7 +113,7 @@ class _SeaKind(WorldKind):
         if not results.get("total_inspected_m"):
             return Verdict("aborted", "time ran out before any of the pipeline was inspected")
         if needed_recharge and not senses.count("battery_recharged"):
-            return Verdict("aborted", "time ran out before a recharge that was needed had ended")
+            return Verdict("aborted", "the battery ran low, and time ran out before it was recharged")
         return Verdict("time_limit", "the pipeline was found and inspected up to the time limit")
 
 

@@ -139,11 +139,23 @@ class Robot:
             what()
 
     def begin(self, task: str) -> None:
-        """Take down that a task is begun; called by whoever decides about tasks."""
+        """Take down that a task is begun; called by whoever decides about tasks.
+
+        Raises:
+            MissionError: another task has not ended.
+        """
+        if self.task is not None:
+            raise MissionError(f"cannot begin {task}: {self.task} is being done; end it first")
         self.tasks.append(Task(task, self.now))
 
     def end(self, result: str, reason: str = "") -> None:
-        """Take down that the task has ended."""
+        """Take down that the task has ended: "completed", "abandoned" or "failed".
+
+        Raises:
+            MissionError: no task is being done.
+        """
+        if self.task is None:
+            raise MissionError("no task is being done that could end; begin one first")
         task = self.tasks[-1]
         task.end, task.result, task.reason = self.now, result, reason
 

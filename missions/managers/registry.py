@@ -13,7 +13,7 @@ from missions.managers.random import RandomManager
 from missions.managers.rosa import RosaManager
 from missions.mission import MissionError
 
-__all__ = ["MANAGERS", "OURS", "find_manager", "options_of"]
+__all__ = ["MANAGERS", "OURS", "find_manager", "name_of", "options_of"]
 
 OURS = "ours"
 """The name under which the knowledge base and its configuration manager run, with the task layer that is asked for."""
@@ -49,6 +49,12 @@ def find_manager(name: str | type[Manager]) -> type[Manager]:
     except (ImportError, AttributeError, ValueError, SyntaxError) as error:
         raise MissionError(f"cannot import manager {name!r}: {type(error).__name__}: {error}") from error
     return _checked(found, name)
+
+
+def name_of(manager: type[Manager]) -> str:
+    """Return the name under which a manager is found."""
+    own = f"{manager.__module__}:{manager.__qualname__}"
+    return next((name for name, one in MANAGERS.items() if one is manager), own)
 
 
 def options_of(manager: str | type[Manager]) -> tuple[Option, ...]:

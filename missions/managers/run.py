@@ -1,18 +1,24 @@
 """One run of a mission in the sea under any manager: world, mission node and manager in lock-step."""
 
+import sys
+import traceback
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from math import inf
+from pathlib import Path
 from time import perf_counter
 from types import MappingProxyType
+from typing import TypeVar
 
 from numpy.random import Generator
 
 from kb import DiagnosticProblem, Model
 from missions.adaptations import Adaptation
 from missions.managers.manager import Manager, Robot, Task
-from missions.mission import Mission, Verdict
+from missions.managers.reactions import LOW_LEVEL
+from missions.managers.registry import name_of
+from missions.mission import Mission, MissionError, Verdict
 from missions.runner import SAMPLE_PERIOD_S, Listener, Trace
 from missions.sea import SEA, Sea
 from missions.senses import Senses
@@ -21,6 +27,8 @@ from missions.settings import RunSettings
 __all__ = ["ManagedRun", "Record"]
 
 SEARCH, INSPECT = "search_pipeline", "inspect_pipeline"
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,10 +100,14 @@ class ManagedRun:
         options: values of the manager's options by name.
 
     Attributes:
+        manager: its name, as `rosa run --manager` takes it.
         robot: what the manager knows and has done.
         kb: no knowledge base, but what a report looks at in one.
         trace: what was seen.
         compute_s: seconds of this machine's time by part, not part of any decision.
+
+    Raises:
+        MissionError: whatever the manager raises, here or in `run`, with its name, the moment and the line.
     """
 
     def __init__(
@@ -112,11 +124,12 @@ class ManagedRun:
         self._listeners = listeners
         phases = rng.random(2).tolist()
         self.robot = Robot(mission, world.managed, world.settings, rng, lambda: world.now, options)
-        self._manager = manager(self.robot)
+        self._class, self.manager = manager, name_of(manager)
+        self._manager = self._ask(manager, self.robot)
         self._senses = Senses()
         self.task = "tree of the manager" if manager.decides_tasks else "mission node"
         self._mission_timer = _Timer(world.settings.mission_period_s, phases[0])
-        self._manager_timer = _Timer(self._manager.period_s, phases[1])
+        self._manager_timer = _Timer(self._ask(_checked, self._manager.period_s), phases[1])
         self.kb = Record(mission, self.robot)
         self.trace = Trace()
         self.compute_s: defaultdict[str, float] = defaultdict(float)
@@ -129,19 +142,34 @@ class ManagedRun:
     def run(self) -> Verdict:
         """Run until the pipeline is inspected or the time limit is reached; the world is closed however this ends."""
         try:
-            while self.world.now < self.settings.duration_s and not self._is_done():
+            while self.world.now < self.settings.duration_s and not self._ask(self._is_done):
                 self._turn()
         finally:
             self.world.close()
         if self.robot.task is not None:
             self.robot.end("abandoned", "the mission has ended")
-        recharged = any(task.action == "recharge" for task in self.robot.tasks)
-        return SEA.judge(self._senses, self.world.results(), recharged)
+        is_low = self.robot.measured.get("battery_level", 1.0) < LOW_LEVEL
+        recharges = is_low or any(task.action == "recharge" for task in self.robot.tasks)
+        return SEA.judge(self._senses, self.world.results(), recharges)
 
     def _is_done(self) -> bool:
         return self._manager.is_done or any(
             task.action == INSPECT and task.result == "completed" for task in self.robot.tasks
         )
+
+    def _ask(self, what: Callable[..., T], *args: object) -> T:
+        try:
+            return what(*args)
+        except Exception as error:
+            raise MissionError(self._blamed(error)) from error
+
+    def _blamed(self, error: Exception) -> str:
+        """Say which manager raised what, when, and at which line of its own file."""
+        own = getattr(sys.modules.get(self._class.__module__), "__file__", None)
+        frames = traceback.extract_tb(error.__traceback__)[1:]
+        frame = next((one for one in reversed(frames) if one.filename == own), None)
+        where = f"; {Path(frame.filename).name}, line {frame.lineno}, in {frame.name}" if frame else ""
+        return f"manager {self.manager} failed after {self.world.now:.2f} s: {type(error).__name__}: {error}{where}"
 
     def _turn(self) -> None:
         """Let the world go on to the next news or timer, and answer it."""
@@ -154,14 +182,14 @@ class ManagedRun:
             self._senses.receive(message)
             for listener in self._listeners:
                 listener.message(message)
-            self._manager.receive(message)
-        self.robot.catch_up()
+            self._ask(self._manager.receive, message)
+        self._ask(self.robot.catch_up)
         now = self.world.now
         if self._mission_timer.is_up(now) and not self._manager.decides_tasks:
             self._decide()
         ticked = self._manager_timer.is_up(now)
         if ticked:
-            self._manager.update()
+            self._ask(self._manager.update)
         self.compute_s["world"] += advanced - started
         self.compute_s["manager"] += perf_counter() - advanced
         if self._listeners:
@@ -184,11 +212,11 @@ class ManagedRun:
 
     def _begin(self, task: str) -> None:
         self.robot.begin(task)
-        self._manager.begin(task)
+        self._ask(self._manager.begin, task)
 
     def _end(self, task: str) -> None:
         self.robot.end("completed")
-        self._manager.end(task)
+        self._ask(self._manager.end, task)
 
     def _tell(self) -> None:
         """Tell the listeners what has been done since they were told last."""
@@ -206,3 +234,9 @@ class ManagedRun:
             searching = self.robot.is_active("spiral_search")
             altitude = f"{self.robot.parameters('spiral_search')['spiral_altitude']:g} m" if searching else ""
             self.trace.samples.append((self.world.sample(), self.robot.task or "", altitude))
+
+
+def _checked(period_s: float) -> float:
+    if not 0 < period_s < inf:
+        raise MissionError(f"period_s is {period_s!r}; allowed is a number of seconds above 0")
+    return period_s
