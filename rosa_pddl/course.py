@@ -192,7 +192,12 @@ def _lent(domain: Domain, step: Step) -> frozenset[str]:
 
 def _depends(waits: Sequence[frozenset[Event]], number: int, other: int) -> bool:
     """Whether a step is another one, or has to wait for it."""
-    return number == other or any(_depends(waits, event.number, other) for event in waits[number])
+    left, seen = [number], {number}
+    while left:
+        found = {event.number for event in waits[left.pop()]} - seen
+        seen |= found
+        left += sorted(found)
+    return other in seen
 
 
 def _in_time(domain: Domain, timed: Sequence[TimedStep]) -> tuple[Event, ...]:
