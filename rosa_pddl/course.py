@@ -14,6 +14,8 @@ __all__ = ["Course", "Event", "Replay"]
 
 _SAME_TIME_S = 1e-6
 
+_Touched = tuple[frozenset[str], frozenset[str]]
+
 
 class Event(NamedTuple):
     """The start or the end of a step, by its number in the plan."""
@@ -162,11 +164,13 @@ def _scheduled(domain: Domain, schedule: Sequence[TimedStep], goals: tuple[Goal,
         )
         for number in range(len(timed))
     )
-    return Course(domain, tuple(one.step for one in timed), events, _not_too_early(domain, timed, after), goals)
+    return Course(
+        domain, tuple(one.step for one in timed), events, _not_too_early(domain, timed, touched, after), goals
+    )
 
 
 def _not_too_early(
-    domain: Domain, timed: Sequence[TimedStep], after: Sequence[frozenset[Event]]
+    domain: Domain, timed: Sequence[TimedStep], touched: Sequence[_Touched], after: Sequence[frozenset[Event]]
 ) -> tuple[frozenset[Event], ...]:
     """Let a step that provides something only while it lasts, such as light, wait for what its first user waits for.
 
@@ -175,10 +179,10 @@ def _not_too_early(
     waits = list(after)
     for number, one in enumerate(timed):
         lent = _lent(domain, one.step)
-        users = [user for user in range(len(timed)) if Event(number, False) in after[user]]
-        first = next((user for user in users if lent & _touched(domain, timed[user].step)[0]), None)
-        if first is not None and one.duration_s > 0.0:
-            waits[number] |= {e for e in after[first] if not _depends(waits, e.number, number)}
+        users = [user for user in range(len(timed)) if lent & touched[user][0] and Event(number, False) in after[user]]
+        if users and one.duration_s > 0.0:
+            waiting = _waiting_for(waits, number)
+            waits[number] |= {event for event in after[users[0]] if event.number not in waiting}
     return tuple(waits)
 
 
@@ -190,14 +194,14 @@ def _lent(domain: Domain, step: Step) -> frozenset[str]:
     return frozenset(affected_atoms(domain, given, binding)) & frozenset(affected_atoms(domain, taken, binding))
 
 
-def _depends(waits: Sequence[frozenset[Event]], number: int, other: int) -> bool:
-    """Whether a step is another one, or has to wait for it."""
-    left, seen = [number], {number}
-    while left:
-        found = {event.number for event in waits[left.pop()]} - seen
-        seen |= found
-        left += sorted(found)
-    return other in seen
+def _waiting_for(waits: Sequence[frozenset[Event]], number: int) -> set[int]:
+    """Return a step and those that have to wait for it."""
+    found, more = set[int](), {number}
+    while more:
+        found |= more
+        rest = [other for other in range(len(waits)) if other not in found]
+        more = {other for other in rest if any(event.number in found for event in waits[other])}
+    return found
 
 
 def _in_time(domain: Domain, timed: Sequence[TimedStep]) -> tuple[Event, ...]:
@@ -240,9 +244,6 @@ def _held(domain: Domain, step: Step) -> frozenset[str]:
 
 def _changed(domain: Domain, timed: Sequence[TimedStep], event: Event) -> frozenset[str]:
     return _touched(domain, timed[event.number].step, [event.is_end])[1]
-
-
-_Touched = tuple[frozenset[str], frozenset[str]]
 
 
 def _touched(domain: Domain, step: Step, ends: Iterable[bool] = (False, True)) -> _Touched:
