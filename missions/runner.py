@@ -100,6 +100,7 @@ class MissionRun:
         self._plans_heard = 0
         self._answered = -1
         self.kb = KnowledgeBase(mission.model(), clock=self._now)
+        self._configurable = [one for one in self.kb.components.values() if one.configurations]
         self._senses = Senses()
         self._manager = ConfigurationManager(self.kb, world.managed)
         self._log = AdaptationLog(self.kb, self._tell_adaptation)
@@ -218,8 +219,7 @@ class MissionRun:
         self._sampled_at = self.world.now
         sample = self.world.sample() or self._measured()
         action = ", ".join(required.action for required in self.kb.required_actions)
-        components = (self.kb.components[name] for name in self.kb.components)
-        configured = (one.selected_configuration for one in components if one.is_active and one.configurations)
+        configured = (one.selected_configuration for one in self._configurable if one.is_active)
         self.trace.samples.append((sample, action, ", ".join(name for name in configured if name)))
 
     def _measured(self) -> Sample:

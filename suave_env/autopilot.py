@@ -1,12 +1,13 @@
 """The loop that flies the vehicle: setpoint, wanted force, thrusts, physics, at the control period."""
 
 import math
+from math import atan2, cos, isfinite, sin
 
 from suave_env.exceptions import SuaveEnvError
 from suave_env.guidance import Guidance, Vector
 from suave_env.settings import Settings
 from suave_env.thrusters import Thrusters
-from suave_env.vehicle import Vehicle, yaw_of
+from suave_env.vehicle import Vehicle
 
 __all__ = ["Autopilot"]
 
@@ -22,7 +23,10 @@ class Autopilot:
     """
 
     def __init__(self, settings: Settings, vehicle: Vehicle, thrusters: Thrusters, bias: float) -> None:
-        self._settings = settings
+        self._gains = (
+            *(settings.heading_gain, settings.heading_damping, settings.roll_damping),
+            *(settings.drag_surge, settings.drag_sway, settings.drag_heave),
+        )
         self._vehicle = vehicle
         self._thrusters = thrusters
         self._bias = bias
@@ -34,8 +38,9 @@ class Autopilot:
     @property
     def position(self) -> Vector:
         """Where the vehicle is [m], world frame ENU, z up; between two control periods it goes on as it was going."""
-        x, y, z = self._vehicle.position
-        vx, vy, vz = self._vehicle.velocity
+        pose_of, motion_of = self._vehicle.state
+        x, y, z, *_ = pose_of()
+        vx, vy, vz, *_ = motion_of()
         since = self._until - self._periods * self._period
         return x + since * vx, y + since * vy, z + since * vz
 
@@ -51,28 +56,35 @@ class Autopilot:
 
     def fly(self, until: float) -> None:
         """Simulate all control periods that end by a time [s]."""
-        period, settings = self._period, self._settings
-        self._until, last = until, math.floor(until / period + 1e-9)
-        if last <= self._periods:
-            return
-        vehicle, thrusters, force = self._vehicle, self._thrusters, self._guidance.force
-        heading_gain, heading_damping = settings.heading_gain, settings.heading_damping
-        roll_damping = settings.roll_damping
-        surge_drag, sway_drag, heave_drag = settings.drag_surge, settings.drag_sway, settings.drag_heave
+        self._until, last = until, math.floor(until / self._period + 1e-9)
+        if last > self._periods:
+            self._fly_periods(last)
+            self._periods = last
+
+    def _fly_periods(self, last: int) -> None:
+        period, guide, push = self._period, self._guidance.force, self._vehicle.push
+        allocate, work = self._thrusters.allocate, self._thrusters.work
+        pose_of, motion_of = self._vehicle.state
+        heading_gain, heading_damping, roll_damping, surge_drag, sway_drag, heave_drag = self._gains
         for count in range(self._periods, last):
-            pose, motion = vehicle.pose, vehicle.motion
-            if not math.isfinite(pose[0] + motion[0]):
+            pose, motion = pose_of(), motion_of()
+            x, _, _, qw, qx, qy, qz = pose
+            vx, vy, vz, roll_rate, _, yaw_rate = motion
+            if not isfinite(x + vx):
                 raise SuaveEnvError(
                     f"the simulation became unstable after {count * period:.3f} s; a setting is far from its default"
                 )
-            east, north, up = force(pose, motion, (count + 0.5) * period, period)
-            yaw = yaw_of(pose[3:])
-            cosine, sine = math.cos(yaw), math.sin(yaw)
-            turn = -heading_gain * yaw - heading_damping * motion[5]
-            surge, sway, heave = cosine * motion[0] + sine * motion[1], cosine * motion[1] - sine * motion[0], motion[2]
-            forward = cosine * east + sine * north + surge_drag * abs(surge) * surge
-            left = cosine * north - sine * east + sway_drag * abs(sway) * sway
-            up += heave_drag * abs(heave) * heave
-            vehicle.push(thrusters.allocate(forward, left, up, -roll_damping * motion[3], turn))
-            thrusters.work(period)
-        self._periods = last
+            east, north, up = guide(pose, motion, (count + 0.5) * period, period)
+            yaw = atan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
+            cosine, sine = cos(yaw), sin(yaw)
+            surge, sway = cosine * vx + sine * vy, cosine * vy - sine * vx
+            push(
+                allocate(
+                    cosine * east + sine * north + surge_drag * abs(surge) * surge,
+                    cosine * north - sine * east + sway_drag * abs(sway) * sway,
+                    up + heave_drag * abs(vz) * vz,
+                    -roll_damping * roll_rate,
+                    -heading_gain * yaw - heading_damping * yaw_rate,
+                )
+            )
+            work(period)

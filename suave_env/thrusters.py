@@ -76,8 +76,9 @@ class Thrusters:
         if upright > limit:
             five, six = five * limit / upright, six * limit / upright
         outputs = [one, two, three, four, five, six]
-        for number, frozen in self._stuck.items():
-            outputs[number - 1] = frozen
+        if self._stuck:
+            for number, frozen in self._stuck.items():
+                outputs[number - 1] = frozen
         self.outputs = outputs
         return outputs
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from missions.managers import MANAGERS, find_manager, open_run
+from missions.managers import MANAGERS, Manager, find_manager, open_run
 from missions.managers.manager import Robot
 from missions.managers.modes import SystemModes
 from missions.mission import MissionError
@@ -280,3 +280,54 @@ def test_unknown_functions_and_modes_are_named_and_a_bad_file_says_what_is_expec
         bad.write_text(content)
         with pytest.raises(MissionError, match="expected is, for each function, a component and modes"):
             SystemModes(Robot(find_mission("suave"), Nodes(), settings=None, rng=None, clock=lambda: 0.0), bad)
+
+
+class Faulty(Manager):
+    def begin(self, task):
+        self.robot.activate("spiral_serch")
+
+
+class Hasty(Manager):
+    period_s = 0
+
+
+class Forgetful(Manager):
+    decides_tasks = True
+
+    def update(self):
+        self.robot.end("completed")
+
+
+class Restless(Manager):
+    decides_tasks = True
+
+    def update(self):
+        self.robot.begin("search_pipeline")
+
+
+@pytest.mark.parametrize(
+    ("manager", "said"),
+    [
+        (Faulty, r"Faulty failed after \d\.\d\d s: .*'spiral_serch'.*test_managers.py, line \d+, in begin"),
+        (Hasty, "period_s is 0; allowed is a number of seconds above 0"),
+        (Forgetful, "Forgetful failed .*no task is being done.*in update"),
+        (Restless, "Restless failed .*search_pipeline is being done; end it first.*in update"),
+    ],
+)
+def test_what_a_manager_does_wrong_is_told_with_its_name_the_moment_and_the_line(manager, said):
+    with pytest.raises(MissionError, match=said):
+        managed(manager, duration_s=20)
+
+
+def test_a_battery_that_ran_low_and_was_never_recharged_is_no_success():
+    _, verdict, _ = extended("none", 1)
+    assert not verdict.success
+    assert "battery ran low" in verdict.reason
+
+
+def test_metacontrol_answers_a_second_failure_as_it_did_the_first():
+    events = {"thruster_events": "1 failure 35, 3 failure 60", "thruster_events_chained": "false"}
+    run, _ = managed("metacontrol", seed=1, duration_s=90, **events)
+    starts = [one.start_s for one in run.world.reactions if one.uncertainty == "U1"]
+    assert [start // 10 for start in starts] == [3, 6]
+    assert run.world._env.observe().thrusters_failed == ()
