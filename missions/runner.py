@@ -138,6 +138,7 @@ class MissionRun:
                 trouble = self._hear_plans()
         finally:
             self._runner.shutdown()
+            self._task.close()
             self.world.close()
         if trouble is not None:
             return trouble

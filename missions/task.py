@@ -27,11 +27,13 @@ class TaskLayer:
         root: the behaviour to tick.
         catch_up: to be called between ticks: waits for an answer that is due.
         plans: the task plans made so far.
+        close: to be called at the end: lets go of what was used for planning.
     """
 
     root: Behaviour
     catch_up: Callable[[], None] = lambda: None
     plans: Callable[[], tuple["PlanRecord", ...]] = tuple
+    close: Callable[[], None] = lambda: None
 
 
 def check_task(kind: str) -> None:
@@ -93,4 +95,5 @@ def _planning(
         planner=planner,
         delay_s=delay_s,
     )
-    return TaskLayer(FailureIsRunning("until the goal holds", executor), executor.catch_up, lambda: executor.plans)
+    root = FailureIsRunning("until the goal holds", executor)
+    return TaskLayer(root, executor.catch_up, lambda: executor.plans, planner.close)
