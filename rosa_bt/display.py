@@ -17,6 +17,7 @@ from py_trees.decorators import Decorator
 from rosa_bt.behaviours import ActionBehaviour
 from rosa_bt.composites import DoUntilUnfeasible, SafeSwitch
 from rosa_bt.decorators import ForAction
+from rosa_bt.endings import told
 
 __all__ = ["ascii_tree", "dot_tree", "svg_tree"]
 
@@ -87,15 +88,15 @@ def svg_tree(root: Behaviour) -> str:
     return "\n".join([head, f'<rect width="{width:g}" height="{height:g}" fill="white"/>', *body, "</svg>", ""])
 
 
-def _drawn(behaviour: Behaviour, told: set[str] | None = None) -> _Drawn:
+def _drawn(behaviour: Behaviour, said: set[str] | None = None) -> _Drawn:
     """Return what is drawn of a behaviour and of all below it; a reason told already is not told again."""
-    told = set() if told is None else told
+    said = set() if said is None else said
     reason = _feasibility(behaviour)
-    is_told = reason in told
-    told.add(reason)
-    feasibility = "unfeasible" if is_told and reason != "feasible" and reason else reason
+    is_said = reason in said
+    said.add(reason)
+    feasibility = "unfeasible" if is_said and reason != "feasible" and reason else reason
     feedback = _plain(behaviour.feedback_message)
-    notes = [feasibility, feedback] if feedback and feedback not in told else [feasibility]
+    notes = [feasibility, feedback] if feedback not in said and not reason.endswith(feedback) else [feasibility]
     edge = _PLAIN if not feasibility else _FEASIBLE if feasibility == "feasible" else _UNFEASIBLE
     return _Drawn(
         _kind(behaviour),
@@ -103,7 +104,7 @@ def _drawn(behaviour: Behaviour, told: set[str] | None = None) -> _Drawn:
         behaviour.status,
         edge,
         tuple(note for note in notes if note),
-        tuple(_drawn(child, told) for child in behaviour.children),
+        tuple(_drawn(child, said) for child in behaviour.children),
     )
 
 
@@ -116,8 +117,11 @@ def _feasibility(behaviour: Behaviour) -> str:
     """Return what the knowledge base says of the behaviour's action; empty if it has none."""
     if not isinstance(behaviour, ActionBehaviour | ForAction):
         return ""
-    kb, action = behaviour.kb, behaviour.action
-    return "feasible" if kb.is_feasible(action) else kb.why(kb.actions[action])
+    try:
+        kb, action = behaviour.kb, behaviour.action
+        return "feasible" if kb.is_feasible(action) else kb.why(kb.actions[action])
+    except Exception as error:  # a port that nobody has written yet, or that carries no action's name
+        return f"action not known yet: {_plain(told(error))}"
 
 
 def _kind(behaviour: Behaviour) -> str:

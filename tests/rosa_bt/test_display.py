@@ -10,7 +10,7 @@ from py_trees.composites import Parallel, Selector, Sequence
 from py_trees.decorators import Inverter
 
 from kb import KnowledgeBase, Model
-from rosa_bt import ForAction, RosaAction, do_until_unfeasible
+from rosa_bt import BehaviourRegistry, ForAction, RosaAction, do_until_unfeasible, load_xml
 from rosa_bt.display import ascii_tree, dot_tree, svg_tree
 
 WHY = "explore is unfeasible because energy 0.1 violates >= 0.2 (measured 0.0 s ago)"
@@ -96,3 +96,19 @@ def test_text_and_graph_show_every_behaviour_whatever_its_name(root):
     count = len(list(root.iterate()))
     assert len(ascii_tree(root).splitlines()) == count
     assert sum(" [label=" in line for line in dot_tree(root).splitlines()) == count
+
+
+def test_action_that_no_port_gives_yet_or_that_is_misspelt_is_drawn_as_not_known():
+    kb = mission().children[0].children[0].kb
+    registry = BehaviourRegistry(kb=kb)
+    text = """<root BTCPP_format="4"><BehaviorTree ID="Main"><IsActionFeasible action="{a}"/></BehaviorTree></root>"""
+    tree = load_xml(text, registry)
+    for root, key in ((Act("no ports", kb), None), (tree, None), (tree, "explor")):
+        if key is not None:
+            tree.blackboard["a"] = key
+        for picture in (ascii_tree, dot_tree):
+            assert "action not known yet: " in picture(root)
+        ElementTree.fromstring(svg_tree(root))
+    assert "did you mean 'explore'?" in ascii_tree(tree)
+    tree.blackboard["a"] = "charge"
+    assert ascii_tree(tree).endswith("(feasible)\n")
