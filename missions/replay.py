@@ -12,7 +12,7 @@ measured anew. What they command takes as long as it did, and has no effect on t
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Protocol, runtime_checkable
@@ -20,7 +20,8 @@ from typing import TYPE_CHECKING, Final, Protocol, runtime_checkable
 from numpy.random import Generator
 from py_trees.behaviour import Behaviour
 
-from kb import KnowledgeBase, Model
+from kb import DiagnosticProblem, KnowledgeBase, Model, UnknownName
+from kb.diagnostics import Measurement, read_diagnostics
 from missions.mission import Message, Mission, MissionError, Verdict, World, WorldKind
 from missions.recording import read_recording
 from missions.registry import find_mission
@@ -30,7 +31,7 @@ from missions.settings import RunSettings
 from missions.testing.clock import FakeClock
 from missions.testing.decisions import Decisions
 from missions.testing.managed import VERBS, ScriptedManaged
-from missions.testing.timeline import timeline
+from missions.testing.timeline import seconds, timeline
 from missions.testing.witness import Witness
 from rosa_bt import TraceVisitor
 
@@ -80,7 +81,8 @@ def replay(
         managed: what takes the commands, with its clock at 0; by default a system that does what it is told.
 
     Raises:
-        MissionError: the recording cannot be read, or there is no such mission, task layer or behaviour.
+        MissionError: the recording cannot be read, or there is no such mission, task layer or behaviour; or messages
+            that are handed in say what the model does not know (those of a file are in `problems`).
         kb.UnknownName: there is a script for a component that the model does not have.
     """
     messages = list(read_recording(source))
@@ -92,7 +94,10 @@ def replay(
     end_s = max((message["time"] for message in messages), default=0.0) + AFTERMATH_S
     limits = settings or RunSettings(**{"duration_s": end_s, **recorded.get("settings", {})})
     limits = replace(limits, duration_s=min(limits.duration_s, end_s))
-    return _decide(_asked(mission, behaviour, world), "bt" if behaviour else task, world, limits)
+    decisions = _decide(_asked(mission, behaviour, world), "bt" if behaviour else task, world, limits)
+    if not isinstance(source, str | Path):
+        _refuse_slips(messages, decisions)
+    return decisions
 
 
 class Recording(World):
@@ -166,6 +171,30 @@ def _asked(mission: Mission | Model | str, behaviour: TaskFactory | None, world:
         return root
 
     return replace(wanted, tree=tree)
+
+
+def _refuse_slips(messages: Iterable[Message], decisions: Decisions) -> None:
+    """Raise if messages, also those that were not heard any more, say what the model does not know as it is now."""
+    slips = list(decisions.problems)
+    for message in messages:
+        if message["time"] > decisions.kb.now:
+            slips += [(message["time"], problem) for problem in _unknown(decisions.kb, message)]
+    if slips:
+        told = "".join(f"\n  at {seconds(time)}: {problem}" for time, problem in slips)
+        raise MissionError(f"the messages cannot be used as they are:{told}")
+
+
+def _unknown(kb: KnowledgeBase, message: Message) -> Iterator[DiagnosticProblem]:
+    for reading in read_diagnostics(message):
+        try:
+            if isinstance(reading, DiagnosticProblem):
+                yield reading
+            elif isinstance(reading, Measurement):
+                _ = kb.attributes[reading.attribute]
+            else:
+                _ = kb.components[reading.component]
+        except UnknownName as error:
+            yield DiagnosticProblem(reading[0], reading[-1], str(error))
 
 
 def _decide(mission: Mission, task: str, world: Recording, limits: RunSettings) -> Decisions:

@@ -19,6 +19,8 @@ __all__ = ["Decisions"]
 
 SLACK_S: Final = 1e-6
 """Sums of ticks miss a time by rounding [s]."""
+MOST_PROBLEMS: Final = 8
+"""How many different problems a failure shows at most."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +36,7 @@ class Decisions:
         adaptations: every adaptation with its reason.
         task_plans: every task plan; none for a tree.
         changes: every change of the task: one action for another, with its reason.
-        problems: (time, what) of every part of a message that could not be used.
+        problems: (time, what) of every part of a message that could not be used; failures show them.
         timeline: what was heard and decided, for people.
         trace: every tick of the task layer, as data.
         kb: the knowledge base as it is at the end, for anything else that a test wants to know.
@@ -67,7 +69,7 @@ class Decisions:
         if begun != list(names):
             actions = "\n".join(str(moment) for moment in self.timeline if moment.what == "action")
             diff = "\n".join(line.rstrip() for line in ndiff(names, begun) if not line.startswith("?"))
-            raise _failure(
+            raise self._shown(
                 "other actions were begun (-: expected, +: what was done)", f"{diff}\n\nwhat happened:\n{actions}"
             )
 
@@ -174,7 +176,7 @@ class Decisions:
             never = "never " + " or ".join([*(f"begin {name}" for name in actions), *_phrases(unwanted)])
             time = found[0][0]
             told = [f"{text} at {seconds(time)}" for time, text in found]
-            raise _failure(
+            raise self._shown(
                 f"expected: {never}", f"{_list(told)}\n\nwhat happened:\n{around(self.timeline, time, time, never)}"
             )
 
@@ -203,11 +205,16 @@ class Decisions:
         headline = f"expected between {seconds(at)} and {seconds(at + within)}: {expected}"
         instead = instead or ["it never does"]
         shown = around(self.timeline, at, at + within, expected)
-        return _failure(headline, f"{_list(instead)}\n\nwhat happened around {seconds(at)}:\n{shown}")
+        return self._shown(headline, f"{_list(instead)}\n\nwhat happened around {seconds(at)}:\n{shown}")
 
-
-def _failure(headline: str, rest: str) -> AssertionError:
-    return AssertionError(f"{headline}\n{rest}")
+    def _shown(self, headline: str, rest: str) -> AssertionError:
+        first: dict[DiagnosticProblem, float] = {}
+        for time, problem in self.problems:
+            first.setdefault(problem, time)
+        told = [f"{seconds(time):>11}  {problem}" for problem, time in first.items()]
+        more = [f"{'':13}... and {len(told) - MOST_PROBLEMS} more"] if len(told) > MOST_PROBLEMS else []
+        unused = ["", "what could not be used, the first time:", *told[:MOST_PROBLEMS], *more] if told else []
+        return AssertionError("\n".join([headline, rest, *unused]))
 
 
 def _list(items: Iterable[str]) -> str:

@@ -1,6 +1,7 @@
 """A recorded battery drop, decided once more without the simulator: every decision of task and architecture."""
 
 import json
+import math
 import subprocess
 import sys
 from pathlib import Path
@@ -8,6 +9,7 @@ from pathlib import Path
 import pytest
 from py_trees.decorators import FailureIsRunning
 from running import run_mission
+from small_rover import rover_model, rover_tree
 
 from missions import suave_extended
 from missions.mission import MissionError
@@ -210,3 +212,38 @@ def test_faults_in_a_stream_are_reported_and_stop_nothing(tmp_path):
         "battery_level='nan': a measurement is a finite number",
         "batery_level='0.1': unknown attribute 'batery_level'; did you mean 'battery_level'?",
     ]
+
+
+@pytest.mark.parametrize(
+    ("slip", "message"),
+    [
+        (failed(1.0, "camra"), "at 1.00 s: camra='failure': unknown component 'camra'; did you mean 'camera'"),
+        (measured(1.0, enrgy=0.1), "at 1.00 s: enrgy='0.1': unknown attribute 'enrgy'; did you mean 'energy'"),
+        (measured(1.0, energy=math.nan), "at 1.00 s: energy='nan': a measurement is a finite number"),
+    ],
+)
+@pytest.mark.parametrize("end_s", [0.5, 2.0])
+def test_slip_in_a_stream_written_in_python_is_an_error_even_if_it_is_not_heard(slip, message, end_s):
+    explored = sensed(end_s, explored=True)
+    stream = sorted([measured(0.0, light=0.9, energy=1.0), slip, explored], key=lambda one: one["time"])
+    with pytest.raises(MissionError, match=message):
+        replay(stream, rover_model(), rover_tree)
+
+
+def test_failure_shows_what_of_a_recording_could_not_be_used(tmp_path):
+    path = tmp_path / "run.jsonl"
+    slips = [failed(float(time), "camra") for time in range(1, 4)]
+    path.write_text("".join(line_of(message) for message in [measured(0.0, light=0.9, energy=1.0), *slips]))
+    decisions = replay(path, rover_model(), rover_tree)
+    claims = [
+        lambda: decisions.assert_never(activate="camera"),
+        lambda: decisions.assert_actions("charge"),
+        lambda: decisions.assert_begins("charge", at=1.0),
+    ]
+    for claim in claims:
+        with pytest.raises(AssertionError) as failure:
+            claim()
+        assert str(failure.value).splitlines()[-2:] == [
+            "what could not be used, the first time:",
+            "     1.00 s  camra='failure': unknown component 'camra'; did you mean 'camera'?",
+        ]
