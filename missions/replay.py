@@ -31,7 +31,7 @@ from missions.settings import RunSettings
 from missions.testing.clock import FakeClock
 from missions.testing.decisions import Decisions
 from missions.testing.managed import VERBS, ScriptedManaged
-from missions.testing.timeline import seconds, timeline
+from missions.testing.timeline import Moment, seconds, timeline
 from missions.testing.witness import Witness
 from rosa_bt import TraceVisitor
 
@@ -129,6 +129,11 @@ class Recording(World):
         """What takes the commands."""
         return self._managed
 
+    @property
+    def unheard(self) -> int:
+        """How many messages are still to come."""
+        return len(self._messages)
+
     def advance(self, until: float) -> list[Message]:
         """Go on to the next message or end of a command, at most to the time `until` [s]."""
         following = self._messages[0]["time"] if self._messages else math.inf
@@ -173,6 +178,15 @@ def _asked(mission: Mission | Model | str, behaviour: TaskFactory | None, world:
     return replace(wanted, tree=tree)
 
 
+def _early_end(world: Recording, limits: RunSettings, verdict: Verdict) -> tuple[Moment, ...]:
+    """Return the moment when the mission ended, if that was before the recording did."""
+    if not world.unheard:
+        return ()
+    how = "aborted" if verdict.outcome == "aborted" else "time limit" if world.now >= limits.duration_s else "SUCCESS"
+    count = f"{world.unheard} message{'s were' if world.unheard > 1 else ' was'} not heard"
+    return (Moment(world.now, "end", f"the mission ended ({how}); {count}"),)
+
+
 def _refuse_slips(messages: Iterable[Message], decisions: Decisions) -> None:
     """Raise if messages, also those that were not heard any more, say what the model does not know as it is now."""
     slips = list(decisions.problems)
@@ -204,7 +218,7 @@ def _decide(mission: Mission, task: str, world: Recording, limits: RunSettings) 
     witness = Witness(run.kb)
     with TraceVisitor(run.kb) as visitor:
         run.tree.add_visitor(visitor)
-        run.run()
+        verdict = run.run()
         trace = visitor.trace
     return Decisions(
         actions=tuple((one.action, one.start, one.end, one.result) for one in run.kb.action_history),
@@ -213,7 +227,7 @@ def _decide(mission: Mission, task: str, world: Recording, limits: RunSettings) 
         task_plans=run.plans or tuple(plan for planner in world.planners for plan in planner.plans),
         problems=tuple(run.problems),
         changes=tuple(witness.changes),
-        timeline=timeline(run.kb, witness.events, witness.changes),
+        timeline=(*timeline(run.kb, witness.events, witness.changes), *_early_end(world, limits, verdict)),
         trace=trace,
         kb=run.kb,
     )

@@ -67,7 +67,7 @@ class Decisions:
             self._check("actions", name)
         begun = [name for name, *_ in self.actions]
         if begun != list(names):
-            actions = "\n".join(str(moment) for moment in self.timeline if moment.what == "action")
+            actions = "\n".join(str(moment) for moment in self.timeline if moment.what in ("action", "end"))
             diff = "\n".join(line.rstrip() for line in ndiff(names, begun) if not line.startswith("?"))
             raise self._shown(
                 "other actions were begun (-: expected, +: what was done)", f"{diff}\n\nwhat happened:\n{actions}"

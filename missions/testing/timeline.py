@@ -19,7 +19,7 @@ class Moment(NamedTuple):
 
     Attributes:
         time: when [s].
-        what: "heard", "action" or "plan".
+        what: "heard", "action" or "plan"; "end", of a mission that ended before its recording.
         text: what happened, in words.
         reason: why; empty where nobody asked.
     """

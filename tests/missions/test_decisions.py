@@ -13,6 +13,7 @@ from small_rover import ENERGY_DROP, Sensing, rover_model, rover_tree
 from kb import UnknownName
 from missions.mission import MissionError
 from missions.recording import failed, measured, recovered, sensed
+from missions.settings import RunSettings
 from missions.testing import FakeClock, ScriptedManaged, replay
 
 
@@ -141,6 +142,28 @@ def test_finishing_one_action_and_beginning_the_next_is_no_adaptation():
     decisions = replay([measured(0.0, energy=1.0), sensed(5.0, explored=True)], rover_model(), tree)
     decisions.assert_actions("explore", "charge")
     assert "but it never does" in failure_of(decisions.assert_adapts, at=5.0, from_="explore", to="charge")
+
+
+@pytest.mark.parametrize(
+    ("limits", "end_s", "why"), [(None, "5.00", "SUCCESS"), (RunSettings(duration_s=4.0), "4.00", "time limit")]
+)
+def test_failure_says_that_the_mission_ended_before_the_stream(limits, end_s, why):
+    stream = [
+        measured(0.0, light=0.9, energy=1.0),
+        sensed(5.0, explored=True),
+        measured(20.0, energy=0.1),
+        sensed(30.0),
+    ]
+    decisions = replay(stream, rover_model(), rover_tree, settings=limits)
+    count = 2 + (limits is not None)
+    told = f"{end_s} s  end       the mission ended ({why}); {count} messages were not heard"
+    assert told in failure_of(decisions.assert_adapts, at=20.0, to="charge")
+    assert told in failure_of(lambda: decisions.assert_actions("explore", "charge"))
+    assert str(decisions).endswith(told)
+
+
+def test_mission_that_heard_all_is_not_said_to_have_ended():
+    assert not any(moment.what == "end" for moment in decided().timeline)
 
 
 def test_change_that_a_crash_calls_for_is_found_with_its_reason():
