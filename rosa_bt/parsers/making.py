@@ -1,19 +1,25 @@
 """Making the behaviours of the user: arguments and ports from attributes, each as the type that is declared."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Final
 
 from py_trees.behaviour import Behaviour
 from py_trees.ports import PortInformation, PortsMixin
 
-from rosa_bt.behaviours import ActionBehaviour
-from rosa_bt.parsers.blackboard import Blackboard
+from rosa_bt.behaviours import ActionBehaviour, HasStatus, IsActionFeasible, KbBehaviour, Measurement
+from rosa_bt.parsers.blackboard import Blackboard, key_of
 from rosa_bt.parsers.nodes import Branch
 from rosa_bt.parsers.ports import Declared, Port, PortError, Ports, wire
 from rosa_bt.parsers.registry import Entry
 
 __all__ = ["make_registered"]
 
+_ASKING: Final[Mapping[type, tuple[type[KbBehaviour], tuple[str, ...]]]] = {
+    ActionBehaviour: (IsActionFeasible, ("action",)),
+    HasStatus: (HasStatus, ("element", "status")),
+    Measurement: (Measurement, ("attribute", "operator", "value")),
+}
+"""By kind of our leaves: one whose constructor checks what is written, and the ports that the kind needs."""
 _FREE = PortInformation(object, required=False)
 
 
@@ -33,17 +39,27 @@ def make_registered(
         PortError: an attribute has no meaning for it, is missing, or is of another type.
     """
     ports = entry.class_ports or {}
-    declared = {key: port for key, port in entry.arguments().items() if key not in ports}
+    declared = {key: _both(port, ports.get(key)) for key, port in entry.arguments().items()}
     if entry.takes_any:
         declared = {**dict.fromkeys(written, _FREE), **declared}
     mine = {key: text for key, text in written.items() if key in declared}
-    rest = {key: text for key, text in written.items() if key not in declared}
+    for key in ports:  # what has a key is read from the port, unless the constructor cannot do without it
+        if key in mine and not declared[key].required and key_of(mine[key], key) is not None:
+            del mine[key]
+    rest = {key: text for key, text in written.items() if key not in declared or key in ports}
     behaviour = entry.make(name, _arguments(declared, mine, board), branches)
     if isinstance(behaviour, PortsMixin):
-        _connect(behaviour, rest, mine, board)
+        _connect(behaviour, rest, declared, mine, board)
     elif rest:
         Ports(declared, rest, board)  # says which ports there are
     return behaviour
+
+
+def _both(parameter: PortInformation, port: PortInformation | None) -> PortInformation:
+    """Return a parameter of the constructor; one that is a port of the class, too, has the type of the port."""
+    if port is None or parameter.data_type is Port:
+        return parameter
+    return PortInformation(port.data_type, required=parameter.required)
 
 
 def _arguments(declared: Declared, mine: Mapping[str, str], board: Blackboard) -> dict[str, Any]:
@@ -61,14 +77,30 @@ def _argument(name: str, port: PortInformation, ports: Ports) -> Any:  # noqa: A
     if key is not None:
         raise PortError(
             f"{name!r} is needed when the tree is made, but {{{key}}} is known when it is ticked; annotate the "
-            "parameter as Port, or declare it in INPUT_PORTS (py_trees.ports)"
+            "parameter as Port, or declare it in INPUT_PORTS (py_trees.ports) and let the constructor do without it"
         )
     return ports.get(name)
 
 
-def _connect(behaviour: PortsMixin, rest: Mapping[str, str], mine: Mapping[str, str], board: Blackboard) -> None:
-    ports = Ports({**behaviour.input_ports(), **behaviour.output_ports()}, rest, board)
+def _connect(
+    behaviour: PortsMixin, rest: Mapping[str, str], declared: Declared, mine: Mapping[str, str], board: Blackboard
+) -> None:
+    known = {**behaviour.input_ports(), **behaviour.output_ports()}
+    if not rest.keys() <= known.keys():
+        Ports({**declared, **known}, rest, board)  # says which there are, those of the constructor, too
+    ports = Ports(known, rest, board)
     ports.check_required(frozenset(behaviour.output_ports()) | mine.keys())
     wire(behaviour, ports)
-    if isinstance(behaviour, ActionBehaviour) and ports.key("action") is None:
-        behaviour.kb.is_feasible(behaviour.action)  # an unknown action is found here, not in the middle of a mission
+    for kind, (checking, names) in _ASKING.items():
+        if isinstance(behaviour, KbBehaviour) and isinstance(behaviour, kind):
+            _check(behaviour, checking, names, rest, ports)
+
+
+def _check(
+    behaviour: KbBehaviour, checking: type[KbBehaviour], names: tuple[str, ...], rest: Mapping[str, str], ports: Ports
+) -> None:
+    """Find here, not in the middle of a mission, what is missing or is nothing that the knowledge base has."""
+    for name in names:
+        if name not in rest and getattr(behaviour, f"_{name}") is None:
+            raise PortError(f"{name!r} is missing; write {name}=... in the element")
+    checking(behaviour.name, behaviour.kb, **{name: ports.get(name) for name in names if ports.is_literal(name)})

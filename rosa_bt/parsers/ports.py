@@ -84,6 +84,10 @@ class Ports:
         """Return the key that a port points at; None for a literal or nothing."""
         return self._keys.get(name)
 
+    def is_literal(self, name: str) -> bool:
+        """Tell whether a port is given a value in the element itself."""
+        return name in self._literals
+
     def _converted(self, name: str, value: object) -> Any:  # noqa: ANN401  # of the type that the port declares
         wanted = self._declared[name].data_type
         if wanted in (Any, object, Port):

@@ -92,6 +92,8 @@ def read_document(text_or_path: str | Path) -> Document:
         document = Document(_parse(text_or_path.lstrip("\ufeff \t\r\n"), "<text>"))
         _collect(document, document.root, Path.cwd(), [], set())
         return document
+    if isinstance(text_or_path, str) and not text_or_path.strip("\ufeff \t\r\n"):
+        raise XmlError("<text>", "the text is empty; give the XML itself, or the path of a file")
     path = Path(text_or_path)
     document = Document(_read(path, str(path)))
     _collect(document, document.root, path.parent, [path.resolve()], {path.resolve()})

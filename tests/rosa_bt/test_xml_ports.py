@@ -1,5 +1,6 @@
 """Ports, blackboards and the registry: what leaves are told, and what they tell each other."""
 
+import re
 from functools import partial
 from itertools import cycle
 
@@ -12,7 +13,7 @@ from py_trees.ports import PortInformation, PortsMixin
 from xml_leaves import Action, Condition, registry_of, trace, wrapped
 
 from kb import KnowledgeBase, Model
-from rosa_bt import BehaviourRegistry, IsActionFeasible, RosaAction, TreeRunner, XmlError, load_xml
+from rosa_bt import BehaviourRegistry, IsActionFeasible, Measurement, RosaAction, TreeRunner, XmlError, load_xml
 from rosa_bt.parsers import Port, RegistryError
 
 
@@ -383,6 +384,84 @@ def test_all_leaves_of_ours_can_be_written():
     tree.tick_once()
     assert tree.status is Status.RUNNING
     assert [one.action for one in kb.required_actions] == ["scan"]
+
+
+class Water(Scan):
+    """Has the action in its constructor, as a behaviour that is made by hand has."""
+
+    def __init__(self, name, kb, action, plants: int = 3):
+        super().__init__(name, kb, action)
+        self.plants = plants
+
+
+def test_literal_goes_to_the_constructor_that_asks_for_it():
+    _, registry = rover()
+    registry.register("water", Water)
+    (leaf,) = (
+        one for one in load_xml(wrapped('<water action="scan" plants="4"/>'), registry).iterate() if not one.children
+    )
+    assert (leaf.action, leaf.plants) == ("scan", 4)
+
+
+def test_literal_wins_over_the_default_of_the_constructor():
+    kb, registry = rover()
+
+    @registry.register("look")
+    class Look(IsActionFeasible):
+        def __init__(self, name, kb, action="nothing"):
+            super().__init__(name, kb, action)
+
+    tree = load_xml(wrapped('<look action="scan"/>'), registry)
+    kb.measure("light", 0.7)
+    tree.tick_once()
+    assert tree.status is Status.SUCCESS
+
+
+@pytest.mark.parametrize(
+    ("element", "message"),
+    [
+        ('<water plants="4"/>', "'action' is missing; write action=..."),
+        ('<water action="{a}"/>', "'action' is needed when the tree is made"),
+        ('<water action="scann"/>', "did you mean 'scan'"),
+        ('<water action="scan" plant="4"/>', "no port 'plant'; did you mean 'plants'? ports: action, plants"),
+        ("<scan/>", "'action' is missing; write action=..."),
+        ("<IsActionFeasible/>", "'action' is missing; write action=..."),
+        ('<HasStatus element="scann" status="solved"/>', "did you mean 'scan'"),
+        ('<HasStatus element="scan" status="tired"/>', "never 'tired'"),
+        ('<HasStatus element="scan"/>', "'status' is missing; write status=..."),
+        ('<Measurement attribute="lihgt" operator=">=" value="1"/>', "did you mean 'light'"),
+        ('<Measurement attribute="light" operator="=>" value="1"/>', "'=>' compares nothing"),
+        ('<Measurement attribute="light" value="1"/>', "'operator' is missing; write operator=..."),
+        ('<bright operator="=>" attribute="light" value="1"/>', "'=>' compares nothing"),
+        ('<bright attribute="{a}" value="1"/>', "'operator' is missing; write operator=..."),
+    ],
+)
+def test_what_our_leaves_cannot_mean_is_found_when_the_tree_is_made(element, message):
+    _, registry = rover()
+    registry.register("water", Water)
+
+    @registry.register("bright")
+    class Bright(Measurement):
+        def __init__(self, name, kb):
+            super().__init__(name, kb)
+
+    with pytest.raises(XmlError, match=f"<text>:1: .*{re.escape(message)}"):
+        load_xml(wrapped(element), registry)
+
+
+def test_keys_are_known_when_our_leaves_are_ticked():
+    kb, registry = rover()
+    kb.measure("light", 0.7)
+    tree = load_xml(wrapped('<Measurement attribute="{a}" operator="{o}" value="{v}"/>'), registry)
+    tree.blackboard.update(a="light", o=">=", v=0.6)
+    tree.tick_once()
+    assert tree.status is Status.SUCCESS
+
+
+@pytest.mark.parametrize("text", ["", " \n"])
+def test_empty_text_is_told_apart_from_a_path(text):
+    with pytest.raises(XmlError, match="<text>: the text is empty"):
+        load_xml(text, BehaviourRegistry())
 
 
 NAVIGATION = """
