@@ -92,7 +92,7 @@ def _from_file(path: str | Path) -> Iterator[tuple[Message, str]]:
     try:
         lines = Path(path).read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
-        raise MissionError(f"cannot read the recording {path}: {error}") from error
+        raise MissionError(f"cannot read the recording {path}: {error}") from None
     for number, line in enumerate(lines, start=1):
         if line.strip():
             yield _checked(_parsed(line, f"{path}:{number}"), f"{path}:{number}"), f"{path}:{number}"

@@ -14,6 +14,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
+from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Protocol, runtime_checkable
 
@@ -61,7 +62,7 @@ class _Plans(Protocol):
 
 def replay(
     source: str | Path | Iterable[Message],
-    mission: Mission | Model | str,
+    mission: Mission | Model | Callable[[], Model] | str,
     behaviour: TaskFactory | None = None,
     *,
     task: str = "bt",
@@ -73,7 +74,8 @@ def replay(
 
     Args:
         source: a recording, as `rosa run MISSION --record FILE` writes it, or written by hand; or its messages.
-        mission: whose model and task layer decide, or its name; or a model alone, for a behaviour that is handed in.
+        mission: whose model and task layer decide, or its name; or a model alone, or a function that makes one, for a
+            behaviour that is handed in.
         behaviour: makes what decides instead of the mission's task layer, given the knowledge base and the senses.
         task: the kind of the mission's task layer, "bt" or "pddl".
         settings: how it is run, by default as it was recorded; it ends a second after the recording at the latest.
@@ -156,12 +158,14 @@ class _Nowhere(WorldKind):
         return Verdict("replayed", "")
 
 
-def _asked(mission: Mission | Model | str, behaviour: TaskFactory | None, world: Recording) -> Mission:
+def _asked(
+    mission: Mission | Model | Callable[[], Model] | str, behaviour: TaskFactory | None, world: Recording
+) -> Mission:
     """Return the mission to run; the planners in its tree are made known to the world."""
     if behaviour is not None and (isinstance(behaviour, Behaviour) or not callable(behaviour)):
         raise MissionError(f"what decides is made for each replay: lambda kb, senses: ..., not {behaviour!r}")
-    if isinstance(mission, Model):
-        model = mission
+    if not isinstance(mission, Mission | str):
+        model = mission if isinstance(mission, Model) else _made(mission)
         if behaviour is None:
             raise MissionError(f"the model {model.name} decides nothing by itself; replay(source, model, behaviour)")
         wanted = Mission(model.name, "", lambda: model, behaviour, _Nowhere())
@@ -176,6 +180,19 @@ def _asked(mission: Mission | Model | str, behaviour: TaskFactory | None, world:
         return root
 
     return replace(wanted, tree=tree)
+
+
+def _made(make: object) -> Model:
+    """Return the model that a function makes; anything that is none is refused."""
+    try:
+        signature(make).bind()  # type: ignore[arg-type]  # that it can be called is what is asked
+    except (TypeError, ValueError):
+        model = None
+    else:
+        model = make()  # type: ignore[operator]  # asked just now
+    if not isinstance(model, Model):
+        raise MissionError(f"a mission, its name, a model or a function that makes one is replayed to, not {make!r}")
+    return model
 
 
 def _early_end(world: Recording, limits: RunSettings, verdict: Verdict) -> tuple[Moment, ...]:

@@ -228,6 +228,18 @@ def test_behaviour_is_handed_in_as_what_makes_it():
         replay(ENERGY_DROP, rover_model(), lambda kb, senses: None)
 
 
+def test_model_may_be_handed_in_as_what_makes_it():
+    assert str(replay(ENERGY_DROP, rover_model, rover_tree)) == str(decided())
+    with pytest.raises(MissionError, match="the model rover decides nothing by itself"):
+        replay(ENERGY_DROP, rover_model)
+
+
+@pytest.mark.parametrize("wrong", [rover_tree, dict, None, 3])
+def test_what_is_no_mission_and_makes_no_model_is_refused(wrong):
+    with pytest.raises(MissionError, match=r"a mission, its name, a model or a function that makes one .*, not "):
+        replay(ENERGY_DROP, wrong, rover_tree)
+
+
 def test_model_alone_decides_nothing():
     with pytest.raises(MissionError, match="the model rover decides nothing by itself"):
         replay(ENERGY_DROP, rover_model())
