@@ -7,6 +7,7 @@ or backslashes, which it would not take at their word, are handed over beside th
 import re
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import pairwise, takewhile
 from typing import Final, NamedTuple
 
 from kb.exceptions import InvalidValue, KnowledgeBaseError, UnknownName
@@ -45,6 +46,10 @@ _LATEST: Final = "the latest of several is the one with FILTER NOT EXISTS { a la
 
 _QUOTED: Final[Mapping[str, int]] = {"text": 3, "line": 1}
 """How many marks are before and after a text."""
+
+_AGGREGATES: Final = frozenset({"AVG", "COUNT", "GROUP_CONCAT", "MAX", "MIN", "SAMPLE", "SUM"})
+
+_AFTER_GROUPS: Final = frozenset({"HAVING", "ORDER", "LIMIT", "OFFSET"})
 
 _VERBS: Final = frozenset({"SELECT", "ASK", "CONSTRUCT", "DESCRIBE"})
 
@@ -90,6 +95,7 @@ def read_question(given: str) -> Question:
     _is_closed(given, told)
     _is_supported(given, told)
     _filters_what_is_there(given, told)
+    _selects_what_is_there(given, told)
     head = f"PREFIX : <{ROSA}>\nPREFIX rosa: <{ROSA}>\n"
     texts: list[str] = []
     parts, places, length = [head], [(0, 0)], len(head)
@@ -120,7 +126,7 @@ def complaint(error: Exception, question: Question, vocabulary: Iterable[str]) -
         )
     if "user-defined function" in told:
         return InvalidValue("a function in the query fails; see whether the pattern of its REGEX or REPLACE is right")
-    if "no such column" in told:
+    if "no such column" in told and re.search(r"\bEXISTS\b", question.given, re.IGNORECASE):
         return InvalidValue("the query cannot be answered; write FILTER NOT EXISTS after the patterns that it filters")
     offset = error.args[1] if len(error.args) > 1 else None
     if isinstance(offset, int):
@@ -200,6 +206,39 @@ def _filters_what_is_there(given: str, told: Sequence[_Token]) -> None:
     for token in inside:
         if token.text[1:] not in outside:
             raise _wrong(given, token.offset, f"{token.text} is nowhere but in this FILTER")
+
+
+def _selects_what_is_there(given: str, told: Sequence[_Token]) -> None:
+    """Refuse what owlready2 would answer with any value: variables from nowhere, and those beside an aggregate."""
+    opens = next((number for number, one in enumerate(told) if one.text == "{"), len(told))
+    closes = max((number for number, one in enumerate(told) if one.text == "}"), default=opens)
+    if opens == len(told):
+        return
+    head, tail = told[:opens], told[closes + 1 :]
+    outside = [one for one in (*head, *tail) if one.kind == "variable"]
+    named = {one.text[1:] for before, one in pairwise((*head, *tail)) if before.text.upper() == "AS"}
+    known = named | {one.text[1:] for one in told[opens:closes] if one.kind == "variable"}
+    for token in outside:
+        if token.text[1:] not in known:
+            raise _wrong(given, token.offset, f"nothing in the braces says what {token.text} is")
+    groups = _grouped(tail)
+    if groups is None and not any(one.kind == "word" and one.text.upper() in _AGGREGATES for one in head):
+        return
+    depth = 0
+    for token in head:
+        depth += (token.text == "(") - (token.text == ")")
+        if token.kind == "variable" and not depth and token.text[1:] not in (groups or ()):
+            add = f"add GROUP BY {token.text}" if groups is None else f"add {token.text} to GROUP BY"
+            raise _wrong(given, token.offset, f"{token.text} may have many values beside an aggregate; {add}")
+
+
+def _grouped(tail: Sequence[_Token]) -> set[str] | None:
+    """Return the variables of GROUP BY; None where it is not written."""
+    begin = next((number for number, one in enumerate(tail) if one.text.upper() == "GROUP"), None)
+    if begin is None:
+        return None
+    ours = takewhile(lambda one: one.text.upper() not in _AFTER_GROUPS, tail[begin:])
+    return {one.text[1:] for one in ours if one.kind == "variable"}
 
 
 def _handed_over(given: str, token: _Token, texts: list[str]) -> str:
