@@ -196,9 +196,9 @@ class ScriptedManaged:
 
         return self._command("set_parameters", component, parameters, take)
 
-    def is_active(self, component: str) -> bool | None:
-        """Tell the truth, also of one that lies; None for a component that was never told anything."""
-        return self._now(component).is_active if component in self._states else None
+    def is_active(self, component: str) -> bool:
+        """Tell the truth, also of one that lies; what was never told anything does not run."""
+        return component in self._states and self._now(component).is_active
 
     def _command(
         self, verb: str, component: str, parameters: Parameters, effect: Callable[[_State, float], None]

@@ -1,6 +1,7 @@
 """A managed system does as it is scripted, at the times of its clock, and tells the truth about itself."""
 
 import math
+from contextlib import closing
 from itertools import pairwise
 
 import pytest
@@ -91,10 +92,26 @@ def test_command_that_is_cancelled_has_no_effect():
     assert not managed.is_active("camera")
 
 
-def test_nothing_is_known_of_a_component_that_was_never_told_anything():
+def test_component_that_was_never_told_anything_does_not_run():
     managed = ScriptedManaged(FakeClock())
-    assert managed.is_active("camera") is None
+    assert managed.is_active("camera") is False
     assert managed.parameters("camera") == {}
+
+
+def test_robot_that_restarted_is_started_again_on_a_reopened_base(tmp_path):
+    clock = FakeClock()
+    for _ in range(2):
+        managed = ScriptedManaged(clock)
+        with closing(KnowledgeBase(rover_model(), clock=clock, store=tmp_path / "rover.sqlite3")) as kb:
+            manager = ConfigurationManager(kb, managed)
+            kb.measure("light", 0.9)
+            kb.measure("energy", 0.9)
+            if not kb.required_actions:
+                kb.request_action("explore")
+            for _ in range(20):
+                manager.update()
+                clock.advance(0.5)
+            assert managed.active == {"camera"}
 
 
 def test_manager_gets_along_with_a_slow_and_failing_system():
