@@ -88,9 +88,13 @@ def svg_tree(root: Behaviour) -> str:
     return "\n".join([head, f'<rect width="{width:g}" height="{height:g}" fill="white"/>', *body, "</svg>", ""])
 
 
-def _drawn(behaviour: Behaviour, said: set[str] | None = None) -> _Drawn:
-    """Return what is drawn of a behaviour and of all below it; a reason told already is not told again."""
+def _drawn(behaviour: Behaviour, said: set[str] | None = None, *, is_idle: bool = False) -> _Drawn:
+    """Return what is drawn of a behaviour and of all below it; a reason told already is not told again.
+
+    What has finished below a node that was reset since then is drawn as not ticked.
+    """
     said = set() if said is None else said
+    status = Status.INVALID if is_idle and behaviour.status is not Status.RUNNING else behaviour.status
     reason = _feasibility(behaviour)
     is_said = reason in said
     said.add(reason)
@@ -101,10 +105,10 @@ def _drawn(behaviour: Behaviour, said: set[str] | None = None) -> _Drawn:
     return _Drawn(
         _kind(behaviour),
         _plain(behaviour.name),
-        behaviour.status,
+        status,
         edge,
         tuple(note for note in notes if note),
-        tuple(_drawn(child, said) for child in behaviour.children),
+        tuple(_drawn(child, said, is_idle=status is Status.INVALID) for child in behaviour.children),
     )
 
 

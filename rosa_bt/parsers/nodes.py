@@ -135,6 +135,11 @@ class Slot:
                 self.rules.follow("_onHalted")
         self.status = Status.INVALID
 
+    def wipe(self) -> None:
+        """Take away what a child that was reset did before that: pictures show it until the next tick."""
+        if self.status is Status.INVALID and self.node.status in DONE:
+            self.node.status = Status.INVALID
+
 
 class XmlNode(Behaviour):
     """A node of BehaviorTree.CPP with children.
@@ -176,6 +181,8 @@ class XmlNode(Behaviour):
 
     def tick(self) -> Iterator[Behaviour]:
         """Tick once."""
+        for slot in self.slots:
+            slot.wipe()
         self.status = Status.RUNNING
         verdict = yield from self.decide()
         self.settle()
