@@ -93,14 +93,28 @@ def _connect(
     wire(behaviour, ports)
     for kind, (checking, names) in _ASKING.items():
         if isinstance(behaviour, KbBehaviour) and isinstance(behaviour, kind):
-            _check(behaviour, checking, names, rest, ports)
+            held = {name: getattr(behaviour, f"_{name}") for name in names}
+            _check_held({name: value for name, value in held.items() if name not in mine}, rest)
+            open_names = [name for name in names if held[name] is None]
+            _check_open(checking, behaviour, open_names, rest, ports)
 
 
-def _check(
-    behaviour: KbBehaviour, checking: type[KbBehaviour], names: tuple[str, ...], rest: Mapping[str, str], ports: Ports
+def _check_held(held: Mapping[str, object], rest: Mapping[str, str]) -> None:
+    """Raise if something is written that the constructor has decided otherwise without hearing of it."""
+    for name, value in held.items():
+        said = getattr(value, "name", value)  # a leaf may hold the view of what was named
+        if said is not None and rest.get(name, str(said)) != str(said):
+            raise PortError(
+                f"the constructor says already that {name!r} is {said!r}, so {rest[name]!r} would never be read; "
+                f"leave {name}=... out, or let the constructor do without it"
+            )
+
+
+def _check_open(
+    checking: type[KbBehaviour], leaf: KbBehaviour, names: list[str], rest: Mapping[str, str], ports: Ports
 ) -> None:
     """Find here, not in the middle of a mission, what is missing or is nothing that the knowledge base has."""
     for name in names:
-        if name not in rest and getattr(behaviour, f"_{name}") is None:
+        if name not in rest:
             raise PortError(f"{name!r} is missing; write {name}=... in the element")
-    checking(behaviour.name, behaviour.kb, **{name: ports.get(name) for name in names if ports.is_literal(name)})
+    checking(leaf.name, leaf.kb, **{name: ports.get(name) for name in names if ports.is_literal(name)})

@@ -394,6 +394,13 @@ class Water(Scan):
         self.plants = plants
 
 
+class Fixed(Scan):
+    """Is about one action, whatever is written."""
+
+    def __init__(self, name, kb):
+        super().__init__(name, kb, "scan")
+
+
 def test_literal_goes_to_the_constructor_that_asks_for_it():
     _, registry = rover()
     registry.register("water", Water)
@@ -432,6 +439,8 @@ def test_literal_wins_over_the_default_of_the_constructor():
         ('<Measurement attribute="lihgt" operator=">=" value="1"/>', "did you mean 'light'"),
         ('<Measurement attribute="light" operator="=>" value="1"/>', "'=>' compares nothing"),
         ('<Measurement attribute="light" value="1"/>', "'operator' is missing; write operator=..."),
+        ('<fixed action="{a}"/>', "says already that 'action' is 'scan', so '{a}' would never be read"),
+        ('<fixed action="drive"/>', "leave action=... out"),
         ('<bright operator="=>" attribute="light" value="1"/>', "'=>' compares nothing"),
         ('<bright attribute="{a}" value="1"/>', "'operator' is missing; write operator=..."),
     ],
@@ -439,6 +448,7 @@ def test_literal_wins_over_the_default_of_the_constructor():
 def test_what_our_leaves_cannot_mean_is_found_when_the_tree_is_made(element, message):
     _, registry = rover()
     registry.register("water", Water)
+    registry.register("fixed", Fixed)
 
     @registry.register("bright")
     class Bright(Measurement):
@@ -447,6 +457,15 @@ def test_what_our_leaves_cannot_mean_is_found_when_the_tree_is_made(element, mes
 
     with pytest.raises(XmlError, match=f"<text>:1: .*{re.escape(message)}"):
         load_xml(wrapped(element), registry)
+
+
+@pytest.mark.parametrize("element", ["<fixed/>", '<fixed action="scan"/>'])
+def test_action_that_the_constructor_says_needs_not_be_written(element):
+    kb, registry = rover()
+    registry.register("fixed", Fixed)
+    kb.measure("light", 0.7)
+    load_xml(wrapped(element), registry).tick_once()
+    assert [one.action for one in kb.required_actions] == ["scan"]
 
 
 def test_keys_are_known_when_our_leaves_are_ticked():
