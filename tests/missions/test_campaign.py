@@ -250,7 +250,9 @@ def test_run_that_crashes_is_recorded_and_the_others_go_on(rosa, tmp_path):
     assert "8 of 8 runs done" in out
     folder = tmp_path / "c"
     crashed = {record["run"]: record["error"] for record in read_store(folder).crashed}
-    errors = {1: "ZeroDivisionError: division by zero", 2: "the process that ran it died", 3: "SystemExit: enough"}
+    divided = "ZeroDivisionError: division by zero; clumsy.py, line 10, in <lambda>"
+    raised = f"MissionError: manager clumsy:Clumsy failed after 1.02 s: {divided}"
+    errors = {1: raised, 2: "the process that ran it died", 3: "SystemExit: enough"}
     assert crashed == {f"suave/clumsy:Clumsy/duration_s=5,start_y={y}/1": error for y, error in errors.items()}
     assert "rosa run suave --manager clumsy:Clumsy --seed 1 --set duration_s=5 --set start_y=2" in out
     assert "ZeroDivisionError" in (folder / "crashes.txt").read_text()
