@@ -14,8 +14,8 @@ from kb import KnowledgeBase
 from missions.agv.building import Building, Corridor
 from missions.agv.costs import GOALS, Amounts, Costs, weighed
 from missions.agv.modes import Mode, Modes, running_mode
-from missions.agv.search import Graph, Move, cheapest, distances
 from missions.mission import MissionError
+from rosa_pddl.planning.labels import Graph, Move, cheapest, distances
 
 __all__ = ["Answer", "JointPlanner", "Leg", "Place", "Question", "Task"]
 

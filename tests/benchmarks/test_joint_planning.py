@@ -16,8 +16,8 @@ from missions.agv.declared import declarations_of_task
 from missions.agv.generated import generated_building
 from missions.agv.joint import JointPlanner, Place, Question
 from missions.agv.model import agv_model
-from missions.agv.search import distances
 from rosa_pddl.planning import downward
+from rosa_pddl.planning.labels import distances
 
 pytestmark = pytest.mark.benchmark
 

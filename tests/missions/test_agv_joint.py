@@ -15,9 +15,9 @@ from missions.agv.declared import asked_of
 from missions.agv.generated import generated_building
 from missions.agv.joint import JointPlanner, Place, Question
 from missions.agv.model import agv_model
-from missions.agv.search import Graph, Move, cheapest
 from missions.mission import MissionError
 from rosa_pddl import Outcome, Planner
+from rosa_pddl.planning.labels import Graph, Move, cheapest
 
 MODEL = agv_model()
 
