@@ -8,6 +8,7 @@ from rosa_pddl.exceptions import (
     PlannerSettingError,
     PlanningBudgetError,
     RosaPddlError,
+    SensingError,
     UnknownNameError,
     UnsupportedPddlError,
 )
@@ -44,6 +45,7 @@ __all__ = [
     "ReplanningPolicy",
     "RosaPddlError",
     "Schema",
+    "SensingError",
     "State",
     "Step",
     "TimedStep",

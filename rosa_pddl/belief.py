@@ -2,13 +2,19 @@
 
 from collections.abc import Callable, Iterable, Mapping
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from math import isfinite
 
 from rosa_pddl.domain import Domain, Feasibility, State, Step
-from rosa_pddl.problem import feasible_atoms, initial_state, sensed_into, without_feasibility
+from rosa_pddl.exceptions import SensingError
+from rosa_pddl.problem import feasible_atoms, initial_state, without_feasibility
 from rosa_pddl.validate import ended, started
 
-__all__ = ["Belief", "Undo"]
+__all__ = ["Belief", "Sense", "Undo", "without"]
+
+Sense = Callable[[], Mapping[str, bool | float]]
+"""Returns what is sensed now: by text, whether a fact such as `(lit room)` holds, and the value of a number such as
+`(length a b)`."""
 
 
 @dataclass(frozen=True)
@@ -24,34 +30,59 @@ class Undo:
     given: State = frozenset()
 
 
+@dataclass(frozen=True)
+class _Sensed:
+    """What was sensed: the atoms that were spoken of, those of them that hold, and numbers."""
+
+    told: AbstractSet[str] = frozenset()
+    true: AbstractSet[str] = frozenset()
+    numbers: Mapping[str, float] = field(default_factory=dict)
+
+
 class Belief:
     """The state as it is believed, kept from one planning to the next.
 
     What is sensed stands. Effects of steps are assumed until something else is sensed; those on feasibility never: what
-    is feasible is for the knowledge base to say.
+    is feasible is for the knowledge base to say. Numbers stay what they were sensed to be last.
 
     Args:
         domain: what `load_domain` returned; the facts of its problem file are believed at first.
         kb: says which ROSA actions are feasible.
-        sense: returns the facts that are sensed now, by text.
+        sense: returns what is sensed now.
     """
 
-    def __init__(self, domain: Domain, kb: Feasibility, sense: Callable[[], Mapping[str, bool]]) -> None:
+    def __init__(self, domain: Domain, kb: Feasibility, sense: Sense) -> None:
         self._domain, self._kb, self._sense = domain, kb, sense
         self._facts = without_feasibility(domain, initial_state(domain))
+        self._numeric = {domain.outside[one.name] for one in domain.up_problem.fluents if not one.type.is_bool_type()}
+        self._answer: Mapping[str, bool | float] = {}
+        self._sensed = _Sensed()
+        self._numbers: Mapping[str, float] = {}
 
     @property
     def domain(self) -> Domain:
         """What the facts are about."""
         return self._domain
 
+    @property
+    def numbers(self) -> Mapping[str, float]:
+        """The numbers that were sensed, as they were last, by their text."""
+        return self._numbers
+
+    @property
+    def sensed_atoms(self) -> AbstractSet[str]:
+        """The atoms that were spoken of when it was last sensed."""
+        return self._sensed.told
+
     def observe(self) -> State:
         """Take in what is sensed; return what is true then, with what is feasible.
 
         Raises:
-            UnknownNameError: a sensed atom is not one of the domain.
+            SensingError: what is sensed is no mapping from texts to what holds and to numbers.
+            UnknownNameError: what is sensed is not of the domain.
         """
-        self._facts = without_feasibility(self._domain, sensed_into(self._domain, self._facts, self._sense()))
+        sensed = self._read()
+        self._facts = without_feasibility(self._domain, (self._facts - sensed.told) | sensed.true)
         return self._facts | feasible_atoms(self._domain, self._kb)
 
     def start(self, step: Step, state: State) -> Undo:
@@ -71,6 +102,40 @@ class Belief:
     def take_back(self, undo: Undo) -> None:
         """Believe what would be so had a step not started."""
         self._facts = without([undo], self._facts)
+
+    def _read(self) -> _Sensed:
+        try:
+            answer = self._sense()
+        except Exception as error:
+            error.add_note("it was raised by `sense`, which tells what a plan's steps find")
+            raise
+        if not isinstance(answer, Mapping):
+            raise SensingError(f"sense returned {answer!r}, expected a mapping such as {{'(lit room)': True}}")
+        # mostly nothing has changed since the last look
+        if answer != self._answer:
+            self._sensed, self._answer = self._sorted(answer), dict(answer)
+            self._numbers = {**self._numbers, **self._sensed.numbers}
+        return self._sensed
+
+    def _sorted(self, answer: Mapping[str, bool | float]) -> _Sensed:
+        facts: dict[str, bool] = {}
+        numbers: dict[str, float] = {}
+        for text, value in answer.items():
+            if not isinstance(text, str):
+                raise SensingError(f"sense returned {text!r}: {value!r}, expected a text such as '(lit room)' first")
+            atom = self._domain.atom(text)
+            is_number = atom[1:-1].split(" ", 1)[0] in self._numeric
+            known = value.item() if hasattr(value, "item") else value  # what numpy makes is as good
+            if isinstance(known, bool) is is_number or not isinstance(known, bool | int | float):
+                expected = "a number" if is_number else "True or False"
+                raise SensingError(f"sense returned {value!r} for {atom}, expected {expected}")
+            if not isfinite(known):
+                raise SensingError(f"sense returned {value!r} for {atom}, expected a finite number")
+            if is_number:
+                numbers[atom] = float(known)
+            else:
+                facts[atom] = bool(known)
+        return _Sensed(facts.keys(), {atom for atom, holds in facts.items() if holds}, numbers)
 
 
 def without(undos: Iterable[Undo], state: State) -> State:

@@ -44,6 +44,10 @@ class GoalError(RosaPddlError):
     """A goal that cannot be added or dropped."""
 
 
+class SensingError(RosaPddlError):
+    """What is sensed cannot be understood."""
+
+
 class PlannerSettingError(RosaPddlError):
     """A planner was set up in a way that makes no sense."""
 

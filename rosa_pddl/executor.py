@@ -6,7 +6,7 @@ from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 
 from rosa_pddl.asking import PlansAhead
-from rosa_pddl.belief import Belief, Undo, without
+from rosa_pddl.belief import Belief, Sense, Undo, without
 from rosa_pddl.course import Course, Event
 from rosa_pddl.domain import Domain, Feasibility, State, Step
 from rosa_pddl.exceptions import MissingBehaviourError, nearest
@@ -20,6 +20,8 @@ from rosa_pddl.running import Factory, RunningStep
 from rosa_pddl.validate import because, missing_at_end, missing_meanwhile
 
 __all__ = ["PlanExecutor"]
+
+Situation = tuple[State, Mapping[str, float]]
 
 
 class PlanExecutor(Behaviour):
@@ -38,14 +40,13 @@ class PlanExecutor(Behaviour):
         kb: says which ROSA actions are feasible.
         domain: what `load_domain` returned.
         behaviours: for each PDDL action, what makes the behaviour of a step.
-        sense: returns the facts that are sensed now, by text such as `(lit room)`; others stay as they were.
+        sense: returns what is sensed now: whether facts such as `(lit room)` hold, and the values of numeric facts that
+            costs are made of, such as `{"(length a b)": 3.5}`; others stay as they were. Called several times a tick.
         clock: returns the time [s].
         planner: plans beside the ticks; by default Fast Downward.
         delay_s: the answer of the planner is taken this long after the request, whatever it took, so that a simulation
             is the same each time [s]; None to take it as soon as it is there.
         policy: when to plan anew, and what becomes of running steps meanwhile.
-        costs: returns the values, now, of numeric facts that costs are made of, such as `{"(length a b)": 3.5}`; the
-            others are those of the problem file.
 
     Attributes:
         goals: what is to be reached; may be changed between ticks.
@@ -63,31 +64,30 @@ class PlanExecutor(Behaviour):
         kb: Feasibility,
         domain: Domain,
         behaviours: Mapping[str, Factory],
-        sense: Callable[[], Mapping[str, bool]],
+        sense: Sense,
         clock: Callable[[], float],
         planner: PlansAhead | None = None,
         delay_s: float | None = 0.2,
         policy: ReplanningPolicy | None = None,
-        costs: Callable[[], Mapping[str, float]] | None = None,
     ) -> None:
         super().__init__(name)
         self.findings = domain.check(kb)
         _check_behaviours(domain, behaviours)
         self.goals = Goals(domain)
-        self._domain, self._factories, self._sense = domain, dict(behaviours), sense
+        self._domain, self._factories = domain, dict(behaviours)
         self._policy = policy or ReplanningPolicy()
         self._owns_planner = planner is None
         self._planner: PlansAhead = Planner() if planner is None else planner
-        self._quest = Quest(domain, costs or dict)
-        self._replanning = Replanning(domain, self.goals, self._quest, self._planner, clock, delay_s, self._policy)
         self._belief = Belief(domain, kb, sense)
+        self._quest = Quest(domain, lambda: self._belief.numbers)
+        self._replanning = Replanning(domain, self.goals, self._quest, self._planner, clock, delay_s, self._policy)
         self._setup_arguments: dict[str, object] = {}
         self._running: list[RunningStep] = []
         self._ended_meanwhile: list[Step] = []
         self._course: Course | None = None
         self._found_valid: tuple[Course, State] | None = None
         self._seen_goals = self.goals.version
-        self._expected: State | None = None
+        self._expected: Situation | None = None
         self._ticked: list[Behaviour] = []
 
     @property
@@ -130,7 +130,7 @@ class PlanExecutor(Behaviour):
         self._setup_arguments = kwargs
         if isinstance(self._planner, Planner):
             problem = Problem(self._domain, self._belief.observe())
-            self._planner.prepare(problem, self._sense())
+            self._planner.prepare(problem, self._belief.sensed_atoms)
 
     def initialise(self) -> None:
         """Forget the plan of the last round, keep what is believed; called on the first tick of a round."""
@@ -175,8 +175,9 @@ class PlanExecutor(Behaviour):
         self._take_plan()
         while self._tick_steps(self._start_ready()):
             pass
-        self._expected = self._belief.observe()
-        return self._conclude(self._expected)
+        state = self._belief.observe()
+        self._expected = (state, self._belief.numbers)
+        return self._conclude(state)
 
     def _watch(self, state: State) -> None:
         """Stop what cannot go on, and find out whether the plan still does."""
@@ -191,7 +192,8 @@ class PlanExecutor(Behaviour):
                 self._release([running])
                 self._want(Decision(because(self._domain, running.step, missing, verb="became"), is_needed=True))
         if self._course is not None:
-            flaw, news = self._flaw(self._course, self._belief.observe()), _news(self._expected, state)
+            flaw = self._flaw(self._course, self._belief.observe())
+            news = _news(self._expected, (state, self._belief.numbers))
             self._want(decide(self._policy, flaw=flaw, goals_changed=goals_changed, news=news))
 
     def _flaw(self, course: Course, state: State) -> str | None:
@@ -346,11 +348,13 @@ class PlanExecutor(Behaviour):
         self._release(self._running)
 
 
-def _news(expected: State | None, state: State) -> str | None:
+def _news(expected: Situation | None, now: Situation) -> str | None:
     """What changed by itself since the last tick, in words."""
-    if expected is None or expected == state:
+    if expected is None or expected == now:
         return None
-    changed = sorted(state - expected) + [f"(not {atom})" for atom in sorted(expected - state)]
+    (before, told), (state, numbers) = expected, now
+    changed = sorted(state - before) + [f"(not {atom})" for atom in sorted(before - state)]
+    changed += [f"{text} is {value:g}" for text, value in sorted(numbers.items()) if told.get(text) != value]
     return ", ".join(changed[:3]) + (", ..." if len(changed) > 3 else "")
 
 

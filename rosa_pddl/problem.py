@@ -68,17 +68,6 @@ def without_feasibility(domain: Domain, state: State) -> State:
     return frozenset(atom for atom in state if not domain.is_feasibility(atom))
 
 
-def sensed_into(domain: Domain, state: State, sensed: Mapping[str, bool]) -> State:
-    """Return a state in which what is sensed replaces what was believed.
-
-    Raises:
-        UnknownNameError: a sensed atom is not one of the domain.
-    """
-    facts = {domain.atom(text): value for text, value in sensed.items()}
-    true = {atom for atom, value in facts.items() if value}
-    return (state - facts.keys()) | true
-
-
 def _initial_atoms(domain: Domain) -> Iterator[str]:
     for expression, value in domain.up_problem.explicit_initial_values.items():
         if value.is_bool_constant() and value.constant_value():

@@ -23,14 +23,15 @@ class Quest:
 
     Args:
         domain: what `load_domain` returned.
-        costs: returns the values, now, of numeric facts that costs are made of.
+        numbers: returns the values, now, of numeric facts that costs are made of; the others are those of the problem
+            file.
 
     Raises:
         UnsupportedPddlError: the metric cannot be kept.
     """
 
-    def __init__(self, domain: Domain, costs: Callable[[], Mapping[str, float]]) -> None:
-        self._domain, self._numbers = domain, costs
+    def __init__(self, domain: Domain, numbers: Callable[[], Mapping[str, float]]) -> None:
+        self._domain, self._numbers = domain, numbers
         self._soft: tuple[tuple[Goal, ...], SoftGoals] | None = None
         with lock_of(domain):
             self._costs = Costs(domain, Problem(domain, frozenset()).build())

@@ -2,13 +2,14 @@
 
 from concurrent.futures import Future
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pddl_world import World, load_text
 from py_trees.common import Status
 
-from rosa_pddl import Outcome, Planner, PlannerSettingError, PlanningResult, ReplanningPolicy
+from rosa_pddl import Outcome, Planner, PlannerSettingError, PlanningResult, ReplanningPolicy, SensingError
 from rosa_pddl.policy import decide, wait_s
 
 WAYS = """(define (domain ways) (:requirements :typing)
@@ -163,20 +164,71 @@ def test_a_goal_that_no_situation_allows_is_said_to_be_out_of_reach_whatever_is_
     assert world.executor.feedback_message.endswith("there would be no plan even if every action were feasible")
 
 
-def test_with_the_costs_of_the_moment_another_plan_is_the_best(tmp_path):
-    domain = load_text(
-        tmp_path,
-        """(define (domain roads) (:requirements :action-costs) (:predicates (there) (half))
-          (:functions (total-cost) - number (toll) - number)
-          (:action pay :parameters () :effect (and (there) (increase (total-cost) (toll))))
-          (:action around :parameters () :effect (and (half) (increase (total-cost) 2)))
-          (:action back :parameters () :precondition (half) :effect (and (there) (increase (total-cost) 2))))""",
-        """(define (problem p) (:domain roads) (:init (= (toll) 1) (= (total-cost) 0)) (:goal (there))
-          (:metric minimize (total-cost)))""",
-    )
-    cheap, dear = World(domain), World(domain, costs=lambda: {"(toll)": 9.0})
+ROADS = """(define (domain roads) (:requirements :action-costs) (:predicates (there) (half) (closed))
+  (:functions (total-cost) - number (toll) - number)
+  (:action pay :parameters () :effect (and (there) (increase (total-cost) (toll))))
+  (:action around :parameters () :effect (and (half) (increase (total-cost) 2)))
+  (:action back :parameters () :precondition (half) :effect (and (there) (increase (total-cost) 2))))
+"""
+ROADS_PROBLEM = """(define (problem p) (:domain roads) (:init (= (toll) 1) (= (total-cost) 0)) (:goal (there))
+  (:metric minimize (total-cost)))
+"""
+
+
+@pytest.fixture(scope="module")
+def roads(tmp_path_factory):
+    return load_text(tmp_path_factory.mktemp("roads"), ROADS, ROADS_PROBLEM)
+
+
+@pytest.mark.parametrize("toll", [9, 9.0, np.float32(9.0), np.int64(9)])
+def test_with_the_numbers_that_are_sensed_another_plan_is_the_best(roads, toll):
+    cheap, dear = World(roads), World(roads)
+    dear.facts = {"(TOLL)": toll, "(closed)": np.bool_(True)}
     assert (cheap.run(), dear.run()) == (Status.SUCCESS, Status.SUCCESS)
     assert (cheap.plans(), dear.plans()) == ([["pay"]], [["around", "back"]])
+
+
+def test_a_number_that_is_not_mentioned_any_more_stays_what_it_was(roads):
+    world = World(roads)
+    world.facts = {"(toll)": 9.0}
+    world.tick()
+    world.facts = {}
+    world.executor.stop(Status.INVALID)
+    assert world.run() is Status.SUCCESS
+    assert begun(world) == ["around", "back"]
+
+
+@pytest.mark.parametrize("eager", [True, False])
+def test_a_number_that_changed_is_news_to_an_eager_executor_only(roads, eager):
+    world = World(roads, policy=ReplanningPolicy(eager=eager))
+    world.ticks = {"pay": 20}
+    world.run(until="pay")
+    world.facts = {"(toll)": 9.0}
+    assert world.run() is Status.SUCCESS
+    assert begun(world) == (["pay", "around", "back"] if eager else ["pay"])
+    if eager:
+        assert world.executor.plans[1].reason == "something better may be possible: (toll) is 9"
+
+
+@pytest.mark.parametrize(
+    ("sensed", "message"),
+    [
+        ({"(toll)": True}, r"sense returned True for \(toll\), expected a number"),
+        ({"(toll)": float("nan")}, r"nan for \(toll\), expected a finite number"),
+        ({"(toll)": "9"}, r"'9' for \(toll\), expected a number"),
+        ({"(closed)": 1}, r"1 for \(closed\), expected True or False"),
+        ({"(closed)": None}, r"None for \(closed\), expected True or False"),
+        ({3: True}, r"sense returned 3: True, expected a text"),
+        (None, r"sense returned None, expected a mapping"),
+    ],
+)
+def test_what_is_sensed_and_makes_no_sense_is_an_error_that_says_what_was_expected(roads, sensed, message):
+    world = World(roads)
+    world.run(until="pay")
+    world.facts = sensed
+    with pytest.raises(SensingError, match=message):
+        world.tick()
+    assert world.log[-1][1:] == ("pay", "INVALID")
 
 
 # ------------------------------------------------------------------ the decision, which is pure
