@@ -1,17 +1,20 @@
-"""The settings that every mission has, whatever its world."""
+"""The settings of a mission: those that every mission has, and how a world declares, lists and reads its own."""
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from difflib import get_close_matches
+from typing import Any, Self
 
 from missions.mission import Mission, MissionError, Setting
 
-__all__ = ["RunSettings", "describe", "split_settings"]
+__all__ = ["Constants", "RunSettings", "SettingInfo", "describe", "setting", "split_settings", "text_setting"]
 
 
 @dataclass(frozen=True, slots=True)
-class _Described:
+class SettingInfo:
+    """What is known of one setting, for listing."""
+
     name: str
     unit: str
     default: object
@@ -19,30 +22,86 @@ class _Described:
     source: str
 
 
-def _seconds(default: float, meaning: str, source: str, least: float = 0.0) -> float:
-    metadata = {"unit": "s", "meaning": meaning, "source": source, "least": least}
-    value: float = field(default=default, metadata=metadata)
+def setting(default: float, unit: str, meaning: str, source: str, low: float = 0.0, high: float = math.inf) -> Any:  # noqa: ANN401  # as of dataclasses.field: it stands where a value of the field's type would
+    """Declare a number in a subclass of `Constants`; one whose default is an `int` has to be whole.
+
+    Args:
+        default: its value when nothing is set.
+        unit: its unit, "-" for none.
+        meaning: what it is, in a line.
+        source: where the default comes from.
+        low: the least that is allowed.
+        high: the most that is allowed.
+    """
+    told = {"unit": unit, "meaning": meaning, "source": source, "low": low, "high": high}
+    return field(default=default, metadata=told)
+
+
+def text_setting(default: str, meaning: str, source: str) -> Any:  # noqa: ANN401  # see setting
+    """Declare a text in a subclass of `Constants`."""
+    return field(default=default, metadata={"unit": "-", "meaning": meaning, "source": source})
+
+
+@dataclass(frozen=True, slots=True)
+class Constants:
+    """A subclass is a frozen dataclass, each field of which is a `setting(...)` or a `text_setting(...)`."""
+
+    @classmethod
+    def describe(cls) -> tuple[Setting, ...]:
+        """List every setting, in the order of declaration."""
+        return tuple(
+            SettingInfo(one.name, one.metadata["unit"], one.default, one.metadata["meaning"], one.metadata["source"])
+            for one in fields(cls)
+        )
+
+    @classmethod
+    def read(cls, values: Mapping[str, str]) -> Self:
+        """Return the settings as they are given on a command line.
+
+        Args:
+            values: by name, as texts; what is not among them has its default.
+
+        Raises:
+            MissionError: an unknown name, or a value that is not allowed.
+        """
+        known = {one.name: one for one in fields(cls)}
+        read: dict[str, float | str] = {}
+        for name, text in values.items():
+            if name not in known:
+                near = get_close_matches(name, known, n=3) or list(known)
+                raise MissionError(f"unknown setting {name!r}; near: {', '.join(near)}")
+            default, told = known[name].default, known[name].metadata
+            read[name] = text if isinstance(default, str) else _number(name, text, told, isinstance(default, int))
+        return cls(**read)
+
+
+def _number(name: str, text: str, told: Mapping[str, Any], is_whole: bool) -> float:
+    low, high = told["low"], told["high"]
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and low <= value <= high) or (is_whole and value != int(value)):
+        kind = "whole number" if is_whole else "number of seconds" if told["unit"] == "s" else "number"
+        upper = f" to {high:g}" if math.isfinite(high) else ""
+        raise MissionError(f"setting {name} is {text!r}; allowed is a {kind} from {low:g}{upper}")
     return value
 
 
 @dataclass(frozen=True, slots=True)
-class RunSettings:
+class RunSettings(Constants):
     """How a mission is run."""
 
-    duration_s: float = _seconds(300.0, "time limit of the mission", "as SUAVE, time-constrained mission", least=0.001)
-    tick_period_s: float = _seconds(
-        0.1, "from one tick of the task layer to the next", "ROSA's tree: sleep of 100 ms", least=0.001
+    duration_s: float = setting(300.0, "s", "time limit of the mission", "as SUAVE, time-constrained mission", 0.001)
+    tick_period_s: float = setting(
+        0.1, "s", "from one tick of the task layer to the next", "ROSA's tree: sleep of 100 ms", 0.001
     )
-    planning_delay_s: float = _seconds(0.2, "simulated time in which a plan is found", "own choice; PDDL only")
+    planning_delay_s: float = setting(0.2, "s", "simulated time in which a plan is found", "own choice; PDDL only")
 
 
 def describe(mission: Mission) -> tuple[Setting, ...]:
     """Return every setting of a mission: how it is run, then its world."""
-    own = tuple(
-        _Described(one.name, one.metadata["unit"], one.default, one.metadata["meaning"], one.metadata["source"])
-        for one in fields(RunSettings)
-    )
-    return (*own, *mission.world.settings())
+    return (*RunSettings.describe(), *mission.world.settings())
 
 
 def split_settings(mission: Mission, values: Mapping[str, str]) -> tuple[RunSettings, dict[str, str]]:
@@ -56,7 +115,7 @@ def split_settings(mission: Mission, values: Mapping[str, str]) -> tuple[RunSett
         MissionError: an unknown name or a value that is not allowed.
     """
     own = {one.name for one in fields(RunSettings)}
-    full = {_without_unit(setting): setting.name for setting in describe(mission)}
+    full = {_without_unit(one): one.name for one in describe(mission)}
     full |= {name: name for name in full.values()}
     for name in values:
         if name not in full:
@@ -66,20 +125,9 @@ def split_settings(mission: Mission, values: Mapping[str, str]) -> tuple[RunSett
         if full[name] != name and full[name] in values:
             raise MissionError(f"{name} and {full[name]} are the same setting; give it once")
     values = {full[name]: value for name, value in values.items()}
-    least = {one.name: float(one.metadata["least"]) for one in fields(RunSettings)}
-    run = RunSettings(**{name: _seconds_of(name, values[name], least[name]) for name in values if name in own})
+    run = RunSettings.read({name: value for name, value in values.items() if name in own})
     return run, {name: value for name, value in {**mission.fixed, **values}.items() if name not in own}
 
 
-def _without_unit(setting: Setting) -> str:
-    return setting.name.removesuffix("_" + setting.unit.replace("/", "_").replace(" ", "_"))
-
-
-def _seconds_of(name: str, text: str, least: float) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not (math.isfinite(value) and value >= least):
-        raise MissionError(f"setting {name} is {text!r}; allowed is a number of seconds from {least:g}")
-    return value
+def _without_unit(one: Setting) -> str:
+    return one.name.removesuffix("_" + one.unit.replace("/", "_").replace(" ", "_"))

@@ -1,14 +1,13 @@
 """Every constant of the building's simulation, with its unit, its meaning and where the figure comes from."""
 
-import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
-from difflib import get_close_matches
+from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 from missions.agv.building import Building
 from missions.agv.model import DRAW_W
 from missions.mission import MissionError, Setting
+from missions.settings import Constants, setting, text_setting
 
 __all__ = ["Incident", "Settings", "described", "incidents", "settings_from"]
 
@@ -16,34 +15,23 @@ _OWN: Final = "own choice"
 _PAPER: Final = "ROSA paper, AGV use case; where along the corridor: own choice"
 
 
-def _setting(default: float, unit: str, meaning: str, low: float) -> float:
-    metadata = {"unit": unit, "meaning": meaning, "source": _OWN, "low": low}
-    value: float = field(default=default, metadata=metadata)
-    return value
-
-
-def _text(default: str, meaning: str, source: str) -> str:
-    value: str = field(default=default, metadata={"unit": "-", "meaning": meaning, "source": source})
-    return value
-
-
 @dataclass(frozen=True)
-class Settings:
+class Settings(Constants):
     """The constants; times count from the start of the mission."""
 
-    incidents: str = _text(
+    incidents: str = text_setting(
         "kinect fails in c1, dark in c3",
         "what happens once within a corridor: 'COMPONENT fails|recovers in CORRIDOR', 'dark|light in CORRIDOR'",
         _PAPER,
     )
-    capacity_j: float = _setting(20_000.0, "J", "energy at the start", 1.0)
-    physics_step_s: float = _setting(0.01, "s", "step of the physics engine", 1e-3)
-    control_period_s: float = _setting(0.1, "s", "period of looking and steering", 1e-2)
-    monitor_period_s: float = _setting(0.5, "s", "period of the monitors of light, energy and position", 0.1)
-    switching_s: float = _setting(0.5, "s", "time that starting or stopping a component takes", 0.0)
-    parameter_s: float = _setting(0.1, "s", "time that setting parameters takes", 0.0)
-    standing_w: float = _setting(2.0, "W", "drawn by the base while the vehicle stands", 0.0)
-    reach_m: float = _setting(0.3, "m", "distance at which a place is reached", 0.05)
+    capacity_j: float = setting(20_000.0, "J", "energy at the start", _OWN, 1.0)
+    physics_step_s: float = setting(0.01, "s", "step of the physics engine", _OWN, 1e-3)
+    control_period_s: float = setting(0.1, "s", "period of looking and steering", _OWN, 1e-2)
+    monitor_period_s: float = setting(0.5, "s", "period of the monitors of light, energy and position", _OWN, 0.1)
+    switching_s: float = setting(0.5, "s", "time that starting or stopping a component takes", _OWN, 0.0)
+    parameter_s: float = setting(0.1, "s", "time that setting parameters takes", _OWN, 0.0)
+    standing_w: float = setting(2.0, "W", "drawn by the base while the vehicle stands", _OWN, 0.0)
+    reach_m: float = setting(0.3, "m", "distance at which a place is reached", _OWN, 0.05)
 
     def __post_init__(self) -> None:
         """Check the values against each other."""
@@ -67,21 +55,9 @@ class Incident(NamedTuple):
     corridor: str
 
 
-@dataclass(frozen=True, slots=True)
-class _Described:
-    name: str
-    unit: str
-    default: object
-    meaning: str
-    source: str
-
-
 def described() -> tuple[Setting, ...]:
     """List every setting."""
-    return tuple(
-        _Described(one.name, one.metadata["unit"], one.default, one.metadata["meaning"], one.metadata["source"])
-        for one in fields(Settings)
-    )
+    return Settings.describe()
 
 
 def settings_from(values: Mapping[str, str]) -> Settings:
@@ -90,24 +66,7 @@ def settings_from(values: Mapping[str, str]) -> Settings:
     Raises:
         MissionError: an unknown name, or a value that is not allowed.
     """
-    known = {one.name: one for one in fields(Settings)}
-    read: dict[str, float | str] = {}
-    for name, text in values.items():
-        if name not in known:
-            near = get_close_matches(name, known, n=3) or list(known)
-            raise MissionError(f"unknown setting {name!r}; near: {', '.join(near)}")
-        read[name] = text if isinstance(known[name].default, str) else _number(name, text, known[name].metadata["low"])
-    return Settings(**read)  # type: ignore[arg-type]  # each is read as the type of its default
-
-
-def _number(name: str, text: str, low: float) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not (math.isfinite(value) and value >= low):
-        raise MissionError(f"setting {name} is {text!r}; allowed is a number from {low:g}")
-    return value
+    return Settings.read(values)
 
 
 def incidents(text: str, building: Building) -> tuple[Incident, ...]:

@@ -1,13 +1,11 @@
 """Every constant of the simulated vehicle and its field, with its unit, its meaning and where the figure comes from."""
 
-import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass
 from typing import Final
 
-from missions.mission import MissionError
+from missions.settings import Constants, setting
 
-__all__ = ["MOST_SAMPLES", "SettingInfo", "Settings"]
+__all__ = ["MOST_SAMPLES", "Settings"]
 
 MOST_SAMPLES: Final = 8
 """How many samples there may be; the planned task layer has an object for each."""
@@ -18,109 +16,53 @@ _CONTROL: Final = "own choice: common for a vehicle of this size"
 _SCENARIO: Final = "own choice, so that the paper's three scenarios occur"
 
 
-def _setting(default: float, unit: str, meaning: str, source: str, low: float = 0.0, high: float = math.inf) -> float:
-    value: float = field(
-        default=default, metadata={"unit": unit, "meaning": meaning, "source": source, "low": low, "high": high}
-    )
-    return value
-
-
 @dataclass(frozen=True, slots=True)
-class SettingInfo:
-    """What is known of one setting, for listing."""
-
-    name: str
-    unit: str
-    default: float
-    meaning: str
-    source: str
-
-
-@dataclass(frozen=True, slots=True)
-class Settings:
+class Settings(Constants):
     """The constants; frozen. World frame ENU, z up, ground at z = 0, base at the origin; times from the start."""
 
     # What happens
-    samples: float = _setting(7, "-", "samples that are wanted from the start", _OWN, 1, MOST_SAMPLES - 1)
-    added_s: float = _setting(60.0, "s", "when an operator reports one more sample; 0 for never", _SCENARIO)
-    gripper_worn_s: float = _setting(120.0, "s", "from when on a grip jams; 0 for never", _SCENARIO)
-    jam_delay_s: float = _setting(3.0, "s", "longest time from a worn grip to its jam", _SCENARIO, 0.1, 5)
+    samples: float = setting(7, "-", "samples that are wanted from the start", _OWN, 1, MOST_SAMPLES - 1)
+    added_s: float = setting(60.0, "s", "when an operator reports one more sample; 0 for never", _SCENARIO)
+    gripper_worn_s: float = setting(120.0, "s", "from when on a grip jams; 0 for never", _SCENARIO)
+    jam_delay_s: float = setting(3.0, "s", "longest time from a worn grip to its jam", _SCENARIO, 0.1, 5)
 
     # The field
-    field_x_m: float = _setting(36.0, "m", "length of the field, from the base eastward", _OWN, 10, 90)
-    lane_m: float = _setting(6.0, "m", "distance between the lanes of the search", _OWN, 2, 10)
-    lanes: float = _setting(6, "-", "number of lanes; in the middle third there is no sample", _SCENARIO, 3, 9)
-    sample_kg: float = _setting(0.2, "kg", "mass of a sample", _OWN, 0, 0.5)
+    field_x_m: float = setting(36.0, "m", "length of the field, from the base eastward", _OWN, 10, 90)
+    lane_m: float = setting(6.0, "m", "distance between the lanes of the search", _OWN, 2, 10)
+    lanes: float = setting(6, "-", "number of lanes; in the middle third there is no sample", _SCENARIO, 3, 9)
+    sample_kg: float = setting(0.2, "kg", "mass of a sample", _OWN, 0, 0.5)
 
     # Flight
-    physics_step_s: float = _setting(
+    physics_step_s: float = setting(
         0.01, "s", "step of the physics engine; thrust is chosen every second one", _OWN, 0.001, 0.01
     )
-    cruise_m: float = _setting(5.0, "m", "height at which it searches and travels", _OWN, 2, 20)
-    speed_m_s: float = _setting(3.0, "m/s", "horizontal speed limit", _CONTROL, 0.5, 5)
-    climb_m_s: float = _setting(1.5, "m/s", "vertical speed limit", _CONTROL, 0.2, 3)
-    rotor_limit_n: float = _setting(8.0, "N", "largest thrust of one rotor", _CONTROL, 5.5, 20)
-    rotor_radius_m: float = _setting(0.127, "m", "radius of a propeller, for its power", "10 inch propeller", 0.05, 0.5)
-    figure_of_merit: float = _setting(0.6, "-", "ideal by actual power of a hovering rotor", _CONTROL, 0.1, 1)
-    drag: float = _setting(0.3, "N s/m", "linear drag of the air", _CONTROL, 0, 2)
-    wind_m_s: float = _setting(1.0, "m/s", "steady wind, from a direction of chance", _OWN, 0, 4)
-    gravity_m_s2: float = _setting(9.81, "m/s2", "gravity", "standard gravity", 7, 12)
-    air_kg_m3: float = _setting(1.225, "kg/m3", "density of the air", "standard atmosphere at sea level", 0.5, 2)
+    cruise_m: float = setting(5.0, "m", "height at which it searches and travels", _OWN, 2, 20)
+    speed_m_s: float = setting(3.0, "m/s", "horizontal speed limit", _CONTROL, 0.5, 5)
+    climb_m_s: float = setting(1.5, "m/s", "vertical speed limit", _CONTROL, 0.2, 3)
+    rotor_limit_n: float = setting(8.0, "N", "largest thrust of one rotor", _CONTROL, 5.5, 20)
+    rotor_radius_m: float = setting(0.127, "m", "radius of a propeller, for its power", "10 inch propeller", 0.05, 0.5)
+    figure_of_merit: float = setting(0.6, "-", "ideal by actual power of a hovering rotor", _CONTROL, 0.1, 1)
+    drag: float = setting(0.3, "N s/m", "linear drag of the air", _CONTROL, 0, 2)
+    wind_m_s: float = setting(1.0, "m/s", "steady wind, from a direction of chance", _OWN, 0, 4)
+    gravity_m_s2: float = setting(9.81, "m/s2", "gravity", "standard gravity", 7, 12)
+    air_kg_m3: float = setting(1.225, "kg/m3", "density of the air", "standard atmosphere at sea level", 0.5, 2)
 
     # Battery
-    capacity_j: float = _setting(28000.0, "J", "energy of a full battery", _SHORT, 1000)
-    charge_s: float = _setting(10.0, "s", "time in which an empty battery is charged", _SHORT, 0.1)
-    avionics_w: float = _setting(5.0, "W", "power of what always runs", _OWN)
-    pick_up_w: float = _setting(40.0, "W", "power of gripper and analyser together", _OWN)
-    infrared_w: float = _setting(5.0, "W", "power of the infra-red camera", _OWN)
-    battery_period_s: float = _setting(0.5, "s", "period of the battery monitor", _OWN, 0.05, 5)
+    capacity_j: float = setting(28000.0, "J", "energy of a full battery", _SHORT, 1000)
+    charge_s: float = setting(10.0, "s", "time in which an empty battery is charged", _SHORT, 0.1)
+    avionics_w: float = setting(5.0, "W", "power of what always runs", _OWN)
+    pick_up_w: float = setting(40.0, "W", "power of gripper and analyser together", _OWN)
+    infrared_w: float = setting(5.0, "W", "power of the infra-red camera", _OWN)
+    battery_period_s: float = setting(0.5, "s", "period of the battery monitor", _OWN, 0.05, 5)
 
     # Work
-    half_view_rad: float = _setting(0.66, "rad", "half of the sample camera's field of view", _OWN, 0.1, 1.4)
-    grip_s: float = _setting(1.0, "s", "time that gripping takes", _OWN, 0.1)
-    analysis_s: float = _setting(6.0, "s", "time that the analyser takes", _OWN, 0.1)
-    infrared_s: float = _setting(4.0, "s", "time that a look in the infra-red takes", _OWN, 0.1)
-    infrared_quality: float = _setting(0.6, "-", "worth of such a look; an analysis of a held sample is worth 1", _OWN)
-    fold_s: float = _setting(1.5, "s", "time that folding or unfolding takes", _OWN, 0.2)
+    half_view_rad: float = setting(0.66, "rad", "half of the sample camera's field of view", _OWN, 0.1, 1.4)
+    grip_s: float = setting(1.0, "s", "time that gripping takes", _OWN, 0.1)
+    analysis_s: float = setting(6.0, "s", "time that the analyser takes", _OWN, 0.1)
+    infrared_s: float = setting(4.0, "s", "time that a look in the infra-red takes", _OWN, 0.1)
+    infrared_quality: float = setting(0.6, "-", "worth of such a look; an analysis of a held sample is worth 1", _OWN)
+    fold_s: float = setting(1.5, "s", "time that folding or unfolding takes", _OWN, 0.2)
 
     # Switching
-    activation_s: float = _setting(0.03, "s", "time that activating a component takes", "order seen in ROS 2")
-    deactivation_s: float = _setting(0.03, "s", "time that deactivating one takes", "order seen in ROS 2")
-
-    @classmethod
-    def read(cls, values: Mapping[str, str]) -> "Settings":
-        """Return settings with some values changed.
-
-        Args:
-            values: new values by name, as texts; `split_settings` has checked the names.
-
-        Raises:
-            MissionError: a value is no number or is out of range.
-        """
-        known = {one.name: one for one in fields(cls)}
-        changed: dict[str, float] = {}
-        for name, text in values.items():
-            low, high = known[name].metadata["low"], known[name].metadata["high"]
-            whole = isinstance(known[name].default, int)
-            try:
-                value = float(text)
-            except ValueError:
-                value = math.nan
-            if not (math.isfinite(value) and low <= value <= high) or (whole and value != int(value)):
-                raise MissionError(_refusal(name, text, low, high, whole))
-            changed[name] = value
-        return replace(cls(), **changed)
-
-    @classmethod
-    def describe(cls) -> tuple[SettingInfo, ...]:
-        """List every setting, in the order of declaration."""
-        return tuple(
-            SettingInfo(one.name, one.metadata["unit"], one.default, one.metadata["meaning"], one.metadata["source"])  # type: ignore[arg-type]  # every field has a default
-            for one in fields(cls)
-        )
-
-
-def _refusal(name: str, text: str, low: float, high: float, whole: bool) -> str:
-    kind = "whole number" if whole else "number"
-    upper = f" to {high:g}" if math.isfinite(high) else ""
-    return f"setting {name} is {text!r}; allowed is a {kind} from {low:g}{upper}"
+    activation_s: float = setting(0.03, "s", "time that activating a component takes", "order seen in ROS 2")
+    deactivation_s: float = setting(0.03, "s", "time that deactivating one takes", "order seen in ROS 2")
