@@ -4,6 +4,7 @@ What the corridors allow, and what that takes, is asked of the knowledge base; n
 """
 
 import math
+import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -12,7 +13,7 @@ from typing import Final, NamedTuple
 
 from kb import KnowledgeBase
 from missions.agv.building import Building, Corridor
-from missions.agv.costs import GOALS, Amounts, Costs, weighed
+from missions.agv.costs import GOALS, Amounts, Costs, check_number, weighing
 from missions.agv.modes import Mode, Modes, running_mode
 from missions.mission import MissionError
 from rosa_pddl.planning.labels import Graph, Move, cheapest, distances
@@ -58,8 +59,7 @@ class Question:
             for name, value in told.items():
                 if name not in GOALS:
                     raise MissionError(f"there is no {what} {name!r}; there are {', '.join(GOALS)}")
-                if not math.isfinite(value) or value < 0.0:
-                    raise MissionError(f"the {what} of {name} is {value!r}; it must be a finite number from 0")
+                check_number(f"the {what} of {name}", value)
         if not any(self.weights.values()):
             raise MissionError(f"nothing is to be minimised; give one of {', '.join(GOALS)} a weight above 0")
 
@@ -129,6 +129,9 @@ class _Way(NamedTuple):
 
 State = tuple[Place, Mode]
 Known = dict[tuple[str, Mode], Amounts]
+Crossing = tuple[_Way, Mode, Amounts, int]
+Taken = tuple[_Way, Amounts, Amounts]
+"""A way, what switching to the mode for it takes, and what driving it takes."""
 
 
 class Task:
@@ -153,49 +156,59 @@ class Task:
         building.check_place(self.goal, "goal")
         for corridor in (*question.light, *([self.start[0].corridor] if self.start[0].corridor else [])):
             building.check_corridor(corridor)
+        for name, light in question.light.items():
+            check_number(f"light of corridor {name}", light, most=1.0)
         _check_inside(building, self.start[0])
         self._known = known
         self.limited = tuple(name for name in GOALS if name in question.limits)
         self._indices = tuple(GOALS.index(name) for name in self.limited)
-        self.limits = tuple(math.floor(question.limits[name] * _UNITS[name][1] + 1e-6) for name in self.limited)
-        self._crossings: dict[Place, list[tuple[_Way, Mode, Amounts, int]]] = {}
-        self._switching: dict[tuple[Mode, Mode], tuple[Amounts, int]] = {}
+        self.limits = tuple(_whole(question.limits[name] * _UNITS[name][1]) for name in self.limited)
+        self._weighed = weighing(question.weights)
+        self._nowhere = math.inf, (math.inf,) * len(self.limited)
+        self._priced: dict[str, list[tuple[Mode, Amounts, int]]] = {}
+        self._steps: dict[Place, list[tuple[State, Crossing]]] = {}
+        self._switching: dict[Mode, dict[Mode, tuple[Amounts, int]]] = {}
 
-    def moves(self, state: State) -> Iterator[Move[State, tuple[_Way, Amounts]]]:
+    def moves(self, state: State) -> Iterator[Move[State, Taken]]:
         """Yield each corridor from here in each mode that is possible in it."""
         place, before = state
-        for way, mode, crossing, cost in self.crossings(place):
-            switching, more = self.switching(before, mode)
-            takes = Amounts(*map(add, switching, crossing))
-            uses = tuple([takes[number] for number in self._indices])
-            yield Move((Place(way.to), mode), cost + more, uses, (way, takes))
+        if place not in self._steps:
+            self._steps[place] = [((Place(one[0].to), one[1]), one) for one in self.crossings(place)]
+        known, indices = self._switching.setdefault(before, {}), self._indices
+        for to, (way, mode, crossing, cost) in self._steps[place]:
+            if mode not in known:
+                known[mode] = self.switching(before, mode)
+            switching, more = known[mode]
+            uses = tuple([switching[number] + crossing[number] for number in indices]) if indices else ()
+            yield Move(to, cost + more, uses, (way, switching, crossing))
 
-    def crossings(self, place: Place) -> list[tuple[_Way, Mode, Amounts, int]]:
+    def crossings(self, place: Place) -> list[Crossing]:
         """Return each way from a place, in each mode that is possible, with what that takes and costs."""
-        if place not in self._crossings:
-            weights = self.question.weights
-            self._crossings[place] = [
-                (way, mode, takes, weighed(takes, weights))
-                for way in self.ways(place)
-                for mode in self.modes.under(way.conditions)
-                for takes in (self._crossing(way, mode),)
-            ]
-        return self._crossings[place]
+        if not place.corridor:
+            return [(way, *priced) for way in self.ways(place) for priced in self._whole(way.corridor)]
+        found = []
+        for way in self.ways(place):
+            for mode in self.modes.under(way.conditions):
+                takes = self.costs.crossing(mode, way.length_m, way.passed)
+                found.append((way, mode, takes, self._weighed(takes)))
+        return found
+
+    def _whole(self, corridor: Corridor) -> list[tuple[Mode, Amounts, int]]:
+        """Return each mode in which a whole corridor can be crossed, with what that takes and costs."""
+        if corridor.name not in self._priced:
+            way, known = self.way(corridor, corridor.ends[0]), self._known
+            priced = self._priced[corridor.name] = []
+            for mode in self.modes.under(way.conditions):
+                takes = known.get((corridor.name, mode))
+                if takes is None:
+                    takes = known[corridor.name, mode] = self.costs.crossing(mode, way.length_m, way.passed)
+                priced.append((mode, takes, self._weighed(takes)))
+        return self._priced[corridor.name]
 
     def switching(self, before: Mode, after: Mode) -> tuple[Amounts, int]:
         """Return what it takes, and costs, to change modes."""
-        if (before, after) not in self._switching:
-            takes = self.costs.switching(before, after)
-            self._switching[before, after] = takes, weighed(takes, self.question.weights)
-        return self._switching[before, after]
-
-    def _crossing(self, way: _Way, mode: Mode) -> Amounts:
-        if way != self.way(way.corridor, way.origin)._replace(conditions=way.conditions):  # a part, not met again
-            return self.costs.crossing(mode, way.length_m, way.passed)
-        key = way.corridor.name, mode
-        if key not in self._known:
-            self._known[key] = self.costs.crossing(mode, way.length_m, way.passed)
-        return self._known[key]
+        takes = self.costs.switching(before, after)
+        return takes, self._weighed(takes)
 
     def ways(self, place: Place) -> Iterator[_Way]:
         """Yield the corridors at a place; from within one, on to its end, or back and into another."""
@@ -227,30 +240,39 @@ class Task:
 
     def least(self, state: State) -> tuple[float, tuple[float, ...]]:
         """Return the least that it costs, and uses, to get from here to the goal."""
-        place = state[0]
-        costs, *uses = self._least
-        return costs.get(place, math.inf), tuple(use.get(place, math.inf) for use in uses)
+        return self._least.get(state[0], self._nowhere)
 
     @cached_property
-    def _least(self) -> list[dict[Place, float]]:
-        places = [Place(name) for name in self.building.places]
-        places += [] if self.start[0] in places else [self.start[0]]
-        arcs: list[list[tuple[Place, Place, float]]] = [[] for _ in (None, *self.limited)]
-        for place in places:
-            least: dict[tuple[str, str], list[int]] = {}
-            for way, _, takes, cost in self.crossings(place):
-                amounts = [cost, *(takes[number] for number in self._indices)]
-                key = way.corridor.name, way.to
-                least[key] = list(map(min, least.get(key, amounts), amounts))
-            for (_, to), amounts in least.items():
-                for each, amount in zip(arcs, amounts, strict=True):
-                    each.append((place, Place(to), amount))
-        return [distances(each, [Place(self.goal)]) for each in arcs]
+    def _least(self) -> dict[Place, tuple[float, tuple[float, ...]]]:
+        arcs: list[tuple[str, str, list[int]]] = []
+        for corridor in self.building.corridors.values():
+            if amounts := [self._counted(takes, cost) for _, takes, cost in self._whole(corridor)]:
+                (one, two), least = corridor.ends, [min(column) for column in zip(*amounts, strict=True)]
+                arcs += [(one, two, least), (two, one, least)]
+        numbers = range(1 + len(self.limited))
+        far = [distances([(one, two, least[n]) for one, two, least in arcs], [self.goal]) for n in numbers]
+        found = {Place(name): (cost, tuple([use[name] for use in far[1:]])) for name, cost in far[0].items()}
+        if self.start[0].corridor:
+            ways = [
+                [amount + each[way.to] for amount, each in zip(self._counted(takes, cost), far, strict=True)]
+                for way, _, takes, cost in self.crossings(self.start[0])
+                if way.to in far[0]
+            ]
+            costs, *uses = [min(column) for column in zip(*ways, strict=True)] or [math.inf] * len(far)
+            found[self.start[0]] = (costs, tuple(uses))
+        return found
+
+    def _counted(self, takes: Amounts, cost: int) -> list[int]:
+        return [cost, *[takes[number] for number in self._indices]]
 
     @property
-    def graph(self) -> Graph[State, tuple[_Way, Amounts]]:
+    def graph(self) -> Graph[State, Taken]:
         """What is searched."""
         return Graph(self.moves, lambda state: state[0] == Place(self.goal), self.least)
+
+
+def _whole(limit: float) -> int:
+    return math.floor(min(limit + 1e-6, sys.float_info.max))
 
 
 def _check_inside(building: Building, start: Place) -> None:
@@ -312,8 +334,9 @@ class JointPlanner:
         through = [move for move in task.moves(task.start) if move.what[0].corridor.name == corridor]
         return self._leg(task, min(through, key=lambda move: (move.cost, move.uses))) if through else None
 
-    def _leg(self, task: Task, move: Move[State, tuple[_Way, Amounts]]) -> Leg:
-        way, takes = move.what
+    def _leg(self, task: Task, move: Move[State, Taken]) -> Leg:
+        way, switching, crossing = move.what
+        takes = Amounts(*map(add, switching, crossing))
         mode = move.to[1]
         possible = self._modes.under(way.conditions)
         designs = {tuple(one.choice.designs.values()) for one in possible}

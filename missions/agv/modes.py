@@ -4,8 +4,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import product
 
-from kb import Choice, KnowledgeBase, Model, Situation, Status
-from kb.elements import EstimationKind
+from kb import Choice, KnowledgeBase, Model, Situation
+from kb.elements import Constraint, EstimationKind
 from kb.status import OPERATORS
 
 __all__ = ["Mode", "Modes", "running_mode"]
@@ -35,22 +35,26 @@ class Modes:
     """Asks a knowledge base, by situations, which modes of a function are possible under which conditions.
 
     Conditions that violate the same constraints of the model allow the same modes, so that one situation serves all.
+    What was answered is forgotten as soon as a fact or the model has changed.
 
     Args:
-        kb: what to ask; its failures count.
+        kb: what to ask; its failures and measurements count.
         function: for which designs are chosen.
         failed: components that are supposed to have failed, too.
+
+    Raises:
+        UnknownName: no such function.
     """
 
     def __init__(self, kb: KnowledgeBase, function: str, failed: Iterable[str] = ()) -> None:
         self._kb = kb
         self._supposed = tuple(failed)
-        self._function = function
-        self._model = kb.model
+        self._function = kb.functions[function].name
+        self._revision = -1
+        self._constraints: dict[str, list[Constraint]] = {}
         self._found: dict[tuple[object, ...], tuple[Mode, ...]] = {}
         self._reasons: dict[tuple[object, ...], str] = {}
-        self._made: dict[tuple[str, ...], Mode] = {}
-        self._failed: tuple[int, tuple[str, ...]] = (-1, ())
+        self._made: dict[tuple[object, ...], Mode] = {}
 
     def under(self, conditions: Mapping[str, float]) -> tuple[Mode, ...]:
         """Return the modes that are possible while attributes have these values; none if the function is unfeasible."""
@@ -68,31 +72,36 @@ class Modes:
         return self._reasons[key]
 
     def _key(self, conditions: Mapping[str, float]) -> tuple[object, ...]:
-        """Return which constraints hold, and what has failed."""
-        held = (
-            OPERATORS[one.operator](conditions[one.attribute], one.value)
-            for one in self._model.constraints
-            if one.attribute in conditions
+        """Return which constraints hold; for one with hysteresis, which depends on more than the value, the value."""
+        if self._revision != self._kb.revision:
+            self._forget()
+        return tuple(
+            [
+                value if one.hysteresis else OPERATORS[one.operator](value, one.value)
+                for attribute, value in conditions.items()
+                for one in self._constraints.get(attribute, ())
+            ]
         )
-        kb = self._kb
-        if self._failed[0] != kb.revision:
-            failed = (name for name in kb.components if kb.components[name].status is Status.FAILURE)
-            self._failed = (kb.revision, tuple(failed))
-        return (*held, *self._failed[1])
+
+    def _forget(self) -> None:
+        self._revision = self._kb.revision
+        self._found, self._reasons, self._constraints = {}, {}, {}
+        for one in self._kb.model.constraints:
+            self._constraints.setdefault(one.attribute, []).append(one)
 
     def _situation(self, conditions: Mapping[str, float]) -> Situation:
         return self._kb.situation(conditions, failed=self._supposed)
 
     def _possible(self, situation: Situation) -> Iterator[Mode]:
+        model = self._kb.model
         for design in situation.selectable_designs(self._function):
-            parts = self._model.designs[design].components
+            parts = model.designs[design].components
             configured = [part for part in parts if situation.components[part].configurations]
             for chosen in product(*(situation.selectable_configurations(part) for part in configured)):
-                key = (design, *chosen)
-                if key not in self._made:
-                    choice = Choice({self._function: design}, dict(zip(configured, chosen, strict=True)))
-                    self._made[key] = _mode(self._model, choice, frozenset(parts))
-                yield self._made[key]
+                choice = Choice({self._function: design}, dict(zip(configured, chosen, strict=True)))
+                made = _mode(model, choice, frozenset(parts))
+                held = (tuple(made.parameters.items()), tuple(made.estimates.items()))
+                yield self._made.setdefault((design, chosen, made.components, held), made)
 
 
 def running_mode(kb: KnowledgeBase, function: str) -> Mode:

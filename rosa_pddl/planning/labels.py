@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from heapq import heapify, heappop, heappush
 from math import inf
+from operator import add, gt
 from typing import Generic, NamedTuple, TypeVar
 
 __all__ = ["Found", "Graph", "Move", "cheapest", "distances"]
@@ -49,46 +50,46 @@ class Found(NamedTuple, Generic[S, T]):
 
 
 class _Label(NamedTuple, Generic[S, T]):
+    """A way to a state: what it costs, followed by what it uses up."""
+
     before: "_Label[S, T] | None"
     move: Move[S, T] | None
     state: S
-    cost: int
-    uses: tuple[int, ...]
+    spent: tuple[int, ...]
 
 
 def cheapest(graph: Graph[S, T], start: S, limits: Sequence[float] = ()) -> Found[S, T] | None:
     """Find a way of least cost that uses up no more than the limits; None is a proof that there is none.
 
-    Labels leave the queue by cost plus what is lacking at least. So those of a state leave it in order of cost, and a
-    label is worth following only if it uses less of something than every one before it; the first at a goal is
-    optimal. `least` has to be consistent: no move lowers it by more than the move costs.
+    Labels leave the queue by cost plus what is lacking at least; the first at a goal is optimal. A label is followed
+    unless another one of its state costs no more and uses no more of anything. `least` has to be consistent: no move
+    lowers it by more than the move costs.
     """
-    first: _Label[S, T] = _Label(None, None, start, 0, (0,) * len(limits))
-    queue = [(graph.least(start)[0], first.uses, 0, first)]
-    best: dict[S, list[tuple[int, ...]]] = {}
+    first: _Label[S, T] = _Label(None, None, start, (0,) * (1 + len(limits)))
+    queue = [(graph.least(start)[0], first.spent[1:], 0, first)]
+    fronts: dict[S, list[tuple[int, ...]]] = {start: [first.spent]}
     pushed, expanded = 0, 0
     while queue:
         _, uses, _, label = heappop(queue)
-        state = label.state
-        if graph.is_goal(state):
-            return Found(tuple(_moves(label)), label.cost, uses, expanded)
-        front = best.setdefault(state, [])
-        if _is_dominated(uses, front):
+        _, _, state, spent = label
+        if spent not in fronts[state]:
             continue
-        front.append(uses)
+        if graph.is_goal(state):
+            return Found(tuple(_moves(label)), spent[0], uses, expanded)
         expanded += 1
         for move in graph.moves(state):
-            used = tuple(a + b for a, b in zip(uses, move.uses, strict=False)) if limits else ()
-            if move.to in best and _is_dominated(used, best[move.to]):
+            to, cost, more, _ = move
+            cost += spent[0]
+            used = tuple([a + b for a, b in zip(uses, more, strict=True)]) if limits else ()
+            reached, front = (cost, *used), fronts.get(to, ())
+            if any(map(gt, used, limits)) or _is_dominated(reached, front):
                 continue
-            least, lacking = graph.least(move.to)
-            if least == inf or any(a + b > limit for a, b, limit in zip(used, lacking, limits, strict=False)):
+            least, lacking = graph.least(to)
+            if least == inf or any(map(gt, map(add, used, lacking), limits)):
                 continue
-            if any(a > limit for a, limit in zip(used, limits, strict=True)):
-                continue
+            fronts[to] = [reached, *(other for other in front if not _is_dominated(other, (reached,)))]
             pushed += 1
-            cost = label.cost + move.cost
-            heappush(queue, (cost + least, used, pushed, _Label(label, move, move.to, cost, used)))
+            heappush(queue, (cost + least, used, pushed, _Label(label, move, to, reached)))
     return None
 
 
@@ -112,8 +113,14 @@ def distances(arcs: Iterable[tuple[S, S, float]], goals: Iterable[S]) -> dict[S,
     return found
 
 
-def _is_dominated(uses: tuple[int, ...], front: list[tuple[int, ...]]) -> bool:
-    return any(all(a <= b for a, b in zip(other, uses, strict=True)) for other in front)
+def _is_dominated(weight: tuple[int, ...], front: Iterable[tuple[int, ...]]) -> bool:
+    for other in front:
+        for one, two in zip(other, weight, strict=True):
+            if one > two:
+                break
+        else:
+            return True
+    return False
 
 
 def _moves(label: _Label[S, T]) -> list[Move[S, T]]:

@@ -10,7 +10,7 @@ from numpy.random import default_rng
 from kb import KnowledgeBase
 from missions.agv import MAPS, WEIGHTS
 from missions.agv.building import BuildingError, building_from, load_building
-from missions.agv.costs import GOALS, Costs, weighed
+from missions.agv.costs import GOALS, Costs, weighing
 from missions.agv.declared import asked_of
 from missions.agv.generated import generated_building
 from missions.agv.joint import JointPlanner, Place, Question
@@ -63,7 +63,7 @@ def by_exhaustion(building, kb, question):
                     costs.switching(before, mode),
                     costs.crossing(mode, one.length_m, one.obstacles * one.length_m),
                 )
-                cost += sum(weighed(part, question.weights) for part in parts)
+                cost += sum(map(weighing(question.weights), parts))
                 total = [a + b + c for a, b, c in zip(total, *parts, strict=True)]
             used = dict(zip(GOALS, total, strict=True))
             if all(used[name] / scales[name] <= limit for name, limit in question.limits.items()):
