@@ -3,7 +3,9 @@
 import json
 import math
 import re
+import sys
 import tomllib
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -16,6 +18,7 @@ from missions.mission import MissionError
 __all__ = ["Building", "BuildingError", "Corridor", "building_from", "load_building"]
 
 _NAME: Final = re.compile(r"[a-z][a-z0-9_]*")
+_SAID: Final = ("name", "start", "goal", "places", "corridors")
 _KEYS: Final = ("from", "to", "length_m", "obstacles", "light")
 
 
@@ -67,7 +70,12 @@ class Building:
     goal: str
 
     def __post_init__(self) -> None:
-        for corridor in self.corridors.values():
+        for place, point in self.places.items():
+            if not all(map(math.isfinite, point)):
+                raise BuildingError(f"place {place} is at {point}; x and y [m] are finite numbers")
+        for name, corridor in self.corridors.items():
+            if name != corridor.name:
+                raise BuildingError(f"corridor {corridor.name} is listed as {name!r}; give it one name")
             for end in corridor.ends:
                 self.check_place(end, f"corridor {corridor.name}")
             if corridor.ends[0] == corridor.ends[1]:
@@ -122,12 +130,20 @@ def load_building(path: str | Path) -> Building:
     path = Path(path)
     try:
         text = path.read_text(encoding="utf-8")
-        data = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
-    except (OSError, ValueError) as error:
+        data = json.loads(text, object_pairs_hook=_once) if path.suffix == ".json" else tomllib.loads(text)
+    except (OSError, ValueError, RecursionError) as error:
         raise BuildingError(
             f"map {path} cannot be read: {error}; a map is a file of TOML, or of JSON if so named"
         ) from error
     return building_from(data, path.stem)
+
+
+def _once(pairs: list[tuple[str, object]]) -> dict[str, object]:
+    """Return what stands in braces in a file of JSON, which by itself would take the last of a name."""
+    for name, count in Counter(name for name, _ in pairs).items():
+        if count > 1:
+            raise ValueError(f"{name!r} stands {count} times within the same braces")
+    return dict(pairs)
 
 
 def building_from(data: Any, name: str = "unnamed") -> Building:  # noqa: ANN401  # whatever stands in a file
@@ -143,11 +159,14 @@ def building_from(data: Any, name: str = "unnamed") -> Building:  # noqa: ANN401
     for key in ("start", "goal", "places", "corridors"):
         if not isinstance(data, Mapping) or key not in data:
             raise BuildingError(f"map {name} says no {key}; it needs start, goal, places and corridors")
+    for key in data:
+        if key not in _SAID:
+            raise BuildingError(f"map {name} says an unknown {key!r}; known are {', '.join(_SAID)}")
     for key in ("places", "corridors"):
         if not isinstance(data[key], Mapping) or not data[key]:
             raise BuildingError(f"{key} of map {name} are given by name, at least one")
         for one in data[key]:
-            if not _NAME.fullmatch(one):
+            if not isinstance(one, str) or not _NAME.fullmatch(one):
                 raise BuildingError(
                     f"{one!r} in {key} of map {name} is no name; a letter, then letters, digits, '_', all small"
                 )
@@ -176,15 +195,15 @@ def _corridor(name: str, told: object, places: Mapping[str, tuple[float, float]]
 
 
 def _number(what: str, told: object) -> float:
-    if isinstance(told, bool) or not isinstance(told, int | float) or not math.isfinite(told):
-        raise BuildingError(f"{what} is {told!r}; a finite number is needed")
+    if isinstance(told, bool) or not isinstance(told, int | float) or not abs(told) <= sys.float_info.max:
+        raise BuildingError(f"{what} is {told!r:.40}; a finite number is needed")
     return float(told)
 
 
 def _check_numbers(corridor: Corridor) -> None:
     rules = (
-        ("length_m", corridor.length_m > 0.0, "more than 0"),
-        ("obstacles", corridor.obstacles >= 0.0, "0 or more"),
+        ("length_m", 0.0 < corridor.length_m < math.inf, "more than 0 and finite"),
+        ("obstacles", 0.0 <= corridor.obstacles < math.inf, "0 or more and finite"),
         ("light", 0.0 <= corridor.light <= 1.0, "from 0 to 1"),
     )
     for key, holds, needed in rules:

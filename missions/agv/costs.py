@@ -131,12 +131,12 @@ def _taken(mode: Mode, attribute: str) -> float:
     if adds is None:
         known = ", ".join(mode.estimates) or "nothing"
         raise MissionError(
-            f"nothing estimates what {mode.name} takes from {attribute}, only {known}; give its designs, components or "
-            f"configurations an estimation of {attribute}, 0 if it takes nothing"
+            f"nothing estimates what {mode.name} takes from {attribute}; estimated is {known}; give its "
+            f"designs, components or configurations an estimation of {attribute}, 0 if it takes nothing"
         )
     if adds > 0.0:
         raise MissionError(
             f"{mode.name} is estimated to add {adds:g} to {attribute}; what is planned with takes from it: estimate a "
             "number from 0 of the kind 'negative'"
         )
-    return -adds
+    return 0.0 - adds

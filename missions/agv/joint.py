@@ -18,7 +18,10 @@ from missions.agv.modes import Mode, Modes, running_mode
 from missions.mission import MissionError
 from rosa_pddl.planning.labels import Graph, Move, cheapest, distances
 
-__all__ = ["Answer", "JointPlanner", "Leg", "Place", "Question", "Task"]
+__all__ = ["Answer", "DEMANDS", "JointPlanner", "Leg", "Place", "Question", "Task"]
+
+DEMANDS: Final = ("light", "obstacles")
+"""What corridors demand, as attributes: light from 0 to 1, and obstacles [1/m]."""
 
 _UNITS: Final = {"time": (" s", 1e3), "energy": (" J", 1e3), "collisions": ("", 1e6)}
 
@@ -150,7 +153,8 @@ class Task:
         self, building: Building, question: Question, modes: Modes, running: Mode, costs: Costs, known: Known
     ) -> None:
         self.building, self.question, self.costs, self.modes = building, question, costs, modes
-        self.start: State = (question.start or Place(building.start), running)
+        place = question.start or Place(building.start)
+        self.start: State = (place if place.corridor else Place(place.name), running)
         self.goal = question.goal or building.goal
         building.check_place(self.start[0].name, "start")
         building.check_place(self.goal, "goal")
@@ -287,14 +291,23 @@ class JointPlanner:
 
     Args:
         building: the map.
-        kb: what to ask for configurations; its failures count, its measurements of the demands do not.
+        kb: what to ask for configurations; its facts count, except for measurements of the demands.
         function: whose designs are chosen.
         costs: what things take.
+
+    Raises:
+        MissionError: the model has no attributes for what corridors demand.
+        UnknownName: it has no such function.
     """
 
     def __init__(
         self, building: Building, kb: KnowledgeBase, function: str = "navigate", costs: Costs | None = None
     ) -> None:
+        if lacking := [name for name in DEMANDS if name not in kb.attributes]:
+            raise MissionError(
+                f"corridors demand {' and '.join(DEMANDS)}, but model {kb.model.name} has no attribute "
+                f"{' nor '.join(lacking)}; declare it as environmental, even if nothing is constrained by it"
+            )
         self.building = building
         self._kb, self._function = kb, function
         self._modes = Modes(kb, function)
@@ -348,7 +361,9 @@ class JointPlanner:
         return Leg(way.corridor.name, way.origin, way.to, mode, way.conditions, takes, why)
 
     def _why(self, task: Task, legs: tuple[Leg, ...], takes: Amounts) -> str:
-        route = ", ".join(leg.corridor for leg in legs) or "nowhere"
+        if not legs:
+            return f"already at {task.goal}"
+        route = ", ".join(leg.corridor for leg in legs)
         within = [f"{name} {task.question.limits[name]:g}" for name in task.limited]
         limits = f" within {' and '.join(within)}" if within else ""
         told = f"{takes.time_s:.1f} s, {takes.energy_j:.0f} J, {takes.expected_collisions:.3f} collisions expected"
@@ -359,7 +374,9 @@ class JointPlanner:
         blocked = [way for way in ways if not self._modes.under(way.conditions)]
         if len(blocked) == len(ways):
             why = self._modes.why_none(blocked[0].conditions)
-            return f"no corridor can be crossed in any configuration; in {blocked[0].corridor.name}, {why}"
+            wrong = [f"{one.message}, {one.advice}; " for one in self._kb.model.check() if one.severity == "error"]
+            faults = "".join(wrong[:1])
+            return f"no corridor can be crossed in any configuration; {faults}in {blocked[0].corridor.name}, {why}"
         if not task.limited or task.least(task.start)[0] == math.inf:
             named = ", ".join(way.corridor.name for way in blocked[:5])
             why = f"{named} cannot be crossed: {self._modes.why_none(blocked[0].conditions)}" if blocked else "no way"

@@ -126,6 +126,7 @@ def _mode(model: Model, choice: Choice, components: frozenset[str]) -> Mode:
             estimates[one.attribute] = estimates.get(one.attribute, 0.0) + sign * one.value
     parameters: dict[str, float] = {}
     for name in choice.configurations.values():
-        held = model.configurations[name].parameters
-        parameters |= {key: float(value) for key, value in held.items() if isinstance(value, int | float)}
+        for key, value in model.configurations[name].parameters.items():
+            if isinstance(value, int | float) and not isinstance(value, bool):
+                parameters[key] = float(value)
     return Mode(" ".join(names), choice, components, parameters, estimates)
