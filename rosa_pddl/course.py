@@ -71,6 +71,10 @@ class Course:
         """Return the course after something has happened."""
         return replace(self, happened=self.happened.union(events))
 
+    def with_domain(self, domain: Domain) -> "Course":
+        """Return the course as it is in a domain that differs in what steps bring about."""
+        return replace(self, domain=domain)
+
     def with_goals(self, goals: tuple[Goal, ...]) -> "Course":
         """Return the course with other goals to reach."""
         return replace(self, goals=goals)

@@ -11,6 +11,7 @@ from rosa_pddl.course import Course, Event
 from rosa_pddl.domain import Domain, Feasibility, State, Step
 from rosa_pddl.exceptions import MissingBehaviourError, nearest
 from rosa_pddl.goals import Goals
+from rosa_pddl.hopes import Disappointment, Hopes
 from rosa_pddl.planning import Planner
 from rosa_pddl.policy import Decision, ReplanningPolicy, decide
 from rosa_pddl.problem import Problem
@@ -79,8 +80,9 @@ class PlanExecutor(Behaviour):
         self._owns_planner = planner is None
         self._planner: PlansAhead = Planner() if planner is None else planner
         self._belief = Belief(domain, kb, sense)
-        self._quest = Quest(domain, lambda: self._belief.numbers)
-        self._replanning = Replanning(domain, self.goals, self._quest, self._planner, clock, delay_s, self._policy)
+        self._hopes = Hopes(domain, kb)
+        self._quest = Quest(self._hopes, lambda: self._belief.numbers)
+        self._replanning = Replanning(self.goals, self._quest, self._planner, clock, delay_s, self._policy)
         self._setup_arguments: dict[str, object] = {}
         self._running: list[RunningStep] = []
         self._ended_meanwhile: list[Step] = []
@@ -181,6 +183,8 @@ class PlanExecutor(Behaviour):
 
     def _watch(self, state: State) -> None:
         """Stop what cannot go on, and find out whether the plan still does."""
+        if self._hopes.look() and self._course is not None:
+            self._course = self._course.with_domain(self._hopes.domain)
         goals_changed, self._seen_goals = self.goals.version != self._seen_goals, self.goals.version
         if goals_changed:
             self._replanning.goals_changed(is_needed=self._course is None)
@@ -332,7 +336,19 @@ class PlanExecutor(Behaviour):
         if self._course is not None and running.number is not None:
             self._course = self._course.with_event(Event(running.number, True))
         self._ended_meanwhile.append(step)
+        disappointed = self._hopes.ended(step, state)
+        if disappointed and self._course is not None:
+            self._despair(self._course.with_domain(self._hopes.domain), disappointed)
         return None
+
+    def _despair(self, course: Course, disappointed: Iterable[Disappointment]) -> None:
+        """Go on without what a step was hoped to make feasible, or have a plan made if the rest needs that."""
+        state = self._belief.observe()
+        hoped = state | {self._domain.feasible_atom(one.action) for one in disappointed}
+        if course.replay(state).flaw is not None and course.replay(hoped).flaw is None:
+            self._want(Decision("; ".join(map(str, disappointed)), is_needed=True))
+        else:
+            self._course = course
 
     def _release(self, steps: Iterable[RunningStep]) -> None:
         """Stop steps if they still run, take back what was believed because they had started, and let go of them."""

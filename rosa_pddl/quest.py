@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterable, Mapping
 from rosa_pddl.course import Course
 from rosa_pddl.domain import Domain, State
 from rosa_pddl.goals import Goal, Goals
+from rosa_pddl.hopes import Disappointment, Hopes
 from rosa_pddl.planning import PlanningResult
 from rosa_pddl.planning.costs import Costs
 from rosa_pddl.planning.grounding import lock_of
@@ -22,7 +23,7 @@ class Quest:
     """What shall be reached in a domain.
 
     Args:
-        domain: what `load_domain` returned.
+        hopes: the domain, as far as it is relied upon.
         numbers: returns the values, now, of numeric facts that costs are made of; the others are those of the problem
             file.
 
@@ -30,17 +31,27 @@ class Quest:
         UnsupportedPddlError: the metric cannot be kept.
     """
 
-    def __init__(self, domain: Domain, numbers: Callable[[], Mapping[str, float]]) -> None:
-        self._domain, self._numbers = domain, numbers
-        self._soft: tuple[tuple[Goal, ...], SoftGoals] | None = None
-        with lock_of(domain):
-            self._costs = Costs(domain, Problem(domain, frozenset()).build())
+    def __init__(self, hopes: Hopes, numbers: Callable[[], Mapping[str, float]]) -> None:
+        self._hopes, self._numbers = hopes, numbers
+        self._soft: tuple[Domain, tuple[Goal, ...], SoftGoals] | None = None
+        with lock_of(self.domain):
+            self._costs = Costs(self.domain, Problem(self.domain, frozenset()).build())
+
+    @property
+    def domain(self) -> Domain:
+        """What is planned with: the domain without the hopes that are in doubt."""
+        return self._hopes.domain
+
+    @property
+    def doubts(self) -> tuple[Disappointment, ...]:
+        """The hopes that are in doubt."""
+        return self._hopes.doubts
 
     def problem(self, state: State, goals: Goals) -> Problem:
         """Return what to ask the planner."""
         hard = tuple(goal.expression for goal in goals.hard)
         if not goals.soft:
-            return Problem(self._domain, state, hard, self._numbers())
+            return Problem(self.domain, state, hard, self._numbers())
         soft = self._softened(goals.soft)
         return Problem(soft.domain, state, (*hard, soft.goal), self._numbers())
 
@@ -53,16 +64,16 @@ class Quest:
 
     def aimed(self, course: Course, state: State, goals: Goals) -> Course:
         """Return a course that has to reach the goals as they are now; of the soft ones those that it reaches."""
-        soft = _holding(self._domain, goals.soft, course.replay(state).facts)
+        soft = _holding(self.domain, goals.soft, course.replay(state).facts)
         return course.with_goals(goals.hard + soft)
 
     def is_over(self, state: State, goals: Goals, course: Course | None) -> bool:
         """Whether nothing is left to do: the goals hold, or those that do not are not worth it, as the plan found."""
-        if len(_holding(self._domain, goals.hard, state)) < len(goals.hard):
+        if len(_holding(self.domain, goals.hard, state)) < len(goals.hard):
             return False
         if course is not None and course.is_finished:
             return True
-        return len(_holding(self._domain, goals.soft, state)) == len(goals.soft)
+        return len(_holding(self.domain, goals.soft, state)) == len(goals.soft)
 
     def is_better(self, new: Course, after: State, old: Course, now: State, goals: Goals) -> bool:
         """Whether a course, begun in a state, works and costs less than the rest of another one, now."""
@@ -73,17 +84,16 @@ class Quest:
     def _price(self, course: Course, state: State, goals: Goals) -> float:
         """Return the cost of what has not ended, and the worth of the goals that are forgone."""
         facts = course.replay(state).facts
-        forgone = sum(
-            goal.worth or 0.0 for goal in goals.soft if not goal_holds(self._domain, facts, [goal.expression])
-        )
-        numbers = self._costs.numbers(Problem(self._domain, frozenset(), costs=self._numbers()))
+        forgone = sum(goal.worth or 0.0 for goal in goals.soft if not goal_holds(self.domain, facts, [goal.expression]))
+        numbers = self._costs.numbers(Problem(self.domain, frozenset(), costs=self._numbers()))
         return forgone + self._costs.total(course.unfinished_steps, numbers)
 
     def _softened(self, goals: tuple[Goal, ...]) -> SoftGoals:
-        if self._soft is None or self._soft[0] != goals:
-            with lock_of(self._domain):
-                self._soft = goals, SoftGoals.of(self._domain, goals)
-        return self._soft[1]
+        domain = self.domain
+        if self._soft is None or self._soft[:2] != (domain, goals):
+            with lock_of(domain):
+                self._soft = domain, goals, SoftGoals.of(domain, goals)
+        return self._soft[2]
 
 
 def _holding(domain: Domain, goals: Iterable[Goal], facts: State) -> tuple[Goal, ...]:

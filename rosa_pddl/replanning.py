@@ -53,7 +53,6 @@ class Replanning:
     """Asks for plans as a policy allows, and finds out why there is none.
 
     Args:
-        domain: what `load_domain` returned.
         goals: what shall be reached.
         quest: turns goals into problems.
         planner: answers.
@@ -64,7 +63,6 @@ class Replanning:
 
     def __init__(
         self,
-        domain: Domain,
         goals: Goals,
         quest: Quest,
         planner: PlansAhead,
@@ -72,13 +70,14 @@ class Replanning:
         delay_s: float | None,
         policy: ReplanningPolicy,
     ) -> None:
-        self._domain, self._goals, self._quest = domain, goals, quest
+        self._goals, self._quest = goals, quest
         self._clock, self._policy = clock, policy
         self._asking = Asking(planner, clock, delay_s)
         self._last_asked_s: float | None = None
         self._wanted: Decision | None = None
         self._diagnosis: Diagnosis | None = None
-        self._hopeless: tuple[State, str] | None = None
+        self._asked_in = quest.domain
+        self._hopeless: tuple[State, Domain, str] | None = None
         self.records: list[PlanRecord] = []
 
     @property
@@ -97,7 +96,9 @@ class Replanning:
 
     def why_hopeless(self, state: State) -> str | None:
         """Return why there is no plan from a state, if that has been found; None if it has to be asked."""
-        return self._hopeless[1] if self._hopeless is not None and self._hopeless[0] == state else None
+        if self._hopeless is None or self._hopeless[:2] != (state, self._quest.domain):
+            return None
+        return self._hopeless[2]
 
     @property
     def had_no_plan(self) -> bool:
@@ -130,6 +131,7 @@ class Replanning:
         if left_s > 0.0:
             return f"planning in {left_s:.2g} s: {self._wanted.reason}"
         decision, self._wanted = self._wanted, None
+        self._asked_in = self._quest.domain
         self._asking.ask(self._quest.problem(state, self._goals), state, decision)
         self._last_asked_s, self._hopeless = now_s, None
         return f"planning: {decision.reason}"
@@ -155,36 +157,40 @@ class Replanning:
             return None
         decision = question.decision
         result, promised = self._quest.read(result, self._goals)
-        outcome, steps = result.outcome, result.steps
+        outcome, steps, domain = result.outcome, result.steps, self._quest.domain
+        is_fresh = state == question.state and domain is self._asked_in
         self.records.append(PlanRecord(question.at_s, decision.reason, outcome, steps, result.engine, result.message))
         if outcome.is_solved:
-            course = Course.of(self._domain, result, promised)
-            wrong = course.replay(state).flaw if state == question.state else None
+            course = Course.of(domain, result, promised)
+            wrong = course.replay(state).flaw if is_fresh else None
             if wrong is None:
                 return Found(course, decision)
             # the same question would get the same answer, again and again
-            self._hopeless = (state, f"no plan: what {result.engine} gave cannot be done event by event: {wrong}")
+            why = f"no plan: what {result.engine} gave cannot be done event by event: {wrong}"
+            self._hopeless = (state, domain, why)
             return None
         if not decision.is_needed:
             return None
-        if state != question.state:
+        if not is_fresh:
             self.want(Decision("the state changed during planning", is_needed=True))
             return None
         told = result.message or decision.reason
         why = f"no plan: {told}" if str(outcome) in told else f"no plan, {outcome}: {told}"
-        diagnosis = Diagnosis(self._domain, state, self._goals.hard, why, is_open=not outcome.is_trouble)
+        diagnosis = Diagnosis(domain, state, self._goals.hard, why, is_open=not outcome.is_trouble)
         self._diagnose(diagnosis, state)
         if result.safe_step is None:
             return None
         safe = PlanningResult(Outcome.SOLVED, (result.safe_step,))
-        return Found(Course.of(self._domain, safe, ()), Decision("there is no plan", is_needed=True))
+        return Found(Course.of(domain, safe, ()), Decision("there is no plan", is_needed=True))
 
     def _diagnose(self, diagnosis: Diagnosis, state: State) -> None:
         """Ask on, or conclude that there is no plan; when the state has changed it is better to plan anew."""
-        if state != diagnosis.state:
+        domain = self._quest.domain
+        if (state, domain) != (diagnosis.state, diagnosis.domain):
             self.want(Decision("the state changed", is_needed=True))
         elif diagnosis.next_question is not None:
             self._diagnosis = diagnosis
             self._asking.ask(diagnosis.next_question, state, None)
         else:
-            self._diagnosis, self._hopeless = None, (state, str(diagnosis))
+            why = "; ".join(map(str, (diagnosis, *self._quest.doubts)))
+            self._diagnosis, self._hopeless = None, (state, domain, why)

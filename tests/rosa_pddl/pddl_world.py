@@ -86,9 +86,9 @@ class Task(Behaviour):
 class World:
     """Ticks a plan executor in lock-step: 0.1 s a tick, the planner caught up with between ticks."""
 
-    def __init__(self, domain, planner=None, **settings):
+    def __init__(self, domain, planner=None, kb=None, task=Task, **settings):
         self.domain = domain
-        self.kb = FakeKb(domain.rosa_actions)
+        self.kb = FakeKb(domain.rosa_actions) if kb is None else kb(self)
         self.facts: dict[str, bool] = {}
         self.ticks: dict[str, int] = {}
         self.events: dict[str, object] = {}
@@ -98,7 +98,7 @@ class World:
             "plan",
             kb=self.kb,
             domain=domain,
-            behaviours={schema: lambda step: Task(step, self) for schema in domain.schemas},
+            behaviours={schema: lambda step: task(step, self) for schema in domain.schemas},
             sense=lambda: self.facts,
             clock=lambda: self.now_s,
             planner=planner or Planner(),

@@ -9,6 +9,7 @@ from pddl_world import World, load_text
 from py_trees.common import Status
 
 from rosa_pddl import GoalError, Goals, PddlError, Planner, UnknownNameError, UnsupportedPddlError
+from rosa_pddl.hopes import Hopes
 from rosa_pddl.quest import Quest
 
 SITES = ("north", "south", "east")
@@ -160,8 +161,9 @@ def test_the_soft_goals_that_are_pursued_have_the_best_net_benefit(survey, worth
     goals = Goals(survey)
     for site, value in worth.items():
         goals.add(f"(photographed {site})", worth=value)
-    quest = Quest(survey, dict)
-    problem = quest.problem(World(survey).executor._belief.observe(), goals)
+    world = World(survey)
+    quest = Quest(Hopes(survey, world.kb), dict)
+    problem = quest.problem(world.executor._belief.observe(), goals)
     result = Planner().plan(problem)
     subsets = [chosen for size in range(len(worth) + 1) for chosen in combinations(sorted(worth), size)]
     assert result.cost == min(benefit(worth, chosen) for chosen in subsets), result.message
