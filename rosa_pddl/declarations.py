@@ -7,6 +7,7 @@ from enum import Enum
 from itertools import chain, pairwise
 
 from rosa_pddl.exceptions import nearest
+from rosa_pddl.resources import check_condition, check_effect, check_goal, used_up
 from rosa_pddl.sections import BODY, check_frames, start_of
 from rosa_pddl.syntax import Node, Source
 from rosa_pddl.timing import check_times, is_timed
@@ -57,15 +58,16 @@ def mentions(domain: Source, problem: Source) -> tuple[Mention, ...]:
         UnsupportedPddlError: a construct that cannot be planned or executed here.
     """
     check_frames(domain, problem)
-    found_in_domain = tuple(chain.from_iterable(_section(domain, node) for node in domain.root.children[2:]))
-    found_in_problem = tuple(chain.from_iterable(_section(problem, node) for node in problem.root.children[2:]))
+    used = used_up(domain)
+    found_in_domain = tuple(chain.from_iterable(_section(domain, node, used) for node in domain.root.children[2:]))
+    found_in_problem = tuple(chain.from_iterable(_section(problem, node, used) for node in problem.root.children[2:]))
     _check(found_in_domain, _declared(found_in_domain))
     _check_lineage(domain)
     _check(found_in_problem, _declared(found_in_domain + found_in_problem))
     return found_in_domain + found_in_problem
 
 
-def _section(source: Source, node: Node) -> Iterator[Mention]:
+def _section(source: Source, node: Node, resources: frozenset[str]) -> Iterator[Mention]:
     body = node.children[1:]
     if node.head == ":types":
         yield from _typed(source, body, Kind.TYPE)
@@ -74,12 +76,12 @@ def _section(source: Source, node: Node) -> Iterator[Mention]:
     elif node.head in (":predicates", ":functions"):
         yield from _signatures(source, body)
     elif node.head in BODY:
-        yield from _schema(source, node)
+        yield from _schema(source, node, resources)
     elif node.head == ":init":
         yield from chain.from_iterable(_fact(source, fact) for fact in body)
     elif node.head == ":goal":
         for goal in body:
-            _refuse_numbers(source, goal, "the goal", may_cost=False)
+            check_goal(source, goal, resources)
             yield from _formula(source, goal, frozenset())
 
 
@@ -127,7 +129,7 @@ def _signatures(source: Source, nodes: Sequence[Node]) -> Iterator[Mention]:
         yield Mention(Kind.PREDICATE, node.children[0], source, declares=True, arity=len(_variables(arguments)))
 
 
-def _schema(source: Source, node: Node) -> Iterator[Mention]:
+def _schema(source: Source, node: Node, resources: frozenset[str]) -> Iterator[Mention]:
     if len(node.children) < 2 or node.children[1].is_list or node.children[1].lower.startswith(":"):
         raise source.error(node, f"found {start_of(node)!r}, expected '({node.head} NAME ...)'")
     name = node.children[1]
@@ -140,9 +142,11 @@ def _schema(source: Source, node: Node) -> Iterator[Mention]:
     for keyword in (":precondition", ":condition", ":effect"):
         if keyword in parts:
             is_effect = keyword == ":effect"
-            _refuse_numbers(source, parts[keyword], str(name), may_cost=is_effect)
+            if is_effect:
+                check_effect(source, parts[keyword], str(name), resources)
+            else:
+                check_condition(source, parts[keyword], str(name))
             check_times(source, node, parts[keyword], is_effect=is_effect)
-            _check_one_cost(source, parts[keyword])
             yield from _formula(source, parts[keyword], scope)
     if ":duration" in parts:
         yield from _term(source, parts[":duration"], scope)
@@ -172,36 +176,6 @@ def _check_once(source: Source, parameters: Iterable[Node]) -> None:
         if node.lower.startswith("?") and node.lower in seen:
             raise source.error(node, f"found the parameter {node.word!r} again, expected another name")
         seen.add(node.lower)
-
-
-def _refuse_numbers(source: Source, node: Node, place: str, *, may_cost: bool) -> None:
-    """Numbers may only be action costs: the planner of this package and the executor know true and false."""
-    if may_cost and node.head == "increase" and len(node.children) == 3 and node.children[1].head == "total-cost":
-        cost = node.children[2].lower
-        if _is_number(cost) and float(cost) < 0.0:
-            raise source.unsupported(node, f"{start_of(node)!r} in {place} is less than nothing; costs are 0 or more")
-        return
-    numeric = node.head in _COMPARISONS + _CHANGES
-    numeric = numeric or (node.head == "=" and any(child.is_list for child in node.children))
-    if numeric:
-        message = f"{start_of(node)!r} in {place} computes with numbers; the engines here plan with costs only, which "
-        message += "no condition changes; a numeric engine such as ENHSP (up-enhsp) would do"
-        raise source.unsupported(node, message)
-    for child in node.children:
-        _refuse_numbers(source, child, place, may_cost=may_cost and node.head not in ("when", "forall"))
-
-
-def _check_one_cost(source: Source, effect: Node) -> None:
-    costs = list(_costs(effect))
-    if len(costs) > 1:
-        raise source.error(costs[1], f"found a second cost {start_of(costs[1])!r}, expected one; add them up")
-
-
-def _costs(node: Node) -> Iterator[Node]:
-    if node.head == "increase":
-        yield node
-    for child in node.children:
-        yield from _costs(child)
 
 
 def _formula(source: Source, node: Node, scope: frozenset[str]) -> Iterator[Mention]:

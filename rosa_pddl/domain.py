@@ -70,6 +70,36 @@ class Step:
         return f"{self.schema}({', '.join(self.arguments)})"
 
 
+@dataclass(frozen=True)
+class Limit:
+    """How much of a resource may be used up in all, with what was used before.
+
+    Args:
+        amount: as unified-planning's expression, of numbers that no action changes.
+        is_strict: whether so much is too much already.
+    """
+
+    amount: UpThing
+    is_strict: bool = False
+
+
+@dataclass(frozen=True)
+class Resource:
+    """A number that actions only increase, such as `(energy_used)`, and what limits it.
+
+    Args:
+        name: as the file spells it.
+        fluent: the number as unified-planning's expression.
+        uses: by how much PDDL actions increase it, as unified-planning's expressions; others leave it as it is.
+        limits: which all hold in the end, and so all along.
+    """
+
+    name: str
+    fluent: UpThing
+    uses: Mapping[str, UpThing] = field(hash=False)
+    limits: tuple[Limit, ...] = ()
+
+
 @dataclass(frozen=True, eq=False)
 class Domain:
     """What `load_domain` returns; never changes.
@@ -88,6 +118,7 @@ class Domain:
         places: file and line of what is declared, by kind (object, action) and name, and of (section, `:metric`).
         types: for each object its type and the ancestors of that, in lower case.
         oversights: what may be one in the files, in sentences, such as a misspelt requirement.
+        resources: what actions use up; the limits stand here, and neither in `goals` nor in those of `up_problem`.
     """
 
     name: str
@@ -103,6 +134,7 @@ class Domain:
     places: Mapping[tuple[str, str], tuple[str, int]] = field(repr=False)
     types: Mapping[str, tuple[str, ...]] = field(repr=False)
     oversights: tuple[str, ...] = ()
+    resources: tuple[Resource, ...] = ()
     _atoms: dict[str, str] = field(default_factory=dict, repr=False)
 
     def check(self, kb: Feasibility) -> tuple[str, ...]:
@@ -154,6 +186,11 @@ class Domain:
         if text not in self._atoms:
             self._atoms[text] = self._canonical(text)
         return self._atoms[text]
+
+    @property
+    def limited(self) -> tuple[Resource, ...]:
+        """The resources that have a limit."""
+        return tuple(resource for resource in self.resources if resource.limits)
 
     def feasible_atom(self, action: str) -> str:
         """Return the atom that says that a ROSA action is feasible."""

@@ -7,6 +7,7 @@ What is generated follows ROSA's convention: a type `action` with one object for
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from decimal import Decimal
 from typing import Final
 
 from rosa_pddl.domain import ACTION_TYPE, FEASIBLE, Domain
@@ -38,6 +39,8 @@ class ActionSchema:
         duration_s: how long it takes [s]; None for an instantaneous action.
         cost: what it costs: a number, or the text of a numeric fact such as `"(travel_cost ?x ?y)"`; None for nothing.
             If no action has a cost, plans with the fewest steps are the best.
+        uses: what it uses up of resources, by their names, as numbers or the texts of numeric facts: such as
+            `{"energy_used": "(takes ?way ?mode)"}`. Where the problem limits one, plan with `Planner("label-setting")`.
         action: name of the ROSA action that is done; empty if it is called `name` too, None if there is none.
         hopes: names of ROSA actions that are hoped to be feasible afterwards. The hope serves planning only.
     """
@@ -51,6 +54,7 @@ class ActionSchema:
     end_effects: tuple[str, ...] = ()
     duration_s: float | None = None
     cost: float | str | None = None
+    uses: Mapping[str, float | str] = field(default_factory=dict, hash=False)
     action: str | None = ""
     hopes: tuple[str, ...] = ()
 
@@ -68,8 +72,11 @@ class DeclaredProblem:
         goal: formulas that shall all hold, such as `"(found treasure)"`.
         objects: the type of each object by its name; ROSA actions are objects by themselves.
         facts: the atoms that are true in the beginning; that of which ROSA action is which is added.
-        numbers: values of numeric facts that costs are made of, such as `{"(travel_cost a b)": 3.5}`.
+        numbers: values of numeric facts that costs, uses and limits are made of, such as `{"(travel_cost a b)": 3.5}`;
+            and of resources what was used up before, such as `{"(energy_used)": 120.0}`, if that is not 0.
         types: for each subtype the type above it.
+        limits: how much of resources may be used up, by their names, with what was used up before: a number, or the
+            text of a numeric fact that may be sensed, such as `{"energy_used": "(energy_full)"}`.
     """
 
     goal: tuple[str, ...]
@@ -77,6 +84,7 @@ class DeclaredProblem:
     facts: tuple[str, ...] = ()
     numbers: Mapping[str, float] = field(default_factory=dict)
     types: Mapping[str, str] = field(default_factory=dict)
+    limits: Mapping[str, float | str] = field(default_factory=dict)
 
 
 class Declarations:
@@ -111,6 +119,7 @@ class Declarations:
     def domain_pddl(self) -> str:
         """The text of the domain file."""
         constants = [name for name in self.problem.objects if name.lower() in self._uses.constants]
+        functions = list(self._functions())
         parts = [
             f"; Generated from the {self._place}.",
             f"(define (domain {self.name})",
@@ -120,7 +129,7 @@ class Declarations:
             "  (:predicates",
             *(f"    {_signature(name, kinds)}" for name, kinds in self._uses.predicates.items()),
             "  )",
-            *([f"  (:functions {' '.join(self._functions())})"] if self._has_costs else []),
+            *([f"  (:functions {' '.join(functions)})"] if functions else []),
             *(_action(one, self._has_costs) for one in self.schemas),
             ")",
         ]
@@ -132,9 +141,11 @@ class Declarations:
         problem = self.problem
         objects = [name for name in problem.objects if name.lower() not in self._uses.constants]
         facts = [f"({action}_action {action})" for action in self.rosa_actions]
-        numbers = [f"(= {atom} {_number(value)})" for atom, value in problem.numbers.items()]
+        told = {**{f"({name})": 0.0 for name in self._resources}, **problem.numbers}
+        numbers = [f"(= {atom} {_number(value)})" for atom, value in told.items()]
         if self._has_costs:
             numbers.append("(= (total-cost) 0)")
+        limits = [f"(<= ({name}) {_number(limit)})" for name, limit in problem.limits.items()]
         actions = f"{' '.join(self.rosa_actions)} - {ACTION_TYPE} " if self.rosa_actions else ""
         parts = [
             f"; Generated from the {self._place}.",
@@ -144,7 +155,7 @@ class Declarations:
             "  (:init",
             *(f"    {fact}" for fact in (*facts, *problem.facts, *numbers)),
             "  )",
-            f"  (:goal (and {' '.join(problem.goal)}))",
+            f"  (:goal (and {' '.join([*problem.goal, *limits])}))",
             *(["  (:metric minimize (total-cost))"] if self._has_costs else []),
             ")",
         ]
@@ -170,6 +181,10 @@ class Declarations:
             raise PddlError("no action is declared", self._place)
         if not problem.goal:
             raise PddlError("there is no goal; state what shall be so, such as goal=('(found treasure)',)", self._place)
+        for name in problem.limits:
+            if name not in self._resources:
+                hint = nearest(name, self._resources)
+                raise PddlError(f"{name!r} is limited, but no action uses it up; {hint}", self._place)
         known = [each.rosa_action for each in self.schemas if each.rosa_action is not None]
         taken: set[str] = set()
         for one in self.schemas:
@@ -191,8 +206,14 @@ class Declarations:
                 signatures.read(condition, scope, _of(one))
             for effect in (*one.start_effects, *one.end_effects):
                 signatures.read(effect, scope, _of(one), is_effect=True)
-            if isinstance(one.cost, str):
-                signatures.read_number(one.cost, scope, _of(one))
+            for amount in (one.cost, *one.uses.values()):
+                if isinstance(amount, str):
+                    signatures.read_number(amount, scope, _of(one))
+            for name in one.uses:
+                signatures.read_number(f"({name})", {}, _of(one))
+        for amount in self.problem.limits.values():
+            if isinstance(amount, str):
+                signatures.read_number(amount, {}, self._place)
         uses = signatures.uses()
         for text in (*self.problem.goal, *self.problem.facts):
             signatures.check(text, uses, self._place)
@@ -206,6 +227,10 @@ class Declarations:
     def _has_costs(self) -> bool:
         return any(one.cost is not None for one in self.schemas)
 
+    @property
+    def _resources(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(name for one in self.schemas for name in one.uses))
+
     def _requirements(self) -> Iterator[str]:
         yield from (":strips", ":typing")
         if self._uses.connectives - _SIMPLE:
@@ -214,6 +239,8 @@ class Declarations:
             yield ":durative-actions"
         if self._has_costs:
             yield ":action-costs"
+        if self._resources:
+            yield ":numeric-fluents"
 
     def _types(self) -> Iterator[str]:
         above = self.problem.types
@@ -228,7 +255,8 @@ class Declarations:
 
     def _functions(self) -> Iterator[str]:
         yield from (_signature(name, kinds) for name, kinds in self._uses.numbers.items())
-        yield "(total-cost)"
+        if self._has_costs:
+            yield "(total-cost)"
 
 
 def _signature(name: str, kinds: Iterable[str]) -> str:
@@ -256,7 +284,10 @@ def _check(schema: ActionSchema) -> None:
         _check_name(kind, place)
         if name.lower() in _reserved(schema):
             raise PddlError(f"the parameter {name} is taken: it stands for a ROSA action; choose another name", place)
-    for key, value in (("duration_s", schema.duration_s), ("cost", schema.cost)):
+    for name in schema.uses:
+        _check_name(name, place)
+    amounts = {f"uses[{name!r}]": value for name, value in schema.uses.items()}
+    for key, value in {"duration_s": schema.duration_s, "cost": schema.cost, **amounts}.items():
         if isinstance(value, int | float) and not 0.0 <= value < float("inf"):
             raise PddlError(f"{key} is {value:g}, expected a number that is not negative", place)
     if schema.duration_s is None and (schema.over_all or schema.end or schema.start_effects):
@@ -282,6 +313,7 @@ def _action(schema: ActionSchema, has_costs: bool) -> str:
     effects = [*schema.end_effects, *(f"({FEASIBLE} {parameter})" for _, parameter in hoped)]
     if has_costs:
         effects.append(f"(increase (total-cost) {_number(schema.cost or 0)})")
+    effects += [f"(increase ({name}) {_number(amount)})" for name, amount in schema.uses.items()]
     parameters = " ".join(f"{name} - {kind}" for name, kind in _scope(schema).items())
     if schema.duration_s is None:
         lines = [
@@ -311,4 +343,7 @@ def _block(keyword: str, formulas: Iterable[str]) -> list[str]:
 
 
 def _number(value: float | str) -> str:
-    return value if isinstance(value, str) else f"{value:.12g}"
+    if isinstance(value, str):
+        return value
+    short = f"{value:.12g}"
+    return short if float(short) == value else format(Decimal(str(value)), "f")

@@ -3,9 +3,13 @@
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
+from typing import TypeAlias
 
 from rosa_pddl.domain import Domain, Feasibility, Schema, State, UpThing
 from rosa_pddl.exceptions import UnsupportedPddlError
+
+Exact: TypeAlias = int | Fraction
+"""A number that is added up and compared without rounding."""
 
 
 @dataclass(frozen=True)
@@ -16,8 +20,9 @@ class Problem:
         domain: what `load_domain` returned.
         state: the atoms that are true now, feasibility included.
         goals: what shall hold, as unified-planning expressions; by default the goal of the problem file.
-        costs: values of numeric facts that costs are made of, such as `{"(travel_cost a b)": 3.5}`; the others are
-            those of the problem file.
+        costs: values of numeric facts that costs, uses and limits of resources are made of, such as
+            `{"(travel_cost a b)": 3.5}`, and of resources what was used up before, such as `{"(energy_used)": 120.0}`;
+            the others are those of the problem file.
     """
 
     domain: Domain
@@ -43,12 +48,32 @@ class Problem:
         for text, value in sorted(self.costs.items()):
             expression = self.domain.expression(self.domain.atom(text))
             if problem.has_fluent(expression.fluent().name):
-                problem.set_initial_value(expression, Fraction(value).limit_denominator(1000))
-        if self.goals is not None:
-            problem.clear_goals()
-            for goal in self.goals:
-                problem.add_goal(goal)
+                told = exact(value) if self.domain.resources else Fraction(value).limit_denominator(1000)
+                problem.set_initial_value(expression, told)
+        for goal in (*self.wanted, *limits_of(self.domain)):
+            problem.add_goal(goal)
         return problem
+
+
+def exact(value: float | Fraction) -> Exact:
+    """Return a number as it is written in decimals, so that sums are exact: 0.1 is a tenth.
+
+    Raises:
+        ValueError: it is none, or infinite.
+    """
+    if isinstance(value, int):
+        return value
+    told = value if isinstance(value, Fraction) else Fraction(str(float(value)))
+    return told.numerator if told.denominator == 1 else told
+
+
+def limits_of(domain: Domain) -> Iterator[UpThing]:
+    """Yield what the limits of resources say, as unified-planning's expressions."""
+    manager = domain.up_problem.environment.expression_manager
+    for resource in domain.resources:
+        for limit in resource.limits:
+            compare = manager.LT if limit.is_strict else manager.LE
+            yield compare(resource.fluent, limit.amount)
 
 
 def initial_state(domain: Domain) -> State:
@@ -85,17 +110,16 @@ def _sequential(domain: Domain) -> UpThing:
     problem = UpProblem(read.name, read.environment, initial_defaults=defaults)
     problem.add_objects(read.all_objects)
     metric = action_costs(domain)
+    has_numbers = metric is not None or bool(domain.resources)
     for fluent in read.fluents:
-        # a number that no metric needs would only keep engines from taking the problem
-        if fluent.type.is_bool_type() or metric is not None:
+        # numbers that nothing needs would only keep engines from taking the problem
+        if fluent.type.is_bool_type() or has_numbers:
             problem.add_fluent(fluent)
     for expression, value in read.explicit_initial_values.items():
-        if not value.is_bool_constant() and metric is not None:
+        if not value.is_bool_constant() and has_numbers:
             problem.set_initial_value(expression, value)
     actions = {action.name: _instantaneous(action, domain) for action in read.actions}
     problem.add_actions(actions.values())
-    for goal in read.goals:
-        problem.add_goal(goal)
     if metric is not None:
         problem.add_quality_metric(_costs(metric, actions, read.environment))
     return problem
@@ -140,6 +164,9 @@ def _instantaneous(action: UpThing, domain: Domain) -> UpThing:
         message = f"the effects of {schema.name} contradict one another when it is made instantaneous: {error}"
         file, line = domain.places.get(("action", schema.name), (domain.file, None))
         raise UnsupportedPddlError(message, file, line) from error
+    for resource in domain.resources:
+        if schema.name in resource.uses:
+            made.add_increase_effect(resource.fluent, resource.uses[schema.name])
     return made
 
 

@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 
 from rosa_pddl.conventions import rosa_action_of, with_told
@@ -14,6 +14,7 @@ from rosa_pddl.declarations import Kind, Mention, declared_types, mentions
 from rosa_pddl.domain import ACTION_TYPE, Domain, Schema, UpThing
 from rosa_pddl.exceptions import PddlError, UnsupportedPddlError
 from rosa_pddl.problem import Problem
+from rosa_pddl.resources import resources_of, without_limits
 from rosa_pddl.sections import BODY, doubtful_requirements, in_order
 from rosa_pddl.syntax import Node, Source, parse, read_source
 from rosa_pddl.timing import is_timed
@@ -300,13 +301,14 @@ def _domain(domain: Source, problem: Source, up_problem: UpThing, found: Iterabl
         places=places,
         types=types,
         oversights=(*doubtful_requirements(domain), *doubtful_requirements(problem)),
+        resources=resources_of(up_problem, outside),
     )
 
 
 def _goals(problem: Source) -> Iterator[Node]:
     for section in problem.root.children[2:]:
         if section.head == ":goal":
-            yield from (goal for goal in section.children[1:] if goal.children)
+            yield from chain.from_iterable(without_limits(goal) for goal in section.children[1:] if goal.children)
 
 
 def _lineage(type_: UpThing, outside: Mapping[str, str]) -> Iterator[str]:

@@ -9,8 +9,9 @@ from typing import Any
 
 from rosa_pddl.domain import Domain, UpThing
 from rosa_pddl.exceptions import nearest
-from rosa_pddl.planning.downward import SEARCHES, Trouble, install_advice, missing_part
+from rosa_pddl.planning.downward import Trouble, install_advice, missing_part
 from rosa_pddl.planning.grounding import lock_of
+from rosa_pddl.planning.labelling import TRANSLATED
 from rosa_pddl.planning.outcomes import Outcome, TimedStep
 from rosa_pddl.planning.processes import Leash
 from rosa_pddl.problem import Problem
@@ -31,7 +32,7 @@ _OUTCOMES = {
 def missing(engine: str, domain: Domain) -> str | None:
     """Return what to install if an engine is not there, None if it is."""
     factory = domain.up_problem.environment.factory
-    if engine in SEARCHES:
+    if engine in TRANSLATED:
         part = missing_part()
         return None if part is None else _missing(engine, factory, f"{part} is not installed")
     return None if engine in factory.engines else _missing(engine, factory, "is not installed")

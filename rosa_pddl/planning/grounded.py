@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from rosa_pddl.domain import Domain, State, Step, UpThing
 from rosa_pddl.exceptions import RosaPddlError, UnsupportedPddlError
 from rosa_pddl.planning.costs import Costs, CostSum, Numbers
-from rosa_pddl.planning.sas import Fact, Operator, SasTask
+from rosa_pddl.planning.sas import Effect, Fact, Operator, SasTask
 from rosa_pddl.planning.writing import ADDED
 from rosa_pddl.problem import Problem
 from rosa_pddl.validate import literals
 
-__all__ = ["Grounded", "NotRepresentableError", "Patched", "UnreachableGoalError"]
+__all__ = ["Fitted", "Grounded", "NotRepresentableError", "Patched", "Ready", "UnreachableGoalError"]
 
 # Fast Downward adds up costs in 32 bits; this leaves room for plans of a thousand of the dearest steps.
 _MOST_COST = 2_000_000
@@ -48,13 +48,43 @@ class Patched:
 
 
 @dataclass(frozen=True)
-class _Ready:
-    """An operator as the search reads it, but for its cost: what it needs of the frozen variables is asked before."""
+class Ready:
+    """An operator as a search reads it: what it needs of the frozen variables is asked before.
 
+    Args:
+        number: by which `Grounded.step` knows it.
+        step: what it does.
+        needs: what it needs of the frozen variables.
+        prevail: what it needs of the others, and leaves so.
+        effects: as those of an `Operator`, on the others.
+        cost: what it costs.
+        text: as Fast Downward reads it, but for its cost.
+    """
+
+    number: int
     step: Step
     needs: tuple[Fact, ...]
-    text: str
+    prevail: tuple[Fact, ...]
+    effects: tuple[Effect, ...]
     cost: CostSum
+    text: str
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A translated task with a state and a goal put in; variables that no operator changes are left out.
+
+    Args:
+        sizes: how many values each variable has.
+        state: the value of each variable.
+        goal: the facts that shall hold.
+        ready: the operators that the left out variables allow.
+    """
+
+    sizes: tuple[int, ...]
+    state: tuple[int, ...]
+    goal: tuple[Fact, ...]
+    ready: tuple[Ready, ...]
 
 
 class Grounded:
@@ -70,11 +100,12 @@ class Grounded:
 
     def __init__(self, domain: Domain, task: SasTask, costs: Costs, base: State, is_patchable: bool) -> None:
         self._domain, self._task, self._costs = domain, task, costs
+        self.has_axioms = task.has_axioms
         self.is_patchable = is_patchable and not task.has_axioms
         operators = [operator for operator in task.operators if not _is_added(operator)]
         written = _changing(operators) if self.is_patchable else range(len(task.variables))
         self._number = {variable: number for number, variable in enumerate(written)}
-        self._sizes = [len(task.variables[variable].values) for variable in written]
+        self._sizes = tuple([len(task.variables[variable].values) for variable in written])
         self.is_conditional = any(given for operator in operators for given, *_ in operator.effects)
         self._facts = dict(_named_facts(domain, task))
         self._none = [_none_of(variable.values) for variable in task.variables]
@@ -95,19 +126,29 @@ class Grounded:
             UnreachableGoalError: a fact of the goal cannot become true.
             UnsupportedPddlError: a cost has no value, or one that Fast Downward cannot be told.
         """
-        task = self._task
-        values = self._values(problem.state) if self.is_patchable else list(task.initial)
-        goal = self._goal(problem, values) if self.is_patchable else task.goal
+        fitted = self.fitted(problem)
+        costs = self._whole_costs([one.cost for one in fitted.ready], numbers)
+        text = [self._head, "begin_state\n", *(f"{value}\n" for value in fitted.state), "end_state\nbegin_goal\n"]
+        text += [f"{len(fitted.goal)}\n", *(f"{variable} {value}\n" for variable, value in fitted.goal)]
+        text += ["end_goal\n", f"{len(fitted.ready)}\n"]
+        text += [one.text + cost for one, cost in zip(fitted.ready, costs, strict=True)]
+        text.append(self._task.axioms if self.has_axioms else "0\n")
+        states = math.prod(map(float, fitted.sizes))
+        return Patched("".join(text).encode(), not fitted.goal, states, self.is_conditional, self.has_axioms)
+
+    def fitted(self, problem: Problem) -> Fitted:
+        """Put the state and the goal of a problem in.
+
+        Raises:
+            NotRepresentableError: the task does not fit.
+            UnreachableGoalError: a fact of the goal cannot become true.
+        """
+        values = self._values(problem.state) if self.is_patchable else list(self._task.initial)
+        goal = self._goal(problem, values) if self.is_patchable else self._task.goal
         ready = [one for one in self._ready if all(values[variable] == value for variable, value in one.needs)]
-        costs = self._whole_costs([one.cost for one in ready], numbers)
-        state = "\n".join([str(values[variable]) for variable in self._number])
-        text = [self._head, "begin_state\n", state, "\nend_state\nbegin_goal\n", str(len(goal)), "\n"]
-        text += [f"{self._number[variable]} {value}\n" for variable, value in goal]
-        text += ["end_goal\n", str(len(ready)), "\n"]
-        text += [one.text + cost for one, cost in zip(ready, costs, strict=True)]
-        text.append(task.axioms if not self.is_patchable else "0\n")
-        states = math.prod(map(float, self._sizes))
-        return Patched("".join(text).encode(), not goal, states, self.is_conditional, task.has_axioms)
+        state = tuple([values[variable] for variable in self._number])
+        inside = tuple([(self._number[variable], value) for variable, value in goal])
+        return Fitted(self._sizes, state, inside, tuple(ready))
 
     def _values(self, state: State) -> list[int]:
         """Return the value of each variable in a state."""
@@ -156,7 +197,7 @@ class Grounded:
 
     def _whole_costs(self, sums: Sequence[CostSum], numbers: Numbers) -> list[str]:
         try:
-            costs = [one.value(numbers) if one.terms else one.constant for one in sums]
+            costs = [one.value(numbers) if one.terms else float(one.constant) for one in sums]
         except KeyError as error:
             raise self._costs.missing(error, numbers) from error
         if min(costs, default=0.0) < 0.0 or not math.isfinite(sum(costs)):
@@ -178,17 +219,29 @@ class Grounded:
             lines += [*told.values, "end_variable"]
         return "\n".join([*lines, "0", ""])
 
-    def _operator(self, index: int, operator: Operator) -> _Ready:
+    def _operator(self, index: int, operator: Operator) -> Ready:
         head, *words = operator.name.split()
         outside, number = self._domain.outside, self._number
         step = self._domain.step(outside[head], [outside[word] for word in words])
-        kept = [f"{number[variable]} {value}" for variable, value in operator.prevail if variable in number]
-        lines = ["begin_operator", str(index), str(len(kept)), *kept, str(len(operator.effects))]
-        for given, variable, before, after in operator.effects:
-            conditions = [f"{number[one]} {value}" for one, value in given]
-            lines.append(" ".join([str(len(given)), *conditions, f"{number[variable]} {before} {after}"]))
-        needs = tuple(fact for fact in operator.prevail if fact[0] not in number)
-        return _Ready(step, needs, "\n".join([*lines, ""]), self._costs.of(step))
+        needs = tuple([fact for fact in operator.prevail if fact[0] not in number])
+        prevail = tuple([(number[variable], value) for variable, value in operator.prevail if variable in number])
+        effects = tuple(
+            [
+                (tuple([(number[one], value) for one, value in given]), number[variable], before, after)
+                for given, variable, before, after in operator.effects
+            ]
+        )
+        return Ready(index, step, needs, prevail, effects, self._costs.of(step), _written(index, prevail, effects))
+
+
+def _written(number: int, prevail: Sequence[Fact], effects: Sequence[Effect]) -> str:
+    """Write an operator for Fast Downward, but for its cost."""
+    kept = [f"{variable} {value}" for variable, value in prevail]
+    lines = ["begin_operator", str(number), str(len(kept)), *kept, str(len(effects))]
+    for given, variable, before, after in effects:
+        conditions = [f"{one} {value}" for one, value in given]
+        lines.append(" ".join([str(len(given)), *conditions, f"{variable} {before} {after}"]))
+    return "\n".join([*lines, ""])
 
 
 def _is_added(operator: Operator) -> bool:

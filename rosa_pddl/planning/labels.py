@@ -100,7 +100,8 @@ def distances(arcs: Iterable[tuple[S, S, float]], goals: Iterable[S]) -> dict[S,
         into.setdefault(two, []).append((one, length))
     order = {state: number for number, state in enumerate(into)}
     found: dict[S, float] = {}
-    queue = [(0.0, order.get(goal, -1), goal) for goal in goals]
+    # whole lengths have whole sums, however large: no 0.0 here
+    queue: list[tuple[float, int, S]] = [(0, order.get(goal, -1), goal) for goal in goals]
     heapify(queue)
     while queue:
         far, _, state = heappop(queue)

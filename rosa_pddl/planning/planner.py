@@ -8,9 +8,9 @@ from dataclasses import replace
 from rosa_pddl.domain import Domain, Step
 from rosa_pddl.exceptions import PlannerSettingError, UnknownNameError, nearest
 from rosa_pddl.planning.cache import PlanCache
-from rosa_pddl.planning.downward import SEARCHES
 from rosa_pddl.planning.engines import missing
 from rosa_pddl.planning.grounding import Grounding, Groundings
+from rosa_pddl.planning.labelling import TRANSLATED
 from rosa_pddl.planning.outcomes import Attempt, Outcome, PlanningResult
 from rosa_pddl.planning.processes import Cut, Leash
 from rosa_pddl.planning.trial import Settings, Trial
@@ -22,19 +22,21 @@ _MEGABYTE = 1 << 20
 
 
 class Planner:
-    """Plans with Fast Downward, and with other engines of unified-planning when that fails.
+    """Plans with Fast Downward, within limits with `label-setting`, and with engines of unified-planning.
 
     Tried in order, until one says that there is a plan, or proves that there is none:
 
-    - `warm` (Fast Downward only): the task was translated once, only state, goal and costs are put in and searched;
-    - `cold` (Fast Downward only): the task is translated and searched;
+    - `warm` (not other engines): the task was translated once, only state, goal and numbers are put in and searched;
+    - `cold` (not other engines): the task is translated and searched;
     - each engine of unified-planning that is named, in a process of its own.
 
     `fast-downward-opt` is A*: the plan has the least cost, or the fewest steps if there is no metric. `fast-downward`
-    is quicker on large tasks and gives some plan. Every plan is replayed before it is returned.
+    is quicker on large tasks and gives some plan. `label-setting` gives the plan of least cost that keeps to the limits
+    of the domain's resources; it is exact. Every plan is replayed before it is returned.
 
     Args:
-        engine: `fast-downward-opt`, `fast-downward`, or a name of unified-planning's factory, such as `aries`.
+        engine: `fast-downward-opt`, `fast-downward`, `label-setting`, or a name of unified-planning's factory, such as
+            `aries`.
         timeout_s: wall-clock time for everything that is tried [s]; then what runs is killed. Each way may take half
             of what is left, the last all of it, unless `budgets_s` says otherwise.
         fallback: engines of unified-planning to try afterwards; those that are not installed are passed over.
@@ -68,7 +70,7 @@ class Planner:
     ) -> None:
         self.engine = engine
         self.timeout_s = timeout_s
-        own = (("warm",) if warm else ()) + ("cold",) if engine in SEARCHES else (engine,)
+        own = (("warm",) if warm else ()) + ("cold",) if engine in TRANSLATED else (engine,)
         memory_bytes = memory_mb * _MEGABYTE
         self._settings = Settings(
             engine, (*own, *fallback), timeout_s, dict(budgets_s or {}), overlapping, memory_bytes
@@ -169,8 +171,9 @@ def _object(domain: Domain, word: str) -> str:
 
 
 def _check(settings: Settings) -> None:
-    if settings.overlapping and settings.engine in SEARCHES:
-        message = f"{settings.engine} plans one step after the other; for overlapping steps use a temporal engine"
+    sequential = [name for name in (settings.engine, *settings.ways) if name in TRANSLATED]
+    if settings.overlapping and sequential:
+        message = f"{sequential[0]} plans one step after the other; for overlapping steps use a temporal engine"
         raise PlannerSettingError(f"{message} such as 'aries' (pip install 'rosa-taca[temporal]')")
     for way, budget_s in settings.budgets_s.items():
         if way not in settings.ways:

@@ -6,10 +6,12 @@ The format is described in Fast Downward's documentation, "translator output for
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-__all__ = ["Fact", "Operator", "SasTask", "Variable", "parse"]
+__all__ = ["Effect", "Fact", "Operator", "SasTask", "Variable", "parse"]
 
 Fact = tuple[int, int]
 """A variable and one of its values, both counted from 0."""
+Effect = tuple[tuple[Fact, ...], int, int, int]
+"""The facts that it depends on, the variable, the value it must have before (-1: any) and the value it gets."""
 
 
 @dataclass(frozen=True)
@@ -32,13 +34,12 @@ class Operator:
     Args:
         name: the action and its arguments, in lower case.
         prevail: what must hold and stays so.
-        effects: for each effect the facts that it depends on, the variable, the value it must have before (-1: any)
-            and the value it gets.
+        effects: what becomes so.
     """
 
     name: str
     prevail: tuple[Fact, ...]
-    effects: tuple[tuple[tuple[Fact, ...], int, int, int], ...]
+    effects: tuple[Effect, ...]
 
 
 @dataclass(frozen=True)
@@ -137,7 +138,7 @@ def _operator(lines: Iterator[str]) -> Operator:
     return Operator(name, prevail, effects)
 
 
-def _effect(line: str) -> tuple[tuple[Fact, ...], int, int, int]:
+def _effect(line: str) -> Effect:
     count, *numbers = map(int, line.split())
     conditions = tuple(zip(numbers[: 2 * count : 2], numbers[1 : 2 * count : 2], strict=True))
     variable, before, after = numbers[2 * count :]

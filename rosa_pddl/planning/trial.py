@@ -9,13 +9,15 @@ from itertools import product
 from rosa_pddl.domain import Domain, Schema, Step, UpThing
 from rosa_pddl.exceptions import UnsupportedPddlError
 from rosa_pddl.planning.costs import Numbers
-from rosa_pddl.planning.downward import Answer, Trouble, search
+from rosa_pddl.planning.downward import SEARCHES, Answer, Trouble, search
 from rosa_pddl.planning.engines import asked, missing
 from rosa_pddl.planning.grounded import Grounded, NotRepresentableError, UnreachableGoalError
 from rosa_pddl.planning.grounding import Grounding, instantaneous, translated
+from rosa_pddl.planning.labelling import LABEL_SETTING, label_search
 from rosa_pddl.planning.outcomes import Attempt, Outcome, PlanningResult, TimedStep
 from rosa_pddl.planning.processes import Cut, Leash
 from rosa_pddl.planning.schedule import schedule_flaw
+from rosa_pddl.planning.uses import overspent
 from rosa_pddl.problem import Problem
 from rosa_pddl.validate import flaw, missing_at_start
 
@@ -102,7 +104,7 @@ class Trial:
 
     def _tried(self, way: str, budget_s: float) -> tuple[_Found, str]:
         """Return what a way gave, and what to say if that is no plan."""
-        engine = self._settings.engine if way in ("warm", "cold") else way
+        engine = self._engine_of(way)
         missed = missing(engine, self._problem.domain)
         if missed is not None:
             return _Found(Outcome.ENGINE_MISSING), missed
@@ -123,13 +125,20 @@ class Trial:
             return _Found(Outcome.ENGINE_CRASHED), f"{engine} returned a plan that does not work: {wrong}"
         return found, ""
 
+    def _engine_of(self, way: str) -> str:
+        return self._settings.engine if way in ("warm", "cold") else way
+
     def _found(self, way: str, deadline: float) -> _Found:
+        limited = ", ".join(resource.name for resource in self._problem.domain.limited)
+        if limited and self._engine_of(way) in SEARCHES:
+            message = f"Fast Downward keeps no limits (of {limited}); Planner({LABEL_SETTING!r}) does"
+            raise Trouble(Outcome.UNSUPPORTED, message)
         if way == "warm":
             return self._warm(deadline)
-        if way == "cold":
+        if way in ("cold", LABEL_SETTING):
             memory_bytes = self._settings.memory_bytes
             task = translated(self._problem, None, self._leash, _left_s(deadline), memory_bytes)
-            return self._searched(task, deadline)
+            return self._searched(task, deadline, self._engine_of(way))
         outcome, schedule = asked(
             way,
             self._problem,
@@ -153,40 +162,43 @@ class Trial:
         if not task.is_patchable:
             raise Trouble(Outcome.UNSUPPORTED, "the translated task has axioms, which hold for one state only")
         try:
-            return self._searched(task, deadline)
+            return self._searched(task, deadline, self._settings.engine)
         except NotRepresentableError as error:
             raise Trouble(Outcome.UNSUPPORTED, f"the translated task does not fit: {error}") from error
 
-    def _searched(self, task: Grounded, deadline: float) -> _Found:
+    def _searched(self, task: Grounded, deadline: float, engine: str) -> _Found:
         try:
-            patched = task.patched(self._problem, self._numbers)
+            answer = self._answer(task, deadline, engine)
         except UnreachableGoalError:
             return _Found(Outcome.UNSOLVABLE_PROVEN)
-        if patched.is_done:
-            return _Found(Outcome.SOLVED_OPTIMALLY)
-        answer: Answer = search(
-            patched,
-            self._settings.engine,
-            self._leash,
-            limit_s=_left_s(deadline),
-            memory_bytes=self._settings.memory_bytes,
-        )
         try:
             steps = tuple(task.step(number) for number in answer.numbers)
         except IndexError as error:
             raise Trouble(Outcome.ENGINE_CRASHED, "the search named steps that the task does not have") from error
         return _Found(answer.outcome, steps)
 
+    def _answer(self, task: Grounded, deadline: float, engine: str) -> Answer:
+        leash, memory_bytes = self._leash, self._settings.memory_bytes
+        if engine == LABEL_SETTING:
+            limit_s = _left_s(deadline)
+            return label_search(task, self._problem, leash, limit_s=limit_s, memory_bytes=memory_bytes)
+        patched = task.patched(self._problem, self._numbers)
+        if patched.is_done:
+            return Answer(Outcome.SOLVED_OPTIMALLY)
+        return search(patched, engine, leash, limit_s=_left_s(deadline), memory_bytes=memory_bytes)
+
     def _wrong(self, found: _Found) -> str | None:
         if not found.outcome.is_solved:
             return None
         problem = self._problem
         if found.schedule:
-            return schedule_flaw(problem.domain, found.schedule, problem.state, problem.wanted)
-        return flaw(problem.domain, found.steps, problem.state, problem.wanted)
+            wrong = schedule_flaw(problem.domain, found.schedule, problem.state, problem.wanted)
+        else:
+            wrong = flaw(problem.domain, found.steps, problem.state, problem.wanted)
+        return wrong or overspent(problem, found.steps)
 
     def _report(self, found: _Found, way: str, attempts: list[Attempt]) -> PlanningResult:
-        engine, domain = self._settings.engine if way in ("warm", "cold") else way, self._problem.domain
+        engine, domain = self._engine_of(way), self._problem.domain
         if found.outcome.is_solved:
             cost = self._cost(found)
             return PlanningResult(found.outcome, found.steps, engine, "", cost, found.schedule, tuple(attempts))
