@@ -1,6 +1,7 @@
 """The joint plan of corridors and configurations: judged by an exhaustive search and by Fast Downward."""
 
 from itertools import product
+from math import inf
 
 import pytest
 from hypothesis import given, settings
@@ -17,7 +18,7 @@ from missions.agv.joint import JointPlanner, Place, Question
 from missions.agv.model import agv_model
 from missions.mission import MissionError
 from rosa_pddl import Outcome, Planner
-from rosa_pddl.planning.labels import Graph, Move, cheapest
+from rosa_pddl.planning.labels import Graph, Move, cheapest, distances
 
 MODEL = agv_model()
 
@@ -128,6 +129,37 @@ def test_search_without_bounds_finds_what_all_short_ways_give(arcs):
     best = min((cost for cost, used in ways(0, {0}, 0, 0) if used <= 7), default=None)
     found = cheapest(graph, 0, [7])
     assert (None if found is None else found.cost) == best
+
+
+weighted = st.tuples(st.integers(0, 6), st.integers(0, 9), st.tuples(st.integers(0, 5), st.integers(0, 5)))
+
+
+@settings(max_examples=150)
+@given(
+    st.dictionaries(st.integers(0, 6), st.lists(weighted, max_size=5)), st.tuples(st.integers(0, 9), st.integers(0, 9))
+)
+def test_bounds_do_not_change_what_is_found(arcs, limits):
+    def moves(state):
+        return [Move(to, cost, uses, None) for to, cost, uses in arcs.get(state, ())]
+
+    far = [
+        distances([(one, to, (cost, *uses)[part]) for one in arcs for to, cost, uses in arcs[one]], [6])
+        for part in range(3)
+    ]
+
+    def least(state):
+        cost, *uses = (each.get(state, inf) for each in far)
+        return cost, tuple(uses)
+
+    plain = cheapest(Graph(moves, lambda state: state == 6), 0, limits)
+    bounded = cheapest(Graph(moves, lambda state: state == 6, least), 0, limits)
+    assert (plain is None) == (bounded is None)
+    if plain is not None and bounded is not None:
+        assert plain.cost == bounded.cost
+        for found in (plain, bounded):
+            assert found.cost == sum(move.cost for move in found.moves)
+            assert found.uses == tuple(sum(move.uses[part] for move in found.moves) for part in range(2))
+            assert all(used <= limit for used, limit in zip(found.uses, limits, strict=True))
 
 
 @pytest.mark.parametrize("failed", [("kinect", "mrpt", "aruco"), ("lidar", "mrpt", "aruco")])
