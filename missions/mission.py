@@ -156,8 +156,11 @@ class Mission:
             mission has a tree only.
         problem: PDDL file with the goal, or the goal as it is declared; None if the mission has a tree only.
         actions: what is done for each PDDL action; the same behaviours that the tree is made of. Each has a `schema`
-            if there is no domain file.
-        facts: what was sensed, as atoms of the PDDL problem, e.g. {"(lit room)": True}.
+            if there is no domain file. One with a parameter `step` is given the `rosa_pddl.Step` that it does, too.
+        facts: what holds now, from what is known and was sensed, in the words of the PDDL problem: facts such as
+            {"(lit room)": True}, and numbers that costs are made of such as {"(length a b)": 3.5}.
+        engines: what plans, see `rosa_pddl.Planner`: the first by itself, the others if that fails; if none is named,
+            the default.
         fixed: settings of the world that belong to this mission.
     """
 
@@ -168,6 +171,7 @@ class Mission:
     world: WorldKind
     domain: Path | None = None
     problem: Path | DeclaredProblem | None = None
-    actions: Mapping[str, Callable[[KnowledgeBase, Senses], Behaviour]] = field(default_factory=dict)
-    facts: Callable[[Senses], Mapping[str, bool]] = lambda senses: {}
+    actions: Mapping[str, Callable[..., Behaviour]] = field(default_factory=dict)
+    facts: Callable[[KnowledgeBase, Senses], Mapping[str, bool | float]] = lambda kb, senses: {}
+    engines: tuple[str, ...] = ()
     fixed: Mapping[str, str] = field(default_factory=dict)

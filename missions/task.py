@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from inspect import signature
 from typing import TYPE_CHECKING, Final
 
 from py_trees.behaviour import Behaviour
@@ -12,7 +13,7 @@ from missions.mission import Mission, MissionError
 from missions.senses import Senses
 
 if TYPE_CHECKING:
-    from rosa_pddl import PlanRecord
+    from rosa_pddl import PlanRecord, Step
 
 __all__ = ["TASK_KINDS", "TaskLayer", "build_task", "check_task"]
 
@@ -76,12 +77,11 @@ def _planning(
     mission: Mission, kb: KnowledgeBase, senses: Senses, clock: Callable[[], float], delay_s: float
 ) -> TaskLayer:
     from missions.planning.declared import mission_domain
-    from rosa_pddl import PlanExecutor, Planner, Step
+    from rosa_pddl import PlanExecutor, Planner
 
-    def factory(action: Callable[[KnowledgeBase, Senses], Behaviour]) -> Callable[[Step], Behaviour]:
-        return lambda step: action(kb, senses)
-
-    domain, planner = mission_domain(mission), Planner()
+    _check_facts(mission)
+    domain = mission_domain(mission)
+    planner = Planner(mission.engines[0], fallback=mission.engines[1:]) if mission.engines else Planner()
     missing = planner.missing(domain)
     if missing is not None:
         raise MissionError(missing)
@@ -89,11 +89,26 @@ def _planning(
         f"plan for {mission.name}",
         kb=kb,
         domain=domain,
-        behaviours={schema: factory(action) for schema, action in mission.actions.items()},
-        sense=lambda: mission.facts(senses),
+        behaviours={schema: _factory(action, kb, senses) for schema, action in mission.actions.items()},
+        sense=lambda: mission.facts(kb, senses),
         clock=clock,
         planner=planner,
         delay_s=delay_s,
     )
     root = FailureIsRunning("until the goal holds", executor)
     return TaskLayer(root, executor.catch_up, lambda: executor.plans, planner.close)
+
+
+def _factory(action: Callable[..., Behaviour], kb: KnowledgeBase, senses: Senses) -> Callable[["Step"], Behaviour]:
+    """Return what makes the behaviour of a step; it is told the step if it asks for it."""
+    if "step" in signature(action).parameters:
+        return lambda step: action(kb, senses, step=step)
+    return lambda step: action(kb, senses)
+
+
+def _check_facts(mission: Mission) -> None:
+    try:
+        signature(mission.facts).bind(None, None)
+    except TypeError as error:
+        told = f"the facts of mission {mission.name} are called with the knowledge base and the senses"
+        raise MissionError(f"{told}: {error}; write facts=lambda kb, senses: {{...}}") from error

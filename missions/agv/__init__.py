@@ -1,18 +1,23 @@
 """A ground vehicle finds its way through a building: which corridors, and configured how in each, planned together."""
 
 from collections.abc import Mapping
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
 from kb import KnowledgeBase
-from missions.agv.actions import Crossing, facts_of, problem_of
+from missions.agv.actions import Outlook, Planned, cross, switch
 from missions.agv.building import Building, load_building
-from missions.agv.model import agv_model, building_model
+from missions.agv.declared import CROSS, SWITCH, Words, problem_of
+from missions.agv.model import NAVIGATE, building_model
+from missions.agv.modes import Modes
+from missions.agv.route import Route
 from missions.agv.tree import agv_tree
 from missions.agv.world import AgvKind
 from missions.mission import Mission
+from missions.planning.declared import by_schema
+from missions.senses import Senses
 
 __all__ = ["MAPS", "MISSION", "WEIGHTS", "agv_mission"]
 
@@ -32,16 +37,21 @@ def agv_mission(name: str, summary: str, building: Building, weights: Mapping[st
         building: the map.
         weights: what is minimised, see `missions.agv.joint.Question`.
     """
-    crossings = [Crossing(building, corridor, weights) for corridor in building.corridors.values()]
-    known = KnowledgeBase(agv_model(), clock=lambda: 0.0)
+    known = KnowledgeBase(building_model(building), clock=lambda: 0.0)
+    words = Words(building, Modes(known, NAVIGATE).under({}))
+
+    @lru_cache(maxsize=8)  # what a run is told takes time to find out, so its behaviours share it
+    def outlook(kb: KnowledgeBase, senses: Senses) -> Outlook:
+        return Outlook(Route(building, kb, senses, weights), words)
+
     return Mission(
         name=name,
         summary=summary,
         model=partial(building_model, building),
         tree=partial(agv_tree, building, weights),
-        problem=problem_of(building),
-        actions={one.schema.name: one for one in crossings},
-        facts=partial(facts_of, building, known),
+        problem=problem_of(words, outlook(known, Senses()).route.task),
+        actions=by_schema(Planned(SWITCH, outlook, switch), Planned(CROSS, outlook, cross)),
+        facts=lambda kb, senses: outlook(kb, senses).told,
         world=AgvKind(building, weights),
     )
 

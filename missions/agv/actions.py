@@ -1,22 +1,23 @@
-"""What the mission does: it crosses corridors. Tree and plan executor run the same behaviours."""
+"""What the mission does: it crosses corridors; if planned step by step, it switches modes before."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
 
+from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 
 from kb import KnowledgeBase
-from missions.agv.building import Building, Corridor
+from missions.agv.declared import SWITCH, Words, facts_of, numbers_of
 from missions.agv.joint import Leg
 from missions.agv.model import FOLLOW, NAVIGATE, NAVIGATOR, heading, headings
-from missions.agv.modes import Modes
-from missions.agv.route import DARK, Route
+from missions.agv.modes import Mode, running_mode
+from missions.agv.route import Route
 from missions.senses import Senses
 from rosa_bt import RosaAction
-from rosa_pddl.generation import ActionSchema, DeclaredProblem
+from rosa_pddl import Step
+from rosa_pddl.generation import ActionSchema
 
-__all__ = ["Cross", "Crossing", "facts_of", "problem_of"]
+__all__ = ["Cross", "Outlook", "Planned", "Switch", "cross", "switch"]
 
 
 class Cross(RosaAction):
@@ -68,8 +69,8 @@ class Cross(RosaAction):
         return Status.RUNNING
 
     def terminate(self, new_status: Status) -> None:
-        """Demand nothing more: what is behind or given up does not lie ahead."""
-        self.kb.measure("obstacles", 0.0)
+        """Demand no more than where it stands: what is behind or given up does not lie ahead."""
+        _demand(self._route)
 
     def _select(self, leg: Leg) -> None:
         why = f"{leg.mode.name} is the best to cross {leg.corridor}, {leg.why}"
@@ -81,66 +82,107 @@ class Cross(RosaAction):
         return all(one.is_selected for one in (*designs, *configurations))
 
 
+class Switch(RosaAction):
+    """Change to a mode, where the robot stands.
+
+    Args:
+        route: what is believed.
+        mode: which one.
+    """
+
+    def __init__(self, route: Route, mode: Mode) -> None:
+        super().__init__(f"switch to {mode.name}", route.kb, SWITCH.rosa_action)
+        self._route, self._mode = route, mode
+
+    def initialise(self) -> None:
+        """Demand no more than where it stands."""
+        _demand(self._route)
+
+    def update(self) -> Status:
+        """Select the mode, and look whether the robot is configured so."""
+        if self.kb.pending_plan is not None:
+            return Status.RUNNING
+        choice, running = self._mode.choice, running_mode(self.kb, NAVIGATE)
+        if (running.components, running.choice.configurations) == (self._mode.components, choice.configurations):
+            return Status.SUCCESS
+        self.kb.select(choice.designs, choice.configurations, f"{self._mode.name} is planned for what comes next")
+        return Status.RUNNING
+
+
+class Outlook:
+    """What the plan executor is told: the words of the PDDL problem, and what holds in them.
+
+    Args:
+        route: what is believed.
+        words: of the problem.
+    """
+
+    def __init__(self, route: Route, words: Words) -> None:
+        self.route, self.words = route, words
+        self._seen: object = None
+        self._told: Mapping[str, bool | float] = {}
+
+    @property
+    def told(self) -> Mapping[str, bool | float]:
+        """What holds and costs now."""
+        route = self.route
+        running = running_mode(route.kb, NAVIGATE)
+        seen = route.believed, route.question, running.components, running.choice.configurations
+        if seen != self._seen:
+            task = route.task
+            self._told = {**facts_of(self.words, task), **numbers_of(self.words, task)}
+            self._seen = seen
+        return self._told
+
+    def leg(self, way: str, mode: str) -> Leg | None:
+        """Return a way in a mode as what to do now; None if it cannot be done from here."""
+        via, task = self.words.by_way[way], self.route.task
+        for one, possible, takes, _ in task.crossings(task.start[0]):
+            if (one.corridor.name, one.to, self.words.modes[possible.name]) == (via.corridor, via.to, mode):
+                why = "planned together with all that comes after it"
+                return Leg(one.corridor.name, one.origin, one.to, possible, one.conditions, takes, why)
+        return None
+
+
+@dataclass(frozen=True)
+class Planned:
+    """Makes the behaviour of a step of a plan, and declares it.
+
+    Attributes:
+        schema: what it is in PDDL.
+        outlook: returns what a run is told.
+        make: makes it.
+    """
+
+    schema: ActionSchema
+    outlook: Callable[[KnowledgeBase, Senses], Outlook]
+    make: Callable[[Outlook, Step], Behaviour]
+
+    def __call__(self, kb: KnowledgeBase, senses: Senses, step: Step) -> Behaviour:
+        """Make it."""
+        return self.make(self.outlook(kb, senses), step)
+
+
+def cross(outlook: Outlook, step: Step) -> Cross:
+    """Make the behaviour that crosses a corridor as it was planned."""
+    _, way, _, _, mode = step.arguments
+    leg = outlook.leg(way, mode)
+    return Cross(outlook.route, outlook.words.by_way[way].corridor, lambda: leg)
+
+
+def switch(outlook: Outlook, step: Step) -> Switch:
+    """Make the behaviour that changes to the mode that was planned."""
+    return Switch(outlook.route, outlook.words.by_mode[step.arguments[-1]])
+
+
+def _demand(route: Route) -> None:
+    for attribute, value in route.standing.items():
+        route.kb.measure(attribute, value)
+
+
 def _designs(leg: Leg) -> dict[str, str]:
     return {**leg.mode.choice.designs, FOLLOW: "by_navigator"}
 
 
 def _configurations(leg: Leg) -> dict[str, str]:
     return {**leg.mode.choice.configurations, NAVIGATOR: heading(leg.corridor, leg.origin)}
-
-
-@dataclass(frozen=True)
-class Crossing:
-    """Makes the behaviour that crosses a corridor for the plan executor, and declares it."""
-
-    building: Building
-    corridor: Corridor
-    weights: Mapping[str, float]
-
-    @property
-    def schema(self) -> ActionSchema:
-        """Cost is the length, so the plan is the shortest way that can be driven."""
-        name = self.corridor.name
-        return ActionSchema(
-            f"cross_{name}",
-            parameters=("?from - place", "?to - place"),
-            start=("(at ?from)", f"(leads_{name} ?from ?to)"),
-            over_all=(f"(passable_{name})",),
-            end_effects=("(at ?to)", "(not (at ?from))"),
-            duration_s=self.corridor.length_m,
-            cost=self.corridor.length_m,
-        )
-
-    def __call__(self, kb: KnowledgeBase, senses: Senses) -> Cross:
-        """Make it."""
-        route = Route(self.building, kb, senses, self.weights)
-        return Cross(route, self.corridor.name, partial(route.leg_through, self.corridor.name))
-
-
-def problem_of(building: Building) -> DeclaredProblem:
-    """Return the problem: to be at the goal."""
-    leads = [
-        f"(leads_{one.name} {origin} {one.other(origin)})" for one in building.corridors.values() for origin in one.ends
-    ]
-    passable = [f"(passable_{name})" for name in building.corridors]
-    objects = dict.fromkeys(building.places, "place")
-    return DeclaredProblem((f"(at {building.goal})",), objects, (f"(at {building.start})", *leads, *passable))
-
-
-def facts_of(building: Building, kb: KnowledgeBase, senses: Senses) -> Mapping[str, bool]:
-    """Return where the robot is, and which corridors can be crossed in some configuration.
-
-    Args:
-        building: the map.
-        kb: what is known of the vehicle; asked by situations, nothing is told to it.
-        senses: what was told.
-    """
-    failed = [name for name in kb.components if senses.holds(f"{name} failed")]
-    modes = Modes(kb, NAVIGATE, failed)
-    at = [place for place in building.places if senses.holds(f"at {place}")] or [building.start]
-    facts = {f"(at {place})": place in at for place in building.places}
-    for one in building.corridors.values():
-        light = DARK if senses.holds(f"dark {one.name}") else one.light
-        possible = modes.under({"light": light, "obstacles": one.obstacles})
-        facts[f"(passable_{one.name})"] = bool(possible)
-    return facts

@@ -107,6 +107,8 @@ def agv_model(name: str = "agv", actions: Iterable[str] = (NAVIGATE,)) -> Model:
 def building_model(building: Building) -> Model:
     """Build the model of the vehicle in a building: each corridor is an action, and each heading a configuration.
 
+    To `switch`, that is to be configured before it drives on, is an action too.
+
     The demands of the corridors are not in it: they are measured. `driven` is how far it is to where the robot came
     from, within a corridor [m], and `way` the number of the heading that is to be taken, from 1 in their order.
     """
@@ -125,6 +127,7 @@ def building_model(building: Building) -> Model:
     follow.design("by_navigator", [navigator], constraints=[driven >= 0.0])
     for name in building.corridors:
         model.action(f"cross_{name}", requires=[NAVIGATE, follow])
+    model.action("switch", requires=[NAVIGATE])
     return model
 
 

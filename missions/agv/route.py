@@ -5,10 +5,12 @@ from typing import Final
 
 from kb import KnowledgeBase, Status
 from missions.agv.building import Building
-from missions.agv.joint import Answer, JointPlanner, Leg, Place, Question
+from missions.agv.joint import Answer, JointPlanner, Leg, Place, Question, Task
 from missions.senses import Senses
 
 __all__ = ["DARK", "RESERVE", "Route"]
+
+_DAYLIGHT: Final = 1.0
 
 DARK: Final = 0.1
 """How light it is where the lamps of a corridor have gone out, from 0 to 1; own choice."""
@@ -37,7 +39,6 @@ class Route:
         self._planner = JointPlanner(building, kb)
         self._believed: tuple[object, ...] = ()
         self._answer: Answer | None = None
-        self._through: dict[str, Leg | None] = {}
 
     @property
     def at(self) -> str:
@@ -64,21 +65,17 @@ class Route:
         legs = self.answer.legs
         return legs[0] if legs else None
 
-    def leg_through(self, corridor: str) -> Leg | None:
-        """Return the best that can be done now to cross a corridor, wherever that leads; None if it cannot be."""
-        self._believe()
-        if corridor not in self._through:
-            self._through[corridor] = self._planner.first_leg(self.question, corridor)
-        return self._through[corridor]
+    @property
+    def task(self) -> Task:
+        """What is to be planned from here, as a graph."""
+        return self._planner.task(self.question)
 
     def _believe(self) -> None:
         """Drop what was planned if what is believed has changed."""
-        failed = [name for name in self.kb.components if self.kb.components[name].status is Status.FAILURE]
-        believed = (self.at, self.inside, *failed, *self._dark)
+        believed = self.believed
         if believed != self._believed:
             self._believed = believed
             self._answer = None
-            self._through = {}
 
     @property
     def question(self) -> Question:
@@ -92,6 +89,20 @@ class Route:
     def inside(self) -> str:
         """The corridor that the robot is in; empty at a place."""
         return next((one.name for one in self.building.exits[self.at] if self._senses.holds(f"in {one.name}")), "")
+
+    @property
+    def standing(self) -> Mapping[str, float]:
+        """What the robot demands where it stands: it passes nothing, and places are light."""
+        corridor = self.building.corridors.get(self.inside)
+        if corridor is None:
+            return {"obstacles": 0.0, "light": _DAYLIGHT}
+        return {"obstacles": 0.0, "light": DARK if corridor.name in self._dark else corridor.light}
+
+    @property
+    def believed(self) -> tuple[object, ...]:
+        """Where the robot is, what has failed and where it has become dark: what plans depend on."""
+        failed = [name for name in self.kb.components if self.kb.components[name].status is Status.FAILURE]
+        return (self.at, self.inside, *failed, *self._dark)
 
     @property
     def _dark(self) -> list[str]:

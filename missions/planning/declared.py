@@ -5,15 +5,13 @@ from typing import Any
 
 from py_trees.behaviour import Behaviour
 
-from kb import KnowledgeBase
 from missions.mission import Mission, MissionError
 from missions.names import Names, names_in_pddl
-from missions.senses import Senses
 from rosa_pddl import ActionSchema, Declarations, DeclaredProblem, Domain, load_domain
 
 __all__ = ["by_schema", "declarations_of", "mission_domain", "planned_names", "schema_of"]
 
-Action = Callable[[KnowledgeBase, Senses], Behaviour]
+Action = Callable[..., Behaviour]
 
 
 def by_schema(*actions: Action) -> Mapping[str, Action]:

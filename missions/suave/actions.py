@@ -128,7 +128,7 @@ class InspectPipeline(RosaAction):
         self.feedback_message = f"{self.inspected_m:.1f} m inspected"
 
 
-def facts(senses: Senses) -> Mapping[str, bool]:
+def facts(kb: KnowledgeBase, senses: Senses) -> Mapping[str, bool]:
     """Return what was sensed as facts of the PDDL problem."""
     return {
         "(pipeline_found pipeline)": senses.holds("pipeline_found"),

@@ -56,7 +56,7 @@ def is_all_analysed(senses: Senses) -> bool:
     return bool(wanted) and all(senses.holds(f"{one}_analysed") for one in wanted)
 
 
-def facts(senses: Senses) -> Mapping[str, bool]:
+def facts(kb: KnowledgeBase, senses: Senses) -> Mapping[str, bool]:
     """Return what was sensed as facts of the PDDL problem."""
     told = {
         f"({what} {one})": senses.holds(f"{one}_{what}") for what in ("wanted", "analysed", "target") for one in SAMPLES

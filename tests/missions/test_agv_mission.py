@@ -1,22 +1,30 @@
 """The ground vehicle driving: whatever the seed, the Kinect fails, a corridor goes dark, and the robot arrives."""
 
 from collections import Counter
+from dataclasses import replace
 
 import numpy
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from running import result, run_mission, text
 
 from kb import KnowledgeBase
-from missions.agv import WEIGHTS, agv_mission
-from missions.agv.building import building_from
+from missions.agv import MAPS, WEIGHTS, agv_mission
+from missions.agv.building import building_from, load_building
 from missions.agv.generated import generated_building
 from missions.agv.joint import JointPlanner, Question
-from missions.agv.model import agv_model
+from missions.agv.model import DRAW_W, agv_model, building_model
+from missions.agv.route import Route
 from missions.agv.settings import settings_from
 from missions.mission import MissionError
+from missions.planning.declared import mission_domain
 from missions.report import as_json
 from missions.runner import MissionRun
+from missions.senses import Senses
 from missions.task import TASK_KINDS
+from rosa_pddl import Planner, Problem
+from rosa_pddl.belief import Belief
 
 SEEDS = range(10)
 AGV = "missions.agv:MISSION"
@@ -74,15 +82,31 @@ def test_kinect_fails_and_plan_and_architecture_change_together(seed):
     assert dark["at_s"] <= structural["at_s"] <= dark["at_s"] + 0.2
 
 
-@pytest.mark.parametrize("seed", [0, 1])
-def test_plan_executor_goes_the_same_way(seed):
+def ways_and_modes(steps):
+    """Return what is crossed and in which mode, as far as it is said in the steps of a plan."""
+    words = [step.removesuffix(")").split("(") for step in steps]
+    return [tuple(told.split(", ")[0::4]) for name, told in words if name == "cross"]
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_planned_step_by_step_it_answers_in_the_same_way(seed):
     data = result(AGV, "pddl", seed)
     assert data["outcome"] == "arrived"
-    assert [one["name"] for one in data["actions"]] == ["cross_c1", "cross_c4", "cross_c3", "cross_c2"]
-    assert [[step.split("(")[0] for step in plan["steps"]] for plan in data["plans"]] == [
-        ["cross_c1"],
-        ["cross_c4", "cross_c3", "cross_c2"],
+    assert data["collisions"] == 0
+    assert data["diagnostics_problems"] == []
+    assert [one["what"] for one in data["disturbances"]] == ["kinect failed", "light in c3 goes out"]
+    driven = [(one["name"], one["result"]) for one in data["actions"] if one["name"] != "switch"]
+    assert driven == [
+        ("cross_c1", "abandoned"),
+        ("cross_c4", "completed"),
+        ("cross_c3", "abandoned"),
+        ("cross_c3", "completed"),
+        ("cross_c2", "completed"),
     ]
+    first, turned, lit = (ways_and_modes(plan["steps"]) for plan in data["plans"])
+    assert first == [("cross_c1", "amcl_kinect_fast")]
+    assert turned == [(f"cross_{name}", "aruco_camera_fast") for name in ("c4", "c3", "c2")]
+    assert lit == [("cross_c3", "aruco_camera_lamp_fast"), ("cross_c2", "aruco_camera_fast")]
 
 
 @pytest.mark.parametrize("task", TASK_KINDS)
@@ -169,13 +193,59 @@ def test_defaults_of_the_settings_are_allowed():
     assert settings_from({}).capacity_j == 20_000.0
 
 
-def test_facts_of_the_plan_executor_come_from_situations():
-    mission = agv_mission("small", "drives", building_from(straight(obstacles=0.5)))
-    from missions.senses import Senses
-
+def told(*messages):
+    """Return senses that have heard what is so."""
     senses = Senses()
-    assert mission.facts(senses)["(passable_c1)"]
-    said = {"message": "mission status", "values": {"kinect failed": "true"}}
-    senses.receive({"time": 0.0, "status": [said]})
-    assert not mission.facts(senses)["(passable_c1)"]
-    assert isinstance(KnowledgeBase(mission.model(), clock=lambda: 0.0), KnowledgeBase)
+    senses.receive({"status": [{"message": "mission status", "values": dict.fromkeys(messages, "true")}]})
+    return senses
+
+
+def planned_and_joint(building, kb, senses, planner):
+    """Return what the mission's planner answers now, and the joint planner to the same question."""
+    mission = agv_mission("small", "drives", building)
+    domain = mission_domain(mission)
+    belief = Belief(domain, kb, lambda: mission.facts(kb, senses))
+    state = belief.observe()
+    result = planner.plan(Problem(domain, state, None, belief.numbers))
+    return result, Route(building, kb, senses, WEIGHTS).answer
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 10_000), st.integers(2, 6), st.sets(st.sampled_from(sorted(DRAW_W)), max_size=4), st.data())
+def test_plan_of_steps_costs_what_the_joint_plan_costs(seed, places, failed, data):
+    corridors = data.draw(st.integers(places - 1, {2: 1, 3: 2, 4: 4, 5: 5, 6: 7}[places]))
+    building = generated_building(numpy.random.default_rng(seed), places, corridors)
+    kb = KnowledgeBase(building_model(building), clock=lambda: 0.0)
+    for name in failed:
+        kb.component_failed(name)
+    where = data.draw(st.sampled_from([None, *building.corridors.values()]))
+    heard = [] if where is None else [f"at {data.draw(st.sampled_from(where.ends))}", f"in {where.name}"]
+    heard += [f"dark {name}" for name in data.draw(st.sets(st.sampled_from(sorted(building.corridors)), max_size=2))]
+    kb.measure("driven", data.draw(st.floats(0.0, 20.0)))
+    result, answer = planned_and_joint(building, kb, told(*heard), Planner(warm=False))
+    assert result.outcome.is_solved == answer.is_solved
+    if answer.is_solved:
+        assert result.cost == answer.cost
+
+
+def test_each_plan_made_while_driving_costs_what_the_joint_plan_costs(monkeypatch):
+    asked, heard = [], []
+
+    class Compared(Planner):
+        def start(self, problem):
+            answer = Route(building, *heard[-1], WEIGHTS).answer
+            asked.append((super().start(problem), answer.cost))
+            return asked[-1][0]
+
+    def facts(kb, senses):
+        heard[:] = [(kb, senses)]
+        return mission.facts(kb, senses)
+
+    monkeypatch.setattr("rosa_pddl.Planner", Compared)
+    building = load_building(MAPS / "paper.toml")
+    mission = agv_mission("paper", "drives", building)
+    run = MissionRun(replace(mission, facts=facts), "pddl", mission.world.open({}, numpy.random.default_rng(3)))
+    assert run.run().outcome == "arrived"
+    answered = [(future.result().cost, cost) for future, cost in asked if not future.cancelled()]
+    assert len(answered) >= 3
+    assert [one for one, _ in answered] == [other for _, other in answered]

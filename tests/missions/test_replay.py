@@ -102,7 +102,7 @@ def planned(kb, senses):
         kb=kb,
         domain=mission_domain(mission),
         behaviours={name: (lambda step, action=action: action(kb, senses)) for name, action in mission.actions.items()},
-        sense=lambda: mission.facts(senses),
+        sense=lambda: mission.facts(kb, senses),
         clock=lambda: kb.now,
     )
     return FailureIsRunning("until the goal holds", executor)

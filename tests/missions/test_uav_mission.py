@@ -198,7 +198,7 @@ def test_nothing_is_all_analysed_before_anything_is_wanted():
     assert not is_all_analysed(senses)
     senses.receive({"status": [{"message": "mission status", "values": {"sample_2_analysed": "true"}}]})
     assert is_all_analysed(senses)
-    assert facts(senses)["(analysed sample_2)"]
+    assert facts(None, senses)["(analysed sample_2)"]
 
 
 @pytest.mark.parametrize(
