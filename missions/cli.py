@@ -18,6 +18,7 @@ from kb import KnowledgeBaseError
 from kb.judge.findings import Severity
 from missions.campaign.command import campaign, report
 from missions.checking import inconsistencies, judge, print_judgement
+from missions.effort.command import effort
 from missions.live import Narrator, Pace, Recorder
 from missions.managers import MANAGERS, OURS, open_run
 from missions.managers.options import split_options
@@ -176,6 +177,7 @@ def check(
 app.command("plan")(plan)
 app.command("campaign")(campaign)
 app.command("report")(report)
+app.command("effort")(effort)
 
 
 def main() -> None:
