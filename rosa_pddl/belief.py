@@ -106,15 +106,15 @@ class Belief:
     def _read(self) -> _Sensed:
         try:
             answer = self._sense()
+            if not isinstance(answer, Mapping):
+                raise SensingError(f"sense returned {answer!r}, expected a mapping such as {{'(lit room)': True}}")
+            # mostly nothing has changed since the last look
+            if answer != self._answer:
+                self._sensed, self._answer = self._sorted(answer), dict(answer)
+                self._numbers = {**self._numbers, **self._sensed.numbers}
         except Exception as error:
-            error.add_note("it was raised by `sense`, which tells what a plan's steps find")
+            error.add_note("this came of what `sense` returned or raised")
             raise
-        if not isinstance(answer, Mapping):
-            raise SensingError(f"sense returned {answer!r}, expected a mapping such as {{'(lit room)': True}}")
-        # mostly nothing has changed since the last look
-        if answer != self._answer:
-            self._sensed, self._answer = self._sorted(answer), dict(answer)
-            self._numbers = {**self._numbers, **self._sensed.numbers}
         return self._sensed
 
     def _sorted(self, answer: Mapping[str, bool | float]) -> _Sensed:

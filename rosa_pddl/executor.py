@@ -9,7 +9,6 @@ from rosa_pddl.asking import PlansAhead
 from rosa_pddl.belief import Belief, Sense, Undo, without
 from rosa_pddl.course import Course, Event
 from rosa_pddl.domain import Domain, Feasibility, State, Step
-from rosa_pddl.exceptions import MissingBehaviourError, nearest
 from rosa_pddl.goals import Goals
 from rosa_pddl.hopes import Disappointment, Hopes
 from rosa_pddl.planning import Planner
@@ -17,7 +16,7 @@ from rosa_pddl.policy import Decision, ReplanningPolicy, decide
 from rosa_pddl.problem import Problem
 from rosa_pddl.quest import Quest
 from rosa_pddl.replanning import PlanRecord, Replanning
-from rosa_pddl.running import Factory, RunningStep
+from rosa_pddl.running import Factory, RunningStep, check_factories
 from rosa_pddl.validate import because, missing_at_end, missing_meanwhile
 
 __all__ = ["PlanExecutor"]
@@ -55,7 +54,8 @@ class PlanExecutor(Behaviour):
 
     Raises:
         PddlError: the knowledge base does not know a ROSA action of the domain.
-        MissingBehaviourError: a PDDL action has no behaviour.
+        MissingBehaviourError: a PDDL action has no behaviour, or something that makes none.
+        UnknownNameError: a behaviour is given for a PDDL action that there is not.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class PlanExecutor(Behaviour):
     ) -> None:
         super().__init__(name)
         self.findings = domain.check(kb)
-        _check_behaviours(domain, behaviours)
+        check_factories(domain, behaviours)
         self.goals = Goals(domain)
         self._domain, self._factories = domain, dict(behaviours)
         self._policy = policy or ReplanningPolicy()
@@ -372,11 +372,3 @@ def _news(expected: Situation | None, now: Situation) -> str | None:
     changed = sorted(state - before) + [f"(not {atom})" for atom in sorted(before - state)]
     changed += [f"{text} is {value:g}" for text, value in sorted(numbers.items()) if told.get(text) != value]
     return ", ".join(changed[:3]) + (", ..." if len(changed) > 3 else "")
-
-
-def _check_behaviours(domain: Domain, behaviours: Mapping[str, Factory]) -> None:
-    for schema in domain.schemas:
-        if schema not in behaviours:
-            given = ", ".join(sorted(behaviours)) or "none"
-            message = f"no behaviour for the PDDL action {schema!r} of {domain.file}; given: {given}"
-            raise MissingBehaviourError(f"{message} ({nearest(schema, behaviours)})")

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from numbers import Real
 
 from rosa_pddl.domain import Domain, UpThing
 from rosa_pddl.exceptions import GoalError, nearest
@@ -74,12 +75,12 @@ class Goals:
                 metric); None if it must be reached. Of a conjunction, each part is worth it.
 
         Raises:
-            GoalError: the worth is not positive.
+            GoalError: it is no text, or the worth is not positive.
             PddlError: the text is no PDDL.
             UnknownNameError: it mentions what the domain does not have.
         """
-        if worth is not None and not 0.0 < worth < float("inf"):
-            raise GoalError(f"{text} is worth {worth:g}, expected more than 0; leave it out if it must be reached")
+        if worth is not None and not (isinstance(worth, Real) and 0.0 < worth < float("inf")):
+            raise GoalError(f"{text} is worth {worth}, expected more than 0; leave it out if it must be reached")
         before = dict(self._goals)
         self._put(text, worth)
         self._version += before != self._goals
@@ -88,7 +89,7 @@ class Goals:
         """Give up a goal.
 
         Raises:
-            GoalError: there is no such goal.
+            GoalError: it is no text, or there is no such goal.
             PddlError: the text is no PDDL.
             UnknownNameError: it mentions what the domain does not have.
         """
@@ -104,6 +105,7 @@ class Goals:
         """Put other goals, which must be reached, in place of all there are; none at all leaves nothing to do.
 
         Raises:
+            GoalError: one is no text.
             PddlError: a text is no PDDL.
             UnknownNameError: one mentions what the domain does not have.
         """
@@ -128,6 +130,8 @@ class Goals:
             self._goals[part.text] = Goal(part.text, part.expression, worth)
 
     def _read(self, text: str) -> tuple[Condition, ...]:
+        if not isinstance(text, str):
+            raise GoalError(f"{text!r} is no goal, expected a condition as text such as '(inspected north)'")
         # a planner may be reading the same environment of unified-planning, in a thread of its own
         with lock_of(self._domain):
             return conditions(self._domain, text)

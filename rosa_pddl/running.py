@@ -1,16 +1,38 @@
 """The behaviour of a step: made when the step starts, ticked, and let go of however it ends."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 
 from rosa_pddl.belief import Undo
-from rosa_pddl.domain import Step
+from rosa_pddl.domain import Domain, Step
+from rosa_pddl.exceptions import MissingBehaviourError, UnknownNameError, nearest
 
-__all__ = ["Factory", "RunningStep"]
+__all__ = ["Factory", "RunningStep", "check_factories"]
 
 Factory = Callable[[Step], Behaviour]
+
+
+def check_factories(domain: Domain, behaviours: Mapping[str, Factory]) -> None:
+    """Assure that each PDDL action has what makes its behaviours.
+
+    Raises:
+        MissingBehaviourError: one has not, or something that makes none.
+        UnknownNameError: something is given for a PDDL action that there is not.
+    """
+    given = ", ".join(sorted(behaviours)) or "none"
+    for schema in domain.schemas:
+        if schema not in behaviours:
+            message = f"no behaviour for the PDDL action {schema!r} of {domain.file}; given: {given}"
+            raise MissingBehaviourError(f"{message} ({nearest(schema, behaviours)})")
+        if not callable(behaviours[schema]):
+            message = f"no behaviour can be made for {schema!r} from {behaviours[schema]!r}"
+            raise MissingBehaviourError(f"{message}; expected what makes one for each step, such as a lambda")
+    for name in behaviours:
+        if name not in domain.schemas:
+            message = f"a behaviour is given for {name!r}, but {domain.file} has no such PDDL action"
+            raise UnknownNameError(f"{message}; {nearest(name, domain.schemas)}")
 
 
 class RunningStep:
@@ -22,6 +44,10 @@ class RunningStep:
         number: its number in the plan that is executed; None if it is of an earlier one.
         parent: the behaviour that ticks it.
         arguments: for the `setup` of its behaviour.
+
+    Raises:
+        MissingBehaviourError: the factory made no behaviour. What the factory or a `setup` raises comes out as it is,
+            with a note that says for which step.
     """
 
     def __init__(
@@ -34,9 +60,12 @@ class RunningStep:
     ) -> None:
         self.step, self.number = step, number
         self.undo = Undo()
-        self.behaviour = factory(step)
-        for node in self.behaviour.iterate():
-            node.setup(**arguments)
+        try:
+            self.behaviour = _made(factory, step)
+            self._set_up(arguments)
+        except Exception as error:
+            error.add_note(f"it was raised when the behaviour of {step} was made")
+            raise
         self.behaviour.parent = parent
 
     def tick(self) -> tuple[Status, str, list[Behaviour]]:
@@ -56,15 +85,40 @@ class RunningStep:
         """Stop the behaviour if it still runs, and let go of it."""
         if self.behaviour.status == Status.RUNNING:
             self._stop()
-        for node in self.behaviour.iterate():
-            node.shutdown()
+        self._shut_down(self.behaviour.iterate())
         self.behaviour.parent = None
+
+    def _set_up(self, arguments: Mapping[str, object]) -> None:
+        done: list[Behaviour] = []
+        try:
+            for node in self.behaviour.iterate():
+                done.append(node)
+                node.setup(**arguments)
+        except Exception:
+            self._shut_down(done)
+            raise
+
+    def _shut_down(self, nodes: Iterable[Behaviour]) -> None:
+        """Shut down nodes: one that raises then must not keep others from being let go of."""
+        for node in nodes:
+            try:
+                node.shutdown()
+            except Exception as error:
+                node.logger.error(f"{type(error).__name__} in shutdown of {self.step}: {error}")
 
     def _stop(self) -> None:
         """Stop for good: a behaviour that raises in its `terminate` must not keep the executor from going on."""
         try:
             self.behaviour.stop(Status.INVALID)
         except Exception as error:
-            self.behaviour.logger.error(f"{type(error).__name__} in terminate: {error}")
+            self.behaviour.logger.error(f"{type(error).__name__} in terminate of {self.step}: {error}")
             for node in self.behaviour.iterate():
                 node.status = Status.INVALID
+
+
+def _made(factory: Factory, step: Step) -> Behaviour:
+    made = factory(step)
+    if not isinstance(made, Behaviour):
+        message = f"for {step} what was given for {step.schema!r} made {made!r}, expected a py_trees behaviour"
+        raise MissingBehaviourError(message)
+    return made

@@ -2,17 +2,14 @@ from concurrent.futures import Future
 
 import py_trees
 import pytest
-from pddl_world import FakeKb, Task, World, load_mission
+from pddl_world import Task, World
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 from py_trees.composites import Selector, Sequence
 from py_trees.trees import BehaviourTree
 
 from rosa_pddl import (
-    MissingBehaviourError,
     Outcome,
-    PddlError,
-    PlanExecutor,
     Planner,
     PlanningBudgetError,
     ReplanningPolicy,
@@ -91,7 +88,10 @@ def test_a_hoped_for_effect_never_overrides_the_kb(world):
     for _ in range(10):
         world.tick()
     assert ("search_pipeline", "begins") not in happened(world)
-    assert [record.reason for record in world.executor.plans[:2]] == ["start", "search_pipeline is unfeasible"]
+    assert [record.reason.partition(":")[0] for record in world.executor.plans] == [
+        "start",
+        "recharge(recharge, search_pipeline, inspect_pipeline, bluerov) did not make inspect_pipeline feasible",
+    ]
     world.kb.unfeasible = set()
     assert world.run() is Status.SUCCESS
 
@@ -403,27 +403,3 @@ def test_setup_and_shutdown_reach_the_behaviour_of_a_step(world):
     BehaviourTree(world.executor).setup(node="here")
     world.run(until="inspect_pipeline")
     assert seen == [{"node": "here"}, "shutdown"]
-
-
-# ------------------------------------------------------------------ construction
-
-
-def make(domain, kb, behaviours):
-    return PlanExecutor("plan", kb=kb, domain=domain, behaviours=behaviours, sense=dict, clock=lambda: 0.0)
-
-
-def test_a_missing_behaviour_is_named_at_construction(extended):
-    given = dict.fromkeys(["search_pipeline", "inspect_pipelines", "recharge"], Task)
-    with pytest.raises(MissingBehaviourError, match=r"'inspect_pipeline'.*given: .*nearest: inspect_pipelines"):
-        make(extended, FakeKb(extended.rosa_actions), given)
-
-
-def test_an_action_that_the_kb_does_not_know_is_named_at_construction(extended):
-    with pytest.raises(PddlError, match="does not know the action 'recharge'"):
-        make(extended, FakeKb(["search_pipeline", "inspect_pipeline"]), dict.fromkeys(extended.schemas, Task))
-
-
-def test_behaviours_for_more_actions_than_the_domain_has_are_fine():
-    domain = load_mission("suave")
-    given = dict.fromkeys([*domain.schemas, "recharge"], Task)
-    assert make(domain, FakeKb(domain.rosa_actions), given).plans == ()

@@ -126,6 +126,10 @@ def test_a_goal_may_be_any_condition(world):
         ("visited north", PddlError, "expected"),
         ("(visited north", PddlError, "not closed"),
         ("()", PddlError, "expected a list"),
+        ("", PddlError, "expected"),
+        (42, GoalError, "42 is no goal, expected a condition as text such as"),
+        (None, GoalError, "None is no goal, expected a condition as text such as"),
+        (["(home)"], GoalError, "is no goal, expected a condition as text such as"),
         ("(> (way north) 3)", UnsupportedPddlError, "computes with numbers"),
     ],
 )
@@ -141,8 +145,9 @@ def test_a_goal_that_means_nothing_is_refused_and_the_goals_stay_as_they_were(wo
 def test_dropping_what_is_no_goal_and_a_worth_of_nothing_are_refused(world):
     with pytest.raises(GoalError, match=r"\(visited east\) is not among the goals; nearest: \(visited north\)"):
         world.executor.goals.drop("(visited east)")
-    with pytest.raises(GoalError, match="worth 0, expected more than 0"):
-        world.executor.goals.add("(visited east)", worth=0.0)
+    for worth in (0.0, -1, float("nan"), "5"):
+        with pytest.raises(GoalError, match=f"worth {worth}, expected more than 0"):
+            world.executor.goals.add("(visited east)", worth=worth)
 
 
 # ------------------------------------------------------------------ soft goals
