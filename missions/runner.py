@@ -103,10 +103,10 @@ class MissionRun:
         self._configurable = [one for one in self.kb.components.values() if one.configurations]
         self._senses = Senses()
         self._manager = ConfigurationManager(self.kb, world.managed)
-        self._log = AdaptationLog(self.kb, self._tell_adaptation)
-        self.kb.subscribe(self._hear)
         delay = self.settings.planning_delay_s
         self._task = build_task(task, mission, self.kb, self._senses, self._now, delay)
+        self._log = AdaptationLog(self.kb, self._tell_adaptation, self._task.plans)
+        self.kb.subscribe(self._hear)
         self._runner = TreeRunner(self._task.root, clock=self._now, period=self.settings.tick_period_s)
         self._runner.tree.setup()
 
@@ -197,14 +197,23 @@ class MissionRun:
         stamp = float(message["time"])
         self._log.news(stamp)
         problems = self.kb.receive(message)
+        self._sense(message)
         self._log.news(None)
-        self._senses.receive(message)
         for listener in self._listeners:
             listener.message(message)
         for problem in problems:
             self.problems.append((stamp, problem))
             for listener in self._listeners:
                 listener.problem(problem, stamp)
+
+    def _sense(self, message: Message) -> None:
+        """Pass on what the task layer alone is told, and note what is not so any more, or only now."""
+        keys = [key for status in message["status"] for key in status["values"]]
+        held = {key: self._senses.holds(key) for key in keys}
+        self._senses.receive(message)
+        for key, before in held.items():
+            if self._senses.holds(key) is not before:
+                self._log.sensed(f"{key} is {'false' if before else 'true'}")
 
     def _manage(self) -> None:
         self._manager.update()

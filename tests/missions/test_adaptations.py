@@ -1,6 +1,11 @@
 """What counts as an adaptation, and what is the ordinary course of a mission."""
 
+from itertools import pairwise
+
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from running import run_mission
 
 from kb import ConfigurationManager, KnowledgeBase, Model
 from missions.adaptations import AdaptationLog
@@ -16,8 +21,7 @@ class Robot:
         pass
 
 
-@pytest.fixture
-def mission():
+def robot():
     """A robot that sees by camera or by lidar, for two actions that need no more than that, and one that needs none."""
     model = Model("rover")
     energy = model.quality_attribute("energy")
@@ -28,6 +32,11 @@ def mission():
     model.action("inspect", requires=[see], constraints=[energy >= 0.2])
     model.action("wait", requires=[see])
     return Mission(model)
+
+
+@pytest.fixture
+def mission():
+    return robot()
 
 
 class Mission:
@@ -46,6 +55,23 @@ class Mission:
         tell()
         self.log.news(None)
         self.turn()
+
+    def tick(self, *decisions):
+        """Let a tenth of a second pass, and the task layer decide."""
+        self.now = round(self.now + 0.1, 6)
+        self.log.ticking(self.now)
+        for decide in decisions:
+            decide()
+        self.turn()
+
+    def begin(self, action):
+        return lambda: self.kb.request_action(action)
+
+    def end(self, action, result="abandoned", reason=""):
+        return lambda: self.kb.cancel_action(action, result, reason)
+
+    def told(self):
+        return [(one.change, one.trigger, one.reason) for one in self.log.adaptations]
 
     def kinds(self):
         return [(one.kind, one.trigger) for one in self.log.adaptations]
@@ -117,5 +143,175 @@ def test_return_is_not_put_down_to_news_of_long_ago(mission):
     mission.kb.request_action("inspect")
     mission.turn()
     last = mission.log.adaptations[-1]
-    assert (last.kind, last.trigger, last.reason) == ("task", "wait is over", "inspect is feasible again")
+    assert (last.kind, last.trigger, last.reason) == (
+        "task",
+        "wait is over",
+        "inspect is feasible again (energy is 0.9)",
+    )
     assert last.reaction_s == 0.0
+
+
+def test_action_left_while_it_is_feasible_is_put_down_to_the_news_before_the_tick(mission):
+    mission.tick(mission.begin("search"))
+    mission.hear(lambda: mission.kb.measure("energy", 0.5))
+    mission.tick(mission.end("search"), mission.begin("inspect"))
+    assert mission.told() == [
+        ("search -> inspect", "energy is 0.5", "inspect is chosen, though search is still feasible")
+    ]
+    assert mission.log.adaptations[0].reaction_s == pytest.approx(0.1)
+
+
+def test_what_the_task_layer_alone_is_told_leads_to_another_action_too(mission):
+    mission.hear(lambda: mission.kb.measure("energy", 0.7))
+    mission.tick(mission.begin("search"))
+    mission.hear(lambda: mission.kb.measure("energy", 0.6))  # no status changes by that, so it is the lesser news
+    mission.hear(lambda: mission.log.sensed("guest is true"))
+    mission.tick(mission.begin("inspect"), mission.end("search"))
+    assert mission.told() == [
+        ("search -> inspect", "guest is true", "inspect is chosen, though search is still feasible")
+    ]
+
+
+def test_action_left_without_any_news_is_the_ordinary_course(mission):
+    mission.hear(lambda: mission.kb.measure("energy", 0.5))
+    mission.tick(mission.begin("search"))
+    mission.tick()
+    mission.tick(mission.end("search"), mission.begin("inspect"))
+    assert mission.log.adaptations == []
+
+
+def test_action_left_once_as_unfeasible_is_not_left_for_the_same_reason_again(mission):
+    mission.tick(mission.begin("search"))
+    mission.hear(lambda: mission.kb.measure("energy", 0.1))
+    mission.tick(mission.end("search"), mission.begin("wait"))
+    mission.tick(lambda: mission.kb.measure("energy", 0.9))  # the task layer's own word
+    mission.tick(mission.end("wait", "completed"), mission.begin("search"))
+    mission.hear(lambda: mission.log.sensed("guest is true"))
+    mission.tick(mission.end("search"), mission.begin("inspect"))
+    assert [one.trigger for one in mission.log.adaptations] == ["energy is 0.1", "guest is true"]
+    assert mission.log.adaptations[1].reason == "inspect is chosen, though search is still feasible"
+
+
+def test_what_a_behaviour_says_as_it_ends_does_not_hide_why_it_was_left(mission):
+    mission.tick(mission.begin("search"))
+    mission.hear(lambda: mission.kb.measure("energy", 0.1))
+    mission.tick(lambda: mission.kb.measure("energy", 0.9), mission.end("search"), mission.begin("wait"))
+    assert mission.told()[0][1:] == ("energy is 0.1", mission.log.adaptations[0].reason)
+    assert "energy 0.1 violates >= 0.2" in mission.log.adaptations[0].reason
+
+
+def test_action_that_fails_for_another_is_a_task_adaptation_with_its_own_reason(mission):
+    mission.tick(mission.begin("search"))
+    mission.tick(mission.end("search", "failed", "the sea is empty"), mission.begin("inspect"))
+    assert mission.told() == [("search -> inspect", "search has failed", "the sea is empty")]
+
+
+def test_same_action_again_is_no_task_adaptation(mission):
+    mission.tick(mission.begin("search"))
+    mission.hear(lambda: mission.kb.measure("energy", 0.5))
+    mission.tick(mission.end("search", "failed"), mission.begin("search"))
+    mission.hear(lambda: mission.kb.measure("energy", 0.4))
+    mission.tick(mission.end("search"))
+    mission.tick(mission.begin("search"))
+    assert mission.log.adaptations == []
+
+
+def test_nothing_to_be_done_until_news_makes_it_feasible_is_put_down_to_that_news(mission):
+    mission.tick(mission.begin("search"))
+    mission.hear(lambda: (mission.kb.measure("energy", 0.1), mission.kb.component_failed("camera")))
+    mission.hear(lambda: mission.kb.component_failed("lidar"))
+    mission.tick(mission.end("search"))
+    for _ in range(50):
+        mission.tick()
+    mission.hear(lambda: mission.kb.component_recovered("lidar"))
+    mission.tick(mission.begin("wait"))
+    task = [one for one in mission.log.adaptations if one.kind == "task"]
+    assert [(one.trigger, one.reason) for one in task] == [("lidar is recovered", "wait is feasible again")]
+    assert task[0].reaction_s == pytest.approx(0.1)
+
+
+def test_what_is_stopped_before_the_next_action_begins_belongs_to_the_change(mission):
+    mission.tick(mission.begin("search"))
+    mission.hear(lambda: mission.kb.measure("energy", 0.1))
+    mission.tick(mission.end("search"))
+    mission.tick()
+    mission.tick(mission.begin("wait"))
+    mission.tick(mission.end("wait", "completed"))
+    mission.tick(mission.begin("wait"))
+    assert [one.change for one in mission.log.adaptations] == ["search -> wait; stop camera; start camera"]
+    assert mission.log.adaptations[0].reaction_s == pytest.approx(0.3)
+
+
+def test_what_is_stopped_in_the_ordinary_course_is_told_of_no_later_change(mission):
+    mission.tick(mission.begin("search"))
+    mission.tick(mission.end("search", "completed"))
+    mission.tick(mission.begin("inspect"))
+    mission.hear(lambda: mission.kb.measure("energy", 0.1))
+    mission.tick(mission.end("inspect"), mission.begin("wait"))
+    assert [one.change for one in mission.log.adaptations] == ["inspect -> wait"]
+
+
+NEWS = st.one_of(
+    st.builds(lambda value: lambda one: one.kb.measure("energy", value), st.sampled_from([0.1, 0.3, 0.9])),
+    st.just(lambda one: one.kb.component_failed("camera")),
+    st.just(lambda one: one.kb.component_recovered("camera")),
+    st.just(lambda one: one.log.sensed("guest is true")),
+)
+DECISION = st.tuples(
+    st.sampled_from(["search", "inspect", "wait"]), st.sampled_from(["completed", "failed", "abandoned"])
+)
+SCRIPT = st.lists(st.tuples(st.lists(NEWS, max_size=2), st.none() | DECISION), max_size=12)
+
+
+def played(script, begins_first=False, hears=True):
+    """Play turns: what is heard, then what the task layer decides to do, and how it ends what it did."""
+    one, doing = robot(), None
+    for news, decision in script:
+        for tell in news if hears else []:
+            one.hear(lambda tell=tell: tell(one))
+        steps = []
+        if decision is not None and decision[0] != doing and one.kb.is_feasible(decision[0]):
+            steps = [one.begin(decision[0])]
+            if doing is not None:
+                steps.insert(1 if begins_first else 0, one.end(doing, decision[1]))
+            doing = decision[0]
+        one.tick(*steps)
+    return one
+
+
+@given(SCRIPT)
+def test_task_adaptations_are_what_the_history_of_actions_says(script):
+    one = played(script)
+    history = [(record.action, record.start, record.end, record.result) for record in one.kb.action_history]
+    follow = {start: (before, name) for (before, _, _, _), (name, start, _, _) in pairwise(history)}
+    tasks = [told for told in one.log.adaptations if told.kind == "task"]
+    assert [told.change.split(";")[0] for told in tasks] == [" -> ".join(follow[told.at_s]) for told in tasks]
+    for told in one.log.adaptations:
+        assert all((told.trigger, told.reason, told.change))
+        assert told.news_s <= told.at_s
+        assert told.reaction_s is None or told.reaction_s >= told.at_s - told.news_s - 1e-9
+    given_up = {end for _, _, end, result in history if result == "failed"}
+    assert given_up & set(follow) <= {told.at_s for told in tasks}
+
+
+@given(SCRIPT)
+def test_it_does_not_matter_whether_a_tree_begins_or_ends_first(script):
+    begun, ended = (played(script, begins_first=order) for order in (True, False))
+    assert [(one.at_s, one.kind, one.trigger, one.reason) for one in begun.log.adaptations] == [
+        (one.at_s, one.kind, one.trigger, one.reason) for one in ended.log.adaptations
+    ]
+
+
+@given(SCRIPT)
+def test_without_news_only_a_failure_is_an_adaptation(script):
+    one = played(script, hears=False)
+    assert all(told.trigger.endswith(" has failed") for told in one.log.adaptations)
+
+
+def test_goal_that_changes_in_flight_is_a_task_adaptation_of_the_plans():
+    _, _, data = run_mission("uav", "pddl", 1, duration_s=65)
+    (told,) = data["adaptations"]
+    assert (told["kind"], told["trigger"]) == ("task", "sample_8_wanted is true and sample_8_found is true")
+    assert told["reason"].startswith("the rest of the plan does not reach (forall")
+    assert told["change"] == "plan anew, with search_for_samples(sample_8, drone), pick_up_and_analyse(sample_8, drone)"
+    assert told["reaction_s"] == pytest.approx(0.2)

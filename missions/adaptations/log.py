@@ -1,0 +1,246 @@
+"""Tells adaptations from the ordinary course of a mission."""
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+from kb import ComponentKind, Event, EventKind, KnowledgeBase, ReconfigurationPlan
+from missions.adaptations.adaptation import Adaptation, TaskChange
+from missions.adaptations.headlines import Headlines, News
+
+if TYPE_CHECKING:
+    from rosa_pddl import PlanRecord, Step
+
+__all__ = ["AdaptationLog"]
+
+
+class _Ended(NamedTuple):
+    """An action that has ended; cause: why it was given up, None if it was not, or not because of any news."""
+
+    action: str
+    cause: News | None
+
+
+class AdaptationLog:
+    """Listens to a knowledge base and tells adaptations from the ordinary course of a mission.
+
+    A new plan of reconfiguration is an adaptation if news from the robot led to it. A new action is one if the action
+    before it
+
+    - was given up, or failed, because it had become unfeasible, or failed at all, or was given up after other news,
+    - or was taken up when it was feasible again, after it had been given up itself.
+
+    The plans that configure the robot for it belong to it. A task plan that was made anew, and has steps that the one
+    before had not, is one too, unless the action that is begun for it tells as much.
+
+    Not an adaptation: the first action, the next one after one that is completed, the same one again, and whatever no
+    news has led to.
+
+    Args:
+        kb: the knowledge base to listen to.
+        tell: called with each adaptation once it is in force or has failed.
+        plans: returns the task plans made so far.
+
+    Attributes:
+        adaptations: all so far, in the order in which they were decided.
+    """
+
+    def __init__(
+        self,
+        kb: KnowledgeBase,
+        tell: Callable[[Adaptation], None] = lambda adaptation: None,
+        plans: Callable[[], Sequence["PlanRecord"]] = tuple,
+    ) -> None:
+        self.adaptations: list[Adaptation] = []
+        self._kb, self._tell, self._plans = kb, tell, plans
+        self._headlines = Headlines(kb)
+        self._news: list[News] = []
+        self._stamp: float | None = None
+        self._last_tick = self._this_tick = float("-inf")
+        self._plans_before = self._plans_settled = 0
+        self._steps: frozenset[Step] = frozenset()
+        self._given_up: dict[str, None] = {}
+        self._began: dict[str, float] = {}
+        self._ended: list[_Ended] = []
+        self._before: _Ended | None = None
+        self._task: TaskChange | None = None
+        self._switching = False
+        self._made: list[ReconfigurationPlan] = []
+        self._prelude: list[ReconfigurationPlan] = []
+        self._under_way: list[tuple[Adaptation, ReconfigurationPlan]] = []
+        kb.subscribe(self._hear)
+
+    def news(self, stamp: float | None) -> None:
+        """Say that what the knowledge base hears next is news of that time [s]; None: it is our own doing."""
+        self._stamp = stamp
+
+    def sensed(self, text: str) -> None:
+        """Say that the task layer was told of something that is not as before, while there is news."""
+        if self._stamp is not None:
+            self._headlines.note(News(self._stamp, text), is_turn=True)
+
+    def ticking(self, time: float) -> None:
+        """Say that the task layer is about to be ticked [s]."""
+        self._last_tick, self._this_tick = self._this_tick, time
+        self._plans_before = len(self._plans())
+        self._headlines.ticking(time)
+
+    def settle(self) -> None:
+        """Put together what was decided, and complete what has ended; called after each turn of the manager."""
+        self._settle_task_plans(is_told=self._settle_actions())
+        made, self._made = self._made, []
+        for plan in made:
+            self._put_down(plan)
+        if self._kb.pending_plan is None:  # the manager has answered all news, with a plan or without
+            self._news.clear()
+            if self._task is not None and self._task.is_over(self._kb, self._last_tick):
+                self._end_task()
+            if self._kb.required_actions:  # a change of action that needed no plan is over
+                self._switching = False
+        self._settle_plans()
+
+    # ---------------------------------------------------------------- what is heard
+
+    def _hear(self, event: Event) -> None:
+        if event.kind is EventKind.MONITORING_DATA:
+            self._headlines.hear(event, self._stamp)
+            if self._stamp is not None and event.changes:
+                self._news.append(News(self._stamp, event.text))
+        elif event.kind is EventKind.ACTION_UPDATE:
+            self._hear_action(event)
+        elif event.plan is not None:
+            self._made.append(event.plan)
+
+    def _hear_action(self, event: Event) -> None:
+        """Note what begins and ends; a tree may begin the one before it ends the other."""
+        action = event.subject
+        record = next(one for one in reversed(self._kb.action_history) if one.action == action)
+        self._switching = True
+        if record.end is None:
+            self._began[action] = event.time
+            return
+        if action not in self._began:  # else it ended in the tick in which it began
+            self._ended.append(_Ended(action, self._why_given_up(action, record.result, record.reason)))
+        self._began.pop(action, None)
+        if record.result != "completed":
+            self._given_up[action] = None
+            self._headlines.regained.pop(action, None)
+
+    def _why_given_up(self, action: str, result: str | None, reason: str) -> News | None:
+        if result == "completed":
+            return None
+        if action in self._headlines.lost:
+            return self._headlines.lost[action]
+        if result == "failed":
+            return News(self._kb.now, f"{action} has failed", reason or f"{action} told no reason")
+        plan = self._new_plan()
+        return self._headlines.of_tick() if plan is None else self._headlines.of_plan(plan)
+
+    def _new_plan(self) -> "PlanRecord | None":
+        """Return the task plan that was found in this tick, if one was."""
+        plans = self._plans()
+        return plans[-1] if len(plans) > self._plans_before and plans[-1].outcome.is_solved else None
+
+    # ---------------------------------------------------------------- what comes of it
+
+    def _settle_actions(self) -> bool:
+        """Return whether the action that was begun stands in for another because of news; note so if it does."""
+        ended, self._ended = self._ended, []
+        began, self._began = self._began, {}
+        self._before = ended[-1] if ended else self._before
+        if not began:
+            return False
+        before, self._before = self._before, None
+        action, time = list(began.items())[-1]
+        cause = None
+        if before is not None:
+            cause = before.cause if before.action != action else None
+            regained = self._headlines.regained.get(action)
+            if cause is None and action in self._given_up and regained is not None:
+                waited = regained.time < self._last_tick  # for something else to end
+                since = f"{regained.reason} ({regained.text})"
+                cause = News(time, f"{before.action} is over", since) if waited else regained
+            elif cause is not None and regained is not None and regained.time > cause.time:
+                cause = regained  # there was nothing else to be done before
+        for one in began:
+            self._given_up.pop(one, None)
+        prelude, self._prelude = self._prelude, []
+        if cause is None or before is None:
+            return False
+        self._end_task()
+        self._task = TaskChange(cause, before.action, action, time)
+        for plan in prelude:
+            self._task.add(self._in_words(plan), plan)
+        self.adaptations.append(self._task.adaptation)
+        return True
+
+    def _end_task(self) -> None:
+        if self._task is not None:
+            self._task.close()
+            self._tell(self._task.adaptation)
+            self._task = None
+
+    def _settle_task_plans(self, *, is_told: bool) -> None:
+        """Tell of a task plan with steps that are new, unless the action that it begins with tells of it."""
+        for plan in self._plans()[self._plans_settled :]:
+            self._plans_settled += 1
+            if not plan.outcome.is_solved:
+                continue
+            added = [self._step_in_words(step) for step in plan.steps if step not in self._steps]
+            if added and self._steps and not is_told:
+                cause = self._headlines.of_plan(plan)
+                change = f"plan anew, with {', '.join(dict.fromkeys(added))}"
+                reaction_s = self._this_tick - cause.time
+                told = Adaptation(self._this_tick, "task", cause.text, cause.reason, change, reaction_s, cause.time)
+                self.adaptations.append(told)
+                self._tell(told)
+            self._steps = frozenset(plan.steps)
+
+    def _put_down(self, plan: ReconfigurationPlan) -> None:
+        """Put a plan down to the change of action that it belongs to, or else to the news that led to it."""
+        news, self._news = self._news, []
+        if self._task is not None:
+            self._task.add(self._in_words(plan), plan)
+            self._switching = False
+        elif self._switching:
+            self._switching = not self._kb.required_actions  # given up, and nothing new yet: more is to come
+            if self._switching:
+                self._prelude.append(plan)
+        elif news:
+            kind = "structural" if plan.activate or plan.deactivate else "parameter"
+            texts = " and ".join(dict.fromkeys(one.text for one in news))
+            adaptation = Adaptation(plan.start, kind, texts, plan.reason, self._in_words(plan), None, news[0].time)
+            self.adaptations.append(adaptation)
+            self._under_way.append((adaptation, plan))
+
+    def _settle_plans(self) -> None:
+        waiting = []
+        for adaptation, plan in self._under_way:
+            if plan.end is None:
+                waiting.append((adaptation, plan))
+                continue
+            if plan.result == "completed":
+                adaptation.reaction_s = plan.end - adaptation.news_s
+            else:
+                adaptation.change += f" ({plan.result})"
+            self._tell(adaptation)
+        self._under_way = waiting
+
+    def _step_in_words(self, step: "Step") -> str:
+        return f"{step.schema}({', '.join(one for one in step.arguments if one not in self._kb.actions)})"
+
+    def _in_words(self, plan: ReconfigurationPlan) -> str:
+        """Say what a plan switches and sets; plain components are only booked, so they are left out."""
+
+        def switched(names: tuple[str, ...]) -> str:
+            return ", ".join(name for name in names if self._kb.components[name].kind is not ComponentKind.PLAIN)
+
+        steps = [
+            f"{verb} {names}"
+            for verb, names in (("stop", switched(plan.deactivate)), ("start", switched(plan.activate)))
+            if names
+        ]
+        for name in plan.parameters:
+            configuration = self._kb.configurations[name]
+            values = ", ".join(f"{key} = {value}" for key, value in configuration.parameters.items())
+            steps.append(f"set {configuration.component} to {name} ({values})")
+        return "; ".join(steps) or str(plan)
