@@ -6,8 +6,10 @@ from dataclasses import dataclass
 
 from rosa_pddl.domain import Domain, State, Step, UpThing
 from rosa_pddl.exceptions import RosaPddlError, UnsupportedPddlError
-from rosa_pddl.planning.costs import Costs, CostSum, Numbers
+from rosa_pddl.planning.costs import Costs
 from rosa_pddl.planning.sas import Effect, Fact, Operator, SasTask
+from rosa_pddl.planning.sums import Numbers, Sum
+from rosa_pddl.planning.uses import Uses
 from rosa_pddl.planning.writing import ADDED
 from rosa_pddl.problem import Problem
 from rosa_pddl.validate import literals
@@ -58,6 +60,7 @@ class Ready:
         prevail: what it needs of the others, and leaves so.
         effects: as those of an `Operator`, on the others.
         cost: what it costs.
+        uses: what it uses up of each limited resource.
         text: as Fast Downward reads it, but for its cost.
     """
 
@@ -66,7 +69,8 @@ class Ready:
     needs: tuple[Fact, ...]
     prevail: tuple[Fact, ...]
     effects: tuple[Effect, ...]
-    cost: CostSum
+    cost: Sum
+    uses: tuple[Sum, ...]
     text: str
 
 
@@ -94,12 +98,15 @@ class Grounded:
         domain: what `load_domain` returned.
         task: what the translator wrote.
         costs: what steps cost.
+        uses: what they use up.
         base: the state that was translated.
         is_patchable: whether the task was translated to fit other states than `base`.
     """
 
-    def __init__(self, domain: Domain, task: SasTask, costs: Costs, base: State, is_patchable: bool) -> None:
-        self._domain, self._task, self._costs = domain, task, costs
+    def __init__(
+        self, domain: Domain, task: SasTask, costs: Costs, uses: Uses, base: State, is_patchable: bool
+    ) -> None:
+        self._domain, self._task, self._costs, self._uses = domain, task, costs, uses
         self.has_axioms = task.has_axioms
         self.is_patchable = is_patchable and not task.has_axioms
         operators = [operator for operator in task.operators if not _is_added(operator)]
@@ -195,7 +202,7 @@ class Grounded:
     def _sizes_of(self, variable: int) -> int:
         return len(self._task.variables[variable].values)
 
-    def _whole_costs(self, sums: Sequence[CostSum], numbers: Numbers) -> list[str]:
+    def _whole_costs(self, sums: Sequence[Sum], numbers: Numbers) -> list[str]:
         try:
             costs = [one.value(numbers) if one.terms else float(one.constant) for one in sums]
         except KeyError as error:
@@ -231,7 +238,8 @@ class Grounded:
                 for given, variable, before, after in operator.effects
             ]
         )
-        return Ready(index, step, needs, prevail, effects, self._costs.of(step), _written(index, prevail, effects))
+        cost, uses = self._costs.of(step), self._uses.of(step)
+        return Ready(index, step, needs, prevail, effects, cost, uses, _written(index, prevail, effects))
 
 
 def _written(number: int, prevail: Sequence[Fact], effects: Sequence[Effect]) -> str:

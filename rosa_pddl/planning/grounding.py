@@ -6,7 +6,7 @@ from concurrent.futures import Future
 from dataclasses import dataclass, field
 from itertools import product
 from math import prod
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 from weakref import WeakKeyDictionary
 
 from rosa_pddl.domain import FEASIBLE, Domain, UpThing
@@ -16,10 +16,11 @@ from rosa_pddl.planning.downward import Trouble, translate
 from rosa_pddl.planning.grounded import Grounded
 from rosa_pddl.planning.outcomes import Outcome
 from rosa_pddl.planning.processes import Cut, Leash
+from rosa_pddl.planning.uses import Uses
 from rosa_pddl.planning.writing import written_domain, written_problem
 from rosa_pddl.problem import Problem
 
-__all__ = ["Grounding", "Groundings", "instantaneous", "lock_of", "translated"]
+__all__ = ["Grounding", "Groundings", "Instantaneous", "instantaneous", "lock_of", "translated"]
 
 Grounding: TypeAlias = Future[Grounded | Trouble]
 """The translated task, or why there is none: a value, as an exception that many raise would keep their frames."""
@@ -28,7 +29,7 @@ Grounding: TypeAlias = Future[Grounded | Trouble]
 _MOST_ATOMS = 5000
 _MOST_DOMAINS = 8
 _LOCKS: "WeakKeyDictionary[UpThing, threading.Lock]" = WeakKeyDictionary()
-_INSTANTANEOUS: "WeakKeyDictionary[Domain, tuple[UpThing, Costs]]" = WeakKeyDictionary()
+_INSTANTANEOUS: "WeakKeyDictionary[Domain, Instantaneous]" = WeakKeyDictionary()
 
 
 def lock_of(domain: Domain) -> threading.Lock:
@@ -36,8 +37,22 @@ def lock_of(domain: Domain) -> threading.Lock:
     return _LOCKS.setdefault(domain.up_problem.environment, threading.Lock())
 
 
-def instantaneous(domain: Domain) -> tuple[UpThing, Costs]:
-    """Return a domain as unified-planning's problem with instantaneous actions and no facts, and what steps cost.
+class Instantaneous(NamedTuple):
+    """A domain whose steps follow one another.
+
+    Attributes:
+        up_problem: as unified-planning's problem with instantaneous actions and no facts.
+        costs: what steps cost.
+        uses: what they use up.
+    """
+
+    up_problem: UpThing
+    costs: Costs
+    uses: Uses
+
+
+def instantaneous(domain: Domain) -> Instantaneous:
+    """Return a domain with instantaneous actions.
 
     Raises:
         UnsupportedPddlError: Fast Downward cannot be told of this.
@@ -45,7 +60,7 @@ def instantaneous(domain: Domain) -> tuple[UpThing, Costs]:
     with lock_of(domain):
         if domain not in _INSTANTANEOUS:
             up_problem = Problem(domain, frozenset()).build()
-            _INSTANTANEOUS[domain] = (up_problem, Costs(domain, up_problem))
+            _INSTANTANEOUS[domain] = Instantaneous(up_problem, Costs(domain, up_problem), Uses(domain))
         return _INSTANTANEOUS[domain]
 
 
@@ -72,7 +87,7 @@ def translated(
         Cut: the leash was cut.
     """
     domain = problem.domain
-    up_problem, costs = instantaneous(domain)
+    up_problem, costs, uses = instantaneous(domain)
     domain_text = written_domain(domain, up_problem, alive)
     kept = [atom for atoms in (alive or {}).values() for atom in atoms]
     problem_text = written_problem(problem, problem.wanted if alive is None else None, kept)
@@ -84,7 +99,7 @@ def translated(
         memory_bytes=memory_bytes,
         for_any_state=alive is not None,
     )
-    return Grounded(domain, task, costs, problem.state, is_patchable=alive is not None)
+    return Grounded(domain, task, costs, uses, problem.state, is_patchable=alive is not None)
 
 
 @dataclass(frozen=True)

@@ -10,16 +10,15 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from rosa_pddl.domain import Domain
 from rosa_pddl.exceptions import UnsupportedPddlError
-from rosa_pddl.planning.costs import CostSum, ExactNumbers, exact_numbers
 from rosa_pddl.planning.downward import SEARCHES, Answer, Trouble, install_advice
 from rosa_pddl.planning.grounded import Fitted, Grounded, Ready
 from rosa_pddl.planning.outcomes import Outcome
 from rosa_pddl.planning.processes import Ended, Leash
 from rosa_pddl.planning.sas_search import Operation, Task
-from rosa_pddl.planning.uses import Uses, value_of, whole
-from rosa_pddl.problem import Exact, Problem
+from rosa_pddl.planning.sums import Sum
+from rosa_pddl.planning.uses import Uses, whole
+from rosa_pddl.problem import Problem
 
 __all__ = ["LABEL_SETTING", "TRANSLATED", "label_search", "task_of"]
 
@@ -30,13 +29,14 @@ TRANSLATED = (*SEARCHES, LABEL_SETTING)
 
 
 def label_search(
-    grounded: Grounded, problem: Problem, leash: Leash, *, limit_s: float, memory_bytes: int | None
+    grounded: Grounded, problem: Problem, uses: Uses, leash: Leash, *, limit_s: float, memory_bytes: int | None
 ) -> Answer:
     """Search a plan of least cost that keeps to the limits of the domain's resources.
 
     Args:
         grounded: the translated task.
         problem: what is put into it.
+        uses: what steps use up.
         leash: runs the program.
         limit_s: wall-clock time that it may take [s].
         memory_bytes: how much data it may hold [B].
@@ -51,7 +51,7 @@ def label_search(
     if grounded.has_axioms:
         message = f"{LABEL_SETTING} has no axioms, into which Fast Downward turns universal and nested conditions"
         raise Trouble(Outcome.UNSUPPORTED, f"{message} ({problem.domain.file}); write them as conjunctions")
-    given = pickle.dumps(task_of(grounded.fitted(problem), problem))
+    given = pickle.dumps(task_of(grounded.fitted(problem), problem, uses))
     command = [sys.executable, "-I", "-S", str(Path(__file__).with_name("labelling_child.py"))]
     try:
         ended = leash.run(command, given=given, limit_s=limit_s, memory_bytes=memory_bytes)
@@ -61,40 +61,36 @@ def label_search(
     return _read(ended, limit_s)
 
 
-def task_of(fitted: Fitted, problem: Problem) -> Task:
+def task_of(fitted: Fitted, problem: Problem, uses: Uses) -> Task:
     """Return what is searched, in whole numbers.
 
     Raises:
         UnsupportedPddlError: an amount has no value, or one below 0.
     """
-    domain, numbers = problem.domain, exact_numbers(problem)
-    costs, _ = whole(_amounts(domain, [one.cost for one in fitted.ready], numbers, "costs"))
-    uses = Uses(domain)
-    sums = [uses.of(one.step) for one in fitted.ready]
-    columns, limits = [], []
+    domain, numbers = problem.domain, uses.numbers(problem)
+
+    def column(sums: Sequence[Sum], what: str) -> tuple[list[int], int]:
+        amounts = [uses.value(one, numbers) if one.terms else one.constant for one in sums]
+        least = min(amounts, default=0)
+        if least < 0:
+            told = " + ".join(text for _, text in sums[amounts.index(least)].terms)
+            raise UnsupportedPddlError(f"{told} comes to {float(least):g}; {what} are 0 or more", domain.problem_file)
+        return whole(amounts)
+
+    columns, limits = [column([one.cost for one in fitted.ready], "costs")[0]], []
     for index, left in enumerate(uses.left(numbers)):
-        what = f"uses of {domain.limited[index].name}"
-        column, scale = whole(_amounts(domain, [each[index] for each in sums], numbers, what))
-        columns.append(column)
+        amounts, scale = column([one.uses[index] for one in fitted.ready], f"uses of {domain.limited[index].name}")
+        columns.append(amounts)
         limits.append(left.whole(scale))
-    rows = zip(*columns, strict=True) if columns else [()] * len(costs)
-    operations = [_operation(*each) for each in zip(fitted.ready, costs, rows, strict=True)]
+    spent = zip(*columns, strict=True)
+    operations = [_operation(one, cost, used) for one, (cost, *used) in zip(fitted.ready, spent, strict=True)]
     return Task(fitted.sizes, fitted.state, fitted.goal, tuple(operations), tuple(limits))
 
 
-def _amounts(domain: Domain, sums: Sequence[CostSum], numbers: ExactNumbers, what: str) -> list[Exact]:
-    amounts = [value_of(domain, one, numbers) if one.terms else one.constant for one in sums]
-    least = min(amounts, default=0)
-    if least < 0:
-        told = " + ".join(text for _, text in sums[amounts.index(least)].terms)
-        raise UnsupportedPddlError(f"{told} comes to {float(least):g}; {what} are 0 or more", domain.problem_file)
-    return amounts
-
-
-def _operation(ready: Ready, cost: int, uses: tuple[int, ...]) -> Operation:
+def _operation(ready: Ready, cost: int, uses: Sequence[int]) -> Operation:
     before = [(variable, value) for _, variable, value, _ in ready.effects if value >= 0]
     effects = tuple([(given, variable, after) for given, variable, _, after in ready.effects])
-    return Operation(ready.number, tuple(sorted({*ready.prevail, *before})), effects, cost, uses)
+    return Operation(ready.number, tuple(sorted({*ready.prevail, *before})), effects, cost, tuple(uses))
 
 
 def _read(ended: Ended, limit_s: float) -> Answer:

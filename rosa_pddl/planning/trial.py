@@ -8,16 +8,15 @@ from itertools import product
 
 from rosa_pddl.domain import Domain, Schema, Step, UpThing
 from rosa_pddl.exceptions import UnsupportedPddlError
-from rosa_pddl.planning.costs import Numbers
 from rosa_pddl.planning.downward import SEARCHES, Answer, Trouble, search
 from rosa_pddl.planning.engines import asked, missing
 from rosa_pddl.planning.grounded import Grounded, NotRepresentableError, UnreachableGoalError
-from rosa_pddl.planning.grounding import Grounding, instantaneous, translated
+from rosa_pddl.planning.grounding import Grounding, Instantaneous, instantaneous, translated
 from rosa_pddl.planning.labelling import LABEL_SETTING, label_search
 from rosa_pddl.planning.outcomes import Attempt, Outcome, PlanningResult, TimedStep
 from rosa_pddl.planning.processes import Cut, Leash
 from rosa_pddl.planning.schedule import schedule_flaw
-from rosa_pddl.planning.uses import overspent
+from rosa_pddl.planning.sums import Numbers
 from rosa_pddl.problem import Problem
 from rosa_pddl.validate import flaw, missing_at_start
 
@@ -181,7 +180,9 @@ class Trial:
         leash, memory_bytes = self._leash, self._settings.memory_bytes
         if engine == LABEL_SETTING:
             limit_s = _left_s(deadline)
-            return label_search(task, self._problem, leash, limit_s=limit_s, memory_bytes=memory_bytes)
+            return label_search(
+                task, self._problem, self._sequence.uses, leash, limit_s=limit_s, memory_bytes=memory_bytes
+            )
         patched = task.patched(self._problem, self._numbers)
         if patched.is_done:
             return Answer(Outcome.SOLVED_OPTIMALLY)
@@ -195,7 +196,7 @@ class Trial:
             wrong = schedule_flaw(problem.domain, found.schedule, problem.state, problem.wanted)
         else:
             wrong = flaw(problem.domain, found.steps, problem.state, problem.wanted)
-        return wrong or overspent(problem, found.steps)
+        return wrong or self._sequence.uses.overspent(problem, found.steps)
 
     def _report(self, found: _Found, way: str, attempts: list[Attempt]) -> PlanningResult:
         engine, domain = self._engine_of(way), self._problem.domain
@@ -215,13 +216,17 @@ class Trial:
             safe = None
         return PlanningResult(outcome, (), engine, message, attempts=tuple(attempts), safe_step=safe)
 
+    @property
+    def _sequence(self) -> Instantaneous:
+        return instantaneous(self._problem.domain)
+
     @cached_property
     def _numbers(self) -> Numbers:
-        return instantaneous(self._problem.domain)[1].numbers(self._problem)
+        return self._sequence.costs.numbers(self._problem)
 
     def _cost(self, found: _Found) -> float | None:
         try:
-            return instantaneous(self._problem.domain)[1].total(found.steps, self._numbers)
+            return self._sequence.costs.total(found.steps, self._numbers)
         except UnsupportedPddlError:
             return None
 
