@@ -1,0 +1,237 @@
+"""`rosa effort` as a person uses it: tables, marks, files, pictures, and one clear message for each mistake."""
+
+import json
+from dataclasses import replace
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+from py_trees.display import ascii_tree
+
+from kb import KnowledgeBase, Model
+from missions import cli, suave
+from missions.effort import count, published
+from missions.effort.baseline import count_tree
+from missions.effort.figure import draw, picture
+from missions.effort.survey import MOST_ADAPTATIONS, as_data, survey
+from missions.managers.modes import SystemModes
+from missions.mission import MissionError
+from missions.registry import MISSIONS
+from missions.senses import Senses
+from missions.suave.model import suave_model
+
+OWN = """
+from dataclasses import replace
+from missions import suave
+
+def fails(*given):
+    raise RuntimeError("not today")
+
+COPY = replace(suave.MISSION, name="copy")
+NO_MODEL = replace(suave.MISSION, model=fails)
+NO_TREE = replace(suave.MISSION, tree=fails)
+OTHER = replace(suave.MISSION, model=lambda: 3)
+"""
+
+
+@pytest.fixture(scope="module")
+def everything():
+    return survey()
+
+
+@pytest.fixture
+def rosa(capsys, monkeypatch, tmp_path):
+    """Run `rosa effort` in a folder with missions of one's own; returns exit status, output and errors."""
+    (tmp_path / "effort_own.py").write_text(OWN)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments):
+        monkeypatch.setattr("sys.argv", ["rosa", "effort", *map(str, arguments)])
+        code = 0
+        try:
+            cli.main()
+        except SystemExit as end:
+            code = end.code or 0
+        captured = capsys.readouterr()
+        assert "Traceback" not in captured.out + captured.err
+        return code, captured.out, captured.err
+
+    return run
+
+
+def row(text, name, *, table):
+    """Return the cells of a row of the table that begins with a word."""
+    lines = text[text.index(f"\n{table}" if table != "model" else table) :].splitlines()[1:]
+    return next(line.split() for line in lines if line.split()[:1] == [name])
+
+
+def test_every_mission_is_counted_beside_what_is_published(rosa):
+    code, out, _ = rosa()
+    assert code == 0
+    assert set(published.MODELS) == set(MISSIONS)
+    for name, parts in published.MODELS.items():
+        assert row(out, name, table="model") == [name, *map(str, (*parts, parts.total)), *str(parts).split()]
+    assert "entities: actions, functions" in out
+    assert "relations: functional requirements" in out
+    assert "agv: the vehicle's model, as in the paper" in out
+    points = (MOST_ADAPTATIONS + 1) ** 2
+    assert f"of {points} generated models, {points} have just that" in out
+
+
+def test_counts_of_trees_that_differ_are_marked_and_explained(rosa):
+    _, out, _ = rosa()
+    for name, parts in published.TREES.items():
+        cells = row(out, name, table="managed by")
+        assert " ".join(cells[6:11]) == str(parts)
+        assert (cells[11] == "*") == (cells[3:5] != [str(parts.first), str(parts.second)])
+        assert cells[-1] == str(published.TASK_NODES[name])
+        assert "* nodes: the published tree" in out
+        assert "* modes: recharging adds 8" in out
+
+
+def test_model_that_differs_from_the_published_one_is_marked(rosa, monkeypatch):
+    monkeypatch.setattr(published, "MODELS", {"uav": published.Parts(24, 15)})
+    code, out, _ = rosa("uav")
+    assert code == 0
+    assert "24 + 15 = 39 *" in out
+    assert "* differs from the published count" in out
+
+
+def test_tree_of_the_manager_is_counted_as_it_is_built(everything):
+    for one in everything.trees:
+        mission = MISSIONS[one.name]
+        task = mission.tree(KnowledgeBase(mission.model()), Senses())
+        assert one.count == count_tree(mission)
+        assert one.count.task_nodes == len(ascii_tree(task).splitlines())
+        assert one.count.adaptation_nodes + one.count.task_nodes == one.count.nodes
+    assert [one.count.nodes for one in everything.trees] == [32, 32]
+    assert [one.count.task_nodes for one in everything.trees] == [10, 14]
+
+
+def test_modes_are_those_of_the_functions_that_the_mission_needs(everything):
+    modes = SystemModes(None)  # only asked which modes there are
+    base, extended = (one.count.modes for one in everything.trees)
+    altitudes = 4  # only searching has a value beside `active`
+    names = sum(len(modes.of(function)) for function in modes.functions)
+    assert extended == 2 * names + altitudes
+    assert extended - base == 2 * len(modes.of("f_generate_recharge_path"))
+    first, second = (published.TREES[one.name].second for one in everything.trees)
+    assert extended - base == second - first
+
+
+def test_missions_out_of_the_sea_have_no_tree_that_manages(rosa):
+    _, out, _ = rosa("agv", "uav")
+    assert "managed by a tree" not in out
+    assert "by hand" not in out
+
+
+def test_json_says_what_is_counted(rosa, everything):
+    code, _, _ = rosa("--json", "effort.json")
+    assert code == 0
+    data = json.loads(Path("effort.json").read_text())
+    assert data == json.loads(json.dumps(as_data(everything)))
+    assert [one["name"] for one in data["models"]] == list(MISSIONS)
+    for one in data["models"]:
+        assert sum(one["of_entities"].values()) == one["entities"] == one["published"]["entities"]
+        assert sum(one["of_relations"].values()) == one["relations"] == one["published"]["relations"]
+    assert len(data["generated"]) == (MOST_ADAPTATIONS + 1) ** 2
+    assert all(one["total"] == one["law"] for one in data["generated"])
+
+
+def test_models_in_files_and_missions_of_ones_own_are_counted(rosa):
+    suave_model().save("saved.tql")
+    suave_model().save("saved.owl")
+    code, out, _ = rosa("saved.tql", "saved.owl", "effort_own:COPY")
+    assert code == 0
+    for name in ("saved.tql", "saved.owl", "effort_own:COPY"):
+        assert row(out, name, table="model")[1:] == ["18", "12", "30", "-"]
+    assert row(out, "saved.tql", table="statements")[1:] == ["-", "33", "/", "35", "-", "-"]
+    assert row(out, "effort_own:COPY", table="managed by")[-2:] == ["-", "-"]
+
+
+def test_files_of_one_model_are_joined_by_commas(rosa):
+    Path("base.tql").write_text("insert $f isa Function, has function-name 'see';\n")
+    Path("more.tql").write_text(
+        "match $f isa Function, has function-name 'see';\n"
+        "insert $a isa Action, has action-name 'look';\n"
+        "(action: $a, required-function: $f) isa functional-requirement;\n"
+    )
+    code, out, _ = rosa("base.tql,more.tql")
+    assert code == 0
+    assert row(out, "base.tql,more.tql", table="model")[1:4] == ["2", "1", "3"]
+    assert row(out, "base.tql,more.tql", table="statements")[2:5] == ["4", "/", "4"]
+
+
+def test_model_asked_for_twice_is_counted_once(everything):
+    assert survey(["uav", "uav"]).models == tuple(one for one in everything.models if one.name == "uav")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["suaev"], "unknown mission 'suaev'; did you mean 'suave'"),
+        (["rover.txt"], "a model as a file (.tql, .owl)"),
+        (["missing.tql"], "missing.tql: there is no such file"),
+        (["effort_own:NONE"], "cannot import mission 'effort_own:NONE'"),
+        (["effort_own:NO_MODEL"], "cannot build the model of effort_own:NO_MODEL: RuntimeError: not today"),
+        (["effort_own:NO_TREE"], "cannot build the tree of suave: RuntimeError: not today"),
+        (["effort_own:OTHER"], "the model of effort_own:OTHER is 3, not a Model"),
+        (["uav", "--json", "nowhere/effort.json"], "cannot write nowhere/effort.json"),
+        (["uav", "--plot", "nowhere/effort.png"], "cannot write nowhere/effort.png"),
+        (["uav", "--plot", "same", "--json", "same"], "name the same file"),
+        (["--frobnicate"], "No such option"),
+    ],
+)
+def test_mistake_is_one_clear_message(rosa, arguments, message):
+    code, _, err = rosa(*arguments)
+    assert code == 2
+    assert message in err.replace("\n", " ")
+
+
+def test_nothing_is_written_when_a_model_cannot_be_read(rosa, tmp_path):
+    before = sorted(tmp_path.iterdir())
+    code, _, _ = rosa("uav", "missing.tql", "--json", "effort.json", "--plot", "effort.png")
+    assert code == 2
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_mission_that_the_sea_cannot_open_is_a_clear_error():
+    with pytest.raises(MissionError, match="there is no setting 'no_such_setting'"):
+        count_tree(replace(suave.MISSION, fixed={"no_such_setting": "1"}))
+
+
+def test_picture_is_the_same_twice_and_not_blank(rosa, everything):
+    code, _, _ = rosa("--plot", "effort.png")
+    assert code == 0
+    png = Path("effort.png").read_bytes()
+    assert draw(everything) == png
+    assert np.ptp(imread(BytesIO(png))) == 1
+    svg = draw(everything, "svg")
+    assert svg == draw(everything, "svg")
+    assert svg.startswith(b"<?xml")
+
+
+def test_suffix_svg_gives_that(rosa):
+    rosa("uav", "--plot", "effort.SVG")
+    assert b"<svg" in Path("effort.SVG").read_bytes()
+
+
+def test_bars_are_as_high_as_what_is_counted(everything):
+    sizes, scaling = picture(everything).axes
+    over = {text.get_text() for text in sizes.texts if text.get_fontweight() == "bold"}
+    assert over == {str(one.count.total) for one in (*everything.models, *everything.trees)}
+    lines = [line for line in scaling.lines if len(line.get_xdata())]
+    assert len(lines) == 6
+    for law, counted in zip(lines[::2], lines[1::2], strict=True):
+        assert list(law.get_ydata()) == list(counted.get_ydata())
+        assert len(law.get_xdata()) == MOST_ADAPTATIONS + 1
+
+
+def test_empty_model_can_be_drawn(tmp_path):
+    Model("empty").save(tmp_path / "empty.tql")
+    found = survey([str(tmp_path / "empty.tql")])
+    assert count(Model("empty")) == found.models[0].count
+    assert draw(found).startswith(b"\x89PNG")
