@@ -10,6 +10,7 @@ from rosa_pddl.planning import PlanningResult
 from rosa_pddl.planning.costs import Costs
 from rosa_pddl.planning.grounding import lock_of
 from rosa_pddl.problem import Problem
+from rosa_pddl.settled import Unsettled
 from rosa_pddl.soft_goals import SoftGoals
 from rosa_pddl.validate import goal_holds
 
@@ -33,6 +34,7 @@ class Quest:
 
     def __init__(self, hopes: Hopes, numbers: Callable[[], Mapping[str, float]]) -> None:
         self._hopes, self._numbers = hopes, numbers
+        self._unsettled = Unsettled(hopes.domain)
         self._soft: tuple[Domain, tuple[Goal, ...], SoftGoals] | None = None
         with lock_of(self.domain):
             self._costs = Costs(self.domain, Problem(self.domain, frozenset()).build())
@@ -49,7 +51,7 @@ class Quest:
 
     def problem(self, state: State, goals: Goals) -> Problem:
         """Return what to ask the planner."""
-        hard = tuple(goal.expression for goal in goals.hard)
+        hard = self._unsettled.of((goal.expression for goal in goals.hard), state)
         if not goals.soft:
             return Problem(self.domain, state, hard, self._numbers())
         soft = self._softened(goals.soft)
