@@ -71,11 +71,11 @@ class Module:
         module = sys.modules.get(name)
         try:
             text = inspect.getsource(module) if module else ""
-        except (OSError, TypeError):
+            tree = ast.parse(text)
+        except (OSError, TypeError, SyntaxError):
             return None
         if not module or not text:
             return None
-        tree = ast.parse(text)
         definitions = {name: node for node in tree.body for name in _given(node)}
         aside = {line for node in ast.walk(tree) if _is_aside(node) for line in _span(node)}
         return cls(module, definitions, frozenset(_lines_of_code(text) - aside))
@@ -87,9 +87,12 @@ class Module:
         return Written(statements, len(self.code & set(_span(node))))
 
     def used(self, name: str) -> Iterator[tuple[str, object]]:
-        """Yield the names that stand in the definition of another, with what they mean in the module."""
-        for node in ast.walk(self.definitions[name]):
-            if isinstance(node, ast.Name):
+        """Yield the names that the definition of another takes from its module, with what they mean there."""
+        inside = list(ast.walk(self.definitions[name]))
+        own = {one.arg for one in inside if isinstance(one, ast.arg)}
+        own |= {one.id for one in inside if isinstance(one, ast.Name) and isinstance(one.ctx, ast.Store)}
+        for node in inside:
+            if isinstance(node, ast.Name) and node.id not in own:
                 yield node.id, vars(self.module).get(node.id)
             elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
                 owner = vars(self.module).get(node.value.id)

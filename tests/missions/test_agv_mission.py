@@ -48,17 +48,6 @@ def straight(**corridor):
     }
 
 
-def test_model_has_as_many_elements_as_the_paper_counts():
-    model = agv_model()
-    parameters = {key for one in model.configurations.values() for key in one.parameters}
-    entities = len(model.actions) + len(model.functions) + len(model.components) + len(model.attributes)
-    relations = len(model.actions) + len(model.designs) + len(model.configurations)
-    relations += len(model.constraints) + len(model.estimations)
-    assert parameters == {"speed"}
-    assert (entities + len(model.configurations), relations) == (18, 36)  # a parameter value is an entity
-    assert model.check() == ()
-
-
 @pytest.mark.parametrize("seed", SEEDS)
 def test_kinect_fails_and_plan_and_architecture_change_together(seed):
     data = result(AGV, "bt", seed)

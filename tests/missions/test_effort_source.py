@@ -122,6 +122,13 @@ def test_function_that_names_itself_is_counted_once(robot, tmp_path):
     assert python_written(importlib.import_module("effort_robot.loop").loop) == Written(2, 2)
 
 
+def test_local_name_is_not_taken_for_the_one_outside(robot, tmp_path):
+    text = "def wheel():\n    return 1\n\n\ndef build(lamp):\n    wheel = 2\n    return wheel, lamp\n"
+    (tmp_path / "effort_robot" / "local.py").write_text(f"{text}\n\ndef lamp():\n    return 3\n")
+    importlib.invalidate_caches()
+    assert python_written(importlib.import_module("effort_robot.local").build) == Written(3, 3)
+
+
 @pytest.mark.parametrize("name", MISSIONS)
 def test_every_mission_of_the_registry_has_a_source(name):
     mission = MISSIONS[name]

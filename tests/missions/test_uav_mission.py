@@ -165,17 +165,6 @@ def test_healthy_gripper_and_large_battery_need_no_adaptation():
     assert names(data) == [SEARCH, PICK_UP] * 3
 
 
-@pytest.mark.parametrize(("mission", "counted"), [("suave", (18, 12)), ("suave_extended", (22, 16)), ("uav", (24, 16))])
-def test_model_has_as_many_elements_as_the_paper_counts(mission, counted):
-    model = find_mission(mission).model()
-    parameters = sum(len(one.parameters) for one in model.configurations.values())
-    entities = len(model.actions) + len(model.functions) + len(model.components) + len(model.attributes) + parameters
-    needs = sum(bool(one.functions) for one in model.actions.values())
-    constraints = sum(len(one.constrained) for one in model.constraints)
-    relations = needs + len(model.designs) + len(model.configurations) + constraints + len(model.estimations)
-    assert (entities, relations) == counted
-
-
 def test_knowledge_base_decides_as_the_paper_tells():
     kb = KnowledgeBase(uav_model(), clock=lambda: 0.0)
     kb.measure("battery_level", 0.5)
