@@ -6,8 +6,9 @@ from dataclasses import dataclass, field
 from math import isfinite
 
 from rosa_pddl.domain import Domain, Feasibility, State, Step
-from rosa_pddl.exceptions import SensingError
-from rosa_pddl.problem import feasible_atoms, initial_state, without_feasibility
+from rosa_pddl.exceptions import SensingError, UnsupportedPddlError
+from rosa_pddl.planning.uses import Uses
+from rosa_pddl.problem import Problem, feasible_atoms, initial_state, without_feasibility
 from rosa_pddl.validate import ended, started
 
 __all__ = ["Belief", "Sense", "Undo", "without"]
@@ -43,7 +44,8 @@ class Belief:
     """The state as it is believed, kept from one planning to the next.
 
     What is sensed stands. Effects of steps are assumed until something else is sensed; those on feasibility never: what
-    is feasible is for the knowledge base to say. Numbers stay what they were sensed to be last.
+    is feasible is for the knowledge base to say. Numbers stay what they were sensed to be last; what of a resource is
+    used up grows by what steps use, if it is not sensed.
 
     Args:
         domain: what `load_domain` returned; the facts of its problem file are believed at first.
@@ -58,6 +60,7 @@ class Belief:
         self._answer: Mapping[str, bool | float] = {}
         self._sensed = _Sensed()
         self._numbers: Mapping[str, float] = {}
+        self._uses = Uses(domain)
 
     @property
     def domain(self) -> Domain:
@@ -66,7 +69,7 @@ class Belief:
 
     @property
     def numbers(self) -> Mapping[str, float]:
-        """The numbers that were sensed, as they were last, by their text."""
+        """The numbers that are no more what the problem file says, by their text."""
         return self._numbers
 
     @property
@@ -98,6 +101,19 @@ class Belief:
     def assume(self, gone: AbstractSet[str], come: AbstractSet[str]) -> None:
         """Assume that atoms became false, and others true; what becomes true wins, as PDDL says."""
         self._facts = without_feasibility(self._domain, (self._facts - gone) | come)
+
+    def use_up(self, step: Step) -> None:
+        """Assume that a step, however it ended, used up what it may."""
+        known = Problem(self._domain, frozenset(), costs=self._numbers)
+        try:
+            numbers = self._uses.numbers(known)
+            used = [self._uses.value(amount, numbers) for amount in self._uses.of(step)]
+        except UnsupportedPddlError:
+            return  # nothing can be planned within limits of which nothing is known
+        for resource, amount in zip(self._domain.limited, used, strict=True):
+            key = f"({resource.name})"
+            if amount and key not in self._sensed.numbers:
+                self._numbers = {**self._numbers, key: float(numbers.get(key, 0) + amount)}
 
     def take_back(self, undo: Undo) -> None:
         """Believe what would be so had a step not started."""

@@ -87,7 +87,7 @@ class PlanExecutor(Behaviour):
         self._running: list[RunningStep] = []
         self._ended_meanwhile: list[Step] = []
         self._course: Course | None = None
-        self._found_valid: tuple[Course, State] | None = None
+        self._found_valid: tuple[Course, Situation] | None = None
         self._seen_goals = self.goals.version
         self._expected: Situation | None = None
         self._ticked: list[Behaviour] = []
@@ -202,12 +202,13 @@ class PlanExecutor(Behaviour):
 
     def _flaw(self, course: Course, state: State) -> str | None:
         """Why the rest of the plan will not do any more, in words; looked for again only when something is new."""
-        if self._found_valid is not None and self._found_valid[0] is course and self._found_valid[1] == state:
+        now = (state, self._belief.numbers)
+        if self._found_valid is not None and self._found_valid[0] is course and self._found_valid[1] == now:
             return None
         if self._replanning.had_no_plan and self._replanning.why_hopeless(self._unstarted(state)) is None:
             return "the state changed"
-        flaw = course.replay(state).flaw
-        self._found_valid = (course, state) if flaw is None else None
+        flaw = course.replay(state).flaw or self._quest.overspent(course)
+        self._found_valid = (course, now) if flaw is None else None
         return flaw
 
     def _want(self, decision: Decision | None) -> None:
@@ -356,6 +357,7 @@ class PlanExecutor(Behaviour):
             self._running.remove(running)
             self.children = [one.behaviour for one in self._running]
             self._belief.take_back(running.undo)
+            self._belief.use_up(running.step)
             running.release()
 
     def _drop_plan(self) -> None:

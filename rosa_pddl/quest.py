@@ -9,6 +9,7 @@ from rosa_pddl.hopes import Disappointment, Hopes
 from rosa_pddl.planning import PlanningResult
 from rosa_pddl.planning.costs import Costs
 from rosa_pddl.planning.grounding import lock_of
+from rosa_pddl.planning.uses import Uses
 from rosa_pddl.problem import Problem
 from rosa_pddl.settled import Unsettled
 from rosa_pddl.soft_goals import SoftGoals
@@ -36,6 +37,7 @@ class Quest:
         self._hopes, self._numbers = hopes, numbers
         self._unsettled = Unsettled(hopes.domain)
         self._soft: tuple[Domain, tuple[Goal, ...], SoftGoals] | None = None
+        self._uses = Uses(self.domain)
         with lock_of(self.domain):
             self._costs = Costs(self.domain, Problem(self.domain, frozenset()).build())
 
@@ -48,6 +50,22 @@ class Quest:
     def doubts(self) -> tuple[Disappointment, ...]:
         """The hopes that are in doubt."""
         return self._hopes.doubts
+
+    @property
+    def bounds(self) -> Mapping[str, float]:
+        """The numbers that decide, beside a state, whether there is a plan: none, if nothing is limited."""
+        return self._numbers() if self.domain.limited else {}
+
+    def overspent(self, course: Course) -> str | None:
+        """Return which limit the steps break that have not started, in words; None if they keep them all.
+
+        What runs is passed over: part of what it uses may be in what is sensed already.
+        """
+        if not self.domain.limited:
+            return None
+        steps = (course.steps[number] for number in course.remaining)
+        over = self._uses.overspent(self._now, steps)
+        return None if over is None else f"the rest of the plan is too much: {over}"
 
     def problem(self, state: State, goals: Goals) -> Problem:
         """Return what to ask the planner."""
@@ -79,7 +97,7 @@ class Quest:
 
     def is_better(self, new: Course, after: State, old: Course, now: State, goals: Goals) -> bool:
         """Whether a course, begun in a state, works and costs less than the rest of another one, now."""
-        if new.replay(after).flaw is not None:
+        if new.replay(after).flaw is not None or self.overspent(new) is not None:
             return False
         return self._price(new, after, goals) < self._price(old, now, goals) - _SAME_COST
 
@@ -87,8 +105,12 @@ class Quest:
         """Return the cost of what has not ended, and the worth of the goals that are forgone."""
         facts = course.replay(state).facts
         forgone = sum(goal.worth or 0.0 for goal in goals.soft if not goal_holds(self.domain, facts, [goal.expression]))
-        numbers = self._costs.numbers(Problem(self.domain, frozenset(), costs=self._numbers()))
+        numbers = self._costs.numbers(self._now)
         return forgone + self._costs.total(course.unfinished_steps, numbers)
+
+    @property
+    def _now(self) -> Problem:
+        return Problem(self.domain, frozenset(), costs=self._numbers())
 
     def _softened(self, goals: tuple[Goal, ...]) -> SoftGoals:
         domain = self.domain

@@ -1,6 +1,6 @@
 """The dialogue with the planner: when it is asked, what it answered, and why there is no plan."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from rosa_pddl.asking import Asking, PlansAhead
@@ -13,6 +13,9 @@ from rosa_pddl.policy import Decision, ReplanningPolicy, wait_s
 from rosa_pddl.quest import Quest
 
 __all__ = ["Found", "PlanRecord", "Replanning"]
+
+# What decides whether there is a plan: facts, what steps bring about, and numbers that limits are made of.
+_From = tuple[State, Domain, Mapping[str, float]]
 
 
 @dataclass(frozen=True)
@@ -77,7 +80,7 @@ class Replanning:
         self._wanted: Decision | None = None
         self._diagnosis: Diagnosis | None = None
         self._asked_in = quest.domain
-        self._hopeless: tuple[State, Domain, str] | None = None
+        self._hopeless: tuple[_From, str] | None = None
         self.records: list[PlanRecord] = []
 
     @property
@@ -96,9 +99,7 @@ class Replanning:
 
     def why_hopeless(self, state: State) -> str | None:
         """Return why there is no plan from a state, if that has been found; None if it has to be asked."""
-        if self._hopeless is None or self._hopeless[:2] != (state, self._quest.domain):
-            return None
-        return self._hopeless[2]
+        return self._hopeless[1] if self._hopeless is not None and self._hopeless[0] == self._from(state) else None
 
     @property
     def had_no_plan(self) -> bool:
@@ -167,7 +168,7 @@ class Replanning:
                 return Found(course, decision)
             # the same question would get the same answer, again and again
             why = f"no plan: what {result.engine} gave cannot be done event by event: {wrong}"
-            self._hopeless = (state, domain, why)
+            self._hopeless = (self._from(state), why)
             return None
         if not decision.is_needed:
             return None
@@ -183,6 +184,9 @@ class Replanning:
         safe = PlanningResult(Outcome.SOLVED, (result.safe_step,))
         return Found(Course.of(domain, safe, ()), Decision("there is no plan", is_needed=True))
 
+    def _from(self, state: State) -> _From:
+        return state, self._quest.domain, self._quest.bounds
+
     def _diagnose(self, diagnosis: Diagnosis, state: State) -> None:
         """Ask on, or conclude that there is no plan; when the state has changed it is better to plan anew."""
         domain = self._quest.domain
@@ -193,4 +197,4 @@ class Replanning:
             self._asking.ask(diagnosis.next_question, state, None)
         else:
             why = "; ".join(map(str, (diagnosis, *self._quest.doubts)))
-            self._diagnosis, self._hopeless = None, (state, domain, why)
+            self._diagnosis, self._hopeless = None, (self._from(state), why)

@@ -1,0 +1,96 @@
+"""Limited resources while a plan is executed: what is used up is believed or sensed; a plan that is too much is replaced."""
+
+import pytest
+from pddl_world import World, load_text
+from py_trees.common import Status
+
+from rosa_pddl import Planner, ReplanningPolicy
+
+# Each leg can be driven, quickly and with much energy, or crept.
+DOMAIN = """(define (domain legs) (:requirements :typing :action-costs :numeric-fluents)
+  (:types place)
+  (:predicates (at ?p - place) (next ?p ?q - place) (closed ?p - place))
+  (:functions (total-cost) - number (used) - number (left) - number (need ?p - place) - number)
+  (:action drive :parameters (?p ?q - place) :precondition (and (at ?p) (next ?p ?q) (not (closed ?q)))
+    :effect (and (not (at ?p)) (at ?q) (increase (total-cost) 1) (increase (used) (need ?p))))
+  (:action creep :parameters (?p ?q - place) :precondition (and (at ?p) (next ?p ?q) (not (closed ?q)))
+    :effect (and (not (at ?p)) (at ?q) (increase (total-cost) 5) (increase (used) 0.1))))
+"""
+PROBLEM = """(define (problem p) (:domain legs) (:objects a b c d - place)
+  (:init (at a) (next a b) (next b c) (next c d) (= (total-cost) 0) (= (used) 0) (= (left) {left})
+         (= (need a) 0.2) (= (need b) 0.2) (= (need c) 0.2))
+  (:goal (and (at d) (<= (used) (left)))) (:metric minimize (total-cost)))
+"""
+
+
+@pytest.fixture(scope="module")
+def legs(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("legs")
+    return {left: load_text(folder, DOMAIN, PROBLEM.format(left=left)) for left in ("0.2", "0.4", "0.6")}
+
+
+def world_of(domain, **policy):
+    return World(domain, Planner("label-setting"), policy=ReplanningPolicy(**policy))
+
+
+def begun(world):
+    return [name for _, name, what in world.log if what == "begins"]
+
+
+@pytest.mark.parametrize(("left", "drives"), [("0.6", 3), ("0.4", 1)])
+def test_the_plan_keeps_to_the_limit_exactly(legs, left, drives):
+    world = world_of(legs[left])
+    assert world.run() is Status.SUCCESS
+    assert begun(world).count("drive") == drives
+    assert len(world.executor.plans) == 1
+    assert world.executor._belief.numbers["(used)"] == (0.6 if drives == 3 else 0.4)
+
+
+def test_what_was_used_before_counts_when_it_is_planned_anew(legs):
+    world = world_of(legs["0.4"])
+    world.run()
+    world.executor.goals.replace("(at b)")
+    world.facts = {"(next d b)": True, "(need d)": 0.1}
+    assert world.run() is Status.FAILURE
+    assert "unsolvable proven" in world.executor.feedback_message
+    world.facts = {"(next d b)": True, "(left)": 0.5}
+    assert world.run() is Status.SUCCESS
+
+
+def test_a_step_that_was_given_up_counts_too(legs):
+    world = world_of(legs["0.6"])
+    world.events = {"drive": Status.FAILURE}
+    assert world.run() is Status.SUCCESS
+    assert begun(world).count("creep") == 2
+    assert world.executor._belief.numbers["(used)"] == 0.6
+
+
+def test_when_less_is_left_than_the_rest_of_the_plan_uses_it_is_planned_anew(legs):
+    world = world_of(legs["0.6"])
+    world.facts = {"(used)": 0.0, "(left)": 0.6}
+    world.run(until="drive")
+    world.facts = {"(used)": 0.2, "(left)": 0.5}
+    assert world.run() is Status.SUCCESS
+    assert world.executor.plans[1].reason == ("the rest of the plan is too much: it uses 0.4 of used, 0.3 are left")
+    assert sorted(begun(world)) == ["creep", "drive", "drive"]
+
+
+def test_what_a_running_step_has_used_of_what_is_sensed_is_no_reason(legs):
+    world = world_of(legs["0.6"])
+    world.ticks = {"drive": 5}
+    world.facts = {"(left)": 0.6, "(used)": 0.0}
+    world.run(until="drive")
+    world.facts = {"(left)": 0.6, "(used)": 0.15}
+    for _ in range(3):
+        world.tick()
+    assert len(world.executor.plans) == 1
+
+
+def test_there_is_a_plan_again_once_more_is_left(legs):
+    world = world_of(legs["0.2"])
+    assert world.run() is Status.FAILURE
+    assert [world.tick() for _ in range(3)] == [Status.FAILURE] * 3
+    assert len(world.executor.plans) == 1
+    world.facts = {"(left)": 0.3}
+    assert world.run() is Status.SUCCESS
+    assert begun(world) == ["creep"] * 3
