@@ -1,4 +1,4 @@
-"""Limited resources while a plan is executed: what is used up is believed or sensed; a plan that is too much is replaced."""
+"""Limited resources while a plan runs: what is used up is believed or sensed; a plan that is too much is replaced."""
 
 import pytest
 from pddl_world import World, load_text
