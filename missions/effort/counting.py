@@ -11,7 +11,7 @@ from typing import Final
 
 from kb import Model
 
-__all__ = ["RULE", "Count", "count"]
+__all__ = ["Count", "RULE", "count"]
 
 RULE: Final = (
     "entities: actions, functions, components, attributes, parameter values (each key of each configuration)",

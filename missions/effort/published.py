@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final, NamedTuple
 
-__all__ = ["MODELS", "TASK_NODES", "TREES", "Parts", "law"]
+__all__ = ["MODELS", "Parts", "TASK_NODES", "TREES", "law"]
 
 
 class Parts(NamedTuple):
