@@ -15,7 +15,16 @@ from rosa_pddl.exceptions import (
 from rosa_pddl.executor import PlanExecutor
 from rosa_pddl.generation import ActionSchema, Declarations, DeclaredProblem
 from rosa_pddl.goals import Goal, Goals
-from rosa_pddl.planning import Attempt, Outcome, Planner, PlanningResult, TimedStep, awaited, schedule_flaw
+from rosa_pddl.planning import (
+    Attempt,
+    Outcome,
+    Planner,
+    PlanningResult,
+    TimedStep,
+    awaited,
+    register_engine,
+    schedule_flaw,
+)
 from rosa_pddl.policy import ReplanningPolicy
 from rosa_pddl.problem import Problem, feasible_atoms, initial_state
 from rosa_pddl.reader import load_domain, parse_domain
@@ -57,5 +66,6 @@ __all__ = [
     "initial_state",
     "load_domain",
     "parse_domain",
+    "register_engine",
     "schedule_flaw",
 ]

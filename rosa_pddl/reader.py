@@ -19,7 +19,7 @@ from rosa_pddl.sections import BODY, doubtful_requirements, in_order
 from rosa_pddl.syntax import Node, Source, parse, read_source
 from rosa_pddl.timing import is_timed
 
-__all__ = ["load_domain", "parse_domain"]
+__all__ = ["lineage_of", "load_domain", "parse_domain", "schema_of"]
 
 _GLOBAL = threading.Lock()
 _LINE = re.compile(r"line:?\s*(\d+)")
@@ -283,10 +283,10 @@ def _domain(domain: Source, problem: Source, up_problem: UpThing, found: Iterabl
     spelled = {(m.kind, m.node.lower): m.node.lower for m in found if m.declares}
     spelled |= {(m.kind, m.node.lower): str(m.node) for m in found if m.declares}
     outside = {name: spelled[key] for key, name in inside.items()} | {"object": "object"}
-    types = {outside[thing.name]: tuple(_lineage(thing.type, outside)) for thing in up_problem.all_objects}
+    types = {outside[thing.name]: tuple(lineage_of(thing.type, outside)) for thing in up_problem.all_objects}
     places = {(m.kind.value, str(m.node)): (m.source.file, m.node.line) for m in found if m.declares}
     places |= {("section", node.head): (problem.file, node.line) for node in problem.root.children[2:]}
-    schemas = [_schema(action, outside, domain) for action in up_problem.actions]
+    schemas = [schema_of(action, outside, domain.file) for action in up_problem.actions]
     return Domain(
         name=str(domain.root.children[1].children[1]),
         file=domain.file,
@@ -311,20 +311,31 @@ def _goals(problem: Source) -> Iterator[Node]:
             yield from chain.from_iterable(without_limits(goal) for goal in section.children[1:] if goal.children)
 
 
-def _lineage(type_: UpThing, outside: Mapping[str, str]) -> Iterator[str]:
+def lineage_of(type_: UpThing, outside: Mapping[str, str]) -> Iterator[str]:
+    """Yield the name of a type and of those above it, in lower case."""
     while type_ is not None:
         yield outside[type_.name].lower()
         type_ = type_.father
 
 
-def _schema(action: UpThing, outside: Mapping[str, str], source: Source) -> Schema:
+def schema_of(action: UpThing, outside: Mapping[str, str], file: str) -> Schema:
+    """Return an action as unified-planning read it in the view of ROSA.
+
+    Args:
+        action: as unified-planning has it.
+        outside: the files' spelling by unified-planning's names.
+        file: where it stands, for messages.
+
+    Raises:
+        UnsupportedPddlError: it changes while it runs, or is of another kind.
+    """
     name = outside[action.name]
     if hasattr(action, "conditions"):
-        parts = _timed(action, name, source)
+        parts = _timed(action, name, file)
     elif hasattr(action, "preconditions"):
         parts = {"start": tuple(_conjuncts(action.preconditions)), "end_effects": tuple(action.effects)}
     else:
-        raise UnsupportedPddlError(f"the action {name!r} is of an unsupported kind", source.file)
+        raise UnsupportedPddlError(f"the action {name!r} is of an unsupported kind", file)
     complete = {key: parts.get(key, ()) for key in ("start", "over_all", "end", "start_effects", "end_effects")}
     complete |= {key: _true_or_false(complete[key]) for key in ("start_effects", "end_effects")}
     conditions = complete["start"] + complete["over_all"] + complete["end"]
@@ -338,7 +349,7 @@ def _true_or_false(effects: tuple[UpThing, ...]) -> tuple[UpThing, ...]:
     return tuple(effect for effect in effects if effect.fluent.type.is_bool_type())
 
 
-def _timed(action: UpThing, name: str, source: Source) -> dict[str, tuple[UpThing, ...]]:
+def _timed(action: UpThing, name: str, file: str) -> dict[str, tuple[UpThing, ...]]:
     parts: dict[str, tuple[UpThing, ...]] = {}
     for interval, conditions in action.conditions.items():
         at_start, at_end = interval.lower.is_from_start(), interval.upper.is_from_end()
@@ -348,7 +359,7 @@ def _timed(action: UpThing, name: str, source: Source) -> dict[str, tuple[UpThin
         key = "start_effects" if timing.is_from_start() else "end_effects"
         parts[key] = parts.get(key, ()) + tuple(effects)
     if action.continuous_effects:
-        raise UnsupportedPddlError(f"the action {name!r} changes numbers continuously", source.file)
+        raise UnsupportedPddlError(f"the action {name!r} changes numbers continuously", file)
     return parts
 
 

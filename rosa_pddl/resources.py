@@ -6,16 +6,17 @@ from rosa_pddl.domain import Limit, Resource, UpThing
 from rosa_pddl.sections import BODY, start_of
 from rosa_pddl.syntax import Node, Source
 
-__all__ = ["check_condition", "check_effect", "check_goal", "resources_of", "used_up", "without_limits"]
+__all__ = ["POSSIBLE", "check_condition", "check_effect", "check_goal", "resources_of", "used_up", "without_limits"]
 
 _COST = "total-cost"
 _COMPARISONS = ("<", ">", "<=", ">=")
 _NUMERIC = (*_COMPARISONS, "assign", "increase", "decrease", "scale-up", "scale-down")
-_POSSIBLE = (
+POSSIBLE = (
     "numbers may be costs only, or resources: effects use them up by (increase (NAME) AMOUNT), the goal limits them "
     "by (<= (NAME) LIMIT), and no action changes what AMOUNT and LIMIT are made of. For more than that, a numeric "
     "engine such as ENHSP (up-enhsp) would do"
 )
+"""What messages say may be done with numbers."""
 
 
 # ---------------------------------------------------------------- in the files
@@ -169,7 +170,7 @@ def _is_below_nothing(amount: Node) -> bool:
 
 
 def _unsupported(source: Source, node: Node, place: str, why: str) -> Exception:
-    return source.unsupported(node, f"{start_of(node)!r} in {place} {why}; {_POSSIBLE}")
+    return source.unsupported(node, f"{start_of(node)!r} in {place} {why}; {POSSIBLE}")
 
 
 # ---------------------------------------------------------------- in what was read
@@ -191,7 +192,7 @@ def resources_of(up_problem: UpThing, outside: Mapping[str, str]) -> tuple[Resou
     limits: dict[UpThing, list[Limit]] = {}
     kept = []
     for goal in _parts(up_problem.goals):
-        if goal.is_le() or goal.is_lt():
+        if (goal.is_le() or goal.is_lt()) and goal.arg(0) in uses:
             limits.setdefault(goal.arg(0), []).append(Limit(goal.arg(1), goal.is_lt()))
         else:
             kept.append(goal)

@@ -11,12 +11,12 @@ from rosa_pddl.domain import Domain, UpThing
 from rosa_pddl.exceptions import nearest
 from rosa_pddl.planning.downward import Trouble, install_advice, missing_part
 from rosa_pddl.planning.grounding import lock_of
-from rosa_pddl.planning.labelling import TRANSLATED
+from rosa_pddl.planning.labelling import LABEL_SETTING, TRANSLATED
 from rosa_pddl.planning.outcomes import Outcome, TimedStep
 from rosa_pddl.planning.processes import Leash
 from rosa_pddl.problem import Problem
 
-__all__ = ["asked", "missing"]
+__all__ = ["asked", "missing", "register_engine"]
 
 _OUTCOMES = {
     "SOLVED_SATISFICING": Outcome.SOLVED,
@@ -27,6 +27,23 @@ _OUTCOMES = {
     "MEMOUT": Outcome.OUT_OF_MEMORY,
     "UNSUPPORTED_PROBLEM": Outcome.UNSUPPORTED,
 }
+_NEVER_UNSOLVABLE = (
+    "it may be that there is no plan, which engines of overlapping steps hardly ever find out: Planner(), whose steps "
+    "follow one another, may say what is out of reach"
+)
+
+
+def register_engine(environment: UpThing = None) -> None:
+    """Make `label-setting` known to unified-planning, for `OneshotPlanner(name="label-setting")`.
+
+    Args:
+        environment: of the problems to be planned; by default unified-planning's global one.
+    """
+    from unified_planning.environment import get_environment
+
+    factory = get_environment(environment).factory
+    if LABEL_SETTING not in factory.engines:
+        factory.add_engine(LABEL_SETTING, "rosa_pddl.planning.up_engine", "LabelSetting")
 
 
 def missing(engine: str, domain: Domain) -> str | None:
@@ -92,7 +109,7 @@ def asked(
         raise Trouble(Outcome.ENGINE_MISSING, message) from error
     if ended.is_late:
         message = f"no answer after {limit_s:.3g} s; allow more time or ask for less"
-        raise Trouble(Outcome.OUT_OF_TIME, message)
+        raise Trouble(Outcome.OUT_OF_TIME, f"{message}; {_NEVER_UNSOLVABLE}" if overlapping else message)
     try:
         answer = json.loads(ended.output)
         outcome = _OUTCOMES.get(answer["status"], Outcome.ENGINE_CRASHED)

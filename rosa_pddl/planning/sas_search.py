@@ -67,9 +67,14 @@ class SasGraph:
         self._moves: dict[State, tuple[Move[State, int], ...]] = {}
         self._least: dict[State, tuple[float, tuple[float, ...]]] = {}
         self._by_need = _by_need(task)
-        columns = zip(*[(one.cost, *one.uses) for one in task.operations], strict=True)
+        spent = [(one.cost, *one.uses) for one in task.operations]
+        arcs = [(variable, value, _arcs(task, variable)) for variable, value in task.goal]
         self._left = [
-            [(variable, _left(task, variable, value, amounts)) for variable, value in task.goal] for amounts in columns
+            [
+                (variable, _left(each, value, task.sizes[variable], [one[number] for one in spent]))
+                for variable, value, each in arcs
+            ]
+            for number in range(1 + len(task.limits))
         ]
 
     @property
@@ -116,14 +121,21 @@ def _by_need(task: Task) -> dict[Fact | None, list[Operation]]:
     return found
 
 
-def _left(task: Task, variable: int, wanted: int, amounts: Sequence[int]) -> list[float]:
-    """Return, for each value of a variable, at least what it takes to give it another, all else being left aside."""
+def _arcs(task: Task, variable: int) -> list[tuple[int, int, int]]:
+    """Return the changes of a variable, all else being left aside: from, to, and the index of the operation."""
+    found = []
+    for index, operation in enumerate(task.operations):
+        values = {after for _, changed, after in operation.effects if changed == variable}
+        if values:
+            needed = [value for one, value in operation.needs if one == variable]
+            found += [(one, two, index) for one in needed or range(task.sizes[variable]) for two in sorted(values)]
+    return found
+
+
+def _left(arcs: Sequence[tuple[int, int, int]], wanted: int, size: int, amounts: Sequence[int]) -> list[float]:
+    """Return, for each value of a variable, at least what it takes to give it the one that is wanted."""
     least: dict[tuple[int, int], int] = {}
-    for operation, takes in zip(task.operations, amounts, strict=True):
-        before = next((value for one, value in operation.needs if one == variable), None)
-        for _, changed, after in operation.effects:
-            if changed == variable:
-                for value in range(task.sizes[variable]) if before is None else (before,):
-                    least[value, after] = min(takes, least.get((value, after), takes))
+    for one, two, index in arcs:
+        least[one, two] = min(amounts[index], least.get((one, two), amounts[index]))
     far = distances([(one, two, takes) for (one, two), takes in least.items()], [wanted])
-    return [far.get(value, inf) for value in range(task.sizes[variable])]
+    return [far.get(value, inf) for value in range(size)]

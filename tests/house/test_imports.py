@@ -57,6 +57,7 @@ LATE_MODULES = {
     "kb/typeql/reading.py",
     "missions/plot.py",
     "missions/testing/plugin.py",
+    "rosa_pddl/planning/up_engine.py",
     "suave_env/gym.py",
 }
 
