@@ -1,0 +1,108 @@
+"""What the robot keeps between a step that was given up and the next one: what an action requires all along."""
+
+import pytest
+from pddl_world import World, load_text
+from py_trees.common import ParallelPolicy, Status
+from py_trees.composites import Parallel
+
+from kb import ConfigurationManager, KnowledgeBase, Model
+from rosa_bt import RosaAction
+
+DOMAIN = """(define (domain trip) (:requirements :typing :durative-actions)
+  (:types action place)
+  (:predicates (action_feasible ?a - action) (drive_action ?a - action) (at ?p - place))
+  (:durative-action drive
+    :parameters (?a - action ?from ?to - place)
+    :duration (= ?duration 3)
+    :condition (and (over all (action_feasible ?a)) (over all (drive_action ?a)) (at start (at ?from)))
+    :effect (and (at start (not (at ?from))) (at end (at ?to)))))
+"""
+PROBLEM = """(define (problem p) (:domain trip) (:objects drive - action home goal - place)
+  (:init (drive_action drive) (at home)) (:goal (at goal)))
+"""
+
+
+class Robot:
+    """Notes what is switched."""
+
+    def __init__(self):
+        self.log = []
+
+    def activate(self, component):
+        self.log.append(f"start {component}")
+
+    def deactivate(self, component):
+        self.log.append(f"stop {component}")
+
+    def set_parameters(self, component, parameters):
+        pass
+
+
+class Stay(RosaAction):
+    def update(self):
+        return Status.RUNNING
+
+
+class Drive(RosaAction):
+    """Fails once, later on succeeds."""
+
+    fails = 1
+
+    def initialise(self):
+        self.left = 3
+
+    def update(self):
+        self.left -= 1
+        if self.left:
+            return Status.RUNNING
+        Drive.fails -= 1
+        return Status.FAILURE if Drive.fails >= 0 else Status.SUCCESS
+
+
+@pytest.fixture
+def domain(tmp_path):
+    return load_text(tmp_path, DOMAIN, PROBLEM)
+
+
+def known(world):
+    model = Model("car")
+    motor, localization = (model.component(name, kind="lifecycle") for name in ("motor", "localization"))
+    move, locate = model.function("move"), model.function("locate")
+    move.design("by_motor", [motor, localization])
+    locate.design("by_map", [localization])
+    model.action("drive", requires=[move])
+    model.action("stay_located", requires=[locate])
+    return KnowledgeBase(model, clock=lambda: world.now_s)
+
+
+def trip(domain, *, is_located):
+    """Run the mission; returns what was switched until the goal was reached."""
+    Drive.fails = 1
+    world = World(domain, kb=known, task=lambda step, world: Drive(str(step), world.kb, "drive"))
+    robot = Robot()
+    manager = ConfigurationManager(world.kb, robot)
+    if is_located:
+        stay = Stay("stay located", world.kb, "stay_located")
+        policy = ParallelPolicy.SuccessOnSelected([world.executor])
+        world.root = Parallel("trip", policy, children=[stay, world.executor])
+    for _ in range(40):
+        status = world.tick()
+        if status is not Status.RUNNING:
+            break
+        manager.update()
+    assert status is Status.SUCCESS
+    assert [record.reason for record in world.executor.plans] == ["start", "drive(drive, home, goal) failed"]
+    return robot.log
+
+
+def test_what_only_a_step_required_stops_when_it_is_given_up(domain):
+    assert sorted(trip(domain, is_located=False)) == [
+        *["start localization"] * 2,
+        *["start motor"] * 2,
+        "stop localization",
+        "stop motor",
+    ]
+
+
+def test_what_an_action_beside_the_executor_requires_goes_on(domain):
+    assert trip(domain, is_located=True) == ["start localization", "start motor", "stop motor", "start motor"]
