@@ -85,11 +85,11 @@ def test_counts_of_trees_that_differ_are_marked_and_explained(rosa):
     _, out, _ = rosa()
     for name, parts in published.TREES.items():
         cells = row(out, name, table="managed by")
-        assert " ".join(cells[6:11]) == str(parts)
-        assert (cells[11] == "*") == (cells[3:5] != [str(parts.first), str(parts.second)])
-        assert cells[-1] == str(published.TASK_NODES[name])
-        assert "* nodes: the published tree" in out
-        assert "* modes: recharging adds 8" in out
+        assert cells[3] == f"({published.TASK_NODES[name]})"
+        assert " ".join(cells[7:12]) == str(parts)
+        assert (cells[12:] == ["*"]) == (cells[4:6] != [str(parts.first), str(parts.second)])
+    assert "* nodes: the published tree" in out
+    assert "* modes: recharging adds 8" in out
 
 
 def test_model_that_differs_from_the_published_one_is_marked(rosa, monkeypatch):
@@ -149,7 +149,13 @@ def test_models_in_files_and_missions_of_ones_own_are_counted(rosa):
     for name in ("saved.tql", "saved.owl", "effort_own:COPY"):
         assert row(out, name, table="model")[1:] == ["18", "12", "30", "-"]
     assert row(out, "saved.tql", table="statements")[1:] == ["-", "33", "/", "35", "-", "-"]
-    assert row(out, "effort_own:COPY", table="managed by")[-2:] == ["-", "-"]
+    assert row(out, "effort_own:COPY", table="managed by")[-2:] == ["50", "-"]
+
+
+def test_file_name_with_brackets_is_printed_as_it_is(rosa):
+    suave_model().save("a[b].tql")
+    _, out, _ = rosa("a[b].tql")
+    assert row(out, "a[b].tql", table="model")[1:4] == ["18", "12", "30"]
 
 
 def test_files_of_one_model_are_joined_by_commas(rosa):
