@@ -18,11 +18,18 @@ class Senses:
     def __init__(self) -> None:
         self._said: dict[str, str] = {}
         self._times: Counter[str] = Counter()
+        self._revision = 0
+
+    @property
+    def revision(self) -> int:
+        """How often something was told; while it is the same, so is all that was sensed."""
+        return self._revision
 
     def receive(self, message: Mapping[str, Any]) -> None:
         """Take in one message: `{"time": ..., "status": [{"message": ..., "values": {...}}, ...]}`."""
         for status in message["status"]:
             if str(status["message"]).casefold() == MISSION_STATUS:
+                self._revision += 1
                 for key, value in status["values"].items():
                     self._said[key] = str(value)
                     self._times[key] += 1

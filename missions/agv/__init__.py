@@ -7,9 +7,9 @@ from types import MappingProxyType
 from typing import Final
 
 from kb import KnowledgeBase
-from missions.agv.actions import Outlook, Planned, cross, switch
+from missions.agv.actions import LIMITED, Outlook, Planned, cross, switch
 from missions.agv.building import Building, load_building
-from missions.agv.declared import CROSS, SWITCH, Words, problem_of
+from missions.agv.declared import Words, cross_schema, problem_of, switch_schema
 from missions.agv.model import NAVIGATE, building_model
 from missions.agv.modes import Modes
 from missions.agv.route import Route
@@ -49,9 +49,12 @@ def agv_mission(name: str, summary: str, building: Building, weights: Mapping[st
         summary=summary,
         model=partial(building_model, building),
         tree=partial(agv_tree, building, weights),
-        problem=problem_of(words, outlook(known, Senses()).route.task),
-        actions=by_schema(Planned(SWITCH, outlook, switch), Planned(CROSS, outlook, cross)),
+        problem=problem_of(words, LIMITED),
+        actions=by_schema(
+            Planned(switch_schema(LIMITED), outlook, switch), Planned(cross_schema(LIMITED), outlook, cross)
+        ),
         facts=lambda kb, senses: outlook(kb, senses).told,
+        engines=("label-setting",),
         world=AgvKind(building, weights),
     )
 

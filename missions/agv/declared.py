@@ -5,9 +5,11 @@ Switching and crossing are actions of their own; both cost what the search count
 
 import re
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from typing import Final, NamedTuple
 
 from missions.agv.building import Building
+from missions.agv.costs import GOALS, Amounts
 from missions.agv.joint import Place, Task
 from missions.agv.modes import Mode
 from rosa_pddl.domain import FEASIBLE
@@ -21,33 +23,50 @@ __all__ = [
     "Via",
     "Words",
     "asked_of",
+    "cross_schema",
     "declarations_of_task",
     "facts_of",
+    "numbers_from_here",
     "numbers_of",
     "problem_of",
+    "switch_schema",
 ]
 
-SWITCH: Final = ActionSchema(
-    "switch",
-    parameters=("?now - setup", "?next - mode"),
-    start=("(configured ?now)",),
-    end_effects=("(not (configured ?now))", "(configured ?next)"),
-    duration_s=1,
-    cost="(switching ?now ?next)",
-)
-"""Change from one mode to another, where the robot stands."""
+SWITCH: Final = "switch"
+"""The PDDL action, and the ROSA action, of changing from one mode to another where the robot stands."""
 
-CROSS: Final = ActionSchema(
-    "cross",
-    parameters=("?a - action", "?w - way", "?from ?to - place", "?m - mode"),
-    start=("(at ?from)", "(leads ?w ?from ?to)", "(configured ?m)"),
-    over_all=("(crosses ?a ?w)", f"({FEASIBLE} ?a)", "(possible ?w ?m)"),
-    end_effects=("(not (at ?from))", "(at ?to)"),
-    duration_s=60,
-    cost="(crossing ?w ?m)",
-    action=None,
-)
-"""Drive a way in a mode; the ROSA action is that of its corridor."""
+CROSS: Final = "cross"
+"""The PDDL action of driving a way in a mode; its ROSA action is that of the corridor."""
+
+_PLENTY: Final = 1e15  # what is left of something of which it is not known how much is left
+
+
+def switch_schema(limited: Iterable[str] = ()) -> ActionSchema:
+    """Declare how modes are switched; of what is limited (see `Question`) it is told how much that uses up."""
+    return ActionSchema(
+        SWITCH,
+        parameters=("?now - setup", "?next - mode"),
+        start=("(configured ?now)",),
+        end_effects=("(not (configured ?now))", "(configured ?next)"),
+        duration_s=1,
+        cost="(switching ?now ?next)",
+        uses={f"{name}_used": f"(switching_{name} ?now ?next)" for name in limited},
+    )
+
+
+def cross_schema(limited: Iterable[str] = ()) -> ActionSchema:
+    """Declare how ways are driven; of what is limited it is told how much that uses up."""
+    return ActionSchema(
+        CROSS,
+        parameters=("?a - action", "?w - way", "?from ?to - place", "?m - mode"),
+        start=("(at ?from)", "(leads ?w ?from ?to)", "(configured ?m)"),
+        over_all=("(crosses ?a ?w)", f"({FEASIBLE} ?a)", "(possible ?w ?m)"),
+        end_effects=("(not (at ?from))", "(at ?to)"),
+        duration_s=60,
+        cost="(crossing ?w ?m)",
+        uses={f"{name}_used": f"(crossing_{name} ?w ?m)" for name in limited},
+        action=None,
+    )
 
 
 class Via(NamedTuple):
@@ -71,11 +90,13 @@ class Words:
         places: by name; where the robot is within a corridor, by the empty name.
         modes: by name.
         vias: the ways.
+        entering: the way to where the robot is within a corridor, which is never planned; without it planners that
+            look ahead what can happen at all take it that the robot never is there. None if it never is.
         now: the object for how the robot is configured if that is none of the modes.
     """
 
     def __init__(self, building: Building, modes: Iterable[Mode], *, has_inside: bool = True) -> None:
-        self._taken = {SWITCH.name}
+        self._taken = {SWITCH}
         self.actions = {name: self._distinct(f"cross_{name}") for name in building.corridors}
         self.places = {name: self._distinct(name) for name in building.places}
         self.places |= {"": self._distinct("here")} if has_inside else {}
@@ -90,6 +111,7 @@ class Words:
             for one in building.corridors.values()
             for to in one.ends
         }
+        self.entering = self._distinct("entering") if has_inside else None
         self.by_way = {word: via for via, word in self.vias.items()}
         self.building = building
 
@@ -101,8 +123,13 @@ class Words:
             **dict.fromkeys(self.places.values(), "place"),
             **dict.fromkeys(self.modes.values(), "mode"),
             self.now: "setup",
-            **dict.fromkeys(self.vias.values(), "way"),
+            **dict.fromkeys(self.ways, "way"),
         }
+
+    @property
+    def ways(self) -> list[str]:
+        """The objects for the ways, also for that which is never planned."""
+        return [*self.vias.values(), *([self.entering] if self.entering else [])]
 
     @property
     def fixed(self) -> Iterator[str]:
@@ -111,6 +138,10 @@ class Words:
             origin = self.building.corridors[via.corridor].other(via.to) if via.is_whole else ""
             yield f"(leads {way} {self.places[origin]} {self.places[via.to]})"
             yield f"(crosses {self.actions[via.corridor]} {way})"
+        if self.entering:
+            one = next(iter(self.building.corridors.values()))
+            yield f"(leads {self.entering} {self.places[one.ends[0]]} {self.places['']})"
+            yield f"(crosses {self.actions[one.name]} {self.entering})"
 
     def place(self, place: Place) -> str:
         """Return the object for where the robot is."""
@@ -132,49 +163,56 @@ class Words:
 
 def facts_of(words: Words, task: Task) -> dict[str, bool]:
     """Return everything that may change, and whether it is so: where the robot is, how configured, what is possible."""
-    possible = {(way, mode) for way, mode, _ in _crossings(words, task)}
-    if not task.start[0].corridor:  # a way that was begun within a corridor goes on as one from its end does
-        for via, way in words.vias.items():
-            whole = words.vias[via._replace(is_whole=True)]
-            possible |= {(way, mode) for mode in words.by_mode if (whole, mode) in possible}
+    possible = {(way, mode) for way, mode, *_ in _crossings(words, task, _places(task))}
     at, configured = words.place(task.start[0]), words.mode(task.start[1])
     return {
         **{f"(at {place})": place == at for place in words.places.values()},
         **{f"(configured {mode})": mode == configured for mode in (*words.by_mode, words.now)},
-        **{
-            f"(possible {way} {mode})": (way, mode) in possible
-            for way in words.vias.values()
-            for mode in words.modes.values()
-        },
+        **{f"(possible {way} {mode})": (way, mode) in possible for way in words.ways for mode in words.modes.values()},
     }
 
 
-def numbers_of(words: Words, task: Task) -> dict[str, float]:
-    """Return what everything costs that is possible now, in whole thousandths."""
-    numbers: dict[str, float] = {f"(crossing {way} {mode})": cost for way, mode, cost in _crossings(words, task)}
-    setups = {**words.by_mode, **({words.now: task.start[1]} if words.mode(task.start[1]) == words.now else {})}
-    for now, one in setups.items():
+def numbers_of(words: Words, task: Task, limited: Iterable[str] = ()) -> dict[str, float]:
+    """Return what everything costs that is possible now, in whole thousandths, and uses up of what is limited."""
+    numbers: dict[str, float] = {}
+    for way, mode, takes, cost in _crossings(words, task, _places(task)):
+        numbers |= _told("crossing", f"{way} {mode}", takes, cost, limited)
+    for now, one in {**words.by_mode, words.now: task.start[1]}.items():
         for mode, other in words.by_mode.items():
-            numbers[f"(switching {now} {mode})"] = task.switching(one, other)[1]
+            numbers |= _told("switching", f"{now} {mode}", *task.switching(one, other), limited)
+    return numbers | numbers_from_here(words, task, limited)
+
+
+def numbers_from_here(words: Words, task: Task, limited: Iterable[str] = ()) -> dict[str, float]:
+    """Return those that change with every metre: how much is left, and what it takes from within a corridor."""
+    left = dict(zip(task.limited, task.limits, strict=True))
+    numbers: dict[str, float] = {f"({name}_left)": left.get(name, _PLENTY) for name in limited}
+    numbers |= {f"({name}_used)": 0.0 for name in limited}  # what was used up is left no more
+    for way, mode, takes, cost in _crossings(words, task, [task.start[0]] if task.start[0].corridor else []):
+        numbers |= _told("crossing", f"{way} {mode}", takes, cost, limited)
     return numbers
 
 
-def problem_of(words: Words, task: Task) -> DeclaredProblem:
-    """Return a question as a problem of PDDL."""
-    facts = [fact for fact, is_so in facts_of(words, task).items() if is_so]
-    goal = (f"(at {words.places[task.goal]})",)
-    numbers, types = numbers_of(words, task), {"mode": "setup"}
-    return DeclaredProblem(goal, words.objects, (*words.fixed, *facts), numbers, types)
+def problem_of(words: Words, limited: Iterable[str] = ()) -> DeclaredProblem:
+    """Return the problem of a building, without what may change."""
+    goal = (f"(at {words.places[words.building.goal]})",)
+    limits = {f"{name}_used": f"({name}_left)" for name in limited}
+    return DeclaredProblem(goal, words.objects, tuple(words.fixed), types={"mode": "setup"}, limits=limits)
 
 
 def declarations_of_task(task: Task) -> Declarations:
-    """Return a question as PDDL by itself; its limits are left out."""
+    """Return a question as PDDL by itself, with its limits."""
     modes = {mode.name: mode for place in _places(task) for _, mode, *_ in task.crossings(place)}
     words = Words(task.building, modes.values(), has_inside=bool(task.start[0].corridor))
-    problem = problem_of(words, task)
-    feasible = [f"({FEASIBLE} {action})" for action in (SWITCH.name, *words.actions.values())]
-    stated = DeclaredProblem(problem.goal, problem.objects, (*problem.facts, *feasible), problem.numbers, problem.types)
-    return Declarations("joint", [SWITCH, CROSS], stated)
+    facts = [fact for fact, is_so in facts_of(words, task).items() if is_so]
+    facts += [f"({FEASIBLE} {action})" for action in (SWITCH, *words.actions.values())]
+    problem = replace(
+        problem_of(words, task.limited),
+        goal=(f"(at {words.places[task.goal]})",),
+        facts=(*words.fixed, *facts),
+        numbers=numbers_of(words, task, task.limited),
+    )
+    return Declarations("joint", [switch_schema(task.limited), cross_schema(task.limited)], problem)
 
 
 def asked_of(planner: Planner, task: Task) -> PlanningResult:
@@ -183,11 +221,20 @@ def asked_of(planner: Planner, task: Task) -> PlanningResult:
     return planner.plan(Problem(domain, initial_state(domain)))
 
 
-def _crossings(words: Words, task: Task) -> Iterator[tuple[str, str, int]]:
-    for place in _places(task):
-        for way, mode, _, cost in task.crossings(place):
+def _told(kind: str, things: str, takes: Amounts, cost: int, limited: Iterable[str]) -> dict[str, float]:
+    uses = {f"({kind}_{name} {things})": float(takes[GOALS.index(name)]) for name in limited}
+    return {f"({kind} {things})": cost, **uses}
+
+
+def _crossings(words: Words, task: Task, places: Iterable[Place]) -> Iterator[tuple[str, str, Amounts, int]]:
+    for place in places:
+        for way, mode, takes, cost in task.crossings(place):
             via = Via(way.corridor.name, way.to, not place.corridor)
-            yield words.vias[via], words.modes[mode.name], cost
+            yield words.vias[via], words.modes[mode.name], takes, cost
+            part = via._replace(is_whole=False)
+            if part in words.vias and not task.start[0].corridor:
+                # what was begun within a corridor goes on when the robot is in none any more, as it soon will be again
+                yield words.vias[part], words.modes[mode.name], takes, cost
 
 
 def _places(task: Task) -> list[Place]:

@@ -99,6 +99,11 @@ class Route:
         return {"obstacles": 0.0, "light": DARK if corridor.name in self._dark else corridor.light}
 
     @property
+    def revision(self) -> tuple[int, int]:
+        """Differs when anything has changed, other than how much energy there is and how far was driven."""
+        return self.kb.revision, self._senses.revision
+
+    @property
     def believed(self) -> tuple[object, ...]:
         """Where the robot is, what has failed and where it has become dark: what plans depend on."""
         failed = [name for name in self.kb.components if self.kb.components[name].status is Status.FAILURE]
