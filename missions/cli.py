@@ -28,7 +28,7 @@ from missions.output import open_files
 from missions.plan_command import plan
 from missions.recording import header, line_of
 from missions.registry import MISSIONS, find_mission
-from missions.report import adaptation_table, as_json, summary, timing
+from missions.report import adaptation_table, as_json, figure_in_words, summary, timing
 from missions.runner import Listener, MissionRun
 from missions.settings import describe, split_settings
 from rosa_pddl import RosaPddlError
@@ -224,20 +224,11 @@ def _assignments(texts: list[str]) -> dict[str, str]:
 
 
 def _print_figures(console: Console, run: MissionRun, wall_s: float) -> None:
-    figures = {_with_unit(name): value for name, value in run.world.results().items()} | {
-        "simulated [s]": run.world.now,
-        "computed in [s]": wall_s,
-        "times real time": run.world.now / wall_s,
-    }
-    for label, value in figures.items():
-        shown = "-" if value is None else f"{value:.2f}" if value < 10 else f"{value:.1f}"
-        console.print(f"{label:<32}{shown:>8}", highlight=False, markup=False)
-
-
-def _with_unit(name: str) -> str:
-    """Return "search time [s]" for "search_time_s", and what has no unit as it is."""
-    words, _, unit = name.rpartition("_")
-    return f"{words.replace('_', ' ')} [{'J' if unit == 'j' else unit}]" if words else name
+    told = [figure_in_words(name, value) for name, value in run.world.results().items()]
+    told += [figure_in_words("simulated_s", run.world.now), figure_in_words("computed in_s", wall_s)]
+    told += [("times real time", "", f"{run.world.now / wall_s:.1f}")]
+    for words, unit, value in told:
+        console.print(f"{words + (f' [{unit}]' if unit else ''):<32}{value:>8}", highlight=False, markup=False)
 
 
 def _print_verdict(console: Console, run: MissionRun, verdict: Verdict) -> None:

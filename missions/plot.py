@@ -1,10 +1,10 @@
 """A finished run as one picture: where the robot went, what it measured, and how it adapted."""
 
+import re
 import textwrap
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from itertools import groupby, pairwise
+from itertools import pairwise
 from typing import Any, BinaryIO, Final
 
 import numpy as np
@@ -16,22 +16,20 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from matplotlib.transforms import IdentityTransform
-from numpy.typing import NDArray
 
+from missions.report import figure_in_words
 from missions.runner import MissionRun
+from missions.story import Array, Events, Story, bare, brief, listed, story_of
 
 __all__ = ["draw", "picture"]
 
-Array = NDArray[np.float64]
-Events = Sequence[Mapping[str, Any]]
-
 WIDTH, HEIGHT, DPI = 1600, 1200, 125  # [px], [px], [px/inch]
-LEFT, RIGHT = 150, 1395  # ends of the time axis [px]
+LEFT, RIGHT = 150, 1395  # ends of the time axis, where names are short [px]
+LETTER = 9  # width of a letter of a name, about [px]
 PANELS, LANE, EVENT, GAP = 320, 18, 26, 7  # heights of all signals, a bar, a row of events and between rows [px]
 REACH = (0, 8, 18, 30, 45, 65, 90)  # how far from its place a label may go [px]
 LINE = 1.22 * DPI / 72  # from one line of text to the next [px] for each point of its size
 INK, MUTED, FAINT, ALARM, LIMIT = "#222222", "#666666", "#b5b5b5", "#d55e00", "#0f6b78"
-HUES = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#8c6d31", "#b8ac00")  # Okabe and Ito's, but ALARM
 BADGES: Final = {  # how the number of an adaptation looks: diameter [px], face, edge, digits
     "task": (25, INK, INK, "white"),
     "structural": (23, "white", INK, INK),
@@ -46,31 +44,6 @@ STYLE: Final[dict[Any, Any]] = {
     **{"axes.edgecolor": FAINT, "axes.linewidth": 0.7, "axes.labelpad": 1, "legend.frameon": False},
     **{f"{side}tick.{key}": value for side in "xy" for key, value in TICKS.items()},
 }
-
-
-@dataclass(frozen=True)
-class _Story:
-    """A run as n samples, times in [s]; limits: labels of the thresholds by attribute and value."""
-
-    end: float
-    times: Array
-    xy: Array  # (n, 2) [m], world frame
-    actions: list[str]
-    configurations: list[str]
-    signals: dict[str, Array]  # NaN where there was none
-    limits: dict[str, dict[float, list[str]]]
-    adaptations: Events
-    disturbances: Events
-
-    @property
-    def hues(self) -> dict[str, str]:
-        return {name: HUES[index % len(HUES)] for index, name in enumerate(_names(self.actions))}
-
-    def spans(self, column: Sequence[str]) -> Iterator[tuple[str, float, float]]:
-        edges = [*self.times, self.end]
-        for names, group in groupby(range(len(column)), key=lambda index: column[index]):
-            held = list(group)
-            yield from ((name, edges[held[0]], edges[held[-1] + 1]) for name in _names([names]))
 
 
 def draw(run: MissionRun, data: Mapping[str, Any], out: BinaryIO) -> None:
@@ -89,54 +62,34 @@ def picture(run: MissionRun, data: Mapping[str, Any]) -> Figure:
     """Return what `draw` writes: a map and the list of adaptations over lines of time."""
     figure = Figure(figsize=(WIDTH / DPI, HEIGHT / DPI), dpi=DPI, facecolor="white")
     FigureCanvasAgg(figure)
-    story, split = _story(run, data), 12
+    story, split = story_of(run, data), 12.0
     _title(figure, data, run.world.results())
     _legend(figure, story)
     top = _timelines(figure, story)
     if np.isfinite(story.xy).any():
-        split = 960 if story.adaptations else 1420 if _is_ours(data) else WIDTH - 34
         places = {name: np.asarray(points, dtype=float) for name, points in run.world.scenery().items() if len(points)}
-        _map(_axes(figure, 72, 106, split - 72, top - 162), story, places)
+        shown = _shown(story, places)
+        split = _split(shown, top) if story.adaptations else 1420 if _is_ours(data) else WIDTH - 34
+        _map(_axes(figure, 72, 106, split - 72, top - 162), story, places, shown)
     if _is_ours(data):  # how others adapt is not told, only what they switch
         _list(_axes(figure, split + 22, 106, WIDTH - split - 30, top - 120), story.adaptations)
     return figure
 
 
+def _shown(story: Story, places: Mapping[str, Array]) -> Array:
+    """Return what a map has to show: the way, and the nearest part of each place (n, 2) [m]."""
+    near = [points[[np.argmin(np.hypot(*(points - story.xy[0]).T))]] for points in places.values()]
+    return np.vstack([story.xy, *near])
+
+
+def _split(shown: Array, top: float) -> float:
+    """Return where the map ends and the list begins [px]: a map that is no wider than it need be leaves room."""
+    wide, tall = np.ptp(shown, axis=0) + 3.0
+    return float(np.clip(72 + (top - 162) * wide / tall * 1.15, 640, 960))
+
+
 def _is_ours(data: Mapping[str, Any]) -> bool:
     return bool(data.get("manager", "ours") == "ours")
-
-
-def _story(run: MissionRun, data: Mapping[str, Any]) -> _Story:
-    samples = [sample for sample, _, _ in run.trace.samples]
-    signals = dict.fromkeys(name for sample in samples for name in sample.signals)
-    limits: dict[str, dict[float, list[str]]] = {}
-    for one in run.kb.model.constraints:
-        labels = limits.setdefault(one.attribute.replace("_", " "), {}).setdefault(one.value, [])
-        labels += [f"{_brief(one.operator)} {one.value:g}  {_brief(each.name)}" for each in one.constrained]
-    return _Story(
-        max(float(data["duration_s"]), 1e-3),
-        np.array([sample.time for sample in samples], dtype=float),
-        np.array([sample.position[:2] for sample in samples], dtype=float).reshape(-1, 2),
-        [action for _, action, _ in run.trace.samples],
-        [configuration for _, _, configuration in run.trace.samples],
-        {name: np.array([sample.signals.get(name, np.nan) for sample in samples], dtype=float) for name in signals},
-        limits,
-        data["adaptations"],
-        data["disturbances"],
-    )
-
-
-def _names(column: Iterable[str]) -> list[str]:
-    return list(dict.fromkeys(name for names in column for name in names.split(", ") if name))
-
-
-def _bare(signal: str) -> str:
-    return signal.split(" [")[0]
-
-
-def _brief(text: str, most: int = 18) -> str:
-    short = text.replace(" = ", "\u00a0=\u00a0").replace("->", "→").replace(">=", "≥").replace("<=", "≤")
-    return short if len(short) <= most else f"{short[: most - 1]}…"
 
 
 def _axes(figure: Figure, left: float, top: float, width: float, height: float) -> Axes:
@@ -153,6 +106,9 @@ def _badge(axes: Axes, at: Array, number: int, kind: str) -> None:
     digit.set(transform=PIXELS, zorder=9, fontweight="bold")
 
 
+LONGEST = 420
+"""How many letters of a reason there are room for; the result in JSON has all of it."""
+
 FACTS = 3
 """How many figures the title has room for; the result in JSON has all of them."""
 
@@ -165,12 +121,12 @@ def _title(figure: Figure, data: Mapping[str, Any], results: Mapping[str, float 
     figure.text(0.015, 1 - 32 / HEIGHT, name, fontsize=13, fontweight="bold", va="center")
     facts = [f"{data['outcome'].replace('_', ' ')} after {data['duration_s']:.0f} s"]
     for key, value in list(results.items())[:FACTS]:
-        words, _, unit = key.rpartition("_")
-        facts.append(f"{words.replace('_', ' ')} {'-' if value is None else f'{value:.1f} {unit}'}")
+        words, unit, shown = figure_in_words(key, None if value is None else round(value, 1))
+        facts.append(" ".join(filter(None, (words, shown, unit))))
     figure.text(0.988, 1 - 32 / HEIGHT, "   ·   ".join(facts), fontsize=9.5, ha="right", va="center")
 
 
-def _legend(figure: Figure, story: _Story) -> None:
+def _legend(figure: Figure, story: Story) -> None:
     entries = [Line2D([], [], color=hue, linewidth=4, label=name) for name, hue in story.hues.items()]
     for kind in dict.fromkeys(one["kind"] for one in story.adaptations):
         size, face, edge, _ = BADGES.get(kind, BADGES["parameter"])
@@ -179,7 +135,15 @@ def _legend(figure: Figure, story: _Story) -> None:
         entries.append(badge)
     if story.disturbances:
         entries.append(Line2D([], [], linewidth=1, linestyle="--", label="disturbance", **DIAMOND))
-    legend = figure.legend(handles=entries, loc="center left", ncols=max(len(entries), 1), borderaxespad=0, fontsize=9)
+    if story.completed:
+        done = Line2D([], [], linestyle="", marker="o", markersize=8, color=MUTED, label="completed")
+        done.set(markerfacecolor="none", markeredgewidth=1.6)
+        entries.append(done)
+    wide = sum(78 + 9.4 * len(str(entry.get_label())) for entry in entries)
+    letters = 9 * min(1.0, WIDTH / max(wide, 1.0))
+    legend = figure.legend(
+        handles=entries, loc="center left", ncols=max(len(entries), 1), borderaxespad=0, fontsize=letters
+    )
     legend.set_bbox_to_anchor((0.01, 1 - 76 / HEIGHT))
 
 
@@ -197,6 +161,23 @@ class _Room:
         x, y = self.lead(xy, 8.8 * len(text) + 4, 18)
         label = self._axes.text(x, y, text, ha="center", va="center", color=color)
         label.set(transform=PIXELS, zorder=7, path_effects=[withStroke(linewidth=2.5, foreground="white")])
+
+    @property
+    def scale(self) -> float:
+        """How long a metre is [px]."""
+        return float(np.ptp(self._axes.bbox.intervalx) / np.ptp(self._axes.get_xlim()))
+
+    def note(self, xy: Array, text: str, color: str) -> None:
+        """Write beside a point [m], in a frame of a colour."""
+        x, y = self.lead(xy, LETTER * len(text) + 12, 24)
+        label = self._axes.text(x, y, text, ha="center", va="center", fontsize=8)
+        frame = {"boxstyle": "round,pad=0.25", "facecolor": "white", "edgecolor": color, "linewidth": 1.4}
+        label.set(transform=PIXELS, zorder=7, bbox=frame)
+
+    def ring(self, xy: Array, color: str) -> None:
+        """Put a ring round a point [m]."""
+        ring = self._axes.plot(xy[0], xy[1], "o", color=color, markersize=13, zorder=5.5)[0]
+        ring.set(markerfacecolor="none", markeredgewidth=2)
 
     def lead(self, xy: Array, width: float, height: float) -> Array:
         """Take a box of a size near a point [m], draw a line from there to its edge, and return its centre."""
@@ -218,9 +199,8 @@ class _Room:
         return float(np.hypot(*(centre - anchor)) + 5 * hidden + 20 * crossed + 300 * met + 1000 * outside)
 
 
-def _map(axes: Axes, story: _Story, places: Mapping[str, Array]) -> None:
-    near = [points[[np.argmin(np.hypot(*(points - story.xy[0]).T))]] for points in places.values()]
-    shown, box = np.vstack([story.xy, *near]), axes.bbox.size
+def _map(axes: Axes, story: Story, places: Mapping[str, Array], shown: Array) -> None:
+    box = axes.bbox.size
     half = np.ptp(shown, axis=0) * 0.55 + 0.8
     middle, half = (shown.min(axis=0) + shown.max(axis=0)) / 2, np.maximum(half, half[::-1] * box / box[::-1])
     axes.set(xlim=middle[0] + half[0] * SIDES, ylim=middle[1] + half[1] * SIDES, facecolor="#f6f9fb")
@@ -238,16 +218,22 @@ def _map(axes: Axes, story: _Story, places: Mapping[str, Array]) -> None:
         lonely = [np.hypot(*(story.xy - point).T).min() for point in inside]
         room.name(inside[np.argmax(lonely)], name, "" if len(points) > 1 else "s", 9)
     room.name(story.xy[0], "start", "o", 8)
-
-    def where(time: float) -> Array:
-        return np.array([np.interp(time, story.times, column) for column in story.xy.T])
-
+    _choices(room, story)
     for number, one in enumerate(story.adaptations, start=1):
         size = BADGES.get(one["kind"], BADGES["parameter"])[0]
-        _badge(axes, room.lead(where(one["at_s"]), size, size), number, one["kind"])
+        _badge(axes, room.lead(story.where(one["at_s"]), size, size), number, one["kind"])
     step = next(one for one in (5, 10, 30, 60, 120, 300, 600, 1800, 7200, 10**9) if story.end / one <= 10)
     for time in range(step, int(story.times[-1]) + 1, step):
-        room.name(where(time), f"{time} s", "o", 4.5, MUTED)
+        room.name(story.where(time), f"{time} s", "o", 4.5, MUTED)
+
+
+def _choices(room: _Room, story: Story) -> None:
+    """Write onto each longer part of the way what was chosen there, and ring where an action was completed."""
+    long = [leg for leg in story.legs if leg.length_m * room.scale > 0.8 * LETTER * len(leg.choice)]
+    for leg in long if len({leg.choice for leg in long}) > 1 else []:
+        room.note(leg.middle, leg.choice, story.hues[listed([leg.action])[0]])
+    for action, time in story.completed:
+        room.ring(story.where(time), story.hues.get(action, FAINT))
 
 
 def _list(axes: Axes, adaptations: Events) -> None:
@@ -256,7 +242,7 @@ def _list(axes: Axes, adaptations: Events) -> None:
     axes.set(xlim=(0, axes.bbox.width), ylim=(axes.bbox.height, 0))
     head = "adaptations: what set them off → what was changed" if adaptations else "no adaptation"
     axes.text(0, 0, head, fontsize=10, fontweight="bold", va="top")
-    for size, full in ((10, True), (9, True), *((size, False) for size in (9, 8.5, 8, 7.5, 7, 6.5, 6))):
+    for size, full in ((10, True), (9, True), (8.5, True), *((size, False) for size in (9, 8.5, 8, 7.5, 7, 6.5, 6))):
         line, left = size * LINE, 18 + size * 13
         texts = [_lines(one, full, (axes.bbox.width - left) / (0.43 * line)) for one in adaptations]
         starts = 32 + np.cumsum([0, *(line * (len(text) + 0.3) for text in texts)])
@@ -275,24 +261,29 @@ def _list(axes: Axes, adaptations: Events) -> None:
 
 def _lines(one: Mapping[str, Any], full: bool, width: float) -> list[str]:
     reaction = "not in force" if one["reaction_s"] is None else f"in\u00a0{one['reaction_s']:.2f}\u00a0s"
-    texts = one["trigger"] + (f": {one['reason']}" if full else ""), f"-> {one['change']} [{reaction}]"
-    return [part for text in texts for part in textwrap.wrap(_brief(text, 500), int(width), subsequent_indent="    ")]
+    why = re.sub(r" \(measured [^)]*\)", "", f": {one['reason']}") if full else ""
+    texts = one["trigger"] + brief(why, LONGEST), f"-> {one['change']} [{reaction}]"
+    return [part for text in texts for part in textwrap.wrap(brief(text, 500), int(width), subsequent_indent="    ")]
 
 
-def _timelines(figure: Figure, story: _Story) -> float:
+def _timelines(figure: Figure, story: Story) -> float:
     """Draw everything over time, one row above the other; return where the rows begin [px from the top]."""
-    panels = _panels(story)
-    told = [one for one in story.disturbances if not any(one["what"].startswith(_bare(name)) for name in panels)]
-    rows: list[tuple[int, Callable[[Axes], None]]] = [_events(story, "disturbances", told, 8.4)] if told else []
+    panels, lanes = _panels(story), _lanes(story)
+    left, right = _margins(lanes, [label for name in panels for label in _labels(story, name)])
+    told = [one for one in story.disturbances if not any(one["what"].startswith(bare(name)) for name in panels)]
+    rows: list[tuple[int, Callable[[Axes], None]]] = (
+        [_events(story, "disturbances", told, 8.4, right - left)] if told else []
+    )
     tall = min(150, PANELS // max(1, len(panels)))
     rows += [(tall, partial(_panel, story=story, names=[name, *others])) for name, others in panels.items()]
-    rows += [_events(story, "adaptations", story.adaptations, 0)] if story.adaptations else []
-    for title, column in (("active action", story.actions), ("configuration", story.configurations)):
-        if names := _names(column):
-            rows.append((LANE * len(names) + 4, partial(_bars, story=story, title=title, column=column, names=names)))
+    rows += [_events(story, "adaptations", story.adaptations, 0, right - left)] if story.adaptations else []
+    rows += [
+        (LANE * len(listed(column)) + 4, partial(_bars, story=story, title=title, column=column))
+        for title, column in lanes.items()
+    ]
     start = top = HEIGHT - 46.0 - sum(height + GAP for height, _ in rows)
     for number, (height, show) in enumerate(rows, start=1):
-        axes = _axes(figure, LEFT, top, RIGHT - LEFT, height)
+        axes = _axes(figure, left, top, right - left, height)
         axes.set_xlim(0, story.end)
         show(axes)
         for one in story.adaptations:
@@ -305,24 +296,49 @@ def _timelines(figure: Figure, story: _Story) -> float:
     return start
 
 
-def _panels(story: _Story) -> dict[str, list[str]]:
+def _lanes(story: Story) -> dict[str, list[str]]:
+    lanes = {"active action": story.actions, "design": story.designs, "configuration": story.configurations}
+    return {title: column for title, column in lanes.items() if listed(column)}
+
+
+def _margins(lanes: Mapping[str, Sequence[str]], labels: Sequence[str]) -> tuple[float, float]:
+    """Return where the time axis begins and ends [px], so that what stands beside it has room."""
+    names = [len(brief(name)) for column in lanes.values() for name in listed(column)]
+    beside = LETTER * max(map(len, labels), default=0)
+    return max(LEFT, 16.0 + LETTER * max(names, default=0)), min(RIGHT, WIDTH - beside)
+
+
+def _labels(story: Story, signal: str) -> list[str]:
+    """Return what stands to the right of the panel of a signal."""
+    return [label for labels in story.limits.get(bare(signal), {}).values() for label in labels]
+
+
+def _panels(story: Story) -> dict[str, list[str]]:
     """Return the signals worth a panel, each with those that share it since their names end with its name."""
     worth = [
         name
         for name, values in story.signals.items()
-        if np.isfinite(values).any() and (np.nanmin(values) < np.nanmax(values) or _bare(name) in story.limits)
+        if np.isfinite(values).any() and (np.nanmin(values) < np.nanmax(values) or bare(name) in story.limits)
     ]
     hosts = {name: next((host for host in worth if name.endswith(f" {host}")), name) for name in worth}
     return {host: [name for name in worth if hosts[name] == host != name] for host in worth if hosts[host] == host}
 
 
-def _events(story: _Story, title: str, events: Events, letter: float) -> tuple[int, Callable[[Axes], None]]:
-    """Return the height [px] of a row of events, and what draws it; `letter`: how wide one of a text is [px]."""
+def _events(story: Story, title: str, events: Events, letter: float, wide: float) -> tuple[int, Callable[[Axes], None]]:
+    """Return the height [px] of a row of events, and what draws it.
+
+    Args:
+        story: what is drawn.
+        title: of the row.
+        events: what is in it.
+        letter: width of a letter of their texts; 0 for numbers instead [px].
+        wide: width of the row [px].
+    """
     ends: list[float] = []
     levels, sides = [], []
     for one in events:
-        x, width = one["at_s"] / story.end * (RIGHT - LEFT), 26 + letter * len(one.get("what", ""))
-        sides.append("right" if letter and x + width > RIGHT - LEFT else "left")
+        x, width = one["at_s"] / story.end * wide, 26 + letter * len(one.get("what", ""))
+        sides.append("right" if letter and x + width > wide else "left")
         start, end = (x, x + width) if sides[-1] == "left" else (x - width, x + 10)
         free = (level for level, taken in enumerate(ends) if taken <= start)
         levels.append(next(free, min(len(ends), 5)))
@@ -348,9 +364,10 @@ def _aside(axes: Axes, text: str, y: float, color: str = MUTED) -> None:
     axes.text(1.006, y, text, transform=axes.transAxes, va="center", color=color, fontsize=8)
 
 
-def _bars(axes: Axes, story: _Story, title: str, column: Sequence[str], names: list[str]) -> None:
+def _bars(axes: Axes, story: Story, title: str, column: Sequence[str]) -> None:
+    names = listed(column)
     axes.set(ylim=(len(names) - 0.45, -0.55))
-    axes.set_yticks(range(len(names)), [_brief(name) for name in names])
+    axes.set_yticks(range(len(names)), [brief(name) for name in names])
     axes.tick_params(left=False)
     _aside(axes, title, 0.5)
     for name, start, end in story.spans(column):
@@ -358,23 +375,23 @@ def _bars(axes: Axes, story: _Story, title: str, column: Sequence[str], names: l
         axes.barh(names.index(name), end - start, left=start, height=0.76, color=hue, zorder=2)
 
 
-def _panel(axes: Axes, story: _Story, names: list[str]) -> None:
+def _panel(axes: Axes, story: Story, names: list[str]) -> None:
     """Draw a signal and those that share its panel, the thresholds of the model, and the disturbances it shows."""
     for name, start, end in story.spans(story.actions):
         axes.axvspan(start, end, color=story.hues[name], alpha=0.09, linewidth=0, zorder=0.5)
     for name, color, dashes in zip(names, (INK, "#7b3294", "#0f6b78"), ("-", "--", ":"), strict=False):
         line = axes.plot(story.times, story.signals[name], dashes, color=color, linewidth=1.5, zorder=4)[0]
-        line.set(label=_bare(name), drawstyle="default" if name == names[0] else "steps-post")
-    limits = story.limits.get(_bare(names[0]), {})
+        line.set(label=bare(name), drawstyle="default" if name == names[0] else "steps-post")
+    limits = story.limits.get(bare(names[0]), {})
     axes.hlines(list(limits), 0, story.end, color=LIMIT, linewidth=1, linestyle=":", zorder=3)
     axes.margins(y=0.12)
-    (low, high), height = axes.get_ylim(), 0.0
+    (low, high), height, half = axes.get_ylim(), 0.0, 8.5 / axes.bbox.height
     for value, labels in sorted(limits.items()):
-        height = max(height + 0.08 * len(labels), (value - low) / (high - low))
+        height = max(height + half * len(labels), (value - low) / (high - low))
         _aside(axes, "\n".join(labels), height, LIMIT)
-        height += 0.08 * len(labels)
+        height += half * len(labels)
     for one in story.disturbances:
-        if one["what"].startswith(_bare(names[0])):
+        if one["what"].startswith(bare(names[0])):
             axes.plot(one["at_s"], np.interp(one["at_s"], story.times, story.signals[names[0]]), zorder=5, **DIAMOND)
     axes.set_ylabel(names[0].replace(" ", "\n"), rotation=0, ha="right", va="center", labelpad=6)
     if len(names) > 1:

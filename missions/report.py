@@ -3,7 +3,7 @@
 import json
 import math
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import Any, Final
 
 from rich.box import SIMPLE_HEAD
 from rich.markup import escape
@@ -15,7 +15,10 @@ from missions.managers.watch import WatchedSea
 from missions.mission import Verdict
 from missions.runner import MissionRun
 
-__all__ = ["adaptation_table", "as_json", "summary", "timing"]
+__all__ = ["adaptation_table", "as_json", "figure_in_words", "summary", "timing"]
+
+SIGNS: Final = {"j": "J", "w": "W", "percent": "%"}
+"""How units are written that a name has in small letters or in full."""
 
 
 def summary(run: MissionRun, verdict: Verdict, seed: int, changed: Mapping[str, str]) -> dict[str, Any]:
@@ -95,6 +98,21 @@ def timing(run: MissionRun, wall_s: float) -> dict[str, Any]:
             for one, computed_s in _reactions(run)
         ],
     }
+
+
+def figure_in_words(name: str, value: float | None) -> tuple[str, str, str]:
+    """Return what a figure is of, its unit and its value: "energy_used_j" is "energy used", "J" and "3152.6".
+
+    The unit is empty if the name has none; a value that did not come about is "-".
+    """
+    words, _, unit = name.rpartition("_")
+    if value is None:
+        shown = "-"
+    elif float(value).is_integer() and (not words or len(unit) > 3):  # a count of something, not an amount of a unit
+        shown = f"{value:.0f}"
+    else:
+        shown = f"{value:.2f}" if abs(value) < 10 else f"{value:.1f}"
+    return (words.replace("_", " "), SIGNS.get(unit, unit), shown) if words else (name, "", shown)
 
 
 def adaptation_table(adaptations: Iterable[Adaptation]) -> Table:

@@ -53,9 +53,11 @@ class Trace:
 
     Attributes:
         samples: what was seen, with the action and the configurations of that moment.
+        designs: the designs of each of these moments, of required functions that have more than one.
     """
 
     samples: list[tuple[Sample, str, str]] = field(default_factory=list)
+    designs: list[str] = field(default_factory=list)
 
 
 class MissionRun:
@@ -101,6 +103,7 @@ class MissionRun:
         self._answered = -1
         self.kb = KnowledgeBase(mission.model(), clock=self._now)
         self._configurable = [one for one in self.kb.components.values() if one.configurations]
+        self._choices = [one for one in self.kb.functions.values() if len(one.designs) > 1]
         self._senses = Senses()
         self._manager = ConfigurationManager(self.kb, world.managed)
         delay = self.settings.planning_delay_s
@@ -231,6 +234,9 @@ class MissionRun:
         action = ", ".join(required.action for required in self.kb.required_actions)
         configured = (one.selected_configuration for one in self._configurable if one.is_active)
         self.trace.samples.append((sample, action, ", ".join(name for name in configured if name)))
+        open_choices = [name for one in self._choices if one.is_required for name in one.designs]
+        designs = [name for name in open_choices if self.kb.designs[name].is_selected]
+        self.trace.designs.append(", ".join(designs))
 
     def _measured(self) -> Sample:
         """Return what the knowledge base was told, for a world that shows nothing of itself."""

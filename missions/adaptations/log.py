@@ -1,6 +1,7 @@
 """Tells adaptations from the ordinary course of a mission."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 from kb import ComponentKind, Event, EventKind, KnowledgeBase, ReconfigurationPlan
@@ -167,9 +168,12 @@ class AdaptationLog:
         if cause is None or before is None:
             return False
         self._end_task()
+        plan = self._new_plan()
+        if plan is not None and not cause.reason:
+            cause = replace(cause, reason=plan.reason)
         self._task = TaskChange(cause, before.action, action, time)
-        for plan in prelude:
-            self._task.add(self._in_words(plan), plan)
+        for made in prelude:
+            self._task.add(self._in_words(made), made)
         self.adaptations.append(self._task.adaptation)
         return True
 

@@ -101,7 +101,7 @@ def test_the_map_has_the_same_scale_both_ways():
 @pytest.mark.parametrize("samples", [0, 1, 2])
 def test_hardly_any_samples_are_drawn_all_the_same(samples):
     run, _, data = run_mission("suave_extended", duration_s=20)
-    run.trace = Trace(run.trace.samples[:samples])
+    run.trace = Trace(run.trace.samples[:samples], run.trace.designs[:samples])
     assert drawn(run, data)
 
 
@@ -129,3 +129,59 @@ def test_a_great_many_adaptations_are_cut_off_in_the_list_with_a_word():
     many = [one for one in data["adaptations"] for _ in range(12)]
     figure = picture(run, {**data, "adaptations": many})
     assert any(word.startswith("… and") for axes in figure.axes for word in words(axes))
+
+
+def boxes(figure):
+    """Each text that is written, with its box [px]."""
+    return {
+        text.get_text(): text.get_window_extent()
+        for axes in figure.axes
+        for text in (*axes.texts, *axes.get_yticklabels())
+        if text.get_text()
+    }
+
+
+@pytest.mark.parametrize(("name", "task"), [("agv", "bt"), ("uav", "bt"), ("suave_extended", "bt")])
+def test_nothing_that_is_written_is_cut_off_at_the_edges(name, task):
+    figure = picture(*short_run(name, task))
+    written = boxes(figure)
+    assert len(written) > 10
+    for text, box in written.items():
+        assert box.x0 >= 0, text
+        assert box.x1 <= figure.bbox.x1, text
+    (legend,) = figure.legends
+    assert legend.get_window_extent().x1 <= figure.bbox.x1
+
+
+def test_lanes_show_which_design_and_which_configuration_was_chosen():
+    run, data = short_run("agv")
+    lanes = [axes for axes in picture(run, data).axes if {"design", "configuration"} & set(words(axes))]
+    shown = [[label.get_text() for label in axes.get_yticklabels()] for axes in lanes]
+    assert shown[0] == ["amcl_kinect", "aruco_camera"]
+    assert shown[1] == ["fast"]  # the navigator's headings say no more than the corridors do
+
+
+def test_map_says_on_each_corridor_what_was_chosen_for_it():
+    run, data = short_run("agv")
+    told = words(axes_beside(picture(run, data), "start"))
+    assert {"amcl_kinect, fast", "aruco_camera, fast"} <= set(told)
+
+
+def test_map_of_a_run_in_which_only_one_thing_is_chosen_says_nothing_of_it():
+    run, data = short_run("suave_extended")
+    assert not any("thruster" in word for word in words(axes_beside(picture(run, data), "start")))
+
+
+def test_ring_in_the_colour_of_the_action_marks_where_it_was_completed():
+    run, data = short_run("uav")
+    rings = [line for line in axes_beside(picture(run, data), "start").lines if line.get_markerfacecolor() == "none"]
+    done = [one for one in data["actions"] if one["result"] == "completed"]
+    assert len(rings) == len(done) > 2
+    assert len({line.get_color() for line in rings}) == len({one["name"] for one in done})
+
+
+def test_title_writes_units_as_they_are_written():
+    run, data = short_run("agv")
+    title = " ".join(text.get_text() for text in picture(run, data).texts)
+    assert " J   " in title
+    assert title.endswith("collisions 0")
