@@ -12,6 +12,7 @@ from typing import Protocol, runtime_checkable
 
 from rosa_pddl.domain import Domain, Feasibility, State, Step, UpThing
 from rosa_pddl.planning.grounding import lock_of
+from rosa_pddl.problem import action_costs
 from rosa_pddl.validate import affected_atoms, binding_of, changes
 
 __all__ = ["Disappointment", "Hopes"]
@@ -161,7 +162,19 @@ def _without(domain: Domain, doubts: Iterable[tuple[Step, str]]) -> Domain:
         effects = up_action.effects
         for listed in effects.values() if isinstance(effects, dict) else [effects]:
             listed[:] = [effect for effect in listed if not _hopes_for(domain, effect, step, action)]
+    _keep_costs(domain, problem)
     return replace(domain, up_problem=problem, schema_of=schemas, _atoms={})
+
+
+def _keep_costs(domain: Domain, problem: UpThing) -> None:
+    """Tell a problem what its actions cost, as unified-planning finds that by whole actions, of which some changed."""
+    from unified_planning.model.metrics import MinimizeActionCosts
+
+    given = action_costs(domain)
+    if given is not None:
+        costs = {problem.action(action.name): cost for action, cost in given.costs.items()}
+        problem.clear_quality_metrics()
+        problem.add_quality_metric(MinimizeActionCosts(costs, given.default, problem.environment))
 
 
 def _hopes_for(domain: Domain, effect: UpThing, step: Step, action: str) -> bool:

@@ -7,8 +7,9 @@ from pddl_world import FakeKb, Task, World, load_text
 from py_trees.common import Status
 
 from kb import KnowledgeBase, Model
-from rosa_pddl import Outcome, Planner, Problem, flaw, initial_state
+from rosa_pddl import Goals, Outcome, Planner, Problem, flaw, initial_state
 from rosa_pddl.hopes import Hopes
+from rosa_pddl.quest import Quest
 
 # Mending serves driving; there is a dear detour on foot if the problem has a path.
 DOMAIN = """(define (domain roads) (:requirements :typing :durative-actions :action-costs)
@@ -253,3 +254,19 @@ def test_engines_that_know_no_conditional_effects_are_not_told_of_the_hope_at_al
         "recharge",
         "search_pipeline",
     ]
+
+
+def test_costs_and_soft_goals_are_as_before_where_something_is_in_doubt(roads):
+    domain = roads["jack", "(path home goal)"]
+    kb = FakeKb(domain.rosa_actions)
+    kb.unfeasible = {"drive"}
+    hopes, goals = Hopes(domain, kb), Goals(domain)
+    goals.add("(used jack)", worth=2.5)
+    quest = Quest(hopes, dict)
+    state = initial_state(domain) | {"(action_feasible mend)", "(action_feasible walk)"}
+    planner = Planner(cached=0)
+    assert planner.plan(quest.problem(state, goals)).cost == 3.0
+    hopes.ended(domain.step("mend", ("mend", "drive", "jack")), state)
+    assert planner.plan(quest.problem(state, goals)).cost == 22.0
+    goals.add("(used jack)", worth=1.5)
+    assert planner.plan(quest.problem(state, goals)).cost == 21.5
