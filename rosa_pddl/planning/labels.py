@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from heapq import heapify, heappop, heappush
 from math import inf
-from operator import add, gt
+from operator import add, gt, le
 from typing import Generic, NamedTuple, TypeVar
 
 __all__ = ["Found", "Graph", "Move", "cheapest", "distances"]
@@ -61,33 +61,38 @@ class _Label(NamedTuple, Generic[S, T]):
 def cheapest(graph: Graph[S, T], start: S, limits: Sequence[float] = ()) -> Found[S, T] | None:
     """Find a way of least cost that uses up no more than the limits; None is a proof that there is none.
 
-    Labels leave the queue by cost plus what is lacking at least; the first at a goal is optimal. A label is followed
-    unless another one of its state costs no more and uses no more of anything. `least` has to be consistent: no move
-    lowers it by more than the move costs.
+    Labels leave the queue by cost plus what is lacking at least. So those of a state leave it in order of cost, and a
+    label is worth following only if it uses less of something than every one before it; the first at a goal is
+    optimal. `least` has to be consistent: no move lowers it by more than the move costs.
     """
     first: _Label[S, T] = _Label(None, None, start, (0,) * (1 + len(limits)))
     queue = [(graph.least(start)[0], first.spent[1:], 0, first)]
-    fronts: dict[S, list[tuple[int, ...]]] = {start: [first.spent]}
+    followed: dict[S, list[tuple[int, ...]]] = {}
+    latest: dict[S, tuple[int, ...]] = {}
     pushed, expanded = 0, 0
     while queue:
         _, uses, _, label = heappop(queue)
         _, _, state, spent = label
-        if spent not in fronts[state]:
+        front = followed.get(state, ())
+        if _is_dominated(uses, front):
             continue
         if graph.is_goal(state):
             return Found(tuple(_moves(label)), spent[0], uses, expanded)
+        followed[state] = [uses, *(other for other in front if not _is_dominated(other, (uses,)))]
         expanded += 1
         for move in graph.moves(state):
             to, cost, more, _ = move
             cost += spent[0]
             used = tuple([a + b for a, b in zip(uses, more, strict=True)]) if limits else ()
-            reached, front = (cost, *used), fronts.get(to, ())
-            if any(map(gt, used, limits)) or _is_dominated(reached, front):
+            reached = (cost, *used)
+            if any(map(gt, used, limits)) or (to in latest and all(map(le, latest[to], reached))):
+                continue
+            if _is_dominated(used, followed.get(to, ())):
                 continue
             least, lacking = graph.least(to)
             if least == inf or any(map(gt, map(add, used, lacking), limits)):
                 continue
-            fronts[to] = [reached, *(other for other in front if not _is_dominated(other, (reached,)))]
+            latest[to] = reached
             pushed += 1
             heappush(queue, (cost + least, used, pushed, _Label(label, move, to, reached)))
     return None
