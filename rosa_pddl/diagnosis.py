@@ -1,6 +1,8 @@
-"""Why there is no plan: which of several goals cannot be reached, and whether it is for want of feasible actions."""
+"""Why there is no plan: which of several goals are out of reach, and whether by what is unfeasible or by limits."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
 
 from rosa_pddl.domain import Domain, State, UpThing
 from rosa_pddl.goals import Goal
@@ -19,6 +21,7 @@ class Diagnosis:
         state: from which there is no plan.
         goals: that cannot all be reached.
         why: the answer of the planner, in words.
+        costs: the values of numeric facts, as they were asked with.
         answers: to the questions so far, in order.
         is_open: whether there is anything to ask: not if it was the planner that failed.
     """
@@ -27,6 +30,7 @@ class Diagnosis:
     state: State
     goals: tuple[Goal, ...]
     why: str
+    costs: Mapping[str, float] = field(default_factory=dict)
     answers: tuple[PlanningResult, ...] = ()
     is_open: bool = True
 
@@ -34,24 +38,26 @@ class Diagnosis:
     def next_question(self) -> Problem | None:
         """What to ask next; None if enough is known.
 
-        First each goal alone, if there are several; then all of them, were every action feasible.
+        First each goal alone, if there are several; then all of them, were every action feasible, or nothing limited.
         """
-        if not self.is_open:
-            return None
-        done = len(self.answers)
-        if done < self._singles:
-            return self._problem([self.goals[done]], self.state)
-        if done == self._singles and self._unfeasible:
-            feasible = {self.domain.feasible_atom(action) for action in self.domain.rosa_actions}
-            return self._problem(self.goals, self.state | feasible)
-        return None
+        questions = self._questions if self.is_open else []
+        return questions[len(self.answers)]() if len(self.answers) < len(questions) else None
 
     def answered(self, result: PlanningResult) -> "Diagnosis":
         """Return the diagnosis with one more answer."""
         return replace(self, answers=(*self.answers, result))
 
     def __str__(self) -> str:
-        return "; ".join(filter(None, [self.why, self._which(), self._if_all_were_feasible()]))
+        return "; ".join(filter(None, [self.why, self._which(), self._if_all_were_feasible(), self._if_unlimited()]))
+
+    @property
+    def _questions(self) -> list[Callable[[], Problem]]:
+        asked: list[Callable[[], Problem]] = [partial(self._problem, [goal]) for goal in self.goals[: self._singles]]
+        if self._unfeasible:
+            asked.append(partial(self._problem, self.goals, is_all_feasible=True))
+        if self.domain.limited:
+            asked.append(partial(self._problem, self.goals, is_limited=False))
+        return asked
 
     @property
     def _singles(self) -> int:
@@ -64,9 +70,14 @@ class Diagnosis:
         actions = self.domain.rosa_actions
         return tuple(action for action in actions if self.domain.feasible_atom(action) not in self.state)
 
-    def _problem(self, goals: "list[Goal] | tuple[Goal, ...]", state: State) -> Problem:
+    def _problem(self, goals: Sequence[Goal], *, is_all_feasible: bool = False, is_limited: bool = True) -> Problem:
+        domain, state = self.domain, self.state
+        if is_all_feasible:
+            state |= {domain.feasible_atom(action) for action in domain.rosa_actions}
+        if not is_limited:
+            domain = replace(domain, resources=tuple(replace(one, limits=()) for one in domain.resources), _atoms={})
         expressions: tuple[UpThing, ...] = tuple(goal.expression for goal in goals)
-        return Problem(self.domain, state, expressions)
+        return Problem(domain, state, expressions, self.costs)
 
     def _which(self) -> str:
         if not self._singles or not self.is_open:
@@ -85,7 +96,7 @@ class Diagnosis:
         return "; ".join(filter(None, parts))
 
     def _if_all_were_feasible(self) -> str:
-        if len(self.answers) <= self._singles:
+        if not self._unfeasible or len(self.answers) <= self._singles:
             return ""
         last = self.answers[self._singles]
         if last.outcome.is_trouble:
@@ -94,3 +105,9 @@ class Diagnosis:
         if last.outcome.is_solved:
             return f"unfeasible now: {names}; there would be a plan if they were feasible"
         return "there would be no plan even if every action were feasible"
+
+    def _if_unlimited(self) -> str:
+        if not self.domain.limited or len(self.answers) < len(self._questions):
+            return ""
+        names = ", ".join(resource.name for resource in self.domain.limited)
+        return f"there would be a plan without the limits of {names}" if self.answers[-1].outcome.is_solved else ""

@@ -339,10 +339,10 @@ class PlanExecutor(Behaviour):
         self._ended_meanwhile.append(step)
         disappointed = self._hopes.ended(step, state)
         if disappointed and self._course is not None:
-            self._despair(self._course.with_domain(self._hopes.domain), disappointed)
+            self._lose_hope(self._course.with_domain(self._hopes.domain), disappointed)
         return None
 
-    def _despair(self, course: Course, disappointed: Iterable[Disappointment]) -> None:
+    def _lose_hope(self, course: Course, disappointed: Iterable[Disappointment]) -> None:
         """Go on without what a step was hoped to make feasible, or have a plan made if the rest needs that."""
         state = self._belief.observe()
         hoped = state | {self._domain.feasible_atom(one.action) for one in disappointed}

@@ -177,7 +177,8 @@ class Replanning:
             return None
         told = result.message or decision.reason
         why = f"no plan: {told}" if str(outcome) in told else f"no plan, {outcome}: {told}"
-        diagnosis = Diagnosis(domain, state, self._goals.hard, why, is_open=not outcome.is_trouble)
+        costs, is_open = question.problem.costs, not outcome.is_trouble
+        diagnosis = Diagnosis(domain, state, self._goals.hard, why, costs, is_open=is_open)
         self._diagnose(diagnosis, state)
         if result.safe_step is None:
             return None

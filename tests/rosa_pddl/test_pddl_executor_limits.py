@@ -91,6 +91,7 @@ def test_there_is_a_plan_again_once_more_is_left(legs):
     assert world.run() is Status.FAILURE
     assert [world.tick() for _ in range(3)] == [Status.FAILURE] * 3
     assert len(world.executor.plans) == 1
+    assert world.executor.feedback_message.endswith("there would be a plan without the limits of used")
     world.facts = {"(left)": 0.3}
     assert world.run() is Status.SUCCESS
     assert begun(world) == ["creep"] * 3
