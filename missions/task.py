@@ -76,10 +76,10 @@ def build_task(
 def _planning(
     mission: Mission, kb: KnowledgeBase, senses: Senses, clock: Callable[[], float], delay_s: float
 ) -> TaskLayer:
-    from missions.planning.declared import mission_domain
+    from missions.planning.declared import check_facts, mission_domain
     from rosa_pddl import PlanExecutor, Planner
 
-    _check_facts(mission)
+    check_facts(mission)
     domain = mission_domain(mission)
     planner = Planner(mission.engines[0], fallback=mission.engines[1:]) if mission.engines else Planner()
     missing = planner.missing(domain)
@@ -104,11 +104,3 @@ def _factory(action: Callable[..., Behaviour], kb: KnowledgeBase, senses: Senses
     if "step" in signature(action).parameters:
         return lambda step: action(kb, senses, step=step)
     return lambda step: action(kb, senses)
-
-
-def _check_facts(mission: Mission) -> None:
-    try:
-        signature(mission.facts).bind(None, None)
-    except TypeError as error:
-        told = f"the facts of mission {mission.name} are called with the knowledge base and the senses"
-        raise MissionError(f"{told}: {error}; write facts=lambda kb, senses: {{...}}") from error

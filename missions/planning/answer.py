@@ -72,7 +72,7 @@ class Answer:
 
 
 def answer(question: Question, timeout_s: float) -> Answer:
-    """Plan with Fast Downward, or Aries if that fails; if there is no plan, find out why.
+    """Plan with what the mission plans with, or Fast Downward and then Aries; if there is no plan, find out why.
 
     Args:
         question: what to plan.
@@ -81,7 +81,8 @@ def answer(question: Question, timeout_s: float) -> Answer:
     Raises:
         rosa_pddl.PlannerSettingError: the time is not positive.
     """
-    planner = Planner(timeout_s=timeout_s, warm=False, fallback=("aries",))
+    engine, *fallback = question.engines or ("fast-downward-opt", "aries")
+    planner = Planner(engine, timeout_s, warm=False, fallback=fallback)
     try:
         result = planner.plan(question.problem)
         obstacles = why_unsolvable(question, planner.plan) if result.outcome in _UNSOLVABLE else []

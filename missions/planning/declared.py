@@ -1,6 +1,7 @@
 """The domain that a mission's planned task layer works with: from files, or made of what its actions declare."""
 
 from collections.abc import Callable, Mapping
+from inspect import signature
 from typing import Any
 
 from py_trees.behaviour import Behaviour
@@ -8,8 +9,9 @@ from py_trees.behaviour import Behaviour
 from missions.mission import Mission, MissionError
 from missions.names import Names, names_in_pddl
 from rosa_pddl import ActionSchema, Declarations, DeclaredProblem, Domain, load_domain
+from rosa_pddl.domain import ACTION_TYPE
 
-__all__ = ["by_schema", "declarations_of", "mission_domain", "planned_names", "schema_of"]
+__all__ = ["by_schema", "check_facts", "declarations_of", "mission_domain", "planned_names", "schema_of"]
 
 Action = Callable[..., Behaviour]
 
@@ -75,12 +77,26 @@ def mission_domain(mission: Mission) -> Domain:
     return load_domain(mission.domain, mission.problem)
 
 
+def check_facts(mission: Mission) -> None:
+    """Raise unless the facts of a mission are called as they have to be.
+
+    Raises:
+        MissionError: they take something else; the message says what.
+    """
+    try:
+        signature(mission.facts).bind(None, None)
+    except TypeError as error:
+        told = f"the facts of mission {mission.name} are called with the knowledge base and the senses"
+        raise MissionError(f"{told}: {error}; write facts=lambda kb, senses: {{...}}") from error
+
+
 def planned_names(mission: Mission) -> Names | None:
     """Return the ROSA actions that the planned task layer of a mission is about; None if it has none."""
     declared = declarations_of(mission)
     if declared is not None:
+        objects = [name for name, kind in declared.problem.objects.items() if kind == ACTION_TYPE]
         place = f"the schemas of {mission.name}"
-        return Names(dict.fromkeys(declared.rosa_actions, (place,)))
+        return Names(dict.fromkeys([*declared.rosa_actions, *objects], (place,)))
     files = [path for path in (mission.domain, mission.problem) if path is not None]
     paths = [path for path in files if not isinstance(path, DeclaredProblem)]
     return names_in_pddl(paths) if paths else None

@@ -20,12 +20,17 @@ def why_unsolvable(question: Question, plan: Plan) -> list[str]:
     """
     out = question.unfeasible
     if not out:
-        return [_told(question, _lost(question, out, plan), "whatever is done")]
+        return [_told(question, _lost(question, out, plan), f"whatever is done{_within(question)}")]
     if _unsolvable(plan(question.supposing(()))):
-        return [_told(question, _lost(question, (), plan), "even if every action were feasible")]
-    told = [_told(question, _lost(question, out, plan), "as it is")]
+        return [_told(question, _lost(question, (), plan), f"even if every action were feasible{_within(question)}")]
+    told = [_told(question, _lost(question, out, plan), f"as it is{_within(question)}")]
     needed = _needed(question, plan)
     return [*told, f"there would be a plan if {needed} were feasible"] if needed else told
+
+
+def _within(question: Question) -> str:
+    limited = [resource.name for resource in question.domain.limited]
+    return f" within the limits of {_listed(limited, 'and')}" if limited else ""
 
 
 def _unsolvable(result: PlanningResult) -> bool:

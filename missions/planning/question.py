@@ -1,13 +1,14 @@
 """What is to be planned, asked by hand: a domain, what is feasible in some situation, and a goal."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
 from kb import KnowledgeBase, Model
 from missions.mission import Mission, MissionError
-from missions.planning.declared import mission_domain
+from missions.planning.declared import check_facts, mission_domain
+from missions.senses import Senses
 from rosa_pddl import Domain, Problem, State, feasible_atoms, initial_state, load_domain
 from rosa_pddl.exceptions import nearest
 from rosa_pddl.formulas import Condition, conditions
@@ -43,6 +44,8 @@ class Question:
         state: the true atoms.
         goals: what shall hold.
         oversights: what may be one in the domain or the model, in sentences.
+        numbers: what costs and limits are made of, as far as the mission knows it.
+        engines: what plans, see `Mission`.
     """
 
     domain: Domain
@@ -50,6 +53,8 @@ class Question:
     state: State
     goals: tuple[Condition, ...]
     oversights: tuple[str, ...] = ()
+    numbers: Mapping[str, float] = field(default_factory=dict)
+    engines: tuple[str, ...] = ()
 
     @property
     def problem(self) -> Problem:
@@ -69,7 +74,7 @@ class Question:
             kept = [action for action in self.domain.rosa_actions if action not in left_out]
             state |= {self.domain.feasible_atom(action) for action in kept}
         wanted = self.goals if goals is None else goals
-        return Problem(self.domain, state, tuple(goal.expression for goal in wanted))
+        return Problem(self.domain, state, tuple(goal.expression for goal in wanted), self.numbers)
 
 
 def ask(
@@ -98,13 +103,17 @@ def ask(
     for component in supposed.failed:
         kb.component_failed(component)
     _suppose_feasible(kb, domain, supposed, has_model=bool(models or mission))
-    state = without_feasibility(domain, initial_state(domain)) | feasible_atoms(domain, kb)
+    told = _told(mission, kb) if mission is not None and not files else {}
+    true = {domain.atom(text) for text, value in told.items() if value is True}
+    numbers = {text: value for text, value in told.items() if not isinstance(value, bool)}
+    state = without_feasibility(domain, initial_state(domain) | true) | feasible_atoms(domain, kb)
     if not all(text.strip() for text in goals):
         raise MissionError("--goal is empty; give a condition such as '(found it)', or leave it out")
     # a goal may be several conditions side by side
     texts = [f"(and {text})" for text in goals] if goals else domain.goals
     wanted = [condition for text in texts for condition in conditions(domain, text)]
-    return Question(domain, kb, state, tuple(wanted), oversights)
+    engines = mission.engines if mission is not None else ()
+    return Question(domain, kb, state, tuple(wanted), oversights, numbers, engines)
 
 
 def read_situation(texts: Iterable[str]) -> Supposed:
@@ -145,6 +154,12 @@ def _domain(files: Sequence[Path], mission: Mission | None) -> Domain:
     if len(files) != 2:
         raise MissionError("nothing to plan; give a domain and a problem file, or a mission with --mission NAME")
     return load_domain(*files)
+
+
+def _told(mission: Mission, kb: KnowledgeBase) -> Mapping[str, bool | float]:
+    """Return what a mission knows before it has begun; nothing is sensed, so what is false there may be true."""
+    check_facts(mission)
+    return mission.facts(kb, Senses())
 
 
 def _model(domain: Domain, mission: Mission | None, models: Sequence[Path]) -> Model:

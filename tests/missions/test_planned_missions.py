@@ -1,0 +1,124 @@
+"""What a mission hands to the plan executor: behaviours that know their step, facts that know the knowledge base."""
+
+from dataclasses import replace
+
+import pytest
+from py_trees.common import Status
+
+from kb import KnowledgeBase, Model
+from missions.mission import Mission, MissionError
+from missions.planning.answer import answer
+from missions.planning.declared import by_schema, planned_names
+from missions.planning.question import ask, read_situation
+from missions.registry import find_mission
+from missions.senses import Senses
+from missions.task import build_task
+from rosa_bt import RosaAction
+from rosa_pddl import ActionSchema, DeclaredProblem, Outcome
+
+
+def shelf_model():
+    model = Model("shelf")
+    stock = model.quality_attribute("stock")
+    model.action("fetch", constraints=[stock >= 0.0])
+    return model
+
+
+class Fetch(RosaAction):
+    """Fetches what its step says, at once."""
+
+    schema = ActionSchema("fetch", parameters=("?x - thing",), end_effects=("(fetched ?x)",), cost="(far ?x)")
+
+    def __init__(self, kb, senses, step):
+        super().__init__(str(step), kb, "fetch")
+        self.thing = step.arguments[-1]
+
+    def update(self):
+        DONE.append(self.thing)
+        return Status.SUCCESS
+
+
+DONE = []
+THINGS = ("cup", "book", "lamp")
+
+
+def seen(kb, senses):
+    """Return that what is in stock needs no fetching, and that the lamp is far."""
+    return {"(fetched cup)": (kb.attributes["stock"].value or 0.0) >= 1.0 or "cup" in DONE, "(far lamp)": 9.0}
+
+
+SHELF = Mission(
+    name="shelf",
+    summary="fetch things",
+    model=shelf_model,
+    tree=lambda kb, senses: None,
+    world=None,
+    problem=DeclaredProblem(
+        goal=("(fetched cup)", "(or (fetched book) (fetched lamp))"),
+        objects=dict.fromkeys(THINGS, "thing"),
+        numbers={f"(far {one})": 2.0 for one in THINGS} | {"(far lamp)": 1.0},
+    ),
+    actions=by_schema(Fetch),
+    facts=seen,
+)
+
+
+def run(mission, kb):
+    """Tick the planned task layer until it is done; returns what was fetched."""
+    DONE.clear()
+    now = [0.0]
+    task = build_task("pddl", mission, kb, Senses(), lambda: now[0], 0.0)
+    try:
+        for _ in range(30):
+            task.catch_up()
+            task.root.tick_once()
+            now[0] += 0.5
+            if task.root.status is Status.SUCCESS:
+                return list(DONE)
+    finally:
+        task.close()
+    raise AssertionError(task.plans())
+
+
+def test_action_is_told_its_step_and_what_is_sensed_decides_which_is_cheapest():
+    assert sorted(run(SHELF, KnowledgeBase(shelf_model(), clock=lambda: 0.0))) == ["book", "cup"]
+
+
+def test_facts_see_the_knowledge_base():
+    kb = KnowledgeBase(shelf_model(), clock=lambda: 0.0)
+    kb.measure("stock", 2.0)
+    assert run(SHELF, kb) == ["book"]
+
+
+def test_engines_of_a_mission_plan_it_also_by_hand():
+    both = replace(SHELF.problem, goal=("(fetched cup)", "(fetched book)"))
+    mission = replace(SHELF, engines=("label-setting",), problem=both)
+    assert sorted(run(mission, KnowledgeBase(shelf_model(), clock=lambda: 0.0))) == ["book", "cup"]
+    DONE.clear()
+    found = answer(ask([], mission, [], read_situation([]), []), 30.0)
+    assert (found.result.engine, found.result.cost) == ("label-setting", 4.0)
+
+
+def test_facts_that_take_only_the_senses_are_refused_with_what_to_write():
+    mission = replace(SHELF, facts=lambda senses: {})
+    with pytest.raises(MissionError, match="called with the knowledge base and the senses: too many positional"):
+        run(mission, KnowledgeBase(shelf_model(), clock=lambda: 0.0))
+    with pytest.raises(MissionError, match=r"write facts=lambda kb, senses: \{"):
+        ask([], mission, [], read_situation([]), [])
+
+
+def test_question_by_hand_knows_what_is_possible_in_its_situation():
+    agv = find_mission("agv")
+    found = {}
+    for situation in ("", "kinect=failed", "energy=500"):
+        question = ask([], agv, [], read_situation([situation] if situation else []), [])
+        found[situation] = answer(question, 60.0)
+    crossed = {key: [step.action for step in one.result.steps if step.schema == "cross"] for key, one in found.items()}
+    assert crossed == {"": ["cross_c1"], "kinect=failed": ["cross_c4", "cross_c3", "cross_c2"], "energy=500": []}
+    assert found["energy=500"].result.outcome is Outcome.UNSOLVABLE_PROVEN
+    assert "within the limits of energy_used" in "\n".join(found["energy=500"].lines())
+
+
+def test_actions_that_are_objects_of_the_problem_are_known_to_the_judge():
+    names = planned_names(find_mission("agv"))
+    assert set(names.places) == {"switch", "cross_c1", "cross_c2", "cross_c3", "cross_c4"}
