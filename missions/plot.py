@@ -19,7 +19,7 @@ from matplotlib.transforms import IdentityTransform
 
 from missions.report import figure_in_words
 from missions.runner import MissionRun
-from missions.story import Array, Events, Story, bare, brief, listed, story_of
+from missions.story import Array, Events, Story, bare, brief, listed, panels_of, story_of
 
 __all__ = ["draw", "picture"]
 
@@ -37,6 +37,7 @@ BADGES: Final = {  # how the number of an adaptation looks: diameter [px], face,
 }
 DIAMOND: Final[dict[str, Any]] = {"marker": "D", "markersize": 4.5, "color": ALARM}
 SIDES: Final = np.array([-1, 1])
+LONELY_M: Final = 1.0  # so far from the way, a name is in nobody's way
 PIXELS: Final = IdentityTransform()
 TICKS = {"color": FAINT, "labelcolor": INK, "labelsize": 8, "major.size": 3}
 STYLE: Final[dict[Any, Any]] = {
@@ -216,7 +217,10 @@ def _map(axes: Axes, story: Story, places: Mapping[str, Array], shown: Array) ->
         axes.plot(*points.T, color="#c9ced3", linewidth=10, solid_capstyle="round", zorder=2)
         inside = points[np.all(np.abs(points - middle) < half, axis=1)]
         lonely = [np.hypot(*(story.xy - point).T).min() for point in inside]
-        room.name(inside[np.argmax(lonely)], name, "" if len(points) > 1 else "s", 9)
+        centred = -np.hypot(*(inside - inside[len(inside) // 2]).T)  # if the way leads along all of it
+        room.name(
+            inside[np.argmax(lonely if max(lonely) > LONELY_M else centred)], name, "" if len(points) > 1 else "s", 9
+        )
     room.name(story.xy[0], "start", "o", 8)
     _choices(room, story)
     for number, one in enumerate(story.adaptations, start=1):
@@ -242,9 +246,12 @@ def _list(axes: Axes, adaptations: Events) -> None:
     axes.set(xlim=(0, axes.bbox.width), ylim=(axes.bbox.height, 0))
     head = "adaptations: what set them off → what was changed" if adaptations else "no adaptation"
     axes.text(0, 0, head, fontsize=10, fontweight="bold", va="top")
-    for size, full in ((10, True), (9, True), (8.5, True), *((size, False) for size in (9, 8.5, 8, 7.5, 7, 6.5, 6))):
+    for size, full in (
+        *((size, True) for size in (10, 9, 8.5, 8)),
+        *((size, False) for size in (9, 8.5, 8, 7.5, 7, 6.5, 6)),
+    ):
         line, left = size * LINE, 18 + size * 13
-        texts = [_lines(one, full, (axes.bbox.width - left) / (0.43 * line)) for one in adaptations]
+        texts = [_lines(one, full, (axes.bbox.width - left) / (0.47 * line)) for one in adaptations]
         starts = 32 + np.cumsum([0, *(line * (len(text) + 0.3) for text in texts)])
         if starts[-1] <= axes.bbox.height:
             break
@@ -268,7 +275,7 @@ def _lines(one: Mapping[str, Any], full: bool, width: float) -> list[str]:
 
 def _timelines(figure: Figure, story: Story) -> float:
     """Draw everything over time, one row above the other; return where the rows begin [px from the top]."""
-    panels, lanes = _panels(story), _lanes(story)
+    panels, lanes = panels_of(story), _lanes(story)
     left, right = _margins(lanes, [label for name in panels for label in _labels(story, name)])
     told = [one for one in story.disturbances if not any(one["what"].startswith(bare(name)) for name in panels)]
     rows: list[tuple[int, Callable[[Axes], None]]] = (
@@ -311,17 +318,6 @@ def _margins(lanes: Mapping[str, Sequence[str]], labels: Sequence[str]) -> tuple
 def _labels(story: Story, signal: str) -> list[str]:
     """Return what stands to the right of the panel of a signal."""
     return [label for labels in story.limits.get(bare(signal), {}).values() for label in labels]
-
-
-def _panels(story: Story) -> dict[str, list[str]]:
-    """Return the signals worth a panel, each with those that share it since their names end with its name."""
-    worth = [
-        name
-        for name, values in story.signals.items()
-        if np.isfinite(values).any() and (np.nanmin(values) < np.nanmax(values) or bare(name) in story.limits)
-    ]
-    hosts = {name: next((host for host in worth if name.endswith(f" {host}")), name) for name in worth}
-    return {host: [name for name in worth if hosts[name] == host != name] for host in worth if hosts[host] == host}
 
 
 def _events(story: Story, title: str, events: Events, letter: float, wide: float) -> tuple[int, Callable[[Axes], None]]:

@@ -131,6 +131,7 @@ class MissionRun:
     def run(self) -> Verdict:
         """Run until the task is done or the time limit is reached; nothing is left running however this ends."""
         trouble: Verdict | None = None
+        left = ""
         try:
             while (
                 trouble is None
@@ -139,6 +140,7 @@ class MissionRun:
             ):
                 self._turn()
                 trouble = self._hear_plans()
+            left = " and ".join(f"{one.action} since {one.start:.1f} s" for one in self.kb.required_actions)
         finally:
             self._runner.shutdown()
             self._task.close()
@@ -146,10 +148,12 @@ class MissionRun:
         if trouble is not None:
             return trouble
         verdict = self.mission.world.verdict(self._senses, self.world.results(), self.kb)
-        return verdict if verdict.success else verdict._replace(reason=self._with_what_went_wrong(verdict.reason))
+        return verdict if verdict.success else verdict._replace(reason=self._in_full(verdict.reason, left))
 
-    def _with_what_went_wrong(self, reason: str) -> str:
-        """Add to the reason of a failure why there was no plan, or why an action failed last."""
+    def _in_full(self, reason: str, left: str) -> str:
+        """Add to the reason of a failure what was under way, why there was no plan, or why an action failed last."""
+        if left:
+            return f"{reason}; under way: {left}"
         plan = self.plans[-1] if self.plans else None
         if plan is not None and not plan.outcome.is_solved:
             return f"{reason}; there was no plan: {plan.outcome}"

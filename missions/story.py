@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from kb import Model
 from missions.runner import MissionRun
 
-__all__ = ["Array", "Events", "Leg", "Story", "bare", "brief", "listed", "story_of"]
+__all__ = ["Array", "Events", "Leg", "Story", "bare", "brief", "listed", "panels_of", "story_of"]
 
 Array = NDArray[np.float64]
 Events = Sequence[Mapping[str, Any]]
@@ -146,6 +146,17 @@ def brief(text: str, most: int = 26) -> str:
     """Return a text as a picture has room for it, with signs instead of ASCII."""
     short = text.replace(" = ", "\u00a0=\u00a0").replace("->", "→").replace(">=", "≥").replace("<=", "≤")
     return short if len(short) <= most else f"{short[: most - 1]}…"
+
+
+def panels_of(story: Story) -> dict[str, list[str]]:
+    """Return the signals worth a panel, each with those that share it since their names end with its name."""
+    worth = [
+        name
+        for name, values in story.signals.items()
+        if np.isfinite(values).any() and (np.nanmin(values) < np.nanmax(values) or bare(name) in story.limits)
+    ]
+    hosts = {name: next((host for host in worth if name.endswith(f" {host}")), name) for name in worth}
+    return {host: [name for name in worth if hosts[name] == host != name] for host in worth if hosts[host] == host}
 
 
 def _runs(column: Sequence[Any]) -> Iterator[tuple[Any, list[int]]]:

@@ -5,7 +5,7 @@ from typing import cast
 
 from missions.managers.manager import Manager
 from missions.managers.options import Option, split_options
-from missions.managers.registry import OURS, find_manager, options_of
+from missions.managers.registry import OURS, find_manager, name_of, options_of
 from missions.managers.run import ManagedRun
 from missions.managers.watch import Aside, WatchedSea
 from missions.mission import Mission, MissionError
@@ -60,8 +60,7 @@ def open_run(
         world = WatchedSea(world, charges=charge_compute, inputs=_published(options_of(manager), options))
         listeners = (Aside(listeners, world),) if listeners else ()
     elif charge_compute or managed_by is not None:
-        wish = "--charge-compute" if charge_compute else f"--manager {manager}"
-        raise MissionError(f"mission {mission.name} does not happen in the sea; run it without {wish}")
+        raise MissionError(_refusal(mission, None if managed_by is None else name_of(managed_by)))
     if managed_by is None:
         return MissionRun(mission, task, world, run_settings, listeners)
     if task != "bt":
@@ -69,6 +68,15 @@ def open_run(
     chance = rng.spawn(1)[0]
     managed = ManagedRun(mission, managed_by, cast(Sea, world), run_settings, chance, listeners, options)
     return cast(MissionRun, managed)  # it has what reports and listeners look at
+
+
+def _refusal(mission: Mission, manager: str | None) -> str:
+    if manager is None:
+        return f"--charge-compute charges what passes in the sea, and mission {mission.name} does not happen there"
+    return (
+        f"mission {mission.name} can be run with manager {OURS} only, as --task bt or --task pddl: "
+        f"{manager} commands the nodes of the sea's vehicle, and {mission.name} does not happen in the sea"
+    )
 
 
 def _published(options: Iterable[Option], values: Mapping[str, float]) -> dict[str, float]:

@@ -153,6 +153,17 @@ def test_nothing_that_is_written_is_cut_off_at_the_edges(name, task):
     assert legend.get_window_extent().x1 <= figure.bbox.x1
 
 
+@pytest.mark.parametrize("count", [4, 7, 12])
+def test_long_names_and_reasons_stay_within_the_picture(count):
+    run, data = short_run("uav")
+    long = "pick_up_and_analyse is unfeasible because battery_level 0.549 violates >= 0.55 (measured 0.0 s ago)"
+    change = "plan anew, with search_for_samples(sample_8, drone), pick_up_and_analyse(sample_8, drone)"
+    one = {"at_s": 3.0, "kind": "task", "trigger": "battery_level is 0.549", "reason": long, "change": change}
+    figure = picture(run, {**data, "adaptations": [{**one, "reaction_s": 0.2}] * count})
+    for text, box in boxes(figure).items():
+        assert box.x1 <= figure.bbox.x1, text
+
+
 def test_lanes_show_which_design_and_which_configuration_was_chosen():
     run, data = short_run("agv")
     lanes = [axes for axes in picture(run, data).axes if {"design", "configuration"} & set(words(axes))]

@@ -103,7 +103,7 @@ def test_contract_of_every_mission(name, task):
     assert len(run.kb.action_history) > 0
     assert verdict.outcome in ("inspected_all", "time_limit", "not_found", "aborted")
     assert data["duration_s"] == 40
-    assert set(MISSIONS[name].actions) <= set(run.kb.actions)
+    assert {step.action for plan in run.plans for step in plan.steps} <= {None, *run.kb.actions}
     assert all(view.status is not Status.FAILURE for view in run.kb.actions.values())
     assert [sample.time for sample, _, _ in run.trace.samples] == sorted({s.time for s, _, _ in run.trace.samples})
 
@@ -136,3 +136,14 @@ def test_battery_that_drops_while_searching_resumes_the_search():
         "search_pipeline -> recharge",
         "recharge -> search_pipeline",
     ]
+
+
+@pytest.mark.parametrize("task", TASK_KINDS)
+@pytest.mark.parametrize(("name", "action"), [("agv", "cross_c4"), ("uav", "pick_up_and_analyse")])
+def test_mission_that_runs_out_of_time_says_what_was_under_way_since_when(name, action, task):
+    _, verdict, data = run_mission(name, task, seed=1, duration_s=30)
+    last = data["actions"][-1]
+    assert verdict.outcome == "aborted"
+    assert verdict.reason.startswith("time ran out")
+    assert last["name"] == action
+    assert verdict.reason.endswith(f"; under way: {action} since {last['start_s']:.1f} s")
