@@ -180,9 +180,7 @@ class Task:
             self._steps[place] = [((Place(one[0].to), one[1]), one) for one in self.crossings(place)]
         known, indices = self._switching.setdefault(before, {}), self._indices
         for to, (way, mode, crossing, cost) in self._steps[place]:
-            if mode not in known:
-                known[mode] = self.switching(before, mode)
-            switching, more = known[mode]
+            switching, more = known.get(mode) or self.switching(before, mode)
             uses = tuple([switching[number] + crossing[number] for number in indices]) if indices else ()
             yield Move(to, cost + more, uses, (way, switching, crossing))
 
@@ -211,8 +209,11 @@ class Task:
 
     def switching(self, before: Mode, after: Mode) -> tuple[Amounts, int]:
         """Return what it takes, and costs, to change modes."""
-        takes = self.costs.switching(before, after)
-        return takes, self._weighed(takes)
+        known = self._switching.setdefault(before, {})
+        if after not in known:
+            takes = self.costs.switching(before, after)
+            known[after] = takes, self._weighed(takes)
+        return known[after]
 
     def ways(self, place: Place) -> Iterator[_Way]:
         """Yield the corridors at a place; from within one, on to its end, or back and into another."""
