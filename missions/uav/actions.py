@@ -45,9 +45,14 @@ def analysed(senses: Senses) -> int:
     return sum(senses.holds(f"{one}_analysed") for one in SAMPLES)
 
 
+def target(senses: Senses) -> str:
+    """Return the sample that is to be analysed next; empty if there is none."""
+    return next((one for one in SAMPLES if senses.holds(f"{one}_target")), "")
+
+
 def is_waiting(senses: Senses) -> bool:
     """Whether there is a sample to be analysed next."""
-    return any(senses.holds(f"{one}_target") for one in SAMPLES)
+    return bool(target(senses))
 
 
 def is_all_analysed(senses: Senses) -> bool:
@@ -63,8 +68,13 @@ def facts(kb: KnowledgeBase, senses: Senses) -> Mapping[str, bool]:
     }
     return told | {
         "(looking drone)": not is_waiting(senses),
-        "(gripper_folded drone)": senses.holds("gripper_folded"),
+        "(gripper_folded drone)": senses.holds("gripper_folded") and not _is_starting(kb, "gripper"),
     }
+
+
+def _is_starting(kb: KnowledgeBase, component: str) -> bool:
+    """Whether a component will run before long, also if what it was for has been given up."""
+    return kb.pending_plan is not None and component in kb.pending_plan.activate
 
 
 class SampleWaiting(Behaviour):
@@ -113,7 +123,7 @@ class SearchForSamples(RosaAction):
 
 
 class _Analyse(RosaAction):
-    """Analyse one sample; finished when one more is analysed than when it was begun."""
+    """Analyse one sample; finished when the one for which it was begun is not to be analysed any more."""
 
     schema: ClassVar[ActionSchema]
     title: ClassVar[str]
@@ -121,15 +131,15 @@ class _Analyse(RosaAction):
     def __init__(self, kb: KnowledgeBase, senses: Senses) -> None:
         super().__init__(self.title, kb, self.schema.rosa_action, wait=True)
         self._senses = senses
-        self._before = 0
+        self._sample = ""
 
     def initialise(self) -> None:
-        """Remember how many were analysed."""
-        self._before = analysed(self._senses)
+        """Remember which sample it is."""
+        self._sample = target(self._senses)
 
     def update(self) -> Status:
-        """Look whether there is one more."""
-        return Status.SUCCESS if analysed(self._senses) > self._before else Status.RUNNING
+        """Look whether that is still to be analysed."""
+        return Status.RUNNING if self._senses.holds(f"{self._sample}_target") else Status.SUCCESS
 
 
 class PickUpAndAnalyse(_Analyse):

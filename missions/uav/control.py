@@ -91,15 +91,18 @@ def attitude_torques(axes: tuple[Vector, Vector, Vector], rates: Vector, force: 
 def mixed(thrust: float, torques: Vector, limit: float) -> list[float]:
     """Return the thrust of each rotor [N]; (4,), each from 0 to the limit.
 
+    Where a rotor cannot give what is wanted, lift gives way first: a vehicle that keeps upright can be flown on.
+
     Args:
         thrust: of all together [N].
         torques: (x, y, z) [N m], body frame.
         limit: of one rotor [N].
     """
-    even, x, y, z = thrust / 4, torques[0] / (4 * ARM_M), torques[1] / (4 * ARM_M), torques[2] / (4 * REACTION_M)
+    x, y, z = torques[0] / (4 * ARM_M), torques[1] / (4 * ARM_M), torques[2] / (4 * REACTION_M)
     z = max(-0.1 * limit, min(0.1 * limit, z))  # heading matters least
-    wanted = (even + x - y + z, even + x + y - z, even - x + y + z, even - x - y - z)
-    return [max(0.0, min(limit, one)) for one in wanted]
+    turning = (x - y + z, x + y - z, -x + y + z, -x - y - z)
+    even = max(-min(turning), min(limit - max(turning), thrust / 4))
+    return [max(0.0, min(limit, even + one)) for one in turning]
 
 
 def _dot(a: Vector, b: Vector) -> float:

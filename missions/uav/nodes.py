@@ -21,7 +21,7 @@ PERIOD_S: Final = 0.1
 GRIP_M: Final = 0.12  # height of the legs from which the gripper reaches the ground
 LIFT_M: Final = 2.5  # height at which a held sample is analysed
 LOOK_M: Final = 2.0  # height from which the infra-red camera looks
-FOLDED_RAD: Final = 0.15
+FOLDED_RAD: Final = 0.15  # out of the view; it has folded at half of that, so that a gust does not bring it back
 FULL: Final = 0.99
 
 
@@ -43,6 +43,7 @@ class Robot:
         is_jammed: whether it has.
         is_charging: whether the vehicle stands at its charger.
         pick_ups: how many samples were lifted.
+        recharges: how often the battery was charged until it was full.
         qualities: worth of each analysis that was done.
     """
 
@@ -59,6 +60,7 @@ class Robot:
     is_jammed: bool = False
     is_charging: bool = False
     pick_ups: int = 0
+    recharges: int = 0
     qualities: list[float] = dataclasses.field(default_factory=list)
 
     def over(self, sample: Sample, height: float) -> tuple[float, float, float]:
@@ -274,13 +276,17 @@ class InfraredCamera(Node):
 
 
 class ReturnPlanner(Node):
-    """Lands at the base, which is the origin, and charges there."""
+    """Lands at the base, which is the origin, and charges there; tells that it is full as long as it stays.
+
+    Whoever begins to listen when the battery is full already hears it, too; and what else depends on the battery is
+    not decided by a measurement of before.
+    """
 
     name, moves = "return_planner", True
 
     def begin(self) -> None:
         """Begin to fly home."""
-        self._is_done = False
+        self._is_full = False
 
     def end(self) -> None:
         """Leave the charger."""
@@ -294,8 +300,10 @@ class ReturnPlanner(Node):
             robot.vehicle.land((0.0, 0.0))
             return
         robot.is_charging = True
-        if robot.level >= FULL and not self._is_done:
-            self._is_done = True
+        if robot.level >= FULL:
+            robot.recharges += not self._is_full
+            self._is_full = True
+            robot.tell("QA measurement", "battery_level", repr(robot.level))
             robot.tell("mission status", "battery_recharged", "true")
 
 
@@ -323,7 +331,7 @@ class FoldingServo(Node):
         vehicle = self.robot.vehicle
         if vehicle.is_landed:
             vehicle.fold(True)
-            if vehicle.arm_rad < FOLDED_RAD and not self._is_told:
+            if vehicle.arm_rad < FOLDED_RAD / 2 and not self._is_told:
                 self._is_told = True
                 self.robot.tell("mission status", "gripper_folded", "true")
 

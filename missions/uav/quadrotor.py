@@ -7,6 +7,7 @@ from typing import Any, Final
 
 import mujoco
 
+from missions.mission import MissionError
 from missions.uav.control import Vector, attitude_torques, mast, mixed, velocity_wanted, wanted_force
 from missions.uav.settings import Settings
 
@@ -21,7 +22,7 @@ SUBSTEPS: Final = 2
 """Steps of the physics for which thrust is held."""
 STRAIGHT_M: Final = 0.6  # as near as that a place is approached straight, not at travelling height
 TRIM_GAIN: Final = 1.0  # [1/s2]
-TRIM_LIMIT: Final = 3.0  # [m/s2]
+TRIM_LIMIT: Final = 3.0  # [m/s2]; a steady wind that takes more would move it from its place
 TOUCH_M, TOUCH_M_S = 0.03, 0.2  # it stands when it is as low and as slow as that
 
 
@@ -31,6 +32,9 @@ class Quadrotor:
     Args:
         settings: the constants.
         wind: (x, y) [m/s], world frame.
+
+    Raises:
+        MissionError: such a wind would blow it away.
 
     Attributes:
         position: (x, y, z) [m], world frame, z is 0.35 m on the ground.
@@ -47,6 +51,7 @@ class Quadrotor:
         self._mass = float(self.model.body_subtreemass[0])
         self._drag = settings.drag
         self._push = (settings.drag * wind[0], settings.drag * wind[1])
+        _check_push(math.hypot(*self._push), TRIM_LIMIT * self._mass)
         area = math.pi * settings.rotor_radius_m**2
         self._watts = 1 / (settings.figure_of_merit * math.sqrt(2 * settings.air_kg_m3 * area))
         self._target: Vector | None = None
@@ -163,6 +168,14 @@ def _trimmed(trim: Vector, error: Vector, step_s: float) -> Vector:
         for one, off in zip(trim, error, strict=True)
     )
     return x, y, z
+
+
+def _check_push(push: float, held: float) -> None:
+    if push > held:
+        raise MissionError(
+            f"the wind would push with {push:.3g} N (drag times wind_m_s), and the vehicle keeps its place against "
+            f"{held:.3g} N; set drag or wind_m_s lower"
+        )
 
 
 def _compiled(settings: Settings) -> Any:  # noqa: ANN401  # MuJoCo ships no types

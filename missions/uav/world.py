@@ -37,7 +37,7 @@ class UavWorld(World):
         self._now, self._steps, self._nodes_due = 0.0, 0, 0.0
         self._outbox: list[Message] = []
         self._disturbances: list[tuple[float, str]] = []
-        self._flown_m, self._least, self._charges = 0.0, 1.0, 0
+        self._flown_m, self._least = 0.0, 1.0
         bearing, phase = rng.uniform(0, 2 * pi), rng.uniform(0, settings.battery_period_s)
         self._battery_due = float(phase)
         wind = (settings.wind_m_s * cos(bearing), settings.wind_m_s * sin(bearing))
@@ -130,7 +130,6 @@ class UavWorld(World):
                 self._tell(STATUS, f"{one.name}_found", "true")
 
     def _tell(self, message: str, key: str, value: str) -> None:
-        self._charges += key == "battery_recharged"
         self._outbox.append(
             {"time": self._now, "status": [{"name": "uav", "message": message, "values": {key: value}}]}
         )
@@ -148,7 +147,7 @@ class UavWorld(World):
             "quality_points": sum(robot.qualities),
             "wanted_samples": float(len(robot.field.samples) - len(self._not_wanted)),
             "lifted_samples": float(robot.pick_ups),
-            "recharged_times": float(self._charges),
+            "recharged_times": float(robot.recharges),
             "flown_m": self._flown_m,
             "least_charge_percent": 100 * self._least,
         }

@@ -100,6 +100,32 @@ def test_no_rotor_is_asked_for_more_than_it_can_give_nor_to_pull_down(thrust, to
     assert all(0 <= one <= limit for one in mixed(thrust, torques, limit))
 
 
+@given(thrust=st.floats(-100, 100), torques=st.tuples(SMALL, SMALL, SMALL))
+def test_lift_gives_way_before_the_vehicle_loses_its_balance(thrust, torques):
+    one, two, three, four = mixed(thrust, torques, limit=8.0)
+    assert ARM_M * (one + two - three - four) == pytest.approx(torques[0], abs=1e-9)
+    assert ARM_M * (-one + two + three - four) == pytest.approx(torques[1], abs=1e-9)
+
+
+def test_overloaded_vehicle_sinks_but_stays_upright():
+    vehicle = Quadrotor(Settings(gravity_m_s2=12, rotor_limit_n=5.5), (0.0, 4.0))
+    vehicle.go_to((20.0, 0.0, 5.0))
+    flown(vehicle, 4)
+    vehicle.carry(0.5)  # 24 N, and the rotors lift 22
+    for _ in range(100):
+        flown(vehicle, 0.1)
+        assert mast(vehicle.data.qpos[3:7].tolist())[2][2] > math.cos(math.radians(45))
+    assert vehicle.altitude < 0.1
+
+
+def test_wind_that_would_blow_it_away_is_refused_and_the_strongest_that_is_not_is_flown_in():
+    with pytest.raises(MissionError, match=r"push with 8 N .* against 4.5 N; set drag or wind_m_s lower"):
+        Quadrotor(Settings(drag=2), (0.0, 4.0))
+    vehicle = Quadrotor(Settings(drag=1.12), (0.0, 4.0))
+    vehicle.go_to((0.0, -6.0, 3.0))
+    assert flown(vehicle, 40).is_near((0.0, -6.0, 3.0), 0.3)
+
+
 @given(angle=st.floats(-3, 3), axis=st.sampled_from([0, 1]))
 def test_torque_turns_the_mast_back_up(angle, axis):
     quaternion = [math.cos(angle / 2), 0.0, 0.0, 0.0]

@@ -5,6 +5,7 @@ from functools import cache
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from py_trees.common import Status
 from running import run_mission
 
 from kb import KnowledgeBase
@@ -13,7 +14,7 @@ from missions.report import as_json
 from missions.runner import Listener
 from missions.senses import Senses
 from missions.task import TASK_KINDS
-from missions.uav.actions import AllAnalysed, facts, is_all_analysed
+from missions.uav.actions import AllAnalysed, AnalyseOnSite, facts, is_all_analysed
 from missions.uav.model import uav_model
 
 SEEDS = range(10)
@@ -152,9 +153,17 @@ def test_battery_that_cannot_last_is_no_success_and_says_so():
     assert verdict.reason.startswith("the battery ran empty, 0 of ")
 
 
+@pytest.mark.parametrize("task", TASK_KINDS)
+def test_battery_that_charges_faster_than_it_is_measured_is_charged_once_each_time(task):
+    _, verdict, data = run_mission("uav", task, 1, charge_s=0.1, battery_period_s=5)
+    assert verdict.success
+    assert data["recharged_times"] == names(data).count(RETURN) == 1
+
+
 def test_mission_that_runs_out_of_time_is_no_success():
     _, verdict, _ = run_mission("uav", duration_s=40)
-    assert (verdict.outcome, verdict.reason) == ("aborted", "time ran out, 1 of 7 samples were analysed")
+    assert verdict.outcome == "aborted"
+    assert verdict.reason.startswith("time ran out, 1 of 7 samples were analysed")
 
 
 def test_healthy_gripper_and_large_battery_need_no_adaptation():
@@ -188,6 +197,36 @@ def test_nothing_is_all_analysed_before_anything_is_wanted():
     senses.receive({"status": [{"message": "mission status", "values": {"sample_2_analysed": "true"}}]})
     assert is_all_analysed(senses)
     assert facts(None, senses)["(analysed sample_2)"]
+
+
+def test_gripper_that_will_unfold_before_long_is_not_folded_to_a_plan():
+    kb, senses = KnowledgeBase(uav_model(), clock=lambda: 0.0), Senses()
+    senses.receive({"status": [{"message": "mission status", "values": {"gripper_folded": "true"}}]})
+    assert facts(kb, senses)["(gripper_folded drone)"]
+    kb.request_action(PICK_UP)
+    plan = kb.select(dict.fromkeys(("grip_sample",), "by_gripper"))
+    kb.component_failed("gripper")
+    kb.cancel_action(PICK_UP)
+    assert not facts(kb, senses)["(gripper_folded drone)"]
+    kb.finish_plan(plan, "failed")
+    assert facts(kb, senses)["(gripper_folded drone)"]
+
+
+def test_analysis_ends_with_the_sample_for_which_it_was_begun():
+    kb, senses = KnowledgeBase(uav_model(), clock=lambda: 0.0), Senses()
+
+    def tell(**values):
+        senses.receive({"status": [{"message": "mission status", "values": values}]})
+
+    look = AnalyseOnSite(kb, senses)
+    look.initialise()
+    assert look.update() is Status.SUCCESS  # it was analysed before this could begin
+    tell(sample_1_analysed="true", sample_2_target="true")
+    look.initialise()
+    tell(sample_1_analysed="false")  # is wanted again
+    assert look.update() is Status.RUNNING
+    tell(sample_2_analysed="true", sample_2_target="false", sample_1_target="true")
+    assert look.update() is Status.SUCCESS
 
 
 @pytest.mark.parametrize(
