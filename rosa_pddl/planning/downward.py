@@ -55,10 +55,12 @@ class Answer:
     Args:
         outcome: how it ended.
         numbers: the operators of the plan, in order.
+        why: why there is no plan, if more is known than that.
     """
 
     outcome: Outcome
     numbers: tuple[int, ...] = ()
+    why: str = ""
 
 
 def missing_part() -> str | None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from rosa_pddl.domain import Domain, State, Step, UpThing
 from rosa_pddl.exceptions import RosaPddlError, UnsupportedPddlError
 from rosa_pddl.planning.costs import Costs
-from rosa_pddl.planning.sas import Effect, Fact, Operator, SasTask
+from rosa_pddl.planning.sas import Axiom, Effect, Fact, Operator, SasTask
 from rosa_pddl.planning.sums import Numbers, Sum
 from rosa_pddl.planning.uses import Uses
 from rosa_pddl.planning.writing import ADDED
@@ -83,12 +83,16 @@ class Fitted:
         state: the value of each variable.
         goal: the facts that shall hold.
         ready: the operators that the left out variables allow.
+        axioms: the rules that derive variables, by layer.
+        layers: of each variable the layer of axioms that derives it; -1 if none does.
     """
 
     sizes: tuple[int, ...]
     state: tuple[int, ...]
     goal: tuple[Fact, ...]
     ready: tuple[Ready, ...]
+    axioms: tuple[Axiom, ...]
+    layers: tuple[int, ...]
 
 
 class Grounded:
@@ -113,6 +117,9 @@ class Grounded:
         written = _changing(operators) if self.is_patchable else range(len(task.variables))
         self._number = {variable: number for number, variable in enumerate(written)}
         self._sizes = tuple([len(task.variables[variable].values) for variable in written])
+        # a task with axioms fits one state only, so all its variables are written, under their own numbers
+        self._axioms = task.rules() if self.has_axioms and not self.is_patchable else ()
+        self._layers = tuple([task.variables[variable].layer for variable in written])
         self.is_conditional = any(given for operator in operators for given, *_ in operator.effects)
         self._facts = dict(_named_facts(domain, task))
         self._none = [_none_of(variable.values) for variable in task.variables]
@@ -155,7 +162,7 @@ class Grounded:
         ready = [one for one in self._ready if all(values[variable] == value for variable, value in one.needs)]
         state = tuple([values[variable] for variable in self._number])
         inside = tuple([(self._number[variable], value) for variable, value in goal])
-        return Fitted(self._sizes, state, inside, tuple(ready))
+        return Fitted(self._sizes, state, inside, tuple(ready), self._axioms, self._layers)
 
     def _values(self, state: State) -> list[int]:
         """Return the value of each variable in a state."""

@@ -8,17 +8,20 @@ import json
 import pickle
 import sys
 from collections.abc import Sequence
+from fractions import Fraction
+from math import inf
 from pathlib import Path
+from typing import Any
 
 from rosa_pddl.exceptions import UnsupportedPddlError
 from rosa_pddl.planning.downward import SEARCHES, Answer, Trouble, install_advice
 from rosa_pddl.planning.grounded import Fitted, Grounded, Ready
 from rosa_pddl.planning.outcomes import Outcome
 from rosa_pddl.planning.processes import Ended, Leash
-from rosa_pddl.planning.sas_search import Operation, Task
+from rosa_pddl.planning.sas_search import Operation, Rule, Task
 from rosa_pddl.planning.sums import Sum
 from rosa_pddl.planning.uses import Uses, whole
-from rosa_pddl.problem import Problem
+from rosa_pddl.problem import Exact, Problem
 
 __all__ = ["LABEL_SETTING", "TRANSLATED", "label_search", "task_of"]
 
@@ -48,21 +51,35 @@ def label_search(
         Trouble: there is no answer.
         Cut: the leash was cut.
     """
-    if grounded.has_axioms:
-        message = f"{LABEL_SETTING} has no axioms, into which Fast Downward turns universal and nested conditions"
-        raise Trouble(Outcome.UNSUPPORTED, f"{message} ({problem.domain.file}); write them as conjunctions")
-    given = pickle.dumps(task_of(grounded.fitted(problem), problem, uses))
+    task, scales = task_of(grounded.fitted(problem), problem, uses)
     command = [sys.executable, "-I", "-S", str(Path(__file__).with_name("labelling_child.py"))]
     try:
-        ended = leash.run(command, given=given, limit_s=limit_s, memory_bytes=memory_bytes)
+        ended = leash.run(command, given=pickle.dumps(task), limit_s=limit_s, memory_bytes=memory_bytes)
     except OSError as error:
         message = f"no process for it can be started ({error}); {install_advice()}"
         raise Trouble(Outcome.ENGINE_MISSING, message) from error
-    return _read(ended, limit_s)
+    answer = _read(ended, limit_s)
+    if "plan" in answer:
+        return Answer(Outcome.SOLVED_OPTIMALLY, tuple(answer["plan"]))
+    if not scales or inf in answer["least"]:
+        return Answer(Outcome.UNSOLVABLE_PROVEN)
+    least = [Fraction(amount, scale) for amount, scale in zip(answer["least"], scales, strict=True)]
+    return Answer(Outcome.UNSOLVABLE_PROVEN, why=_why_not(problem, least, uses))
 
 
-def task_of(fitted: Fitted, problem: Problem, uses: Uses) -> Task:
-    """Return what is searched, in whole numbers.
+def _why_not(problem: Problem, least: Sequence[Exact], uses: Uses) -> str:
+    """Say which limits keep from the goal."""
+    limited = zip(problem.domain.limited, least, uses.left(uses.numbers(problem)), strict=True)
+    broken = [
+        f"{resource.name} takes {float(amount):.12g} at least, {float(left.amount):.12g} are left"
+        for resource, amount, left in limited
+        if left.is_exceeded_by(amount)
+    ]
+    return "; ".join(broken) or f"no plan keeps the limits of {', '.join(one.name for one in problem.domain.limited)}"
+
+
+def task_of(fitted: Fitted, problem: Problem, uses: Uses) -> tuple[Task, tuple[int, ...]]:
+    """Return what is searched, in whole numbers, and by what the amounts of each resource were multiplied.
 
     Raises:
         UnsupportedPddlError: an amount has no value, or one below 0.
@@ -77,14 +94,17 @@ def task_of(fitted: Fitted, problem: Problem, uses: Uses) -> Task:
             raise UnsupportedPddlError(f"{told} comes to {float(least):g}; {what} are 0 or more", domain.problem_file)
         return whole(amounts)
 
-    columns, limits = [column([one.cost for one in fitted.ready], "costs")[0]], []
+    columns, limits, scales = [column([one.cost for one in fitted.ready], "costs")[0]], [], []
     for index, left in enumerate(uses.left(numbers)):
         amounts, scale = column([one.uses[index] for one in fitted.ready], f"uses of {domain.limited[index].name}")
         columns.append(amounts)
         limits.append(left.whole(scale))
+        scales.append(scale)
     spent = zip(*columns, strict=True)
     operations = [_operation(one, cost, used) for one, (cost, *used) in zip(fitted.ready, spent, strict=True)]
-    return Task(fitted.sizes, fitted.state, fitted.goal, tuple(operations), tuple(limits))
+    rules = tuple([Rule(fitted.layers[one.variable], one.needs, one.variable, one.value) for one in fitted.axioms])
+    task = Task(fitted.sizes, fitted.state, fitted.goal, tuple(operations), tuple(limits), rules)
+    return task, tuple(scales)
 
 
 def _operation(ready: Ready, cost: int, uses: Sequence[int]) -> Operation:
@@ -93,16 +113,14 @@ def _operation(ready: Ready, cost: int, uses: Sequence[int]) -> Operation:
     return Operation(ready.number, tuple(sorted({*ready.prevail, *before})), effects, cost, tuple(uses))
 
 
-def _read(ended: Ended, limit_s: float) -> Answer:
+def _read(ended: Ended, limit_s: float) -> dict[str, list[Any]]:
     if ended.is_late:
         raise Trouble(Outcome.OUT_OF_TIME, f"no answer after {limit_s:.3g} s; allow more time or ask for less")
     try:
-        answer = json.loads(ended.output)
+        answer: dict[str, list[Any]] = json.loads(ended.output)
     except ValueError as error:
         message = f"the search ended with exit code {ended.code} and no answer. It said: {ended.last_words}"
         raise Trouble(Outcome.ENGINE_CRASHED, message) from error
-    if answer == "no memory":
+    if not answer:
         raise Trouble(Outcome.OUT_OF_MEMORY, "the search ran out of memory; allow more or ask for less")
-    if answer is None:
-        return Answer(Outcome.UNSOLVABLE_PROVEN)
-    return Answer(Outcome.SOLVED_OPTIMALLY, tuple(answer))
+    return answer

@@ -16,13 +16,14 @@ def main() -> None:
     for name, folder in (("rosa_pddl", Path(__file__).parents[1]), ("rosa_pddl.planning", Path(__file__).parent)):
         package = sys.modules[name] = ModuleType(name)
         package.__path__ = [str(folder)]
-    from rosa_pddl.planning.sas_search import found_in
+    from rosa_pddl.planning.sas_search import found_in, least_uses
 
     try:
-        found = found_in(pickle.load(sys.stdin.buffer))
-        answer: object = None if found is None else [move.what for move in found.moves]
+        task = pickle.load(sys.stdin.buffer)
+        found = found_in(task)
+        answer = {"least": least_uses(task)} if found is None else {"plan": [move.what for move in found.moves]}
     except MemoryError:
-        answer = "no memory"
+        answer = {}
     json.dump(answer, sys.stdout)
 
 

@@ -6,7 +6,7 @@ The format is described in Fast Downward's documentation, "translator output for
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-__all__ = ["Effect", "Fact", "Operator", "SasTask", "Variable", "parse"]
+__all__ = ["Axiom", "Effect", "Fact", "Operator", "SasTask", "Variable", "parse"]
 
 Fact = tuple[int, int]
 """A variable and one of its values, both counted from 0."""
@@ -43,6 +43,21 @@ class Operator:
 
 
 @dataclass(frozen=True)
+class Axiom:
+    """A rule that derives the value of a variable.
+
+    Args:
+        needs: what must hold.
+        variable: what is derived.
+        value: what it becomes.
+    """
+
+    needs: tuple[Fact, ...]
+    variable: int
+    value: int
+
+
+@dataclass(frozen=True)
 class SasTask:
     """A translated task; its costs are not kept, as none were translated.
 
@@ -66,6 +81,16 @@ class SasTask:
     def has_axioms(self) -> bool:
         """Whether anything is derived by axioms."""
         return self.axioms.split("\n", 1)[0] != "0"
+
+    def rules(self) -> tuple[Axiom, ...]:
+        """Return the axioms, by layer.
+
+        Raises:
+            ValueError: their text is none.
+        """
+        lines = iter(self.axioms.splitlines())
+        found = [_axiom(lines) for _ in range(int(next(lines)))]
+        return tuple(sorted(found, key=lambda axiom: self.variables[axiom.variable].layer))
 
 
 def parse(text: str) -> SasTask:
@@ -136,6 +161,14 @@ def _operator(lines: Iterator[str]) -> Operator:
     next(lines)
     _expect(lines, "end_operator")
     return Operator(name, prevail, effects)
+
+
+def _axiom(lines: Iterator[str]) -> Axiom:
+    _expect(lines, "begin_rule")
+    needs = _facts(lines)
+    variable, _, value = map(int, next(lines).split())
+    _expect(lines, "end_rule")
+    return Axiom(needs, variable, value)
 
 
 def _effect(line: str) -> Effect:

@@ -1,12 +1,13 @@
 """The exact search over the states of a translated task: least cost, within limits of what its operators use up."""
 
 from collections.abc import Iterator, Sequence
+from itertools import groupby
 from math import inf
 from typing import NamedTuple, TypeAlias
 
 from rosa_pddl.planning.labels import Found, Graph, Move, cheapest, distances
 
-__all__ = ["Operation", "SasGraph", "Task", "found_in"]
+__all__ = ["Operation", "Rule", "SasGraph", "Task", "found_in", "least_uses"]
 
 Fact: TypeAlias = tuple[int, int]
 State: TypeAlias = tuple[int, ...]
@@ -30,6 +31,22 @@ class Operation(NamedTuple):
     uses: tuple[int, ...]
 
 
+class Rule(NamedTuple):
+    """An axiom: it derives the value of a variable that has its value of the start otherwise.
+
+    Attributes:
+        layer: rules of a lower one come first.
+        needs: what must hold.
+        variable: what is derived.
+        value: what it becomes.
+    """
+
+    layer: int
+    needs: tuple[Fact, ...]
+    variable: int
+    value: int
+
+
 class Task(NamedTuple):
     """What is searched; all numbers are whole.
 
@@ -39,6 +56,7 @@ class Task(NamedTuple):
         goal: the facts that shall hold.
         operations: what can be done.
         limits: at most how much of each resource may be used up from here on.
+        rules: by layer.
     """
 
     sizes: tuple[int, ...]
@@ -46,13 +64,21 @@ class Task(NamedTuple):
     goal: tuple[Fact, ...]
     operations: tuple[Operation, ...]
     limits: tuple[int, ...]
+    rules: tuple[Rule, ...] = ()
 
 
 def found_in(task: Task) -> Found[State, int] | None:
-    """Return a plan of least cost within the limits, its moves named by operators; None is a proof of there is none."""
+    """Return a plan of least cost within the limits, its moves named by operators; None proves that there is none."""
     if any(limit < 0 for limit in task.limits):
         return None
-    return cheapest(SasGraph(task).graph, task.start, task.limits)
+    graph = SasGraph(task)
+    return cheapest(graph.graph, graph.start, task.limits)
+
+
+def least_uses(task: Task) -> tuple[float, ...]:
+    """Return at least what each resource is needed to reach the goal; infinite if it is out of reach anyway."""
+    graph = SasGraph(task)
+    return graph.least(graph.start)[1]
 
 
 class SasGraph:
@@ -60,6 +86,9 @@ class SasGraph:
 
     Args:
         task: what is searched.
+
+    Attributes:
+        start: the state to start from, with what is derived.
     """
 
     def __init__(self, task: Task) -> None:
@@ -67,8 +96,13 @@ class SasGraph:
         self._moves: dict[State, tuple[Move[State, int], ...]] = {}
         self._least: dict[State, tuple[float, tuple[float, ...]]] = {}
         self._by_need = _by_need(task)
+        self._layers = [list(rules) for _, rules in groupby(task.rules, key=lambda rule: rule.layer)]
+        self._derived = {rule.variable: task.start[rule.variable] for rule in task.rules}
+        self.start = self._closed(list(task.start))
         spent = [(one.cost, *one.uses) for one in task.operations]
-        arcs = [(variable, value, _arcs(task, variable)) for variable, value in task.goal]
+        # what axioms derive is left out, as no operator shows what that takes
+        goal = [(variable, value) for variable, value in task.goal if variable not in self._derived]
+        arcs = [(variable, value, _arcs(task, variable)) for variable, value in goal]
         self._left = [
             [
                 (variable, _left(each, value, task.sizes[variable], [one[number] for one in spent]))
@@ -84,7 +118,7 @@ class SasGraph:
 
     def is_goal(self, state: State) -> bool:
         """Whether the goal holds."""
-        return all(state[variable] == value for variable, value in self._task.goal)
+        return _hold(self._task.goal, state)
 
     def moves(self, state: State) -> Sequence[Move[State, int]]:
         """Return what can be done in a state, but for what leaves it as it is."""
@@ -102,14 +136,30 @@ class SasGraph:
     def _possible(self, state: State) -> Iterator[Move[State, int]]:
         for fact in (None, *enumerate(state)):
             for operation in self._by_need.get(fact, ()):
-                if all(state[variable] == value for variable, value in operation.needs):
+                if _hold(operation.needs, state):
                     after = list(state)
                     for given, variable, value in operation.effects:
-                        if all(state[one] == needed for one, needed in given):
+                        if _hold(given, state):
                             after[variable] = value
-                    to = tuple(after)
+                    to = self._closed(after)
                     if to != state:
                         yield Move(to, operation.cost, operation.uses, operation.number)
+
+    def _closed(self, state: list[int]) -> State:
+        """Return a state with everything derived that the axioms derive."""
+        for variable, value in self._derived.items():
+            state[variable] = value
+        for rules in self._layers:
+            waiting = rules
+            while fired := [rule for rule in waiting if _hold(rule.needs, state)]:
+                for rule in fired:
+                    state[rule.variable] = rule.value
+                waiting = [rule for rule in waiting if state[rule.variable] != rule.value]
+        return tuple(state)
+
+
+def _hold(facts: Sequence[Fact], state: Sequence[int]) -> bool:
+    return all([state[variable] == value for variable, value in facts])  # noqa: C419  # a list is quicker: few facts
 
 
 def _by_need(task: Task) -> dict[Fact | None, list[Operation]]:

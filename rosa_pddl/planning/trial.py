@@ -52,6 +52,7 @@ class _Found:
     outcome: Outcome
     steps: tuple[Step, ...] = ()
     schedule: tuple[TimedStep, ...] = ()
+    why: str = ""
 
 
 class Trial:
@@ -174,7 +175,7 @@ class Trial:
             steps = tuple(task.step(number) for number in answer.numbers)
         except IndexError as error:
             raise Trouble(Outcome.ENGINE_CRASHED, "the search named steps that the task does not have") from error
-        return _Found(answer.outcome, steps)
+        return _Found(answer.outcome, steps, why=answer.why)
 
     def _answer(self, task: Grounded, deadline: float, engine: str) -> Answer:
         leash, memory_bytes = self._leash, self._settings.memory_bytes
@@ -203,7 +204,7 @@ class Trial:
         if found.outcome.is_solved:
             cost = self._cost(found)
             return PlanningResult(found.outcome, found.steps, engine, "", cost, found.schedule, tuple(attempts))
-        outcome, message = found.outcome, f"{engine}: {found.outcome}"
+        outcome, message = found.outcome, f"{engine}: {found.outcome}" + (f": {found.why}" if found.why else "")
         if outcome is Outcome.UNSOLVABLE_PROVEN and not self._settings.overlapping and _may_have_to_overlap(domain):
             outcome = Outcome.UNSOLVABLE_AS_FAR_AS_KNOWN
             message = f"{engine}: {outcome}: there is no plan of one step after the other; {_OVERLAP}"
