@@ -1,5 +1,8 @@
 """Hopes that are not fulfilled: a step that did not help is not relied upon until what is in the way has gone."""
 
+from heapq import heappop, heappush
+from itertools import product
+
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -10,6 +13,7 @@ from kb import KnowledgeBase, Model
 from rosa_pddl import Goals, Outcome, Planner, Problem, flaw, initial_state
 from rosa_pddl.hopes import Hopes
 from rosa_pddl.quest import Quest
+from rosa_pddl.validate import ended, missing_at_start, started
 
 # Mending serves driving; there is a dear detour on foot if the problem has a path.
 DOMAIN = """(define (domain roads) (:requirements :typing :durative-actions :action-costs)
@@ -38,7 +42,7 @@ PROBLEM = """(define (problem p) (:domain roads)
   (:init (drive_action drive) (walk_action walk) (mend_action mend) (at home) {path} (= (total-cost) 0))
   (:goal (at goal)) (:metric minimize (total-cost)))
 """
-PLANNER = Planner()
+PLANNER, COLD = Planner(), Planner(warm=False)
 
 
 @pytest.fixture(scope="module")
@@ -270,3 +274,52 @@ def test_costs_and_soft_goals_are_as_before_where_something_is_in_doubt(roads):
     assert planner.plan(quest.problem(state, goals)).cost == 22.0
     goals.add("(used jack)", worth=1.5)
     assert planner.plan(quest.problem(state, goals)).cost == 21.5
+
+
+def cheapest(domain, state, doubted):
+    """Return what the goal costs if doubted steps do not make drive feasible, by trying all; None if it cannot be."""
+    steps = [
+        domain.step(schema.name, words)
+        for schema in domain.schema_of.values()
+        for words in product(*(domain.objects_of(kind) for _, kind in schema.parameters))
+    ]
+    price = {"mend": 2.0, "drive": 1.0, "walk": 20.0}
+    best, queue = {}, [(0.0, sorted(state))]
+    while queue:
+        cost, facts = heappop(queue)
+        now = frozenset(facts)
+        if now in best:
+            continue
+        best[now] = cost
+        if "(at goal)" in now:
+            return cost
+        for step in steps:
+            if missing_at_start(domain, step, now) is None:
+                after = ended(domain, step, started(domain, step, now))
+                if step in doubted and "(action_feasible drive)" not in now:
+                    after -= {"(action_feasible drive)"}
+                heappush(queue, (cost + price[step.schema], sorted(after)))
+    return None
+
+
+FACTS = ("(action_feasible drive)", "(action_feasible mend)", "(path home goal)", "(drive_action mend)", "(used jack)")
+
+
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    tools=st.sets(st.sampled_from(["glue", "jack"])),
+    facts=st.sets(st.sampled_from(FACTS)),
+    warm=st.booleans(),
+)
+def test_plans_without_what_is_in_doubt_are_the_cheapest_that_do_without_it(roads, tools, facts, warm):
+    domain = roads["glue jack", ""]
+    doubted = [domain.step("mend", ("mend", "drive", tool)) for tool in sorted(tools)]
+    state = initial_state(domain) | facts
+    kb = FakeKb(domain.rosa_actions)
+    kb.unfeasible = {"drive"}
+    hopes = Hopes(domain, kb)
+    for step in doubted:
+        hopes.ended(step, state)
+    result = (PLANNER if warm else COLD).plan(Problem(hopes.domain, state))
+    assert result.cost == cheapest(domain, state, doubted)
+    assert result.outcome in (Outcome.SOLVED_OPTIMALLY, Outcome.UNSOLVABLE_PROVEN)
