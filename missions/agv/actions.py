@@ -8,8 +8,8 @@ from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 
 from kb import KnowledgeBase
-from missions.agv.declared import SWITCH, Words, facts_of, numbers_from_here, numbers_of
-from missions.agv.joint import Leg, Question
+from missions.agv.declared import SWITCH, Words, facts_of, numbers_of
+from missions.agv.joint import Leg
 from missions.agv.model import FOLLOW, NAVIGATE, NAVIGATOR, heading, headings
 from missions.agv.modes import Mode, running_mode
 from missions.agv.route import Route
@@ -18,7 +18,7 @@ from rosa_bt import RosaAction
 from rosa_pddl import Step
 from rosa_pddl.generation import ActionSchema
 
-__all__ = ["LIMITED", "Cross", "Outlook", "Planned", "Switch", "cross", "switch"]
+__all__ = ["Cross", "LIMITED", "Outlook", "Planned", "Switch", "cross", "switch"]
 
 LIMITED: Final = ("energy",)
 """What a plan may use up no more of than there is."""
@@ -123,23 +123,15 @@ class Outlook:
 
     def __init__(self, route: Route, words: Words) -> None:
         self.route, self.words = route, words
-        self._revision: tuple[int, int] | None = None
-        self._question: Question | None = None
-        self._facts: Mapping[str, bool] = {}
-        self._numbers: Mapping[str, float] = {}
+        self._revision: tuple[object, ...] = ()
         self._told: Mapping[str, bool | float] = {}
 
     @property
     def told(self) -> Mapping[str, bool | float]:
-        """What holds and costs now; the same mapping as long as nothing has changed."""
-        route, words = self.route, self.words
-        question, revision = route.question, route.revision
-        if (question, revision) != (self._question, self._revision):
-            task = route.task
-            if revision != self._revision:
-                self._facts, self._numbers = facts_of(words, task), numbers_of(words, task, LIMITED)
-            self._told = {**self._facts, **self._numbers, **numbers_from_here(words, task, LIMITED)}
-            self._question, self._revision = question, revision
+        """What holds and costs now; worked out when something has happened, not with every metre and joule."""
+        if self._revision != self.route.revision:
+            self._revision, task = self.route.revision, self.route.task
+            self._told = {**facts_of(self.words, task), **numbers_of(self.words, task, LIMITED)}
         return self._told
 
     def leg(self, way: str, mode: str) -> Leg | None:

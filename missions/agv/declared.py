@@ -26,7 +26,6 @@ __all__ = [
     "cross_schema",
     "declarations_of_task",
     "facts_of",
-    "numbers_from_here",
     "numbers_of",
     "problem_of",
     "switch_schema",
@@ -163,7 +162,7 @@ class Words:
 
 def facts_of(words: Words, task: Task) -> dict[str, bool]:
     """Return everything that may change, and whether it is so: where the robot is, how configured, what is possible."""
-    possible = {(way, mode) for way, mode, *_ in _crossings(words, task, _places(task))}
+    possible = {(way, mode) for way, mode, *_ in _crossings(words, task)}
     at, configured = words.place(task.start[0]), words.mode(task.start[1])
     return {
         **{f"(at {place})": place == at for place in words.places.values()},
@@ -175,21 +174,14 @@ def facts_of(words: Words, task: Task) -> dict[str, bool]:
 def numbers_of(words: Words, task: Task, limited: Iterable[str] = ()) -> dict[str, float]:
     """Return what everything costs that is possible now, in whole thousandths, and uses up of what is limited."""
     numbers: dict[str, float] = {}
-    for way, mode, takes, cost in _crossings(words, task, _places(task)):
+    for way, mode, takes, cost in _crossings(words, task):
         numbers |= _told("crossing", f"{way} {mode}", takes, cost, limited)
     for now, one in {**words.by_mode, words.now: task.start[1]}.items():
         for mode, other in words.by_mode.items():
             numbers |= _told("switching", f"{now} {mode}", *task.switching(one, other), limited)
-    return numbers | numbers_from_here(words, task, limited)
-
-
-def numbers_from_here(words: Words, task: Task, limited: Iterable[str] = ()) -> dict[str, float]:
-    """Return those that change with every metre: how much is left, and what it takes from within a corridor."""
     left = dict(zip(task.limited, task.limits, strict=True))
-    numbers: dict[str, float] = {f"({name}_left)": left.get(name, _PLENTY) for name in limited}
-    numbers |= {f"({name}_used)": 0.0 for name in limited}  # what was used up is left no more
-    for way, mode, takes, cost in _crossings(words, task, [task.start[0]] if task.start[0].corridor else []):
-        numbers |= _told("crossing", f"{way} {mode}", takes, cost, limited)
+    for name in limited:  # what was used up is left no more
+        numbers |= {f"({name}_used)": 0.0, f"({name}_left)": left.get(name, _PLENTY)}
     return numbers
 
 
@@ -226,8 +218,8 @@ def _told(kind: str, things: str, takes: Amounts, cost: int, limited: Iterable[s
     return {f"({kind} {things})": cost, **uses}
 
 
-def _crossings(words: Words, task: Task, places: Iterable[Place]) -> Iterator[tuple[str, str, Amounts, int]]:
-    for place in places:
+def _crossings(words: Words, task: Task) -> Iterator[tuple[str, str, Amounts, int]]:
+    for place in _places(task):
         for way, mode, takes, cost in task.crossings(place):
             via = Via(way.corridor.name, way.to, not place.corridor)
             yield words.vias[via], words.modes[mode.name], takes, cost

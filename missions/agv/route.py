@@ -99,9 +99,9 @@ class Route:
         return {"obstacles": 0.0, "light": DARK if corridor.name in self._dark else corridor.light}
 
     @property
-    def revision(self) -> tuple[int, int]:
-        """Differs when anything has changed, other than how much energy there is and how far was driven."""
-        return self.kb.revision, self._senses.revision
+    def revision(self) -> tuple[object, ...]:
+        """Differs when anything has happened; that it drives on and draws energy is nothing."""
+        return self.kb.revision, self._senses.revision, self.kb.attributes["energy"].value is None
 
     @property
     def believed(self) -> tuple[object, ...]:

@@ -219,6 +219,40 @@ def test_plan_of_steps_costs_what_the_joint_plan_costs(seed, places, failed, dat
         assert result.cost == answer.cost
 
 
+def test_names_of_a_map_never_clash_with_those_of_the_plan():
+    names = ["here", "now", "switch", "cross_c", "aruco_camera_fast", "c_here_now", "at", "action", "leads"]
+    places = {name: [float(number), 0.0] for number, name in enumerate(names)}
+    corridors = {"c": {"from": "here", "to": "now"}, "c_here": {"from": "now", "to": "switch"}}
+    corridors |= {f"d{n}": {"from": names[n], "to": names[n + 1]} for n in range(2, len(names) - 1)}
+    building = building_from({"start": "here", "goal": "leads", "places": places, "corridors": corridors})
+    kb = KnowledgeBase(building_model(building), clock=lambda: 0.0)
+    result, answer = planned_and_joint(building, kb, told("at now", "in c"), Planner("label-setting", warm=False))
+    assert (result.outcome.is_solved, result.cost) == (True, answer.cost)
+    assert [step.action for step in result.steps if step.schema == "cross"] == [
+        f"cross_{leg.corridor}" for leg in answer.legs
+    ]
+
+
+def test_map_without_a_way_has_no_plan_of_steps_and_is_asked_no_more_than_things_change():
+    blocked = straight(obstacles=1.0)
+    blocked["places"]["d"] = [0, 9]
+    blocked["corridors"]["c2"] = {"from": "a", "to": "d"}
+    verdict, run = driven(blocked, "pddl", incidents="kinect fails in c1")
+    assert not verdict.success
+    assert "cannot be crossed" in verdict.reason
+    assert "there was no plan: unsolvable proven" in verdict.reason
+    assert [plan.outcome.is_solved for plan in run.plans] == [True] + [False] * (len(run.plans) - 1)
+    assert len(run.plans) <= 4
+    assert run.kb.required_actions == ()
+
+
+def test_energy_that_cannot_last_is_no_reason_for_a_plan_of_steps():
+    verdict, run = driven(straight(), "pddl", capacity_j=20.0)
+    assert "energy would be" in verdict.reason
+    assert not run.plans[-1].outcome.is_solved
+    assert run.world.results()["driven_m"] < 1.0
+
+
 def test_each_plan_made_while_driving_costs_what_the_joint_plan_costs(monkeypatch):
     asked, heard = [], []
 
