@@ -7,7 +7,7 @@ from typing import Final
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 
-from kb import KnowledgeBase
+from kb import KnowledgeBase, ReconfigurationPlan
 from missions.agv.declared import SWITCH, Words, facts_of, numbers_of
 from missions.agv.joint import Leg
 from missions.agv.model import FOLLOW, NAVIGATE, NAVIGATOR, heading, headings
@@ -97,19 +97,25 @@ class Switch(RosaAction):
     def __init__(self, route: Route, mode: Mode) -> None:
         super().__init__(f"switch to {mode.name}", route.kb, SWITCH)
         self._route, self._mode = route, mode
+        self._plan: ReconfigurationPlan | None = None
 
     def initialise(self) -> None:
         """Demand no more than where it stands."""
+        self._plan = None
         _demand(self._route)
 
     def update(self) -> Status:
         """Select the mode, and look whether the robot is configured so."""
         if self.kb.pending_plan is not None:
             return Status.RUNNING
+        if self._plan is not None and self._plan.result == "failed":
+            self.feedback_message = f"the robot cannot be configured so: {self._plan} failed"
+            return Status.FAILURE
         choice, running = self._mode.choice, running_mode(self.kb, NAVIGATE)
         if (running.components, running.choice.configurations) == (self._mode.components, choice.configurations):
             return Status.SUCCESS
-        self.kb.select(choice.designs, choice.configurations, f"{self._mode.name} is planned for what comes next")
+        why = f"{self._mode.name} is planned for what comes next"
+        self._plan = self.kb.select(choice.designs, choice.configurations, why)
         return Status.RUNNING
 
 

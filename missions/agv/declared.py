@@ -222,6 +222,8 @@ def _crossings(words: Words, task: Task) -> Iterator[tuple[str, str, Amounts, in
     for place in _places(task):
         for way, mode, takes, cost in task.crossings(place):
             via = Via(way.corridor.name, way.to, not place.corridor)
+            if mode.name not in words.modes:
+                continue  # the model has got it since the problem was made
             yield words.vias[via], words.modes[mode.name], takes, cost
             part = via._replace(is_whole=False)
             if part in words.vias and not task.start[0].corridor:

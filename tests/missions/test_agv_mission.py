@@ -11,10 +11,12 @@ from running import result, run_mission, text
 
 from kb import KnowledgeBase
 from missions.agv import MAPS, WEIGHTS, agv_mission
+from missions.agv.actions import Switch
 from missions.agv.building import building_from, load_building
 from missions.agv.generated import generated_building
 from missions.agv.joint import JointPlanner, Question
 from missions.agv.model import DRAW_W, agv_model, building_model
+from missions.agv.modes import Modes
 from missions.agv.route import Route
 from missions.agv.settings import settings_from
 from missions.mission import MissionError
@@ -231,6 +233,28 @@ def test_names_of_a_map_never_clash_with_those_of_the_plan():
     assert [step.action for step in result.steps if step.schema == "cross"] == [
         f"cross_{leg.corridor}" for leg in answer.legs
     ]
+
+
+def test_switch_selects_the_mode_and_ends_when_the_robot_is_configured_so_or_cannot_be():
+    building = building_from(straight())
+    kb = KnowledgeBase(building_model(building), clock=lambda: 0.0)
+    route = Route(building, kb, Senses(), WEIGHTS)
+    mode = next(one for one in Modes(kb, "navigate").under({}) if one.name == "amcl_lidar fast")
+    for active, how, status in ((False, "failed", "FAILURE"), (True, "completed", "SUCCESS")):
+        switch = Switch(route, mode)
+        switch.tick_once()
+        plan = kb.pending_plan
+        assert (set(plan.activate), plan.parameters) == ({"amcl", "lidar", "base"}, ("fast",))
+        assert kb.designs["amcl_lidar"].is_selected
+        switch.tick_once()
+        assert switch.status.name == "RUNNING"
+        for name in plan.activate:
+            kb.component_active(name, active)
+        kb.finish_plan(plan, how)
+        switch.tick_once()
+        assert switch.status.name == status
+        assert kb.required_actions == ()
+        kb.select({}, {})
 
 
 def test_map_without_a_way_has_no_plan_of_steps_and_is_asked_no_more_than_things_change():
