@@ -22,6 +22,7 @@ from rosa_pddl.planning.labels import distances
 GOALS = {"time": 1e3, "energy": 1e3, "collisions": 1e6}
 WORTH = {"time": 1.0, "energy": 1.0, "collisions": 1e-3}
 OFF = ("", "")
+_TRIALS = 20_000
 Setup = tuple[str, str]
 """A design and a setting of the base; both empty while nothing runs."""
 
@@ -184,12 +185,12 @@ def by_axioms(robot: Robot, question: Question, folder: Path) -> int | None:
 
 
 def shortest_ways(building: Building, start: str, goal: str, count: int) -> Iterator[tuple[Corridor, ...]]:
-    """Yield the shortest ways by length that visit no place twice, as corridors."""
+    """Yield the shortest ways by length that visit no place twice; fewer if that takes too many trials."""
     arcs = [(one.ends[0], one.ends[1], one.length_m) for one in building.corridors.values()]
     left = distances(arcs + [(b, a, length) for a, b, length in arcs], [goal])
     queue: list[tuple[float, int, float, tuple[Corridor, ...], tuple[str, ...]]]
     queue, number = [(left.get(start, inf), 0, 0.0, (), (start,))], 0
-    while queue and count:
+    while queue and count and number < _TRIALS:
         _, _, length, corridors, places = heappop(queue)
         if places[-1] == goal:
             count -= 1
