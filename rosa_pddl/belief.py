@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import isfinite
 
 from rosa_pddl.domain import Domain, Feasibility, State, Step
@@ -33,11 +33,18 @@ class Undo:
 
 @dataclass(frozen=True)
 class _Sensed:
-    """What was sensed: the atoms that were spoken of, those of them that hold, and numbers."""
+    """What was sensed: atoms, feasibility left out, with whether they hold, those that do, and numbers."""
 
-    told: AbstractSet[str] = frozenset()
-    true: AbstractSet[str] = frozenset()
+    facts: Mapping[str, bool] = field(default_factory=dict)
+    true: State = frozenset()
     numbers: Mapping[str, float] = field(default_factory=dict)
+
+    def updated(self, facts: Mapping[str, bool], numbers: Mapping[str, float]) -> "_Sensed":
+        """Return the same after more was sensed; where no fact changed, the facts are the same object."""
+        if not facts:
+            return replace(self, numbers={**self.numbers, **numbers})
+        true = self.true.difference(facts) | {atom for atom, holds in facts.items() if holds}
+        return _Sensed({**self.facts, **facts}, true, {**self.numbers, **numbers})
 
 
 class Belief:
@@ -59,6 +66,7 @@ class Belief:
         self._numeric = {domain.outside[one.name] for one in domain.up_problem.fluents if not one.type.is_bool_type()}
         self._answer: Mapping[str, bool | float] = {}
         self._sensed = _Sensed()
+        self._taken_in: tuple[State, Mapping[str, bool]] | None = None
         self._numbers: Mapping[str, float] = {}
         self._uses = Uses(domain)
 
@@ -75,7 +83,7 @@ class Belief:
     @property
     def sensed_atoms(self) -> AbstractSet[str]:
         """The atoms that were spoken of when it was last sensed."""
-        return self._sensed.told
+        return self._sensed.facts.keys()
 
     def observe(self) -> State:
         """Take in what is sensed; return what is true then, with what is feasible.
@@ -85,7 +93,10 @@ class Belief:
             UnknownNameError: what is sensed is not of the domain.
         """
         sensed = self._read()
-        self._facts = without_feasibility(self._domain, (self._facts - sensed.told) | sensed.true)
+        # large worlds are looked at several times a tick, and mostly nothing has changed
+        if self._taken_in is None or self._taken_in[0] is not self._facts or self._taken_in[1] is not sensed.facts:
+            self._facts = self._facts.difference(sensed.facts) | sensed.true
+            self._taken_in = (self._facts, sensed.facts)
         return self._facts | feasible_atoms(self._domain, self._kb)
 
     def start(self, step: Step, state: State) -> Undo:
@@ -124,16 +135,24 @@ class Belief:
             answer = self._sense()
             if not isinstance(answer, Mapping):
                 raise SensingError(f"sense returned {answer!r}, expected a mapping such as {{'(lit room)': True}}")
-            # mostly nothing has changed since the last look
             if answer != self._answer:
-                self._sensed, self._answer = self._sorted(answer), dict(answer)
-                self._numbers = {**self._numbers, **self._sensed.numbers}
+                self._sensed = self._told(answer)
+                self._answer, self._numbers = dict(answer), {**self._numbers, **self._sensed.numbers}
         except Exception as error:
             error.add_note("this came of what `sense` returned or raised")
             raise
         return self._sensed
 
-    def _sorted(self, answer: Mapping[str, bool | float]) -> _Sensed:
+    def _told(self, answer: Mapping[str, bool | float]) -> _Sensed:
+        """Return what an answer tells; only what differs from the last one is read."""
+        old, before = self._answer, self._sensed
+        if not old.keys() <= answer.keys():
+            old, before = {}, _Sensed()
+        new = {text: value for text, value in answer.items() if text not in old or old[text] != value}
+        return before.updated(*self._sorted(new))
+
+    def _sorted(self, answer: Mapping[str, bool | float]) -> tuple[Mapping[str, bool], Mapping[str, float]]:
+        """Return facts and numbers."""
         facts: dict[str, bool] = {}
         numbers: dict[str, float] = {}
         for text, value in answer.items():
@@ -149,9 +168,9 @@ class Belief:
                 raise SensingError(f"sense returned {value!r} for {atom}, expected a finite number")
             if is_number:
                 numbers[atom] = float(known)
-            else:
+            elif not self._domain.is_feasibility(atom):
                 facts[atom] = bool(known)
-        return _Sensed(facts.keys(), {atom for atom, holds in facts.items() if holds}, numbers)
+        return facts, numbers
 
 
 def without(undos: Iterable[Undo], state: State) -> State:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping
 
+from rosa_pddl.bounds import Bounds
 from rosa_pddl.course import Course
 from rosa_pddl.domain import Domain, State
 from rosa_pddl.goals import Goal, Goals
@@ -9,7 +10,6 @@ from rosa_pddl.hopes import Disappointment, Hopes
 from rosa_pddl.planning import PlanningResult
 from rosa_pddl.planning.costs import Costs
 from rosa_pddl.planning.grounding import lock_of
-from rosa_pddl.planning.uses import Uses
 from rosa_pddl.problem import Problem
 from rosa_pddl.settled import Unsettled
 from rosa_pddl.soft_goals import SoftGoals
@@ -37,7 +37,7 @@ class Quest:
         self._hopes, self._numbers = hopes, numbers
         self._unsettled = Unsettled(hopes.domain)
         self._soft: tuple[Domain, tuple[Goal, ...], SoftGoals] | None = None
-        self._uses = Uses(self.domain)
+        self._bounds = Bounds(self.domain)
         with lock_of(self.domain):
             self._costs = Costs(self.domain, Problem(self.domain, frozenset()).build())
 
@@ -52,19 +52,20 @@ class Quest:
         return self._hopes.doubts
 
     @property
-    def bounds(self) -> Mapping[str, float]:
-        """The numbers that decide, beside a state, whether there is a plan: none, if nothing is limited."""
-        return self._numbers() if self.domain.limited else {}
+    def numbers(self) -> Mapping[str, float]:
+        """The values, now, of numeric facts."""
+        return self._numbers()
+
+    def is_no_easier(self, then: Mapping[str, float]) -> bool:
+        """Whether what could not be reached with some numbers cannot be reached now, by its limits."""
+        return self._bounds.leave_no_more(self._numbers(), then)
 
     def overspent(self, course: Course) -> str | None:
         """Return which limit the steps break that have not started, in words; None if they keep them all.
 
         What runs is passed over: part of what it uses may be in what is sensed already.
         """
-        if not self.domain.limited:
-            return None
-        steps = (course.steps[number] for number in course.remaining)
-        over = self._uses.overspent(self._now, steps)
+        over = self._bounds.overspent((course.steps[number] for number in course.remaining), self._numbers())
         return None if over is None else f"the rest of the plan is too much: {over}"
 
     def problem(self, state: State, goals: Goals) -> Problem:
@@ -105,12 +106,8 @@ class Quest:
         """Return the cost of what has not ended, and the worth of the goals that are forgone."""
         facts = course.replay(state).facts
         forgone = sum(goal.worth or 0.0 for goal in goals.soft if not goal_holds(self.domain, facts, [goal.expression]))
-        numbers = self._costs.numbers(self._now)
+        numbers = self._costs.numbers(Problem(self.domain, frozenset(), costs=self._numbers()))
         return forgone + self._costs.total(course.unfinished_steps, numbers)
-
-    @property
-    def _now(self) -> Problem:
-        return Problem(self.domain, frozenset(), costs=self._numbers())
 
     def _softened(self, goals: tuple[Goal, ...]) -> SoftGoals:
         domain = self.domain

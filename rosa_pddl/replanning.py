@@ -14,9 +14,6 @@ from rosa_pddl.quest import Quest
 
 __all__ = ["Found", "PlanRecord", "Replanning"]
 
-# What decides whether there is a plan: facts, what steps bring about, and numbers that limits are made of.
-_From = tuple[State, Domain, Mapping[str, float]]
-
 
 @dataclass(frozen=True)
 class PlanRecord:
@@ -37,6 +34,16 @@ class PlanRecord:
     steps: tuple[Step, ...]
     engine: str
     message: str = ""
+
+
+@dataclass(frozen=True)
+class _Hopeless:
+    """What there is no plan from, and why."""
+
+    state: State
+    domain: Domain
+    numbers: Mapping[str, float]
+    why: str
 
 
 @dataclass(frozen=True)
@@ -80,7 +87,7 @@ class Replanning:
         self._wanted: Decision | None = None
         self._diagnosis: Diagnosis | None = None
         self._asked_in = quest.domain
-        self._hopeless: tuple[_From, str] | None = None
+        self._hopeless: _Hopeless | None = None
         self.records: list[PlanRecord] = []
 
     @property
@@ -99,7 +106,10 @@ class Replanning:
 
     def why_hopeless(self, state: State) -> str | None:
         """Return why there is no plan from a state, if that has been found; None if it has to be asked."""
-        return self._hopeless[1] if self._hopeless is not None and self._hopeless[0] == self._from(state) else None
+        hopeless = self._hopeless
+        if hopeless is None or (hopeless.state, hopeless.domain) != (state, self._quest.domain):
+            return None
+        return hopeless.why if self._quest.is_no_easier(hopeless.numbers) else None
 
     @property
     def had_no_plan(self) -> bool:
@@ -167,8 +177,7 @@ class Replanning:
             if wrong is None:
                 return Found(course, decision)
             # the same question would get the same answer, again and again
-            why = f"no plan: what {result.engine} gave cannot be done event by event: {wrong}"
-            self._hopeless = (self._from(state), why)
+            self._give_up(state, f"no plan: what {result.engine} gave cannot be done event by event: {wrong}")
             return None
         if not decision.is_needed:
             return None
@@ -185,8 +194,8 @@ class Replanning:
         safe = PlanningResult(Outcome.SOLVED, (result.safe_step,))
         return Found(Course.of(domain, safe, ()), Decision("there is no plan", is_needed=True))
 
-    def _from(self, state: State) -> _From:
-        return state, self._quest.domain, self._quest.bounds
+    def _give_up(self, state: State, why: str) -> None:
+        self._hopeless = _Hopeless(state, self._quest.domain, self._quest.numbers, why)
 
     def _diagnose(self, diagnosis: Diagnosis, state: State) -> None:
         """Ask on, or conclude that there is no plan; when the state has changed it is better to plan anew."""
@@ -197,5 +206,5 @@ class Replanning:
             self._diagnosis = diagnosis
             self._asking.ask(diagnosis.next_question, state, None)
         else:
-            why = "; ".join(map(str, (diagnosis, *self._quest.doubts)))
-            self._diagnosis, self._hopeless = None, (self._from(state), why)
+            self._diagnosis = None
+            self._give_up(state, "; ".join(map(str, (diagnosis, *self._quest.doubts))))

@@ -1,10 +1,15 @@
 """Limited resources while a plan runs: what is used up is believed or sensed; a plan that is too much is replaced."""
 
+from itertools import product
+
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from pddl_world import World, load_text
 from py_trees.common import Status
 
 from rosa_pddl import Planner, ReplanningPolicy
+from rosa_pddl.bounds import Bounds
 
 # Each leg can be driven, quickly and with much energy, or crept.
 DOMAIN = """(define (domain legs) (:requirements :typing :action-costs :numeric-fluents)
@@ -92,6 +97,35 @@ def test_there_is_a_plan_again_once_more_is_left(legs):
     assert [world.tick() for _ in range(3)] == [Status.FAILURE] * 3
     assert len(world.executor.plans) == 1
     assert world.executor.feedback_message.endswith("there would be a plan without the limits of used")
+    # that there is still less, or that steps use more, changes nothing
+    for left, need in ((0.15, 0.2), (0.1, 0.3), (0.2, 0.2)):
+        world.facts = {"(left)": left, "(need b)": need}
+        assert world.tick() is Status.FAILURE
+    assert len(world.executor.plans) == 1
     world.facts = {"(left)": 0.3}
     assert world.run() is Status.SUCCESS
     assert begun(world) == ["creep"] * 3
+
+
+@pytest.mark.parametrize("better", [{"(need b)": 0.1}, {"(used)": -0.2}, {"(left)": 0.21}])
+def test_what_could_leave_more_is_a_reason_to_look_for_a_plan_again(legs, better):
+    world = world_of(legs["0.2"])
+    world.facts = {"(used)": 0.0, "(need b)": 0.2}
+    world.run()
+    world.facts |= better
+    assert world.tick() is Status.RUNNING
+
+
+NUMBERS = st.fixed_dictionaries(
+    {f"({key})": st.integers(0, 5).map(float) for key in ("left", "used", "need a", "need b")}
+)
+
+
+@given(then=NUMBERS, now=NUMBERS)
+def test_numbers_that_leave_no_more_break_a_limit_whenever_the_others_did(legs, then, now):
+    domain = legs["0.6"]
+    bounds = Bounds(domain)
+    if bounds.leave_no_more(now, then):
+        for steps in product(("drive", "creep"), repeat=2):
+            plan = [domain.step(one, words) for one, words in zip(steps, (("a", "b"), ("b", "c")), strict=True)]
+            assert bounds.overspent(plan, then) is None or bounds.overspent(plan, now) is not None
