@@ -135,7 +135,9 @@ def _check_addition(source: Source, node: Node, place: str, resources: Collectio
     if _is_below_nothing(amount):
         what = "costs are" if target.head == _COST else "uses are"
         raise source.unsupported(node, f"{start_of(node)!r} in {place} is less than nothing; {what} 0 or more")
-    _check_amount(source, amount, node, place, resources)
+    _check_fixed(source, amount, node, place, resources)
+    if target.head != _COST:
+        _check_sum(source, amount, node, place)
 
 
 def _check_limit(source: Source, node: Node, resources: Collection[str]) -> None:
@@ -145,21 +147,31 @@ def _check_limit(source: Source, node: Node, resources: Collection[str]) -> None
     if left.head not in resources or len(left.children) != 1:
         told = f"; what actions use up is {', '.join(sorted(resources))}" if resources else ""
         raise _unsupported(source, node, "the goal", f"computes with numbers{told}")
-    _check_amount(source, right, node, "the goal", resources)
+    _check_fixed(source, right, node, "the goal", resources)
+    _check_sum(source, right, node, "the goal")
 
 
-def _check_amount(source: Source, amount: Node, within: Node, place: str, resources: Collection[str]) -> None:
-    """Assure that an amount is made of numbers that no action changes."""
-    if not amount.is_list:
-        if amount.lower.startswith("?"):
-            raise _unsupported(source, within, place, f"has the amount {amount.word}, which is no number")
-    elif amount.head in ("+", "-", "*") and len(amount.children) >= 3:
-        for part in amount.children[1:]:
-            _check_amount(source, part, within, place, resources)
-    elif amount.head == _COST or amount.head in resources:
+def _check_fixed(source: Source, amount: Node, within: Node, place: str, resources: Collection[str]) -> None:
+    """Assure that no action changes what an amount is made of."""
+    if amount.head == _COST or amount.head in resources:
         raise _unsupported(source, within, place, f"has an amount that depends on {amount}, which actions change")
-    elif not amount.head or not amount.head[0].isalpha():
-        raise _unsupported(source, within, place, f"has the amount {start_of(amount)}")
+    for part in amount.children[1:]:
+        _check_fixed(source, part, within, place, resources)
+
+
+def _check_sum(source: Source, amount: Node, within: Node, place: str) -> None:
+    """Assure that an amount is a sum of numbers and numeric facts, with numbers as factors."""
+    parts = amount.children[1:]
+    if amount.lower.startswith("?"):
+        raise _unsupported(source, within, place, f"has the amount {amount.word}, which is no number")
+    if amount.head in ("+", "-", "*"):
+        facts = [part for part in parts if part.is_list]
+        if len(parts) < 2 or (amount.head == "*" and len(facts) > 1):
+            raise _unsupported(source, within, place, f"has the amount {start_of(amount)}, which is no sum")
+        for part in parts:
+            _check_sum(source, part, within, place)
+    elif amount.is_list and not amount.head[:1].isalpha():
+        raise _unsupported(source, within, place, f"has the amount {start_of(amount)}, which is no sum")
 
 
 def _is_below_nothing(amount: Node) -> bool:

@@ -112,6 +112,7 @@ class Trial:
             return _Found(Outcome.OUT_OF_TIME), f"of {self._settings.timeout_s:g} s no time was left for it"
         try:
             found = self._found(way, time.monotonic() + budget_s)
+            wrong = self._wrong(found)
         except Trouble as trouble:
             return _Found(trouble.outcome), trouble.message
         except UnsupportedPddlError as error:
@@ -120,7 +121,6 @@ class Trial:
             raise
         except Exception as error:  # whatever goes wrong here must not stop the tree; it is told by name
             return _Found(Outcome.ENGINE_CRASHED), f"{type(error).__name__}: {error}"
-        wrong = self._wrong(found)
         if wrong is not None:
             return _Found(Outcome.ENGINE_CRASHED), f"{engine} returned a plan that does not work: {wrong}"
         return found, ""
@@ -197,7 +197,9 @@ class Trial:
             wrong = schedule_flaw(problem.domain, found.schedule, problem.state, problem.wanted)
         else:
             wrong = flaw(problem.domain, found.steps, problem.state, problem.wanted)
-        return wrong or self._sequence.uses.overspent(problem, found.steps)
+        if wrong is None and problem.domain.limited:
+            wrong = self._sequence.uses.overspent(problem, found.steps)
+        return wrong
 
     def _report(self, found: _Found, way: str, attempts: list[Attempt]) -> PlanningResult:
         engine, domain = self._engine_of(way), self._problem.domain

@@ -27,6 +27,8 @@ REFUSED = {
     "cost by what changes": ("(total-cost) (length ?w)", "(total-cost) (noise)", "domain", 9, "depends on (noise)"),
     "twice": (GO, f"{GO} {NOISE}", "domain", 10, "found a second use '(increase (noise) 2)', expected one"),
     "if": (GO, f"(when (at ?from) {GO})", "domain", 10, "is no number which no condition changes"),
+    "squared": (GO, "(increase (noise) (* (effort ?w) (effort ?w)))", "domain", 10, "(effort ?w)), which is no sum"),
+    "no number": (GO, "(increase (noise) ?w)", "domain", 10, "has the amount ?w, which is no number"),
     "divided": (GO, "(increase (noise) (/ (effort ?w) 2))", "domain", 10, "has the amount (/ (effort ?w) 2)"),
     "as condition": ("(closed ?w)\n", "(and (closed ?w) (<= (noise) 3))\n", "domain", 13, "in clear computes with"),
     "at least": (GOAL, "(>= (noise) 9)", "problem", 6, "computes with numbers; what actions use up is energy, noise"),
