@@ -12,16 +12,14 @@ from rosa_pddl.domain import Domain, Feasibility, State, Step
 from rosa_pddl.goals import Goals
 from rosa_pddl.hopes import Disappointment, Hopes
 from rosa_pddl.planning import Planner
-from rosa_pddl.policy import Decision, ReplanningPolicy, decide
+from rosa_pddl.policy import Decision, ReplanningPolicy, Situation, decide, news_of
 from rosa_pddl.problem import Problem
 from rosa_pddl.quest import Quest
 from rosa_pddl.replanning import PlanRecord, Replanning
-from rosa_pddl.running import Factory, RunningStep, check_factories
+from rosa_pddl.running import Factory, Interlude, RunningStep, check_factories
 from rosa_pddl.validate import because, missing_at_end, missing_meanwhile
 
 __all__ = ["PlanExecutor"]
-
-Situation = tuple[State, Mapping[str, float]]
 
 
 class PlanExecutor(Behaviour):
@@ -47,6 +45,8 @@ class PlanExecutor(Behaviour):
         delay_s: the answer of the planner is taken this long after the request, whatever it took, so that a simulation
             is the same each time [s]; None to take it as soon as it is there.
         policy: when to plan anew, and what becomes of running steps meanwhile.
+        meanwhile: makes of a step that was given up or has ended what is done until the next one has begun, if a plan
+            has to be made for that; by default nothing is.
 
     Attributes:
         goals: what is to be reached; may be changed between ticks.
@@ -70,6 +70,7 @@ class PlanExecutor(Behaviour):
         planner: PlansAhead | None = None,
         delay_s: float | None = 0.2,
         policy: ReplanningPolicy | None = None,
+        meanwhile: Factory | None = None,
     ) -> None:
         super().__init__(name)
         self.findings = domain.check(kb)
@@ -85,6 +86,7 @@ class PlanExecutor(Behaviour):
         self._replanning = Replanning(self.goals, self._quest, self._planner, clock, delay_s, self._policy)
         self._setup_arguments: dict[str, object] = {}
         self._running: list[RunningStep] = []
+        self._interlude = Interlude(meanwhile, self)
         self._ended_meanwhile: list[Step] = []
         self._course: Course | None = None
         self._found_valid: tuple[Course, Situation] | None = None
@@ -197,7 +199,7 @@ class PlanExecutor(Behaviour):
                 self._want(Decision(because(self._domain, running.step, missing, verb="became"), is_needed=True))
         if self._course is not None:
             flaw = self._flaw(self._course, self._belief.observe())
-            news = _news(self._expected, (state, self._belief.numbers))
+            news = news_of(self._expected, (state, self._belief.numbers))
             self._want(decide(self._policy, flaw=flaw, goals_changed=goals_changed, news=news))
 
     def _flaw(self, course: Course, state: State) -> str | None:
@@ -242,7 +244,16 @@ class PlanExecutor(Behaviour):
             self.feedback_message = asked
         elif self._running and not self._replanning.is_busy:
             self.feedback_message = ", ".join(str(step) for step in self.current_steps)
+        self._bridge()
         return Status.RUNNING
+
+    def _bridge(self) -> None:
+        """Do what is done between two steps, or let go of it: not before the next step has begun."""
+        if self._running:
+            self._interlude.end()
+        else:
+            self._ticked += self._interlude.go_on(self._setup_arguments)
+            self.children = self._interlude.behaviours
 
     def _unstarted(self, state: State) -> State:
         """Return the state to plan from: as if no step ran, so that the plan may start with what runs."""
@@ -359,18 +370,11 @@ class PlanExecutor(Behaviour):
             self._belief.take_back(running.undo)
             self._belief.use_up(running.step)
             running.release()
+            self._interlude.follow(running.step)
 
     def _drop_plan(self) -> None:
         self._course = self._found_valid = self._expected = None
         self._replanning.forget()
         self._release(self._running)
-
-
-def _news(expected: Situation | None, now: Situation) -> str | None:
-    """What changed by itself since the last tick, in words."""
-    if expected is None or expected == now:
-        return None
-    (before, told), (state, numbers) = expected, now
-    changed = sorted(state - before) + [f"(not {atom})" for atom in sorted(before - state)]
-    changed += [f"{text} is {value:g}" for text, value in sorted(numbers.items()) if told.get(text) != value]
-    return ", ".join(changed[:3]) + (", ..." if len(changed) > 3 else "")
+        self._interlude.end()
+        self.children = []

@@ -1,11 +1,16 @@
 """When to plan anew: pure decisions, and the policy that they follow."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
+from rosa_pddl.domain import State
 from rosa_pddl.exceptions import PlannerSettingError
 
-__all__ = ["Decision", "ReplanningPolicy", "decide", "wait_s"]
+__all__ = ["Decision", "ReplanningPolicy", "Situation", "decide", "news_of", "wait_s"]
+
+Situation = tuple[State, Mapping[str, float]]
+"""What is believed: the true atoms, and numbers by their text."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +72,16 @@ def decide(policy: ReplanningPolicy, *, flaw: str | None, goals_changed: bool, n
     if policy.eager and news is not None:
         return Decision(f"something better may be possible: {news}", is_needed=False)
     return None
+
+
+def news_of(expected: Situation | None, now: Situation) -> str | None:
+    """Return what changed by itself since it was last looked, in words; None if nothing did."""
+    if expected is None or expected == now:
+        return None
+    (before, told), (state, numbers) = expected, now
+    changed = sorted(state - before) + [f"(not {atom})" for atom in sorted(before - state)]
+    changed += [f"{text} is {value:g}" for text, value in sorted(numbers.items()) if told.get(text) != value]
+    return ", ".join(changed[:3]) + (", ..." if len(changed) > 3 else "")
 
 
 def wait_s(policy: ReplanningPolicy, now_s: float, last_s: float | None) -> float:

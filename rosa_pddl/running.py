@@ -9,7 +9,7 @@ from rosa_pddl.belief import Undo
 from rosa_pddl.domain import Domain, Step
 from rosa_pddl.exceptions import MissingBehaviourError, UnknownNameError, nearest
 
-__all__ = ["Factory", "RunningStep", "check_factories"]
+__all__ = ["Factory", "Interlude", "RunningStep", "check_factories"]
 
 Factory = Callable[[Step], Behaviour]
 
@@ -114,6 +114,50 @@ class RunningStep:
             self.behaviour.logger.error(f"{type(error).__name__} in terminate of {self.step}: {error}")
             for node in self.behaviour.iterate():
                 node.status = Status.INVALID
+
+
+class Interlude:
+    """What is done between two steps while a plan is made: a behaviour made of the step before.
+
+    Args:
+        factory: makes it; None for nothing.
+        parent: the behaviour that ticks it.
+    """
+
+    def __init__(self, factory: Factory | None, parent: Behaviour) -> None:
+        self._factory, self._parent = factory, parent
+        self._after: Step | None = None
+        self._running: RunningStep | None = None
+
+    @property
+    def behaviours(self) -> list[Behaviour]:
+        """The behaviour that runs, if one does."""
+        return [] if self._running is None else [self._running.behaviour]
+
+    def follow(self, step: Step) -> None:
+        """Note that a step is over: what is done next would be made of that one."""
+        self._after = step
+
+    def go_on(self, arguments: Mapping[str, object]) -> list[Behaviour]:
+        """Tick it, and begin it if that is due; return the nodes that were ticked. Once it has ended, that is it."""
+        before = None
+        if self._factory is not None and self._after is not None:
+            before, after, self._after = self._running, self._after, None
+            self._running = RunningStep(after, self._factory, None, self._parent, arguments)
+        if self._running is None:
+            return []
+        status, _, ticked = self._running.tick()
+        if status != Status.RUNNING:
+            self.end()
+        if before is not None:
+            before.release()
+        return ticked
+
+    def end(self) -> None:
+        """Let go of it."""
+        running, self._running, self._after = self._running, None, None
+        if running is not None:
+            running.release()
 
 
 def _made(factory: Factory, step: Step) -> Behaviour:
