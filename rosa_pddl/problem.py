@@ -48,7 +48,7 @@ class Problem:
         for text, value in sorted(self.costs.items()):
             expression = self.domain.expression(self.domain.atom(text))
             if problem.has_fluent(expression.fluent().name):
-                told = exact(value) if self.domain.resources else Fraction(value).limit_denominator(1000)
+                told = exact(value) if self.domain.limited else Fraction(value).limit_denominator(1000)
                 problem.set_initial_value(expression, told)
         for goal in (*self.wanted, *limits_of(self.domain)):
             problem.add_goal(goal)
@@ -70,7 +70,7 @@ def exact(value: float | Fraction) -> Exact:
 def limits_of(domain: Domain) -> Iterator[UpThing]:
     """Yield what the limits of resources say, as unified-planning's expressions."""
     manager = domain.up_problem.environment.expression_manager
-    for resource in domain.resources:
+    for resource in domain.limited:
         for limit in resource.limits:
             compare = manager.LT if limit.is_strict else manager.LE
             yield compare(resource.fluent, limit.amount)
@@ -110,7 +110,7 @@ def _sequential(domain: Domain) -> UpThing:
     problem = UpProblem(read.name, read.environment, initial_defaults=defaults)
     problem.add_objects(read.all_objects)
     metric = action_costs(domain)
-    has_numbers = metric is not None or bool(domain.resources)
+    has_numbers = metric is not None or bool(domain.limited)
     for fluent in read.fluents:
         # numbers that nothing needs would only keep engines from taking the problem
         if fluent.type.is_bool_type() or has_numbers:
@@ -164,7 +164,7 @@ def _instantaneous(action: UpThing, domain: Domain) -> UpThing:
         message = f"the effects of {schema.name} contradict one another when it is made instantaneous: {error}"
         file, line = domain.places.get(("action", schema.name), (domain.file, None))
         raise UnsupportedPddlError(message, file, line) from error
-    for resource in domain.resources:
+    for resource in domain.limited:
         if schema.name in resource.uses:
             made.add_increase_effect(resource.fluent, resource.uses[schema.name])
     return made

@@ -14,7 +14,7 @@ from rosa_pddl.planning.grounding import lock_of
 from rosa_pddl.planning.labelling import LABEL_SETTING, TRANSLATED
 from rosa_pddl.planning.outcomes import Outcome, TimedStep
 from rosa_pddl.planning.processes import Leash
-from rosa_pddl.problem import Problem
+from rosa_pddl.problem import Problem, limits_of
 
 __all__ = ["asked", "missing", "register_engine"]
 
@@ -149,4 +149,6 @@ def _timed(problem: Problem) -> Any:  # noqa: ANN401  # unified-planning ships n
         read.clear_goals()
         for goal in problem.goals:
             read.add_goal(goal)
+    for limit in limits_of(domain):
+        read.add_goal(limit)
     return read
