@@ -166,7 +166,7 @@ class Task:
         self._known = known
         self.limited = tuple(name for name in GOALS if name in question.limits)
         self._indices = tuple(GOALS.index(name) for name in self.limited)
-        self.limits = tuple(_whole(question.limits[name] * _UNITS[name][1]) for name in self.limited)
+        self.limits = tuple(_counted_up_to(question.limits[name] * _UNITS[name][1]) for name in self.limited)
         self._weighed = weighing(question.weights)
         self._nowhere = math.inf, (math.inf,) * len(self.limited)
         self._priced: dict[str, list[tuple[Mode, Amounts, int]]] = {}
@@ -276,7 +276,7 @@ class Task:
         return Graph(self.moves, lambda state: state[0] == Place(self.goal), self.least)
 
 
-def _whole(limit: float) -> int:
+def _counted_up_to(limit: float) -> int:
     return math.floor(min(limit + 1e-6, sys.float_info.max))
 
 

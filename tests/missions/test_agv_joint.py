@@ -99,13 +99,15 @@ def test_exhaustive_search_agrees_also_within_limits(seed, weighed_by, part, lim
 
 
 @settings(max_examples=60)
-@given(st.integers(0, 10_000), st.integers(2, 12), st.integers(0, 2))
-def test_least_is_never_more_than_what_is_left(seed, places, more):
+@given(st.integers(0, 10_000), st.integers(2, 12), st.integers(0, 2), st.sampled_from([None, 0.0, 0.3, 1.0]))
+def test_least_is_never_more_than_what_is_left(seed, places, more, part):
     try:
         building = generated_building(default_rng(seed), places, places - 1 + more)
     except BuildingError:
         return
-    task = JointPlanner(building, known()).task(Question(weights=WEIGHTS, limits={"energy": 1e6}))
+    inside = building.corridors["c1"]
+    start = None if part is None else Place(inside.ends[0], "c1", part * inside.length_m)
+    task = JointPlanner(building, known()).task(Question(start, weights=WEIGHTS, limits={"energy": 1e6}))
     states = [task.start]
     for state in states[:40]:
         here, (here_j,) = task.least(state)
