@@ -103,7 +103,7 @@ def happen(car, event, value):
         car.kb.component_failed("tyre")
 
 
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(events=EVENTS, does_mend=st.booleans(), tools=st.sampled_from(["jack", "glue jack"]))
 def test_whatever_happens_no_hope_is_tried_twice_while_the_same_is_in_the_way(roads, events, does_mend, tools):
     car = Car(roads[tools, ""])
@@ -118,7 +118,7 @@ def test_whatever_happens_no_hope_is_tried_twice_while_the_same_is_in_the_way(ro
     assert car.begun().count("mend") <= (cleared + 1) * len(tools.split())
 
 
-@settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(events=EVENTS)
 def test_whatever_happened_the_goal_is_reached_once_mending_is_all_it_takes(roads, events):
     car = Car(roads["jack", ""])
@@ -305,7 +305,7 @@ def cheapest(domain, state, doubted):
 FACTS = ("(action_feasible drive)", "(action_feasible mend)", "(path home goal)", "(drive_action mend)", "(used jack)")
 
 
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     tools=st.sets(st.sampled_from(["glue", "jack"])),
     facts=st.sets(st.sampled_from(FACTS)),
