@@ -1,8 +1,8 @@
 """The building as a world of missions; the simulator is imported when a mission is run in it, not before."""
 
 import math
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
 
 import numpy as np
 from numpy.random import Generator
@@ -17,9 +17,6 @@ from missions.agv.settings import Incident, Settings, described, incidents, sett
 from missions.agv.steering import Aim, Array, aim_along, steer
 from missions.mission import Message, Sample, Setting, Verdict, World, WorldKind
 from missions.senses import Senses
-
-if TYPE_CHECKING:
-    pass
 
 __all__ = ["AgvKind", "BuildingWorld"]
 
@@ -46,7 +43,7 @@ class BuildingWorld(World):
             building, boxes(building, rng), (*start, rng.uniform(-math.pi, math.pi)), settings.physics_step_s
         )
         self._components = Components({**DRAW_W, "base": 0.0, NAVIGATOR: 0.0}, settings, lambda: self.now)
-        self._waiting = {one: rng.uniform(0.25, 0.6) for one in incidents(settings.incidents, building)}
+        self._waiting = _placed(incidents(settings.incidents, building), rng)
         self._light = {corridor.name: corridor.light for corridor in building.corridors.values()}
         self._ticks = 0
         self._at, self._inside, self._way = building.start, "", [building.start]
@@ -60,6 +57,7 @@ class BuildingWorld(World):
         self._happened: list[tuple[float, str]] = []
         self._monitor_due = 0.0
         self._say("mission status", f"at {self._at}", "true")
+        self._say("QA measurement", "energy", repr(self._energy_j))
 
     @property
     def now(self) -> float:
@@ -128,9 +126,10 @@ class BuildingWorld(World):
         self._energy_j = max(0.0, self._energy_j - self._draws_w(aim is not _STAND) * self._settings.control_period_s)
         self._driven_total_m += math.dist(before, self._vehicle.position)
         self._look_where_it_is()
-        for one in [one for one, part in self._waiting.items() if self._is_due(one, part)]:
-            del self._waiting[one]
-            self._happen(one)
+        due = [(one, part) for one, part in self._waiting if self._is_due(one, part)]
+        for one in due:
+            self._waiting.remove(one)
+            self._happen(one[0])
 
     def _take_orders(self) -> None:
         """Take over where to drive: to the origin first, unless the vehicle is there or in that corridor already."""
@@ -239,6 +238,15 @@ class BuildingWorld(World):
         speed = next((name for name, value in SPEEDS.items() if value == self._speed), "")
         base_w = DRIVING_W[speed] if is_driving and speed else self._settings.standing_w
         return base_w + sum(watts for name, watts in DRAW_W.items() if self._components.is_active(name))
+
+
+def _placed(wanted: Sequence[Incident], rng: Generator) -> list[tuple[Incident, float]]:
+    """Choose in which part of its corridor each happens; those in one corridor happen in the order given."""
+    parts: dict[str, list[float]] = {}
+    for one in wanted:
+        parts.setdefault(one.corridor, []).append(rng.uniform(0.25, 0.6))
+    in_order = {corridor: iter(sorted(some)) for corridor, some in parts.items()}
+    return [(one, next(in_order[one.corridor])) for one in wanted]
 
 
 class AgvKind(WorldKind):
