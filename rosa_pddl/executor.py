@@ -31,8 +31,8 @@ class PlanExecutor(Behaviour):
     It plans anew when a running step needs what does not hold any more, when a step fails, when the rest of the plan
     does not lead to the goals any more, when the goals change, and, if the policy says so, when something better may be
     possible. Feasibility is always the knowledge base's: the effects of a finished step are believed until sensed
-    otherwise, those on `action_feasible` never; a step that did not bring such an effect about is not relied upon for it
-    again as long as what was in the way still is.
+    otherwise, those on `action_feasible` never. A step that did not bring such an effect about is not relied upon for
+    it again as long as what was in the way still is.
 
     Args:
         name: of the behaviour.
