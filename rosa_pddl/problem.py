@@ -11,6 +11,9 @@ from rosa_pddl.exceptions import UnsupportedPddlError
 Exact: TypeAlias = int | Fraction
 """A number that is added up and compared without rounding."""
 
+# Below this a float that is whole is the whole number that is written.
+_ALL_WHOLE = 2**53
+
 
 @dataclass(frozen=True)
 class Problem:
@@ -63,6 +66,8 @@ def exact(value: float | Fraction) -> Exact:
     """
     if isinstance(value, int):
         return value
+    if isinstance(value, float) and value.is_integer() and abs(value) < _ALL_WHOLE:
+        return int(value)
     told = value if isinstance(value, Fraction) else Fraction(str(float(value)))
     return told.numerator if told.denominator == 1 else told
 

@@ -4,14 +4,11 @@ After Desrochers and Soumis, "A generalized permanent labelling algorithm for th
 windows", INFOR 26, 1988.
 """
 
-import json
 import pickle
 import sys
 from collections.abc import Sequence
 from fractions import Fraction
-from math import inf
 from pathlib import Path
-from typing import Any
 
 from rosa_pddl.exceptions import UnsupportedPddlError
 from rosa_pddl.planning.downward import SEARCHES, Answer, Trouble, install_advice
@@ -52,18 +49,19 @@ def label_search(
         Cut: the leash was cut.
     """
     task, scales = task_of(grounded.fitted(problem), problem, uses)
-    command = [sys.executable, "-I", "-S", str(Path(__file__).with_name("labelling_child.py"))]
+    folder = Path(__file__).parent
+    command = [sys.executable, "-I", "-S", str(folder / "labelling_child.py"), str(folder.parent), str(folder)]
     try:
         ended = leash.run(command, given=pickle.dumps(task), limit_s=limit_s, memory_bytes=memory_bytes)
     except OSError as error:
         message = f"no process for it can be started ({error}); {install_advice()}"
         raise Trouble(Outcome.ENGINE_MISSING, message) from error
-    answer = _read(ended, limit_s)
-    if "plan" in answer:
-        return Answer(Outcome.SOLVED_OPTIMALLY, tuple(answer["plan"]))
-    if not scales or inf in answer["least"]:
+    kind, numbers = _read(ended, limit_s)
+    if kind == "plan":
+        return Answer(Outcome.SOLVED_OPTIMALLY, tuple(map(int, numbers)))
+    if not scales or "inf" in numbers:
         return Answer(Outcome.UNSOLVABLE_PROVEN)
-    least = [Fraction(amount, scale) for amount, scale in zip(answer["least"], scales, strict=True)]
+    least = [Fraction(int(amount), scale) for amount, scale in zip(numbers, scales, strict=True)]
     return Answer(Outcome.UNSOLVABLE_PROVEN, why=_why_not(problem, least, uses))
 
 
@@ -113,14 +111,14 @@ def _operation(ready: Ready, cost: int, uses: Sequence[int]) -> Operation:
     return Operation(ready.number, tuple(sorted({*ready.prevail, *before})), effects, cost, tuple(uses))
 
 
-def _read(ended: Ended, limit_s: float) -> dict[str, list[Any]]:
+def _read(ended: Ended, limit_s: float) -> tuple[str, list[str]]:
+    """Return what kind of answer it is, and its numbers."""
     if ended.is_late:
         raise Trouble(Outcome.OUT_OF_TIME, f"no answer after {limit_s:.3g} s; allow more time or ask for less")
-    try:
-        answer: dict[str, list[Any]] = json.loads(ended.output)
-    except ValueError as error:
-        message = f"the search ended with exit code {ended.code} and no answer. It said: {ended.last_words}"
-        raise Trouble(Outcome.ENGINE_CRASHED, message) from error
-    if not answer:
+    kind, *numbers = ended.output.decode(errors="replace").split() or [""]
+    if kind == "memory":
         raise Trouble(Outcome.OUT_OF_MEMORY, "the search ran out of memory; allow more or ask for less")
-    return answer
+    if kind not in ("plan", "least"):
+        message = f"the search ended with exit code {ended.code} and no answer. It said: {ended.last_words}"
+        raise Trouble(Outcome.ENGINE_CRASHED, message)
+    return kind, numbers

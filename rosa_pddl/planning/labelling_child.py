@@ -1,30 +1,30 @@
-"""Runs the exact search in a process of its own: a task comes in pickled, the answer goes out as JSON.
+"""Runs the exact search in a process of its own: a task comes in pickled, the answer goes out as a line of numbers.
 
-It is started as a program, and imports of this package only what the search needs: the rest would take longer than
-most searches do.
+It is started as a program, with the folders of this package and of its part for planning, and imports of them only what
+the search needs: the rest would take longer than most searches do.
 """
 
-import json
 import pickle
 import sys
-from pathlib import Path
 from types import ModuleType
 
 
 def main() -> None:
     """Read one task, search, write one answer."""
-    for name, folder in (("rosa_pddl", Path(__file__).parents[1]), ("rosa_pddl.planning", Path(__file__).parent)):
+    for name, folder in zip(("rosa_pddl", "rosa_pddl.planning"), sys.argv[1:], strict=True):
         package = sys.modules[name] = ModuleType(name)
-        package.__path__ = [str(folder)]
+        package.__path__ = [folder]
     from rosa_pddl.planning.sas_search import found_in, least_uses
 
     try:
         task = pickle.load(sys.stdin.buffer)
         found = found_in(task)
-        answer = {"least": least_uses(task)} if found is None else {"plan": [move.what for move in found.moves]}
+        if found is None:
+            print("least", *least_uses(task))
+        else:
+            print("plan", *(move.what for move in found.moves))
     except MemoryError:
-        answer = {}
-    json.dump(answer, sys.stdout)
+        print("memory")
 
 
 if __name__ == "__main__":

@@ -4,7 +4,6 @@ All numbers are whole, so sums are exact and so are comparisons with a limit.
 """
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from heapq import heapify, heappop, heappush
 from math import inf
 from operator import add, gt, le
@@ -25,8 +24,7 @@ class Move(NamedTuple, Generic[S, T]):
     what: T
 
 
-@dataclass(frozen=True)
-class Graph(Generic[S, T]):
+class Graph(NamedTuple, Generic[S, T]):
     """What is searched.
 
     Attributes:
