@@ -116,7 +116,7 @@ def _read(ended: Ended, limit_s: float) -> tuple[str, list[str]]:
     if ended.is_late:
         raise Trouble(Outcome.OUT_OF_TIME, f"no answer after {limit_s:.3g} s; allow more time or ask for less")
     kind, *numbers = ended.output.decode(errors="replace").split() or [""]
-    if kind == "memory":
+    if MemoryError.__name__ in ended.last_words:
         raise Trouble(Outcome.OUT_OF_MEMORY, "the search ran out of memory; allow more or ask for less")
     if kind not in ("plan", "least"):
         message = f"the search ended with exit code {ended.code} and no answer. It said: {ended.last_words}"

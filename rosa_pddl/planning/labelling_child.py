@@ -16,15 +16,12 @@ def main() -> None:
         package.__path__ = [folder]
     from rosa_pddl.planning.sas_search import found_in, least_uses
 
-    try:
-        task = pickle.load(sys.stdin.buffer)
-        found = found_in(task)
-        if found is None:
-            print("least", *least_uses(task))
-        else:
-            print("plan", *(move.what for move in found.moves))
-    except MemoryError:
-        print("memory")
+    task = pickle.load(sys.stdin.buffer)
+    found = found_in(task)
+    if found is None:
+        print("least", *least_uses(task))
+    else:
+        print("plan", *(move.what for move in found.moves))
 
 
 if __name__ == "__main__":
