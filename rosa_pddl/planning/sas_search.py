@@ -76,7 +76,7 @@ def found_in(task: Task) -> Found[State, int] | None:
 
 
 def least_uses(task: Task) -> tuple[float, ...]:
-    """Return at least what each resource is needed to reach the goal; infinite if it is out of reach anyway."""
+    """Return how much of each resource it takes at least to reach the goal; infinite if that is out of reach."""
     graph = SasGraph(task)
     return graph.least(graph.start)[1]
 
