@@ -107,17 +107,6 @@ def test_lift_gives_way_before_the_vehicle_loses_its_balance(thrust, torques):
     assert ARM_M * (-one + two + three - four) == pytest.approx(torques[1], abs=1e-9)
 
 
-def test_overloaded_vehicle_sinks_but_stays_upright():
-    vehicle = Quadrotor(Settings(gravity_m_s2=12, rotor_limit_n=5.5), (0.0, 4.0))
-    vehicle.go_to((20.0, 0.0, 5.0))
-    flown(vehicle, 4)
-    vehicle.carry(0.5)  # 24 N, and the rotors lift 22
-    for _ in range(100):
-        flown(vehicle, 0.1)
-        assert mast(vehicle.data.qpos[3:7].tolist())[2][2] > math.cos(math.radians(45))
-    assert vehicle.altitude < 0.1
-
-
 def test_wind_that_would_blow_it_away_is_refused_and_the_strongest_that_is_not_is_flown_in():
     with pytest.raises(MissionError, match=r"push with 8 N .* against 4.5 N; set drag or wind_m_s lower"):
         Quadrotor(Settings(drag=2), (0.0, 4.0))

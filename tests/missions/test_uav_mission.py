@@ -160,6 +160,12 @@ def test_battery_that_charges_faster_than_it_is_measured_is_charged_once_each_ti
     assert data["recharged_times"] == names(data).count(RETURN) == 1
 
 
+def test_vehicle_with_hardly_any_thrust_to_spare_flies_fast_in_a_strong_wind_without_tumbling():
+    changed = {"rotor_limit_n": 5.5, "gravity_m_s2": 12, "sample_kg": 0.1, "wind_m_s": 4, "drag": 1, "speed_m_s": 5}
+    _, verdict, _ = run_mission("uav", "bt", 1, climb_m_s=3, duration_s=500, **changed)
+    assert verdict.success
+
+
 def test_mission_that_runs_out_of_time_is_no_success():
     _, verdict, _ = run_mission("uav", duration_s=40)
     assert verdict.outcome == "aborted"
