@@ -8,19 +8,16 @@ from missions.agv.building import Building
 from missions.agv.joint import Answer, JointPlanner, Leg, Place, Question, Task
 from missions.senses import Senses
 
-__all__ = ["DARK", "RESERVE", "Route"]
+__all__ = ["RESERVE", "Route"]
 
 _DAYLIGHT: Final = 1.0
-
-DARK: Final = 0.1
-"""How light it is where the lamps of a corridor have gone out, from 0 to 1; own choice."""
 
 RESERVE: Final = 0.1
 """Part of the energy that is not planned with, as driving round what stands in the way takes more; own choice."""
 
 
 class Route:
-    """Knows where the robot is, what has failed and where it has become dark; plans when one of these changes.
+    """Knows where the robot is, what has failed and where the light has changed; plans when one of these changes.
 
     Args:
         building: the map.
@@ -83,7 +80,7 @@ class Route:
         energy_j, driven_m = (self.kb.attributes[name].value for name in ("energy", "driven"))
         limits = {} if energy_j is None else {"energy": (1.0 - RESERVE) * max(0.0, energy_j)}
         place = Place(self.at, self.inside, driven_m or 0.0) if self.inside else Place(self.at)
-        return Question(place, None, self._weights, limits, dict.fromkeys(self._dark, DARK))
+        return Question(place, None, self._weights, limits, self._light)
 
     @property
     def inside(self) -> str:
@@ -96,7 +93,7 @@ class Route:
         corridor = self.building.corridors.get(self.inside)
         if corridor is None:
             return {"obstacles": 0.0, "light": _DAYLIGHT}
-        return {"obstacles": 0.0, "light": DARK if corridor.name in self._dark else corridor.light}
+        return {"obstacles": 0.0, "light": self._light.get(corridor.name, corridor.light)}
 
     @property
     def revision(self) -> tuple[object, ...]:
@@ -105,10 +102,12 @@ class Route:
 
     @property
     def believed(self) -> tuple[object, ...]:
-        """Where the robot is, what has failed and where it has become dark: what plans depend on."""
+        """Where the robot is, what has failed and where the light has changed: what plans depend on."""
         failed = [name for name in self.kb.components if self.kb.components[name].status is Status.FAILURE]
-        return (self.at, self.inside, *failed, *self._dark)
+        return (self.at, self.inside, *failed, *self._light.items())
 
     @property
-    def _dark(self) -> list[str]:
-        return [name for name in self.building.corridors if self._senses.holds(f"dark {name}")]
+    def _light(self) -> Mapping[str, float]:
+        """Return how light it was found to be in corridors, where that was told."""
+        told = {name: self._senses.value(f"light in {name}") for name in self.building.corridors}
+        return {name: light for name, light in told.items() if light is not None}

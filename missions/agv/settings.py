@@ -25,7 +25,7 @@ class Settings(Constants):
         _PAPER,
     )
     capacity_j: float = setting(20_000.0, "J", "energy at the start", _OWN, 1.0)
-    physics_step_s: float = setting(0.01, "s", "step of the physics engine", _OWN, 1e-3)
+    physics_step_s: float = setting(0.01, "s", "step of the physics engine", _OWN, 1e-3, 0.01)
     control_period_s: float = setting(0.1, "s", "period of looking and steering", _OWN, 1e-2)
     monitor_period_s: float = setting(0.5, "s", "period of the monitors of light, energy and position", _OWN, 0.1)
     switching_s: float = setting(0.5, "s", "time that starting or stopping a component takes", _OWN, 0.0)

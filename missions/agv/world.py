@@ -11,7 +11,7 @@ from kb import KnowledgeBase, ManagedSystem
 from missions.agv.building import Building
 from missions.agv.components import Components
 from missions.agv.model import DRAW_W, DRIVING_W, ERROR_M, NAVIGATOR, NEEDED_LIGHT, SPEEDS
-from missions.agv.route import DARK, Route
+from missions.agv.route import Route
 from missions.agv.scene import boxes
 from missions.agv.settings import Incident, Settings, described, incidents, settings_from
 from missions.agv.steering import Aim, Array, aim_along, steer
@@ -22,6 +22,7 @@ __all__ = ["AgvKind", "BuildingWorld"]
 
 _STAND: Final = Aim(0.0, 0.0)
 _ERROR_KEEPS: Final = 0.98  # of the error of the position, from one look to the next
+_DARK: Final = 0.1  # where the lamps of a corridor have gone out, from 0 to 1; own choice
 _WELL_INSIDE_M: Final = 1.0  # from there on the robot is in a corridor, no longer at a place
 
 
@@ -205,9 +206,9 @@ class BuildingWorld(World):
             self._say("mission status", f"{one.component} failed", str(is_failed).lower())
             self._happened.append((self.now, f"{one.component} {'failed' if is_failed else 'recovered'}"))
             return
-        self._light[one.corridor] = DARK if one.what == "dark" else 1.0
+        self._light[one.corridor] = _DARK if one.what == "dark" else 1.0
         self._say("EA measurement", "light", repr(self._light_here))
-        self._say("mission status", f"dark {one.corridor}", str(one.what == "dark").lower())
+        self._say("mission status", f"light in {one.corridor}", repr(self._light[one.corridor]))
         self._happened.append((self.now, f"light in {one.corridor} goes {'out' if one.what == 'dark' else 'on'}"))
 
     def _monitor(self) -> None:

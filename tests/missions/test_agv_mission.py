@@ -184,10 +184,11 @@ def test_defaults_of_the_settings_are_allowed():
     assert settings_from({}).capacity_j == 20_000.0
 
 
-def told(*messages):
-    """Return senses that have heard what is so."""
+def told(*messages, **values):
+    """Return senses that have heard what is so, and what has which value."""
     senses = Senses()
-    senses.receive({"status": [{"message": "mission status", "values": dict.fromkeys(messages, "true")}]})
+    heard = dict.fromkeys(messages, "true") | {name.replace("_in_", " in "): value for name, value in values.items()}
+    senses.receive({"status": [{"message": "mission status", "values": heard}]})
     return senses
 
 
@@ -211,14 +212,23 @@ def test_plan_of_steps_costs_what_the_joint_plan_costs(seed, places, failed, dat
         kb.component_failed(name)
     where = data.draw(st.sampled_from([None, *building.corridors.values()]))
     heard = [] if where is None else [f"at {data.draw(st.sampled_from(where.ends))}", f"in {where.name}"]
-    heard += [f"dark {name}" for name in data.draw(st.sets(st.sampled_from(sorted(building.corridors)), max_size=2))]
+    changed = data.draw(st.dictionaries(st.sampled_from(sorted(building.corridors)), st.floats(0.0, 1.0), max_size=2))
+    lights = {f"light_in_{name}": light for name, light in changed.items()}
     kb.measure("driven", data.draw(st.floats(0.0, 20.0)))
     if data.draw(st.booleans()):
         kb.measure("energy", data.draw(st.floats(0.0, 6000.0)))
-    result, answer = planned_and_joint(building, kb, told(*heard), Planner("label-setting", warm=False))
+    result, answer = planned_and_joint(building, kb, told(*heard, **lights), Planner("label-setting", warm=False))
     assert result.outcome.is_solved == answer.is_solved
     if answer.is_solved:
         assert result.cost == answer.cost
+
+
+def test_light_that_comes_on_in_a_corridor_dark_on_the_map_is_planned_with():
+    building = building_from(straight(light=0.1))
+    kb = KnowledgeBase(building_model(building), clock=lambda: 0.0)
+    dark, lit = (Route(building, kb, senses, {"energy": 1.0}).answer for senses in (told(), told(light_in_c1=1.0)))
+    assert [answer.legs[0].mode.name.split()[0] for answer in (dark, lit)] == ["aruco_camera_lamp", "aruco_camera"]
+    assert lit.cost < dark.cost
 
 
 def test_names_of_a_map_never_clash_with_those_of_the_plan():
