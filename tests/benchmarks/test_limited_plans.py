@@ -17,7 +17,7 @@ from rosa_pddl import Declarations, Outcome, Planner, Problem, initial_state
 
 pytestmark = pytest.mark.benchmark
 
-SIZES = ((58, 70), (250, 310))
+SIZES = ((20, 26), (58, 70))
 QUESTIONS = 20
 LIMITED = ("energy", "collisions")
 
