@@ -2,7 +2,7 @@
 
 from kb.diagnostics import DiagnosticProblem
 from kb.elements import AttributeKind, ComponentKind, EstimationKind, Expression, StalePolicy
-from kb.events import Event, EventKind, StatusChange
+from kb.events import Event, EventKind, StatusChange, Told
 from kb.exceptions import AmbiguousName, DuplicateName, InvalidValue, KnowledgeBaseError, ModelError, UnknownName
 from kb.execution.attempts import Attempt
 from kb.execution.condemned import Condemnation
@@ -74,6 +74,7 @@ __all__ = [
     "Status",
     "StatusChange",
     "StoreError",
+    "Told",
     "UnknownName",
     "VetoAnswer",
 ]

@@ -5,13 +5,13 @@ from collections import deque
 from collections.abc import Callable
 from enum import StrEnum
 from threading import get_ident
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from kb.exceptions import InvalidValue
 from kb.reconfiguration import ReconfigurationPlan
 from kb.status import Status
 
-__all__ = ["Event", "EventKind", "Publisher", "StatusChange"]
+__all__ = ["Event", "EventKind", "Publisher", "StatusChange", "Told"]
 
 _log = logging.getLogger(__name__)
 
@@ -33,8 +33,21 @@ class StatusChange(NamedTuple):
     new: Status
 
 
+class Told(NamedTuple):
+    """What was told, as data: `getattr(kb, verb)(*arguments)` tells it again.
+
+    Attributes:
+        verb: name of the method of the knowledge base, e.g. "measure".
+        arguments: all of them, in its order, those that were left out too: names as in the model, numbers, reasons
+            and times exactly, and what `assert_status` and its like are about as the element of the model.
+    """
+
+    verb: str
+    arguments: tuple[Any, ...]
+
+
 class Event(NamedTuple):
-    """Something was told to the knowledge base.
+    """Something was told to the knowledge base, or has become so with time.
 
     Attributes:
         kind: one of the three kinds.
@@ -43,6 +56,8 @@ class Event(NamedTuple):
         text: what, in words, e.g. "light is 0.3" or "gripper has failed".
         changes: the statuses that changed because of it.
         plan: the plan, for a reconfiguration plan.
+        told: the same as `text`, as data; None if nobody told it: time did it, the model was amended, or the store
+            says how it is.
     """
 
     kind: EventKind
@@ -51,6 +66,7 @@ class Event(NamedTuple):
     text: str
     changes: tuple[StatusChange, ...] = ()
     plan: ReconfigurationPlan | None = None
+    told: Told | None = None
 
 
 class Publisher:

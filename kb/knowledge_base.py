@@ -11,7 +11,7 @@ from kb.amendments import Changeable
 from kb.beginning import past_plan, past_process, past_request, stated
 from kb.declarations import text
 from kb.elements import Action, Attribute, Component, Constraint, Element, Estimation, finite_number
-from kb.events import Event, EventKind
+from kb.events import Event, EventKind, Told
 from kb.exceptions import InvalidValue, KnowledgeBaseError
 from kb.explanation.reasons import why, why_selected
 from kb.facts import Fact, MeasurementFact, PlanFact, ProcessFact, RequiredActionFact
@@ -19,7 +19,7 @@ from kb.inference.growth import grown, shrunk
 from kb.inference.network import Network, Node, is_steady
 from kb.inference.settling import settle
 from kb.model import Model
-from kb.reconfiguration import ReconfigurationPlan, Selection, planned, reselect
+from kb.reconfiguration import ReconfigurationPlan, Selection, by_whole, planned, reselect
 from kb.requests import Reply, RequiredAction, check_result
 from kb.situation import Situation, assumptions, told_of
 from kb.status import Status
@@ -119,7 +119,8 @@ class KnowledgeBase(Keeping):
             self._history.append(self._open[action])
             self._journal.enter(now, self._known, (), [self._open[action]])
             self._known.requested[node.index] = True
-            self._tell(EventKind.ACTION_UPDATE, now, node, lambda: f"{action} is requested")
+            told = f"{action} is requested", Told("request_action", (action, preference))
+            self._tell(EventKind.ACTION_UPDATE, now, node, lambda: told)
             return Reply(True, f"{action} is required")
 
     def cancel_action(self, action: str, result: str = "abandoned", reason: str = "") -> None:
@@ -146,7 +147,8 @@ class KnowledgeBase(Keeping):
             words = f"{action} is {result}: {reason}" if reason else f"{action} is {result}"
             if reason:
                 self._ended.append(words)
-            self._tell(EventKind.ACTION_UPDATE, now, node, lambda: words)
+            told = Told("cancel_action", (action, result, reason))
+            self._tell(EventKind.ACTION_UPDATE, now, node, lambda: (words, told))
 
     def __repr__(self) -> str:
         return f"<KnowledgeBase {self.model.name!r}: {told_of(self._known)}>"
@@ -215,8 +217,9 @@ class KnowledgeBase(Keeping):
             for node in reselected:
                 self._known.give_reason("selected", node, reason if self._known.selected[node.index] else "")
                 self._known.give_reason("unselected", node.wholes[0])
+            told = Told("select", (by_whole(chosen), by_whole(given), reason))
             if not selection:
-                self._selected(now, reselected, selection)
+                self._selected(now, reselected, selection, told)
                 return None
             plan = planned(self._known, selection, why_these, now)
             self._ended.clear()
@@ -225,10 +228,10 @@ class KnowledgeBase(Keeping):
             self._journal.enter(now, self._known, reselected, [plan])
             if self._publisher:
                 changes = status_changes(selection.changes)
-                self._publisher.publish(Event(EventKind.RECONFIGURATION_PLAN, now, "", str(plan), changes, plan))
+                self._publisher.publish(Event(EventKind.RECONFIGURATION_PLAN, now, "", str(plan), changes, plan, told))
             return plan
 
-    def _selected(self, now: float, nodes: Iterable[Node], selection: Selection) -> None:
+    def _selected(self, now: float, nodes: Iterable[Node], selection: Selection, told: Told) -> None:
         """Take note of a selection that needs no plan."""
         self._journal.enter(now, self._known, nodes)
         turns = Counter(selection.reselected)  # what is selected and obsolete at once is as it was
@@ -238,10 +241,10 @@ class KnowledgeBase(Keeping):
         self._revision += 1
         if self._publisher:
             selected = self._known.selected
-            words = [f"{one.name} is {'' if selected[one.index] else 'not '}selected" for one in changed]
+            text = ", ".join(f"{one.name} is {'' if selected[one.index] else 'not '}selected" for one in changed)
             subject = changed[0].name if len(changed) == 1 else ""
-            told = status_changes(selection.changes)
-            self._publisher.publish(Event(EventKind.MONITORING_DATA, now, subject, ", ".join(words), told))
+            changes = status_changes(selection.changes)
+            self._publisher.publish(Event(EventKind.MONITORING_DATA, now, subject, text, changes, told=told))
 
     @property
     def plans(self) -> tuple[ReconfigurationPlan, ...]:
@@ -373,12 +376,11 @@ class KnowledgeBase(Keeping):
         elements = [one for one in changed if not isinstance(one, Estimation)]
         name = elements[0].name if elements and isinstance(elements[0], Element) else ""
         text = f"{', '.join(one.name if isinstance(one, Element) else str(one) for one in elements)} {how} in the model"
-        changes = settle(self._known, touched)
+        changes = status_changes(settle(self._known, touched))
         self._journal.amended(self._clock(), how, changed, self._known, touched)
         self._revision += 1
         if self._publisher and elements:
-            now = self._clock()
-            self._publisher.publish(Event(EventKind.MONITORING_DATA, now, name, text, status_changes(changes)))
+            self._publisher.publish(Event(EventKind.MONITORING_DATA, self._clock(), name, text, changes))
 
     def _preference(self, given: str | Mapping[str, float] | None) -> str | Mapping[str, float] | None:
         if not isinstance(given, Mapping):

@@ -1,13 +1,14 @@
 """Reconfiguration plans: from what is selected now to what shall be, and what has to be switched on the way."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import NamedTuple
 
 from kb.elements import Component, ComponentKind
 from kb.inference.settling import Change, Node, State, settle
 
-__all__ = ["Obsolete", "ReconfigurationPlan", "Selection", "obsolete", "plain", "planned", "reselect"]
+__all__ = ["Obsolete", "ReconfigurationPlan", "Selection", "by_whole", "obsolete", "plain", "planned", "reselect"]
 
 
 class Obsolete(NamedTuple):
@@ -108,6 +109,11 @@ def reselect(state: State, designs: Iterable[Node], configurations: Iterable[Nod
         changes=tuple(changes),
         reselected=(*changed, *newly_configured, *unselected),
     )
+
+
+def by_whole(chosen: Iterable[Node]) -> Mapping[str, str]:
+    """Return the names of designs or configurations, by name of the function or component that each is of."""
+    return MappingProxyType({node.wholes[0].name: node.name for node in chosen})
 
 
 def planned(state: State, selection: Selection, reason: str, now: float) -> ReconfigurationPlan:

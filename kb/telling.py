@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Iterable
 from kb.declarations import text as checked_text
 from kb.diagnostics import DiagnosticProblem, Measurement, read_diagnostics
 from kb.elements import Constraint, Element, finite_number
-from kb.events import Event, EventKind, Publisher, StatusChange
+from kb.events import Event, EventKind, Publisher, StatusChange, Told
 from kb.exceptions import InvalidValue, KnowledgeBaseError
 from kb.explanation.reasons import shortest
 from kb.history import History
@@ -65,7 +65,7 @@ class Telling(Recording):
             touched = self._measurements.take(node, number, now)
             if self._journal.keeps_measurements:
                 self._journal.measured(node.name, number, now)
-            self._tell(EventKind.MONITORING_DATA, now, node, lambda: self._reading(node, number), touched, plain=True)
+            self._tell(EventKind.MONITORING_DATA, now, node, lambda: self._said_of(node, number), touched, plain=True)
 
     def component_failed(self, component: str, reason: str = "") -> None:
         """Tell that a component has failed.
@@ -99,7 +99,8 @@ class Telling(Recording):
             self._known.active[node.index] = running
             self._known.give_reason("active", node, "" if running else reason)
             words = "active" if running else f"inactive{self._known.reason('active', node)}"
-            self._tell(EventKind.MONITORING_DATA, now, node, lambda: f"{node.name} is {words}")
+            told = Told("component_active", (node.name, running, reason))
+            self._tell(EventKind.MONITORING_DATA, now, node, lambda: (f"{node.name} is {words}", told))
 
     def receive(self, diagnostics: object) -> tuple[DiagnosticProblem, ...]:
         """Take in a DiagnosticArray; see `kb.diagnostics` for the forms in which it may come.
@@ -162,7 +163,8 @@ class Telling(Recording):
             now = self._clock()
             self._known.asserted_required[node.index] = required is not None and _yes("required", required)
             words = "asserted required" if required else "no longer asserted required"
-            self._tell(EventKind.MONITORING_DATA, now, node, lambda: f"{node.name} is {words}")
+            told = Told("assert_required", (node.element, required))
+            self._tell(EventKind.MONITORING_DATA, now, node, lambda: (f"{node.name} is {words}", told))
 
     def assert_selected(
         self, element: ElementView | Element | Constraint | str, selected: bool | None, reason: str = ""
@@ -184,7 +186,8 @@ class Telling(Recording):
             is_without = not any(state.selected[part.index] for part in whole.parts)
             state.give_reason("unselected", whole, reason if is_without else "")
             words = f"{'' if is_selected else 'not '}selected{Reason(reason)}"
-            self._tell(EventKind.MONITORING_DATA, now, node, lambda: f"{node.name} is {words}")
+            told = Told("assert_selected", (node.element, selected, reason))
+            self._tell(EventKind.MONITORING_DATA, now, node, lambda: (f"{node.name} is {words}", told))
 
     @property
     def rejected(self) -> int:
@@ -233,7 +236,7 @@ class Telling(Recording):
         with self._lock:
             now = self._clock()
             for node, text, touched in self._measurements.due(now):
-                self._tell(EventKind.MONITORING_DATA, now, node, lambda told=text: told, touched, plain=True)  # type: ignore[misc]  # a default binds it now
+                self._tell(EventKind.MONITORING_DATA, now, node, lambda said=text: (said, None), touched, plain=True)  # type: ignore[misc]  # a default binds it now
 
             for index in self._lapses.due(now):
                 self._lapse(self._known.network.nodes[index], now)
@@ -250,7 +253,7 @@ class Telling(Recording):
             EventKind.MONITORING_DATA,
             now,
             node,
-            lambda: f"{node.name} is no longer asserted {status}: its time is over",
+            lambda: (f"{node.name} is no longer asserted {status}: its time is over", None),
         )
 
     def _report(self, component: str, failed: bool, reason: str = "") -> None:
@@ -267,8 +270,10 @@ class Telling(Recording):
                 return
             state.failed[node.index] = failed
             state.give_reason("failed", node, reason)
-            words = f"has failed{state.reason('failed', node)}" if failed else "is recovered"
-            self._tell(EventKind.MONITORING_DATA, now, node, lambda: f"{node.name} {words}")
+            words, told = "is recovered", Told("component_recovered", (node.name,))
+            if failed:
+                words, told = f"has failed{Reason(reason)}", Told("component_failed", (node.name, reason))
+            self._tell(EventKind.MONITORING_DATA, now, node, lambda: (f"{node.name} {words}", told))
 
     def _assert_status(
         self,
@@ -290,15 +295,18 @@ class Telling(Recording):
             self._known.give_reason("asserted", node, reason, until)
             if until is not None:
                 self._lapses.set(node.index, until)
-            words = f"asserted {status}{self._known.reason('asserted', node)}" if status else "no longer asserted"
-            self._tell(EventKind.MONITORING_DATA, now, node, lambda: f"{node.name} is {words}")
+            words, told = "no longer asserted", Told("retract_status", (node.element,))
+            if status is not None:
+                words = f"asserted {status}{Reason(reason, until)}"
+                told = Told("assert_status", (node.element, status, reason, until))
+            self._tell(EventKind.MONITORING_DATA, now, node, lambda: (f"{node.name} is {words}", told))
 
     def _tell(
         self,
         kind: EventKind,
         now: float,
         node: Node,
-        text: Callable[[], str],
+        said: Callable[[], tuple[str, Told | None]],
         touched: Collection[Node] | None = None,
         plain: bool = False,
     ) -> None:
@@ -308,7 +316,7 @@ class Telling(Recording):
             kind: of the event.
             now: the time [s].
             node: what the event is about.
-            text: gives the event in words.
+            said: gives the event in words, and what was told; asked only if somebody listens.
             touched: the nodes whose facts changed, if not the one that the event is about.
             plain: it matters only if a status changed by it.
         """
@@ -318,10 +326,12 @@ class Telling(Recording):
         if changes or not plain:
             self._revision += 1
         if self._publisher:
-            self._publisher.publish(Event(kind, now, node.name, text(), status_changes(changes)))
+            text, told = said()
+            self._publisher.publish(Event(kind, now, node.name, text, status_changes(changes), told=told))
 
-    def _reading(self, attribute: Node, value: float) -> str:
-        return f"{attribute.name} is {shortest(value, self._network.thresholds(attribute).around(value))}"
+    def _said_of(self, attribute: Node, value: float) -> tuple[str, Told]:
+        reading = shortest(value, self._network.thresholds(attribute).around(value))
+        return f"{attribute.name} is {reading}", Told("measure", (attribute.name, value))
 
 
 def status_changes(changes: Iterable[Change]) -> tuple[StatusChange, ...]:

@@ -244,7 +244,7 @@ def _decide(mission: Mission, task: str, world: Recording, limits: RunSettings) 
         task_plans=run.plans or tuple(plan for planner in world.planners for plan in planner.plans),
         problems=tuple(run.problems),
         changes=tuple(witness.changes),
-        timeline=(*timeline(run.kb, witness.events, witness.changes), *_early_end(world, limits, verdict)),
+        timeline=(*timeline(witness.events, witness.changes), *_early_end(world, limits, verdict)),
         trace=trace,
         kb=run.kb,
     )

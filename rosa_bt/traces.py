@@ -5,6 +5,7 @@ whenever the tree has changed. What a tick does not mention is as in the tick be
 """
 
 import json
+import re
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -18,6 +19,8 @@ __all__ = ["Node", "Tick", "Trace", "Visit", "read_trace", "written"]
 
 VERSION: Final = 1
 _ENCODER: Final = json.JSONEncoder(separators=(",", ":"), ensure_ascii=False)
+_ESCAPED: Final = re.compile("[\x85\u2028\u2029\ud800-\udfff]")
+"""What ends a line, or has no place in a file; text may hold it all the same."""
 T = TypeVar("T")
 
 
@@ -141,7 +144,7 @@ def read_trace(path: str | Path) -> Trace:
 
 
 def _line(record: dict[str, object]) -> str:
-    return _ENCODER.encode(record) + "\n"
+    return _ESCAPED.sub(lambda found: f"\\u{ord(found[0]):04x}", _ENCODER.encode(record)) + "\n"
 
 
 def _read(text: str, where: str, read: Callable[[dict[str, Any]], T]) -> T:

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 from typing import Final, NamedTuple
 
-from kb import Event, EventKind, KnowledgeBase, ReconfigurationPlan
+from kb import Event, EventKind, ReconfigurationPlan
 from missions.testing.witness import TaskChange
 
 __all__ = ["Moment", "around", "seconds", "timeline"]
@@ -39,12 +39,11 @@ def seconds(time: float) -> str:
     return f"{time:.2f} s"
 
 
-def timeline(kb: KnowledgeBase, events: Iterable[Event], changes: Iterable[TaskChange]) -> tuple[Moment, ...]:
+def timeline(events: Iterable[Event], changes: Iterable[TaskChange]) -> tuple[Moment, ...]:
     """Return what happened as moments, in order.
 
     Args:
-        kb: the knowledge base that told the events.
-        events: all of them.
+        events: all that were told.
         changes: how the task has changed in them.
     """
     reasons = {(one.at, one.to): one.reason for one in changes}
@@ -55,10 +54,10 @@ def timeline(kb: KnowledgeBase, events: Iterable[Event], changes: Iterable[TaskC
                 Moment(event.time, "plan", f"{_commanded(event.plan)}: {_ending(event.plan)}", event.plan.reason)
             )
         elif event.kind is EventKind.ACTION_UPDATE:
-            is_begun = event.text == f"{event.subject} is requested"
+            is_begun = event.told is not None and event.told.verb == "request_action"
             reason = reasons.get((event.time, event.subject), "") if is_begun else ""
             moments.append(Moment(event.time, "action", event.text, reason))
-        elif not _is_our_own(kb, event):
+        elif not _is_our_own(event):
             moments.append(Moment(event.time, "heard", event.text))
     return tuple(moments)
 
@@ -84,9 +83,9 @@ def _ending(plan: ReconfigurationPlan) -> str:
     return f"{plan.result} at {seconds(plan.end)}" if plan.end is not None else "still open"
 
 
-def _is_our_own(kb: KnowledgeBase, event: Event) -> bool:
+def _is_our_own(event: Event) -> bool:
     """Tell whether an event only notes what a plan has switched; the plan's own line says it."""
-    return event.subject in kb.components and event.text in (
-        f"{event.subject} is active",
-        f"{event.subject} is inactive",
-    )
+    if event.told is None or event.told.verb != "component_active":
+        return False
+    _, is_active, reason = event.told.arguments
+    return is_active or not reason
