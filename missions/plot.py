@@ -38,6 +38,7 @@ BADGES: Final = {  # how the number of an adaptation looks: diameter [px], face,
 DIAMOND: Final[dict[str, Any]] = {"marker": "D", "markersize": 4.5, "color": ALARM}
 SIDES: Final = np.array([-1, 1])
 LONELY_M: Final = 1.0  # so far from the way, a name is in nobody's way
+CROWD: Final = 20  # of more places, only those that the way leads along are named
 PIXELS: Final = IdentityTransform()
 TICKS = {"color": FAINT, "labelcolor": INK, "labelsize": 8, "major.size": 3}
 STYLE: Final[dict[Any, Any]] = {
@@ -217,6 +218,8 @@ def _map(axes: Axes, story: Story, places: Mapping[str, Array], shown: Array) ->
         axes.plot(*points.T, color="#c9ced3", linewidth=10, solid_capstyle="round", zorder=2)
         inside = points[np.all(np.abs(points - middle) < half, axis=1)]
         lonely = [np.hypot(*(story.xy - point).T).min() for point in inside]
+        if len(places) > CROWD and np.median(lonely) > LONELY_M:
+            continue
         centred = -np.hypot(*(inside - inside[len(inside) // 2]).T)  # if the way leads along all of it
         room.name(
             inside[np.argmax(lonely if max(lonely) > LONELY_M else centred)], name, "" if len(points) > 1 else "s", 9
@@ -227,8 +230,11 @@ def _map(axes: Axes, story: Story, places: Mapping[str, Array], shown: Array) ->
         size = BADGES.get(one["kind"], BADGES["parameter"])[0]
         _badge(axes, room.lead(story.where(one["at_s"]), size, size), number, one["kind"])
     step = next(one for one in (5, 10, 30, 60, 120, 300, 600, 1800, 7200, 10**9) if story.end / one <= 10)
+    marked = story.xy[0]
     for time in range(step, int(story.times[-1]) + 1, step):
-        room.name(story.where(time), f"{time} s", "o", 4.5, MUTED)
+        if np.hypot(*(story.where(time) - marked)) * room.scale > 1:  # where it stands, one mark is enough
+            marked = story.where(time)
+            room.name(marked, f"{time} s", "o", 4.5, MUTED)
 
 
 def _choices(room: _Room, story: Story) -> None:

@@ -85,22 +85,60 @@ def _planning(
     missing = planner.missing(domain)
     if missing is not None:
         raise MissionError(missing)
+    made = _Made(kb, senses)
     executor = PlanExecutor(
         f"plan for {mission.name}",
         kb=kb,
         domain=domain,
-        behaviours={schema: _factory(action, kb, senses) for schema, action in mission.actions.items()},
+        behaviours={schema: made.by(schema, action) for schema, action in mission.actions.items()},
         sense=lambda: mission.facts(kb, senses),
         clock=clock,
         planner=planner,
         delay_s=delay_s,
     )
     root = FailureIsRunning("until the goal holds", executor)
-    return TaskLayer(root, executor.catch_up, lambda: executor.plans, planner.close)
+
+    def catch_up() -> None:
+        executor.catch_up()
+        if made.error is not None:
+            raise made.error
+
+    return TaskLayer(root, catch_up, lambda: executor.plans, planner.close)
 
 
-def _factory(action: Callable[..., Behaviour], kb: KnowledgeBase, senses: Senses) -> Callable[["Step"], Behaviour]:
-    """Return what makes the behaviour of a step; it is told the step if it asks for it."""
-    if "step" in signature(action).parameters:
-        return lambda step: action(kb, senses, step=step)
-    return lambda step: action(kb, senses)
+class _Made:
+    """Makes the behaviours of steps, and keeps the error if one cannot be made: a tree would make a failure of it.
+
+    Attributes:
+        error: what making the latest raised; None if it was made.
+    """
+
+    def __init__(self, kb: KnowledgeBase, senses: Senses) -> None:
+        self.error: Exception | None = None
+        self._kb, self._senses = kb, senses
+
+    def by(self, schema: str, action: Callable[..., Behaviour]) -> Callable[["Step"], Behaviour]:
+        """Return what makes the behaviour of a step; it is told the step if it asks for it.
+
+        Raises:
+            MissionError: it asks for something else, too.
+        """
+        parameters = signature(action)
+        is_told = "step" in parameters.parameters
+        try:
+            parameters.bind(self._kb, self._senses, **({"step": None} if is_told else {}))
+        except TypeError as error:
+            given = "the knowledge base, the senses and, as `step`, the step"
+            raise MissionError(f"what does the PDDL action {schema} is given {given}: {error}") from error
+
+        def make(step: "Step") -> Behaviour:
+            try:
+                made = action(self._kb, self._senses, **({"step": step} if is_told else {}))
+                if not isinstance(made, Behaviour):
+                    raise MissionError(f"what does the PDDL action {schema} is {made!r}, not a py_trees behaviour")
+                return made
+            except Exception as error:
+                self.error = error
+                raise
+
+        return make

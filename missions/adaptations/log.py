@@ -158,8 +158,7 @@ class AdaptationLog:
             regained = self._headlines.regained.get(action)
             if cause is None and action in self._given_up and regained is not None:
                 waited = regained.time < self._last_tick  # for something else to end
-                since = f"{regained.reason} ({regained.text})"
-                cause = News(time, f"{before.action} is over", since) if waited else regained
+                cause = self._why_now(time, before.action, regained) if waited else regained
             elif cause is not None and regained is not None and regained.time > cause.time:
                 cause = regained  # there was nothing else to be done before
         for one in began:
@@ -176,6 +175,13 @@ class AdaptationLog:
             self._task.add(self._in_words(made), made)
         self.adaptations.append(self._task.adaptation)
         return True
+
+    def _why_now(self, time: float, before: str, regained: News) -> News:
+        """Say why an action that has been feasible again for a while is taken up only now."""
+        plan = self._new_plan()
+        if plan is not None and not self._steps.issuperset(plan.steps):
+            return self._headlines.of_plan(plan)
+        return News(time, f"{before} is over", f"{regained.reason} (since {regained.time:.1f} s: {regained.text})")
 
     def _end_task(self) -> None:
         if self._task is not None:

@@ -72,7 +72,9 @@ class Answer:
 
 
 def answer(question: Question, timeout_s: float) -> Answer:
-    """Plan with what the mission plans with, or Fast Downward and then Aries; if there is no plan, find out why.
+    """Plan with what the mission plans with, or else what the domain needs; if there is no plan, find out why.
+
+    Within limits it is label setting that plans, and otherwise Fast Downward and then Aries.
 
     Args:
         question: what to plan.
@@ -81,7 +83,8 @@ def answer(question: Question, timeout_s: float) -> Answer:
     Raises:
         rosa_pddl.PlannerSettingError: the time is not positive.
     """
-    engine, *fallback = question.engines or ("fast-downward-opt", "aries")
+    usual = ("label-setting",) if question.domain.limited else ("fast-downward-opt", "aries")
+    engine, *fallback = question.engines or usual
     planner = Planner(engine, timeout_s, warm=False, fallback=fallback)
     try:
         result = planner.plan(question.problem)

@@ -146,7 +146,7 @@ def test_return_is_not_put_down_to_news_of_long_ago(mission):
     assert (last.kind, last.trigger, last.reason) == (
         "task",
         "wait is over",
-        "inspect is feasible again (energy is 0.9)",
+        "inspect is feasible again (since 0.0 s: energy is 0.9)",
     )
     assert last.reaction_s == 0.0
 
@@ -315,3 +315,12 @@ def test_goal_that_changes_in_flight_is_a_task_adaptation_of_the_plans():
     assert told["reason"].startswith("the rest of the plan does not reach (forall")
     assert told["change"] == "plan anew, with search_for_samples(sample_8, drone), pick_up_and_analyse(sample_8, drone)"
     assert told["reaction_s"] == pytest.approx(0.2)
+
+
+def test_action_that_a_changed_goal_takes_up_again_is_put_down_to_the_goal_and_not_to_old_news():
+    _, _, data = run_mission("uav", "pddl", 5, duration_s=152, added_s=150)
+    told = data["adaptations"][-1]
+    assert told["change"].startswith("search_for_samples -> pick_up_and_analyse")
+    assert told["trigger"].startswith("sample_8_wanted is true")
+    assert told["reason"].startswith("the rest of the plan does not reach (forall")
+    assert told["reaction_s"] == pytest.approx(0.24)

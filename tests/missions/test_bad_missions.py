@@ -10,6 +10,7 @@ from py_trees.common import Status
 from running import run_mission
 
 from missions import cli, registry, runner, suave_extended
+from missions.mission import MissionError
 from missions.registry import MISSIONS
 from rosa_bt import IsActionFeasible, RosaAction
 from rosa_pddl import Planner
@@ -210,3 +211,20 @@ def test_exception_in_a_plain_behaviour_is_its_failure_and_leaves_nothing_open(a
     assert run.tree.root.status is Status.FAILURE
     assert run.tree.root.feedback_message == "RuntimeError: boom"
     assert run.kb.required_actions == ()
+
+
+@pytest.mark.parametrize(
+    ("action", "message"),
+    [
+        (lambda kb, senses, steps: Running(), "PDDL action .* is given .*: missing a required argument: 'steps'"),
+        (lambda kb, senses: None, "what does the PDDL action .* is None, not a py_trees behaviour"),
+        (lambda kb, senses: senses.nothing, "no attribute 'nothing'"),
+    ],
+)
+def test_what_cannot_make_a_step_ends_the_run_and_is_not_tried_for_ever(action, message):
+    mission = MISSIONS["suave_extended"]
+    actions = dict.fromkeys(mission.actions, action)
+    mission = dataclasses.replace(mission, actions=actions, domain=DOMAIN, problem=PROBLEM)
+    world = mission.world.open({}, numpy.random.default_rng(0))
+    with pytest.raises((MissionError, AttributeError), match=message):
+        runner.MissionRun(mission, "pddl", world).run()

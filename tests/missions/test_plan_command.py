@@ -178,6 +178,23 @@ def test_goals_that_exclude_one_another_are_told_so(rosa, tmp_path):
     assert "each part of the goal may be reached by itself, but not all of them together, whatever is done" in out
 
 
+def test_files_with_a_limit_are_planned_within_it_and_told_when_no_plan_keeps_it(rosa, tmp_path):
+    (tmp_path / "d.pddl").write_text(
+        "(define (domain lamp) (:predicates (on)) (:functions (used) (total-cost) (left))"
+        " (:action blaze :parameters () :precondition () :effect (and (on) (increase (used) 2)))"
+        " (:action glow :parameters () :precondition () :effect (and (on) (increase (used) 1)"
+        " (increase (total-cost) 5))))"
+    )
+    for left, code, told in [(2, 0, "  1  blaze()"), (1, 0, "  1  glow()"), (0.5, 1, "no plan: label-setting: ")]:
+        (tmp_path / "p.pddl").write_text(
+            f"(define (problem p) (:domain lamp) (:init (= (used) 0) (= (total-cost) 0) (= (left) {left}))"
+            " (:goal (and (on) (<= (used) (left)))) (:metric minimize (total-cost)))"
+        )
+        told_code, out, _ = rosa("d.pddl", "p.pddl")
+        assert told_code == code
+        assert any(line.startswith(told) for line in out.splitlines())
+
+
 def test_problem_file_that_states_feasibility_is_believed_without_a_model(rosa, tmp_path):
     written = Path(EXTENDED[1]).read_text().replace("(:init", "(:init (action_feasible recharge)")
     (tmp_path / "p.pddl").write_text(written)

@@ -196,3 +196,22 @@ def test_title_writes_units_as_they_are_written():
     title = " ".join(text.get_text() for text in picture(run, data).texts)
     assert " J   " in title
     assert title.endswith("collisions 0")
+
+
+def test_map_with_a_crowd_of_places_names_those_that_the_way_leads_along(monkeypatch):
+    run, data = short_run("agv")
+    own = run.world.scenery()
+    crowd = {f"aisle {number}": np.linspace([number, 2.0], [number, 5.0], 9) for number in range(20)}
+    monkeypatch.setattr(run.world, "scenery", lambda: own | crowd)
+    named = set(words(axes_beside(picture(run, data), "start")))
+    assert {"c1, obstructed", "c4"} & named
+    assert not named & set(crowd)
+    monkeypatch.setattr(run.world, "scenery", lambda: own | dict(list(crowd.items())[:10]))
+    assert len(set(words(axes_beside(picture(run, data), "start"))) & set(crowd)) == 10
+
+
+def test_time_is_marked_once_where_the_vehicle_stands():
+    run, _, data = run_mission("agv", seed=1, capacity_j=2500)
+    marks = [word for word in words(axes_beside(picture(run, data), "start")) if word.endswith(" s")]
+    assert data["duration_s"] == 300
+    assert len(marks) == 1
