@@ -327,7 +327,7 @@ class Telling(Recording):
             self._revision += 1
         if self._publisher:
             text, told = said()
-            self._publisher.publish(Event(kind, now, node.name, text, status_changes(changes), told=told))
+            self._publisher.publish(Event(kind, now, node.name, text, status_changes(changes), None, told))
 
     def _said_of(self, attribute: Node, value: float) -> tuple[str, Told]:
         reading = shortest(value, self._network.thresholds(attribute).around(value))
