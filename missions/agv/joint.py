@@ -338,16 +338,6 @@ class JointPlanner:
         takes = Amounts(*(sum(leg.takes[number] for leg in legs) for number in range(len(GOALS))))
         return Answer(legs, True, found.cost, takes, self._why(task, legs, takes), found.expanded)
 
-    def first_leg(self, question: Question, corridor: str) -> Leg | None:
-        """Return the best way from the start through one corridor, wherever that leads; None if it cannot be crossed.
-
-        Raises:
-            BuildingError: the question names a place or corridor that there is not.
-        """
-        task = self.task(question)
-        through = [move for move in task.moves(task.start) if move.what[0].corridor.name == corridor]
-        return self._leg(task, min(through, key=lambda move: (move.cost, move.uses))) if through else None
-
     def _leg(self, task: Task, move: Move[State, Taken]) -> Leg:
         way, switching, crossing = move.what
         takes = Amounts(*map(add, switching, crossing))

@@ -17,6 +17,7 @@ HALF_TRACK_M: Final = 0.17
 _HALF_WIDTH_M: Final = 1.2  # of a corridor
 _BOX_M: Final = 0.2  # half the edge of what stands in the way
 _FREE_M: Final = 2.5  # before the first box, from either end
+_APART_M: Final = 1.25  # from one box to the next; closer together they cannot be driven round
 
 _CASTER_Z: Final = round(0.032 - WHEEL_M, 4)  # they hang free by 2 mm, so that the wheels carry
 _SLIDING: Final = 'condim="1" priority="1" group="2"'
@@ -68,13 +69,18 @@ def scene_xml(
 
 
 def boxes(building: Building, rng: Generator) -> list[tuple[float, float, float]]:
-    """Put boxes into the corridors, as many per metre as the map says; returns x, y [m] and yaw [rad] of each."""
+    """Put boxes into the corridors, as many per metre as the map says, but no more than can be driven round.
+
+    Returns:
+        x, y [m] and yaw [rad] of each.
+    """
     placed = []
     for corridor in building.corridors.values():
         (x, y), ux, uy, length_m = _line(building, corridor)
-        count = round(corridor.obstacles * length_m)
         room_m = length_m - 2 * _FREE_M
-        for number in range(count if room_m > 0 else 0):
+        most = max(1, int(room_m / _APART_M)) if room_m > 0 else 0
+        count = round(min(corridor.obstacles * length_m, most))
+        for number in range(count):
             along = _FREE_M + room_m * (number + 0.5 + rng.uniform(-0.15, 0.15)) / count
             aside = (1 if number % 2 else -1) * rng.uniform(0.2, 0.45)
             placed.append((x + along * ux - aside * uy, y + along * uy + aside * ux, math.atan2(uy, ux)))

@@ -1,15 +1,14 @@
 """Every constant of the building's simulation, with its unit, its meaning and where the figure comes from."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 from missions.agv.building import Building
 from missions.agv.model import DRAW_W
-from missions.mission import MissionError, Setting
+from missions.mission import MissionError
 from missions.settings import Constants, setting, text_setting
 
-__all__ = ["Incident", "Settings", "described", "incidents", "settings_from"]
+__all__ = ["Incident", "Settings", "incidents"]
 
 _OWN: Final = "own choice"
 _PAPER: Final = "ROSA paper, AGV use case; where along the corridor: own choice"
@@ -53,20 +52,6 @@ class Incident(NamedTuple):
     what: str
     component: str
     corridor: str
-
-
-def described() -> tuple[Setting, ...]:
-    """List every setting."""
-    return Settings.describe()
-
-
-def settings_from(values: Mapping[str, str]) -> Settings:
-    """Read settings as they are given on a command line.
-
-    Raises:
-        MissionError: an unknown name, or a value that is not allowed.
-    """
-    return Settings.read(values)
 
 
 def incidents(text: str, building: Building) -> tuple[Incident, ...]:

@@ -13,7 +13,7 @@ from missions.agv.components import Components
 from missions.agv.model import DRAW_W, DRIVING_W, ERROR_M, NAVIGATOR, NEEDED_LIGHT, SPEEDS
 from missions.agv.route import Route
 from missions.agv.scene import boxes
-from missions.agv.settings import Incident, Settings, described, incidents, settings_from
+from missions.agv.settings import Incident, Settings, incidents
 from missions.agv.steering import Aim, Array, aim_along, steer
 from missions.mission import Message, Sample, Setting, Verdict, World, WorldKind
 from missions.senses import Senses
@@ -263,11 +263,11 @@ class AgvKind(WorldKind):
 
     def settings(self) -> tuple[Setting, ...]:
         """Return every constant."""
-        return described()
+        return Settings.describe()
 
     def open(self, values: Mapping[str, str], rng: Generator) -> BuildingWorld:
         """Open the building."""
-        return BuildingWorld(self._building, settings_from(values), rng)
+        return BuildingWorld(self._building, Settings.read(values), rng)
 
     def verdict(self, senses: Senses, results: Mapping[str, float | None], kb: KnowledgeBase) -> Verdict:
         """Judge by where the robot is."""

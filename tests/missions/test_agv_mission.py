@@ -18,7 +18,7 @@ from missions.agv.joint import JointPlanner, Question
 from missions.agv.model import DRAW_W, agv_model, building_model
 from missions.agv.modes import Modes
 from missions.agv.route import Route
-from missions.agv.settings import settings_from
+from missions.agv.settings import Settings
 from missions.mission import MissionError
 from missions.planning.declared import mission_domain
 from missions.report import as_json
@@ -181,7 +181,7 @@ def test_bad_setting_is_refused(values, words):
 
 
 def test_defaults_of_the_settings_are_allowed():
-    assert settings_from({}).capacity_j == 20_000.0
+    assert Settings.read({}).capacity_j == 20_000.0
 
 
 def told(*messages, **values):

@@ -1,5 +1,6 @@
 """The building by itself, without a mission: wheels move the vehicle, rays steer it, light and components decide."""
 
+import itertools
 import math
 
 import numpy
@@ -8,7 +9,8 @@ import pytest
 from missions.agv import agv_mission
 from missions.agv.building import building_from
 from missions.agv.model import NAVIGATOR, SPEEDS
-from missions.agv.settings import settings_from
+from missions.agv.scene import boxes
+from missions.agv.settings import Settings
 from missions.agv.steering import Aim
 from missions.agv.vehicle import Vehicle
 from missions.agv.world import BuildingWorld
@@ -32,7 +34,7 @@ def hall(length_m=8.0, **corridor):
 def started(building, components, seed=0, **values):
     """Return a world in which some components drive the vehicle along c1."""
     told = {"incidents": "", **{name: str(value) for name, value in values.items()}}
-    world = BuildingWorld(building, settings_from(told), numpy.random.default_rng(seed))
+    world = BuildingWorld(building, Settings.read(told), numpy.random.default_rng(seed))
     world.managed.set_parameters("base", {"speed": SPEEDS["fast"]})
     world.managed.set_parameters(NAVIGATOR, {"corridor": "c1", "origin": "a"})
     for name in (*components, "base", NAVIGATOR):
@@ -63,6 +65,17 @@ def test_both_wheels_alike_drive_straight_and_one_against_the_other_turn_on_the_
     vehicle.drive(Aim(0.0, 0.5), 200)
     assert 0.6 < vehicle.yaw < 1.0  # less than an ideal one, for wide wheels scrub
     assert math.dist(vehicle.position, stood) < 0.1
+
+
+@pytest.mark.parametrize(("length_m", "obstacles"), [(6.0, 0.4), (6.0, 1e300), (8.0, 0.6), (20.0, 1.0)])
+def test_corridor_full_of_boxes_can_be_driven_as_it_is_planned(length_m, obstacles):
+    building = hall(length_m, obstacles=obstacles)
+    along = sorted(x for x, _, _ in boxes(building, numpy.random.default_rng(0)))
+    assert along
+    assert all(two - one > 0.8 for one, two in itertools.pairwise(along))
+    world = started(building, AMCL_KINECT)
+    passed(world, 5.0 * length_m)
+    assert driven_m(world) > length_m - 0.5
 
 
 def test_box_in_the_way_is_seen_from_afar_and_stops_who_does_not_look():
