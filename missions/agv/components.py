@@ -50,7 +50,7 @@ class Components:
         self._under_way: list[_Change] = []
 
     def activate(self, component: str) -> _Change:
-        """Start a component; one that has failed does not start."""
+        """Start a component; one that has failed, or that the vehicle does not have, does not start."""
         return self._begin(self._settings.switching_s, lambda: self._start(component))
 
     def deactivate(self, component: str) -> _Change:
@@ -87,6 +87,8 @@ class Components:
         return change
 
     def _start(self, component: str) -> None:
+        if component not in self._parameters:
+            raise MissionError(f"the simulated vehicle has no component {component}")
         if component in self._failed:
             raise MissionError(f"{component} has failed and does not start")
         self._active.add(component)

@@ -258,6 +258,16 @@ def test_mission_of_ones_own_is_run_if_nothing_is_wrong(tmp_path, monkeypatch, c
     assert (code, said[-26:]) == (0, "arrived: the robot is at b")
 
 
+def test_component_that_the_simulated_vehicle_lacks_has_failed_and_it_drives_with_another(
+    tmp_path, monkeypatch, capsys, caplog
+):
+    gps = "made.component('gps', kind='lifecycle')"
+    line = f"'gps' in made.components or made.add_design('by_gps', 'navigate', [{gps}, 'base'])"
+    code, said = run_hall(tmp_path, monkeypatch, capsys, {}, line)
+    assert (code, said[-26:]) == (0, "arrived: the robot is at b")
+    assert "activate gps failed, tried 3 times: the simulated vehicle has no component gps" in caplog.text
+
+
 @pytest.mark.parametrize(
     ("changes", "line", "code", "words"),
     [
