@@ -1,9 +1,11 @@
 """Numbers that decide whether there is a plan: limits of resources, and what steps use of them."""
 
 from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Set as AbstractSet
 
 from rosa_pddl.domain import Domain, Step, UpThing
 from rosa_pddl.exceptions import UnsupportedPddlError
+from rosa_pddl.planning.sums import template_of
 from rosa_pddl.planning.uses import Left, Uses
 from rosa_pddl.problem import Problem, exact
 
@@ -30,15 +32,18 @@ class Bounds:
         limits = [limit.amount for resource in limited for limit in resource.limits]
         self._used = frozenset(_names(domain, used))
         # a limit on the whole grows when less was used up before
-        self._limiting = frozenset(_names(domain, [*limits, *(resource.fluent for resource in limited)]))
+        limiting = [template_of(domain, one).bound({}) for one in (*limits, *(each.fluent for each in limited))]
+        self._limiting = frozenset(text for one in limiting for _, text in one.terms)
         self._is_simple = all(_only_grows(amount) for amount in used)
 
     def overspent(self, steps: Iterable[Step], numbers: Numbers) -> str | None:
         """Return which limit steps break, in words; None if they keep them all."""
         if not self._domain.limited:
             return None
+        told = tuple(steps)
+        used = {text for step in told for amount in self._uses.of(step) for _, text in amount.terms}
         try:
-            return self._uses.overspent(self._asked(numbers, self._used | self._limiting), steps)
+            return self._uses.overspent(self._asked(numbers, self._limiting | used), told)
         except UnsupportedPddlError:  # what is done without a plan, where a number is not known
             return None
 
@@ -63,8 +68,8 @@ class Bounds:
     def _left(self, numbers: Numbers) -> tuple[Left, ...]:
         return self._uses.left(self._uses.numbers(self._asked(numbers, self._limiting)))
 
-    def _asked(self, numbers: Numbers, names: frozenset[str]) -> Problem:
-        costs = {key: value for key, value in numbers.items() if _head(key) in names}
+    def _asked(self, numbers: Numbers, keys: AbstractSet[str]) -> Problem:
+        costs = {key: numbers[key] for key in keys if key in numbers}  # of a large world it is a small part
         return Problem(self._domain, frozenset(), costs=costs)
 
 
