@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
-from missions.agv.building import Building
+from missions.agv.building import Building, BuildingError
 from missions.agv.model import DRAW_W
 from missions.mission import MissionError
 from missions.settings import Constants, setting, text_setting
@@ -73,5 +73,9 @@ def _incident(words: list[str], text: str, building: Building) -> Incident:
     else:
         allowed = "such as 'kinect fails in c1, dark in c3'"
         raise MissionError(f"incidents cannot be {text!r}; allowed is text {allowed}, or nothing")
-    building.check_corridor(corridor)
+    try:
+        building.check_corridor(corridor)
+    except BuildingError as error:
+        message = f"incidents cannot be {text!r}: {error}; name others, or none by --set incidents="
+        raise MissionError(message) from error
     return Incident(what, component, corridor)

@@ -12,7 +12,7 @@ from missions.agv.building import Building
 from missions.agv.components import Components
 from missions.agv.model import DRAW_W, DRIVING_W, ERROR_M, NAVIGATOR, NEEDED_LIGHT, SPEEDS
 from missions.agv.route import Route
-from missions.agv.scene import boxes
+from missions.agv.scene import boxes, check_walls
 from missions.agv.settings import Incident, Settings, incidents
 from missions.agv.steering import Aim, Array, aim_along, steer
 from missions.mission import Message, Sample, Setting, Verdict, World, WorldKind
@@ -33,11 +33,15 @@ class BuildingWorld(World):
         building: the map.
         settings: the constants.
         rng: of all chance.
+
+    Raises:
+        BuildingError: corridors cross one another.
     """
 
     def __init__(self, building: Building, settings: Settings, rng: Generator) -> None:
         from missions.agv.vehicle import Vehicle
 
+        check_walls(building)
         self._building, self._settings, self._rng = building, settings, rng
         start = building.places[building.start]
         self._vehicle: Vehicle = Vehicle(
@@ -275,5 +279,6 @@ class AgvKind(WorldKind):
         if route.is_there:
             return Verdict("arrived", f"the robot is at {self._building.goal}")
         if not route.answer.is_solved:
-            return Verdict("aborted", f"there is no way from {route.at}: {route.answer.reason}")
+            where = f"within {route.inside}" if route.inside else route.at
+            return Verdict("aborted", f"there is no way from {where}: {route.answer.reason}")
         return Verdict("aborted", f"time ran out on the way from {route.at}")
