@@ -2,13 +2,14 @@
 
 import math
 from collections.abc import Iterator
+from itertools import combinations
 from typing import Final
 
 from numpy.random import Generator
 
-from missions.agv.building import Building, Corridor
+from missions.agv.building import Building, BuildingError, Corridor
 
-__all__ = ["HALF_TRACK_M", "RADIUS_M", "WHEEL_M", "boxes", "scene_xml"]
+__all__ = ["HALF_TRACK_M", "RADIUS_M", "WHEEL_M", "boxes", "check_walls", "scene_xml"]
 
 RADIUS_M: Final = 0.2
 """Of the vehicle [m]; as all sizes here own choice, of the order of a small research robot."""
@@ -66,6 +67,24 @@ def scene_xml(
     <velocity joint="right" kv="2" forcerange="-4 4"/>
   </actuator>
 </mujoco>"""
+
+
+def check_walls(building: Building) -> None:
+    """Assure that no corridor is closed by the walls of another one.
+
+    Raises:
+        BuildingError: two of them cross.
+    """
+    lines = [(one, [complex(*building.places[end]) for end in one.ends]) for one in building.corridors.values()]
+    for (one, (a, b)), (two, (c, d)) in combinations(lines, 2):
+        if _side(a, b, c) * _side(a, b, d) < 0 and _side(c, d, a) * _side(c, d, b) < 0:
+            told = f"corridors {one.name} and {two.name} cross one another, so that the walls of each close the other"
+            raise BuildingError(f"{told}; let them meet at a place, or move one of their places")
+
+
+def _side(a: complex, b: complex, point: complex) -> float:
+    """Return on which side of the line from a to b a point is: above 0 to the left, below 0 to the right."""
+    return ((b - a).conjugate() * (point - a)).imag
 
 
 def boxes(building: Building, rng: Generator) -> list[tuple[float, float, float]]:

@@ -7,9 +7,10 @@ import numpy
 import pytest
 
 from missions.agv import agv_mission
-from missions.agv.building import building_from
+from missions.agv.building import BuildingError, building_from
+from missions.agv.generated import generated_building
 from missions.agv.model import NAVIGATOR, SPEEDS
-from missions.agv.scene import boxes
+from missions.agv.scene import boxes, check_walls
 from missions.agv.settings import Settings
 from missions.agv.steering import Aim
 from missions.agv.vehicle import Vehicle
@@ -76,6 +77,24 @@ def test_corridor_full_of_boxes_can_be_driven_as_it_is_planned(length_m, obstacl
     world = started(building, AMCL_KINECT)
     passed(world, 5.0 * length_m)
     assert driven_m(world) > length_m - 0.5
+
+
+def test_corridors_that_cross_one_another_are_refused_as_their_walls_would_close_them():
+    places = {"a": [0, 0], "b": [6, 0], "c": [0, 6], "d": [6, 6]}
+    ends = {"c1": ("a", "d"), "c2": ("d", "b"), "c3": ("b", "c")}
+    told = {name: {"from": one, "to": two} for name, (one, two) in ends.items()}
+    building = building_from({"start": "a", "goal": "c", "places": places, "corridors": told})
+    with pytest.raises(BuildingError, match=r"corridors c1 and c3 cross one another.*let them meet at a place"):
+        started(building, AMCL_KINECT)
+    del told["c3"]
+    told["c4"] = {"from": "a", "to": "c"}
+    started(building_from({"start": "a", "goal": "c", "places": places, "corridors": told}), AMCL_KINECT)
+
+
+@pytest.mark.parametrize("places", [2, 58, 200])
+def test_corridors_of_generated_buildings_do_not_cross(places):
+    for seed in range(10):
+        check_walls(generated_building(numpy.random.default_rng(seed), places, places - 1 + places // 5))
 
 
 def test_box_in_the_way_is_seen_from_afar_and_stops_who_does_not_look():
