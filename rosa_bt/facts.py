@@ -45,7 +45,8 @@ class Decision(NamedTuple):
 class Listener:
     """Hears of everything that a knowledge base is told, and keeps it until it is asked for.
 
-    What the knowledge base knows already comes as the first facts: what is measured, has failed, runs and is selected.
+    What the knowledge base knows already comes as the first facts: what is measured, required, has failed, runs and is
+    selected; not an asserted status, nor a plan that is open.
 
     Attributes:
         is_deaf: what is told now is not kept as a fact: the tree tells it, and would tell it again.
@@ -67,6 +68,8 @@ class Listener:
         for name, attribute in kb.attributes.items():
             if attribute.time is not None:
                 self._keep(attribute.time, "measure", name, attribute.value)
+        for required in kb.required_actions:
+            self._keep(required.start, "request_action", required.action, required.preference)
         self._facts.sort(key=lambda fact: fact.time)
         for name, component in kb.components.items():
             if component.status is Status.FAILURE:

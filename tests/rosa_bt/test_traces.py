@@ -62,6 +62,8 @@ TOLD = {
     "assert": lambda kb, number: kb.assert_status(kb.actions["explore"], "unfeasible", "a person says so", kb.now + 1),
     "condemn": lambda kb, number: kb.assert_status("by_camera", "unfeasible"),
     "acquit": lambda kb, number: kb.retract_status("by_camera"),
+    "ask": lambda kb, number: kb.request_action("charge"),
+    "stop asking": lambda kb, number: kb.cancel_action("charge", "failed", "a person says so"),
 }
 TELLING = st.lists(st.lists(st.tuples(st.sampled_from(sorted(TOLD)), st.integers(0, 9)), max_size=3), max_size=8)
 
@@ -109,6 +111,7 @@ def test_facts_of_one_gap_between_ticks_are_in_the_order_of_their_times_and_seve
     kb.assert_selected("by_camera", False, "a person (who knows) says so")
     facts = listener.take_facts()
     assert [(fact.time, fact.verb) for fact in facts] == [
+        (0.0, "request_action"),
         (0.0, "select"),
         (0.0, "finish_plan"),
         (1.0, "assert_selected"),
@@ -118,7 +121,7 @@ def test_facts_of_one_gap_between_ticks_are_in_the_order_of_their_times_and_seve
     kb.cancel_action("explore")
     listener.take_facts()
     assert kb.select() is None, "both are given up, and there is nothing to do for that"
-    assert listener.take_facts() == (Fact(1.0, "select", ({}, {})),)
+    assert listener.take_facts() == (Fact(1.0, "select", ({}, {}, "")),)
 
 
 def test_tick_tells_what_was_ticked_what_was_told_and_what_was_decided_with_the_reason():
