@@ -51,11 +51,6 @@ class Quest:
         """The hopes that are in doubt."""
         return self._hopes.doubts
 
-    @property
-    def numbers(self) -> Mapping[str, float]:
-        """The values, now, of numeric facts."""
-        return self._numbers()
-
     def is_no_easier(self, then: Mapping[str, float]) -> bool:
         """Whether what could not be reached with some numbers cannot be reached now, by its limits."""
         return self._bounds.leave_no_more(self._numbers(), then)

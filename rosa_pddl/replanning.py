@@ -177,7 +177,8 @@ class Replanning:
             if wrong is None:
                 return Found(course, decision)
             # the same question would get the same answer, again and again
-            self._give_up(state, f"no plan: what {result.engine} gave cannot be done event by event: {wrong}")
+            why = f"no plan: what {result.engine} gave cannot be done event by event: {wrong}"
+            self._give_up(state, question.problem.costs, why)
             return None
         if not decision.is_needed:
             return None
@@ -194,8 +195,9 @@ class Replanning:
         safe = PlanningResult(Outcome.SOLVED, (result.safe_step,))
         return Found(Course.of(domain, safe, ()), Decision("there is no plan", is_needed=True))
 
-    def _give_up(self, state: State, why: str) -> None:
-        self._hopeless = _Hopeless(state, self._quest.domain, self._quest.numbers, why)
+    def _give_up(self, state: State, numbers: Mapping[str, float], why: str) -> None:
+        """Note that there is no plan with the numbers that were asked with, which may be others by now."""
+        self._hopeless = _Hopeless(state, self._quest.domain, numbers, why)
 
     def _diagnose(self, diagnosis: Diagnosis, state: State) -> None:
         """Ask on, or conclude that there is no plan; when the state has changed it is better to plan anew."""
@@ -207,4 +209,4 @@ class Replanning:
             self._asking.ask(diagnosis.next_question, state, None)
         else:
             self._diagnosis = None
-            self._give_up(state, "; ".join(map(str, (diagnosis, *self._quest.doubts))))
+            self._give_up(state, diagnosis.costs, "; ".join(map(str, (diagnosis, *self._quest.doubts))))

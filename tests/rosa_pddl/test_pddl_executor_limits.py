@@ -107,6 +107,16 @@ def test_there_is_a_plan_again_once_more_is_left(legs):
     assert begun(world) == ["creep"] * 3
 
 
+@pytest.mark.parametrize("ticks", [1, 2, 3])
+def test_more_that_is_left_while_it_is_planned_is_a_reason_to_ask_again(legs, ticks):
+    world = world_of(legs["0.2"])
+    for _ in range(ticks):
+        assert world.tick() is Status.RUNNING
+    world.facts = {"(left)": 0.3}
+    assert world.run() is Status.SUCCESS
+    assert begun(world) == ["creep"] * 3
+
+
 @pytest.mark.parametrize("better", [{"(need b)": 0.1}, {"(used)": -0.2}, {"(left)": 0.21}])
 def test_what_could_leave_more_is_a_reason_to_look_for_a_plan_again(legs, better):
     world = world_of(legs["0.2"])
