@@ -116,7 +116,7 @@ def figure_in_words(name: str, value: float | None) -> tuple[str, str, str]:
 
 
 def adaptation_table(adaptations: Iterable[Adaptation]) -> Table:
-    """Return a table of adaptations: when, what, why, how fast."""
+    """Return a table of adaptations: when, what, what set it off and why, how fast."""
     table = Table(expand=True, box=SIMPLE_HEAD, pad_edge=False)
     table.add_column(escape("at [s]"), justify="right", no_wrap=True)
     table.add_column("kind", no_wrap=True)
@@ -125,7 +125,8 @@ def adaptation_table(adaptations: Iterable[Adaptation]) -> Table:
     table.add_column(escape("reaction [s]"), justify="right", no_wrap=True)
     for one in adaptations:
         reaction = "-" if one.reaction_s is None else f"{one.reaction_s:.2f}"
-        table.add_row(f"{one.at_s:.1f}", one.kind, escape(one.change), escape(one.why), reaction)
+        why = one.reason if one.reason.startswith(one.trigger) else f"{one.trigger}: {one.reason}"
+        table.add_row(f"{one.at_s:.1f}", one.kind, escape(one.change), escape(why), reaction)
     return table
 
 

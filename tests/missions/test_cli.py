@@ -79,6 +79,13 @@ def test_run_without_progress_prints_the_result_only(quick):
     assert "time_limit" in out
 
 
+def test_table_of_adaptations_begins_each_reason_with_what_set_it_off(quick):
+    code, out, _ = quick("run", "agv", "--seed", "1", "--no-progress")
+    assert code == 0
+    assert "light is 0.1: aruco_camera is unfeasible because light 0.1" in out
+    assert "kinect has failed: cross_c1 is unfeasible because" in out
+
+
 def test_run_writes_all_files_that_are_asked_for(quick, tmp_path):
     files = {name: tmp_path / f"out.{name}" for name in ("json", "plot", "timing", "record")}
     options = [part for name, path in files.items() for part in (f"--{name}", path)]
