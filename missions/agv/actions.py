@@ -8,7 +8,7 @@ from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 
 from kb import KnowledgeBase, ReconfigurationPlan
-from missions.agv.declared import SWITCH, Words, facts_of, numbers_of
+from missions.agv.declared import SWITCH, Words, facts_of, numbers_of, switching_of
 from missions.agv.joint import Leg
 from missions.agv.model import FOLLOW, NAVIGATE, NAVIGATOR, heading, headings
 from missions.agv.modes import Mode, running_mode
@@ -131,13 +131,16 @@ class Outlook:
         self.route, self.words = route, words
         self._revision: tuple[object, ...] = ()
         self._told: Mapping[str, bool | float] = {}
+        self._switching: Mapping[str, float] = {}
 
     @property
     def told(self) -> Mapping[str, bool | float]:
         """What holds and costs now; worked out when something has happened, not with every metre and joule."""
         if self._revision != self.route.revision:
             self._revision, task = self.route.revision, self.route.task
-            self._told = {**facts_of(self.words, task), **numbers_of(self.words, task, LIMITED)}
+            self._switching = self._switching or switching_of(self.words, task, self.words.by_mode, LIMITED)
+            numbers = numbers_of(self.words, task, LIMITED)
+            self._told = {**facts_of(self.words, task), **self._switching, **numbers}
         return self._told
 
     def leg(self, way: str, mode: str) -> Leg | None:

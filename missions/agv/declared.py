@@ -4,7 +4,7 @@ Switching and crossing are actions of their own; both cost what the search count
 """
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from typing import Final, NamedTuple
 
@@ -29,6 +29,7 @@ __all__ = [
     "numbers_of",
     "problem_of",
     "switch_schema",
+    "switching_of",
 ]
 
 SWITCH: Final = "switch"
@@ -172,16 +173,23 @@ def facts_of(words: Words, task: Task) -> dict[str, bool]:
 
 
 def numbers_of(words: Words, task: Task, limited: Iterable[str] = ()) -> dict[str, float]:
-    """Return what everything costs that is possible now, in whole thousandths, and uses up of what is limited."""
+    """Return what it costs and uses up to drive where it is possible now and to switch, and what may be used up."""
     numbers: dict[str, float] = {}
     for way, mode, takes, cost in _crossings(words, task):
         numbers |= _told("crossing", f"{way} {mode}", takes, cost, limited)
-    for now, one in {**words.by_mode, words.now: task.start[1]}.items():
-        for mode, other in words.by_mode.items():
-            numbers |= _told("switching", f"{now} {mode}", *task.switching(one, other), limited)
+    numbers |= switching_of(words, task, {words.now: task.start[1]}, limited)
     left = dict(zip(task.limited, task.limits, strict=True))
     for name in limited:  # what was used up is left no more
         numbers |= {f"({name}_used)": 0.0, f"({name}_left)": left.get(name, _PLENTY)}
+    return numbers
+
+
+def switching_of(words: Words, task: Task, setups: Mapping[str, Mode], limited: Iterable[str] = ()) -> dict[str, float]:
+    """Return what it costs and uses up, in whole thousandths, to switch from setups to each mode; that stays so."""
+    numbers: dict[str, float] = {}
+    for now, one in setups.items():
+        for mode, other in words.by_mode.items():
+            numbers |= _told("switching", f"{now} {mode}", *task.switching(one, other), limited)
     return numbers
 
 
@@ -198,11 +206,12 @@ def declarations_of_task(task: Task) -> Declarations:
     words = Words(task.building, modes.values(), has_inside=bool(task.start[0].corridor))
     facts = [fact for fact, is_so in facts_of(words, task).items() if is_so]
     facts += [f"({FEASIBLE} {action})" for action in (SWITCH, *words.actions.values())]
+    switching = switching_of(words, task, words.by_mode, task.limited)
     problem = replace(
         problem_of(words, task.limited),
         goal=(f"(at {words.places[task.goal]})",),
         facts=(*words.fixed, *facts),
-        numbers=numbers_of(words, task, task.limited),
+        numbers=switching | numbers_of(words, task, task.limited),
     )
     return Declarations("joint", [switch_schema(task.limited), cross_schema(task.limited)], problem)
 
