@@ -58,6 +58,8 @@ class Question:
     light: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        if not isinstance(self.start, Place | None):
+            raise MissionError(f"the start is {self.start!r}; it must be a Place, such as Place('hall')")
         for what, told in (("weight", self.weights), ("limit", self.limits)):
             for name, value in told.items():
                 if name not in GOALS:

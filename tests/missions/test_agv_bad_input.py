@@ -115,6 +115,7 @@ def test_contradiction_in_one_design_leaves_the_others():
         ({"light": {"c1": math.nan}}, "light of corridor c1 is nan; it must be a finite number from 0 to 1"),
         ({"light": {"c1": 2.0}}, "light of corridor c1 is 2.0"),
         ({"weights": {"time": "much"}}, "the weight of time is 'much'"),
+        ({"start": "a"}, "the start is 'a'; it must be a Place"),
         ({"weights": {"time": math.inf}}, "the weight of time is inf"),
         ({"weights": {"time": 1e306, "energy": 1e306}}, "too great to count with"),
         ({"limits": {"time": -1.0}}, "the limit of time is -1.0"),
