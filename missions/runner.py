@@ -140,6 +140,8 @@ class MissionRun:
             ):
                 self._turn()
                 trouble = self._hear_plans()
+            if self._runner.status is not Status.SUCCESS:
+                self._log.finish()
             left = " and ".join(f"{one.action} since {one.start:.1f} s" for one in self.kb.required_actions)
         finally:
             self._runner.shutdown()

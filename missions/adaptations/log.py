@@ -18,6 +18,7 @@ class _Ended(NamedTuple):
     """An action that has ended; cause: why it was given up, None if it was not, or not because of any news."""
 
     action: str
+    at_s: float
     cause: News | None
 
 
@@ -30,7 +31,7 @@ class AdaptationLog:
     - was given up, or failed, because it had become unfeasible, or failed at all, or was given up after other news,
     - or was taken up when it was feasible again, after it had been given up itself.
 
-    The plans that configure the robot for it belong to it. A task plan that was made anew, and has steps that the one
+    The plans that configure the robot for it belong to it. If none follows by the end of the run, that is told, too. A task plan that was made anew, and has steps that the one
     before had not, is one too, unless the action that is begun for it tells as much.
 
     Not an adaptation: the first action, the next one after one that is completed, the same one again, and whatever no
@@ -99,6 +100,19 @@ class AdaptationLog:
                 self._switching = False
         self._settle_plans()
 
+    def finish(self) -> None:
+        """Tell of an action that was given up and that none has followed; called when a run ends short of its goal."""
+        last, self._before = self._before, None
+        if last is None or last.cause is None or self._kb.required_actions:
+            return
+        change = TaskChange(last.cause, last.action, "nothing", last.at_s)
+        for made in self._prelude:
+            change.add(self._in_words(made), made)
+        change.close()
+        self.adaptations.append(change.adaptation)
+        self.adaptations.sort(key=lambda one: one.at_s)
+        self._tell(change.adaptation)
+
     # ---------------------------------------------------------------- what is heard
 
     def _hear(self, event: Event) -> None:
@@ -120,7 +134,7 @@ class AdaptationLog:
             self._began[action] = event.time
             return
         if action not in self._began:  # else it ended in the tick in which it began
-            self._ended.append(_Ended(action, self._why_given_up(action, record.result, record.reason)))
+            self._ended.append(_Ended(action, record.end, self._why_given_up(action, record.result, record.reason)))
         self._began.pop(action, None)
         if record.result != "completed":
             self._given_up[action] = None

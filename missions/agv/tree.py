@@ -45,7 +45,7 @@ class FollowRoute(Composite):
                 if self._crossings[name].is_crossed:
                     yield from child.tick()
                 else:
-                    child.stop(Status.INVALID)
+                    self._give_up(name)
         self.current_child = planned
         if planned is None:
             self.feedback_message = "" if self._route.is_there else self._route.answer.reason
@@ -55,6 +55,14 @@ class FollowRoute(Composite):
             yield from planned.tick()
             self._end(Status.RUNNING if planned.status is Status.RUNNING else Status.FAILURE)
         yield self
+
+    def _give_up(self, corridor: str) -> None:
+        """Stop a crossing, and say why: as it ends it lowers what it demands, so it is asked before."""
+        crossing, kb = self._crossings[corridor], self._route.kb
+        feasible = kb.is_feasible(crossing.action)
+        why = self._route.answer.reason if feasible else kb.why(kb.actions[crossing.action])
+        kb.cancel_action(crossing.action, "abandoned", why)
+        self._by_corridor[corridor].stop(Status.INVALID)
 
     def _leg(self) -> Leg | None:
         return self._route.leg

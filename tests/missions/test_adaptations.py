@@ -251,6 +251,32 @@ def test_what_is_stopped_in_the_ordinary_course_is_told_of_no_later_change(missi
     assert [one.change for one in mission.log.adaptations] == ["inspect -> wait"]
 
 
+def test_action_given_up_because_of_news_that_none_follows_is_told_when_the_run_ends(mission):
+    mission.tick(mission.begin("search"))
+    mission.hear(lambda: mission.kb.measure("energy", 0.1))
+    mission.tick(mission.end("search"))
+    mission.tick()
+    assert mission.log.adaptations == []  # another one may follow yet
+    mission.log.finish()
+    (told,) = mission.log.adaptations
+    assert (told.kind, told.change, told.trigger) == ("task", "search -> nothing; stop camera", "energy is 0.1")
+    assert told.reason.startswith("search is unfeasible because energy 0.1 violates >= 0.2")
+    assert (told.at_s, told.reaction_s) == (0.2, pytest.approx(0.1))
+
+
+def test_end_of_a_run_tells_nothing_of_what_was_completed_followed_or_left_without_news(mission):
+    mission.tick(mission.begin("search"))
+    mission.log.finish()  # under way
+    mission.tick(mission.end("search"))
+    mission.log.finish()  # left without news
+    mission.tick(mission.begin("search"))
+    mission.hear(lambda: mission.kb.measure("energy", 0.1))
+    mission.tick(mission.end("search"), mission.begin("wait"))
+    mission.tick(mission.end("wait", "completed"))
+    mission.log.finish()
+    assert [one.change for one in mission.log.adaptations] == ["search -> wait"]
+
+
 NEWS = st.one_of(
     st.builds(lambda value: lambda one: one.kb.measure("energy", value), st.sampled_from([0.1, 0.3, 0.9])),
     st.just(lambda one: one.kb.component_failed("camera")),
@@ -306,6 +332,42 @@ def test_it_does_not_matter_whether_a_tree_begins_or_ends_first(script):
 def test_without_news_only_a_failure_is_an_adaptation(script):
     one = played(script, hears=False)
     assert all(told.trigger.endswith(" has failed") for told in one.log.adaptations)
+
+
+@given(SCRIPT)
+def test_end_of_a_run_adds_at_most_the_last_action_and_only_if_none_is_under_way(script):
+    one = played(script)
+    before = list(one.log.adaptations)
+    one.log.finish()
+    assert one.log.adaptations == before  # each action that ends here is followed by another, or none has ended
+    one.hear(lambda: one.kb.component_failed("camera"))
+    one.hear(lambda: one.kb.component_failed("lidar"))
+    doing = [required.action for required in one.kb.required_actions]
+    one.tick(*(one.end(action) for action in doing))
+    before = [told.change for told in one.log.adaptations]
+    one.log.finish()
+    one.log.finish()
+    added = [told for told in one.log.adaptations if "nothing" in told.change]
+    assert [told.change.split(";")[0] for told in added] == [f"{action} -> nothing" for action in doing]
+    assert len(one.log.adaptations) == len(before) + len(added)
+    assert [told.at_s for told in one.log.adaptations] == sorted(told.at_s for told in one.log.adaptations)
+
+
+@pytest.mark.parametrize("task", ["bt", "pddl"])
+def test_corridor_that_is_given_up_with_no_way_left_is_told_with_its_reason(task):
+    _, verdict, data = run_mission("agv", task, seed=1, capacity_j=2500, duration_s=40)
+    assert not verdict.success
+    last = data["adaptations"][-1]
+    assert last["change"].startswith("cross_c1 -> nothing")
+    assert last["trigger"] == "kinect has failed"
+    assert last["reason"].startswith("cross_c1 is unfeasible because")
+    assert last["at_s"] == data["actions"][-1]["end_s"]
+
+
+def test_tree_that_gives_up_a_corridor_says_why_in_the_history_of_actions():
+    _, _, data = run_mission("agv", seed=1, capacity_j=2500, duration_s=40)
+    assert data["actions"][-1]["result"] == "abandoned"
+    assert data["actions"][-1]["reason"].startswith("cross_c1 is unfeasible because function navigate is unfeasible")
 
 
 def test_goal_that_changes_in_flight_is_a_task_adaptation_of_the_plans():
