@@ -7,7 +7,7 @@ from functools import partial
 from rosa_pddl.domain import Domain, State, UpThing
 from rosa_pddl.goals import Goal
 from rosa_pddl.planning import PlanningResult
-from rosa_pddl.problem import Problem
+from rosa_pddl.problem import Problem, unlimited
 
 __all__ = ["Diagnosis"]
 
@@ -75,7 +75,7 @@ class Diagnosis:
         if is_all_feasible:
             state |= {domain.feasible_atom(action) for action in domain.rosa_actions}
         if not is_limited:
-            domain = replace(domain, resources=tuple(replace(one, limits=()) for one in domain.resources), _atoms={})
+            domain = unlimited(domain)
         expressions: tuple[UpThing, ...] = tuple(goal.expression for goal in goals)
         return Problem(domain, state, expressions, self.costs)
 
@@ -109,5 +109,9 @@ class Diagnosis:
     def _if_unlimited(self) -> str:
         if not self.domain.limited or len(self.answers) < len(self._questions):
             return ""
+        last = self.answers[-1]
+        if last.outcome.is_trouble:
+            return ""
         names = ", ".join(resource.name for resource in self.domain.limited)
-        return f"there would be a plan without the limits of {names}" if self.answers[-1].outcome.is_solved else ""
+        are = "would" if last.outcome.is_solved else "would not"
+        return f"there {are} be a plan without the limits of {names}"

@@ -1,12 +1,12 @@
 """From what the knowledge base says and the mission senses to the problem that a planner gets."""
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from typing import TypeAlias
 
 from rosa_pddl.domain import Domain, Feasibility, Schema, State, UpThing
-from rosa_pddl.exceptions import UnsupportedPddlError
+from rosa_pddl.exceptions import UnknownNameError, UnsupportedPddlError, nearest
 
 Exact: TypeAlias = int | Fraction
 """A number that is added up and compared without rounding."""
@@ -26,12 +26,19 @@ class Problem:
         costs: values of numeric facts that costs, uses and limits of resources are made of, such as
             `{"(travel_cost a b)": 3.5}`, and of resources what was used up before, such as `{"(energy_used)": 120.0}`;
             the others are those of the problem file.
+
+    Raises:
+        UnknownNameError: the costs name what the domain does not know, or what is no numeric fact.
     """
 
     domain: Domain
     state: State
     goals: tuple[UpThing, ...] | None = None
     costs: Mapping[str, float] = field(default_factory=dict, hash=False)
+
+    def __post_init__(self) -> None:
+        if self.costs:
+            _check_numeric(self.domain, self.costs)
 
     @property
     def wanted(self) -> tuple[UpThing, ...]:
@@ -58,6 +65,14 @@ class Problem:
         return problem
 
 
+def _check_numeric(domain: Domain, texts: Iterable[str]) -> None:
+    numeric = {domain.outside[fluent.name] for fluent in domain.up_problem.fluents if not fluent.type.is_bool_type()}
+    for text in texts:
+        head = domain.atom(text)[1:-1].split(" ", 1)[0]
+        if head not in numeric:
+            raise UnknownNameError(f"{text!r} is no numeric fact of {domain.file}; {nearest(head, numeric)}")
+
+
 def exact(value: float | Fraction) -> Exact:
     """Return a number as it is written in decimals, so that sums are exact: 0.1 is a tenth.
 
@@ -79,6 +94,11 @@ def limits_of(domain: Domain) -> Iterator[UpThing]:
         for limit in resource.limits:
             compare = manager.LT if limit.is_strict else manager.LE
             yield compare(resource.fluent, limit.amount)
+
+
+def unlimited(domain: Domain) -> Domain:
+    """Return a domain without the limits of its resources."""
+    return replace(domain, resources=tuple(replace(one, limits=()) for one in domain.resources))
 
 
 def initial_state(domain: Domain) -> State:

@@ -13,6 +13,7 @@ from rosa_pddl import (
     PddlError,
     Planner,
     Problem,
+    UnknownNameError,
     initial_state,
     load_domain,
     parse_domain,
@@ -68,6 +69,23 @@ def test_an_action_with_a_duration_may_use_at_its_start_and_at_its_end():
     planner = Planner("label-setting", warm=False)
     assert planner.plan(Problem(domain, frozenset())).outcome is Outcome.SOLVED_OPTIMALLY
     assert planner.plan(Problem(domain, frozenset(), costs={"(used)": 1})).outcome is Outcome.UNSOLVABLE_PROVEN
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("(max_nois)", "domain.pddl has no predicate 'max_nois' (in '(max_nois)'); nearest: "),
+        ("(effort nowhere)", "domain.pddl has no object 'nowhere'"),
+        ("(noise a)", "'(noise a)' has 1 arguments, 'noise' takes 0"),
+        ("(at a)", "'(at a)' is no numeric fact of domain.pddl; known: effort, "),
+    ],
+)
+def test_numbers_that_a_problem_is_given_have_to_be_facts_of_the_domain(text, words):
+    domain = parse_domain(DOMAIN, PROBLEM)
+    with pytest.raises(UnknownNameError) as caught:
+        Problem(domain, initial_state(domain), costs={"(noise)": 1, text: 1})
+    assert words in str(caught.value)
+    assert len(Problem(domain, initial_state(domain), costs={"NOISE": 1}).costs) == 1
 
 
 # ---------------------------------------------------------------- declarations
