@@ -62,7 +62,7 @@ class Narrator(Listener):
 
     def plan(self, plan: "PlanRecord", time_s: float) -> None:
         """Say what is planned, and why it was planned anew."""
-        steps = ", then ".join(step.schema for step in plan.steps)
+        steps = ", then ".join(step.action or step.schema for step in plan.steps)
         found = steps if plan.outcome.is_solved else f"none, {plan.outcome} ({plan.engine})"
         self._say(time_s, f"[bold green]plan[/] ({escape(plan.reason)}): {escape(found)}")
 

@@ -4,7 +4,7 @@ import re
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Any, BinaryIO, Final
 
 import numpy as np
@@ -71,10 +71,10 @@ def picture(run: MissionRun, data: Mapping[str, Any]) -> Figure:
     if np.isfinite(story.xy).any():
         places = {name: np.asarray(points, dtype=float) for name, points in run.world.scenery().items() if len(points)}
         shown = _shown(story, places)
-        split = _split(shown, top) if story.adaptations else 1420 if _is_ours(data) else WIDTH - 34
+        split = _split(shown, top) if story.adaptations or story.planned else 1420 if _is_ours(data) else WIDTH - 34
         _map(_axes(figure, 72, 106, split - 72, top - 162), story, places, shown)
     if _is_ours(data):  # how others adapt is not told, only what they switch
-        _list(_axes(figure, split + 22, 106, WIDTH - split - 30, top - 120), story.adaptations)
+        _list(_axes(figure, split + 22, 106, WIDTH - split - 30, top - 120), story.planned, story.adaptations)
     return figure
 
 
@@ -246,36 +246,36 @@ def _choices(room: _Room, story: Story) -> None:
         room.ring(story.where(time), story.hues.get(action, FAINT))
 
 
-def _list(axes: Axes, adaptations: Events) -> None:
-    """Write what set each adaptation off and what was changed, as large and as fully as there is room."""
+def _list(axes: Axes, planned: Events, adaptations: Events) -> None:
+    """Write the plan, what set each adaptation off and what was changed, as large and as fully as there is room."""
     axes.set_axis_off()
     axes.set(xlim=(0, axes.bbox.width), ylim=(axes.bbox.height, 0))
     head = "adaptations: what set them off → what was changed" if adaptations else "no adaptation"
+    told = [*planned, *adaptations]
     axes.text(0, 0, head, fontsize=10, fontweight="bold", va="top")
-    for size, full in (
-        *((size, True) for size in (10, 9, 8.5, 8)),
-        *((size, False) for size in (9, 8.5, 8, 7.5, 7, 6.5, 6)),
-    ):
+    for size, full in (*product((10, 9, 8.5, 8), (True,)), *product((9, 8.5, 8, 7.5, 7, 6.5, 6), (False,))):
         line, left = size * LINE, 18 + size * 13
-        texts = [_lines(one, full, (axes.bbox.width - left) / (0.47 * line)) for one in adaptations]
+        texts = [_lines(one, full, (axes.bbox.width - left) / (0.47 * line)) for one in told]
         starts = 32 + np.cumsum([0, *(line * (len(text) + 0.3) for text in texts)])
         if starts[-1] <= axes.bbox.height:
             break
-    for number, (one, text, y) in enumerate(zip(adaptations, texts, starts, strict=False), start=1):
-        if starts[-1] > axes.bbox.height < starts[number] + line:
-            axes.text(left, y, f"… and {len(texts) - number + 1} more", fontsize=size, color=MUTED, va="top")
+    for index, (one, text, y) in enumerate(zip(told, texts, starts, strict=False)):
+        if starts[-1] > axes.bbox.height < starts[index + 1] + line:
+            axes.text(left, y, f"… and {len(texts) - index} more", fontsize=size, color=MUTED, va="top")
             break
-        _badge(axes, axes.transData.transform((13, y + line * 0.8)), number, one["kind"])
+        if index >= len(planned):
+            _badge(axes, axes.transData.transform((13, y + line * 0.8)), index + 1 - len(planned), one["kind"])
         axes.text(32, y, f"{one['at_s']:.1f} s", fontsize=size, fontweight="bold", va="top")
         axes.text(32, y + line, one["kind"], fontsize=size - 0.5, color=MUTED, va="top")
-        for index, part in enumerate(text):
-            axes.text(left, y + index * line, part, fontsize=size, va="top")
+        for below, part in enumerate(text):
+            axes.text(left, y + below * line, part, fontsize=size, va="top")
 
 
 def _lines(one: Mapping[str, Any], full: bool, width: float) -> list[str]:
-    reaction = "not in force" if one["reaction_s"] is None else f"in\u00a0{one['reaction_s']:.2f}\u00a0s"
+    reaction = one.get("reaction_s")
+    how = one.get("found", "not in force") if reaction is None else f"in\u00a0{reaction:.2f}\u00a0s"
     why = re.sub(r" \(measured [^)]*\)", "", f": {one['reason']}") if full else ""
-    texts = one["trigger"] + brief(why, LONGEST), f"-> {one['change']} [{reaction}]"
+    texts = one["trigger"] + brief(why, LONGEST), f"-> {one['change']} [{how}]"
     return [part for text in texts for part in textwrap.wrap(brief(text, 500), int(width), subsequent_indent="    ")]
 
 

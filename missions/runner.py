@@ -108,7 +108,8 @@ class MissionRun:
         self._manager = ConfigurationManager(self.kb, world.managed)
         delay = self.settings.planning_delay_s
         self._task = build_task(task, mission, self.kb, self._senses, self._now, delay)
-        self._log = AdaptationLog(self.kb, self._tell_adaptation, self._task.plans)
+        deciding = self._task.plans if self._task.is_planned else tuple
+        self._log = AdaptationLog(self.kb, self._tell_adaptation, deciding)
         self.kb.subscribe(self._hear)
         self._runner = TreeRunner(self._task.root, clock=self._now, period=self.settings.tick_period_s)
         self._runner.tree.setup()
@@ -120,7 +121,7 @@ class MissionRun:
 
     @property
     def plans(self) -> tuple["PlanRecord", ...]:
-        """The task plans so far; none for a tree."""
+        """The task plans so far; none for a tree in which nothing plans."""
         return self._task.plans()
 
     @property
@@ -156,7 +157,7 @@ class MissionRun:
         """Add to the reason of a failure what was under way, why there was no plan, or why an action failed last."""
         if left:
             return f"{reason}; under way: {left}"
-        plan = self.plans[-1] if self.plans else None
+        plan = self.plans[-1] if self.plans and self._task.is_planned else None
         if plan is not None and not plan.outcome.is_solved:
             return f"{reason}; there was no plan: {plan.outcome}"
         failed = next((one for one in reversed(self.kb.action_history) if one.result == "failed"), None)
@@ -198,7 +199,7 @@ class MissionRun:
         for plan in plans[heard:]:
             for listener in self._listeners:
                 listener.plan(plan, self.world.now)
-            if plan.outcome.is_trouble:
+            if plan.outcome.is_trouble and self._task.is_planned:  # a tree may have something else to do
                 return Verdict("aborted", f"no plan, {plan.outcome}: {plan.engine}", plan.message)
         return None
 

@@ -20,6 +20,9 @@ Events = Sequence[Mapping[str, Any]]
 HUES: Final = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#8c6d31", "#b8ac00")
 """Okabe and Ito's colours, but the one for alarms."""
 
+STEPS: Final = 3
+"""How many steps of a plan there is room for; the result in JSON has all of them."""
+
 STRAY: Final = 0.1
 """Part of the samples that may lie between one action and what is configured for the next."""
 
@@ -65,6 +68,7 @@ class Story:
         signals: what was measured (n,) by name and unit; NaN where there was nothing.
         limits: labels of the thresholds by attribute and value.
         adaptations, disturbances: as in the result, in order of time.
+        planned: the first task plan, if any was made, as an entry of the list of adaptations.
         completed: the actions that ended well, each with when that was [s].
     """
 
@@ -79,6 +83,7 @@ class Story:
     adaptations: Events
     disturbances: Events
     completed: list[tuple[str, float]]
+    planned: Events = ()
 
     @property
     def hues(self) -> dict[str, str]:
@@ -129,7 +134,16 @@ def story_of(run: MissionRun, data: Mapping[str, Any]) -> Story:
         data["adaptations"],
         data["disturbances"],
         [(one["name"], one["end_s"]) for one in data["actions"] if one["result"] == "completed"],
+        [_first_plan(one) for one in data["plans"][:1]],
     )
+
+
+def _first_plan(plan: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return a plan as what is told of an adaptation, how it was found in place of how soon it was in force."""
+    steps, more = plan["steps"][:STEPS], len(plan["steps"]) - STEPS
+    change = ", then ".join([*steps, *([f"{more} more"] if more > 0 else [])]) or "none"
+    told = {"at_s": plan["at_s"], "kind": "plan", "trigger": "first plan", "reason": plan["reason"]}
+    return {**told, "change": change, "found": f"{plan['outcome']}, {plan['engine']}"}
 
 
 def listed(column: Iterable[str]) -> list[str]:

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from inspect import signature
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Protocol, runtime_checkable
 
 from py_trees.behaviour import Behaviour
 from py_trees.decorators import FailureIsRunning
@@ -15,9 +15,18 @@ from missions.senses import Senses
 if TYPE_CHECKING:
     from rosa_pddl import PlanRecord, Step
 
-__all__ = ["TASK_KINDS", "TaskLayer", "build_task", "check_task"]
+__all__ = ["Planning", "TASK_KINDS", "TaskLayer", "build_task", "check_task"]
 
 TASK_KINDS: Final = ("bt", "pddl")
+
+
+@runtime_checkable
+class Planning(Protocol):
+    """A behaviour that plans, such as `rosa_pddl.PlanExecutor`: a tree with one in it has its plans told."""
+
+    @property
+    def plans(self) -> tuple["PlanRecord", ...]:
+        """The plans made so far; only added to."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +36,8 @@ class TaskLayer:
     Attributes:
         root: the behaviour to tick.
         catch_up: to be called between ticks: waits for an answer that is due.
-        plans: the task plans made so far.
+        plans: the task plans made so far, by a planner or by behaviours in a tree.
+        is_planned: whether the actions are those of the plans, none of a tree's own.
         close: to be called at the end: lets go of what was used for planning.
     """
 
@@ -35,6 +45,7 @@ class TaskLayer:
     catch_up: Callable[[], None] = lambda: None
     plans: Callable[[], tuple["PlanRecord", ...]] = tuple
     close: Callable[[], None] = lambda: None
+    is_planned: bool = False
 
 
 def check_task(kind: str) -> None:
@@ -69,7 +80,7 @@ def build_task(
         root = mission.tree(kb, senses)
         if not isinstance(root, Behaviour):
             raise MissionError(f"the tree of mission {mission.name} is {root!r}, not a py_trees behaviour")
-        return TaskLayer(root)
+        return TaskLayer(root, plans=_Plans(root))
     return _planning(mission, kb, senses, clock, planning_delay_s)
 
 
@@ -103,7 +114,25 @@ def _planning(
         if made.error is not None:
             raise made.error
 
-    return TaskLayer(root, catch_up, lambda: executor.plans, planner.close)
+    return TaskLayer(root, catch_up, lambda: executor.plans, planner.close, is_planned=True)
+
+
+class _Plans:
+    """The plans of all behaviours of a tree that plan, in the order in which they are found here."""
+
+    def __init__(self, root: Behaviour) -> None:
+        self._planning = [one for one in root.iterate() if isinstance(one, Planning)]
+        self._heard = [0] * len(self._planning)
+        self._plans: tuple[PlanRecord, ...] = ()
+
+    def __call__(self) -> tuple["PlanRecord", ...]:
+        """Return them."""
+        for number, one in enumerate(self._planning):
+            plans = one.plans
+            if len(plans) > self._heard[number]:
+                self._plans += plans[self._heard[number] :]
+                self._heard[number] = len(plans)
+        return self._plans
 
 
 class _Made:

@@ -31,8 +31,9 @@ class AdaptationLog:
     - was given up, or failed, because it had become unfeasible, or failed at all, or was given up after other news,
     - or was taken up when it was feasible again, after it had been given up itself.
 
-    The plans that configure the robot for it belong to it. If none follows by the end of the run, that is told, too. A task plan that was made anew, and has steps that the one
-    before had not, is one too, unless the action that is begun for it tells as much.
+    The plans that configure the robot for it belong to it. If none follows by the end of the run, that is told, too. A
+    task plan that was made anew, and has steps that the one before had not, is one too, unless the action that is begun
+    for it tells as much.
 
     Not an adaptation: the first action, the next one after one that is completed, the same one again, and whatever no
     news has led to.

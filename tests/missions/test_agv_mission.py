@@ -267,6 +267,29 @@ def test_switch_selects_the_mode_and_ends_when_the_robot_is_configured_so_or_can
         kb.select({}, {})
 
 
+def test_tree_tells_its_joint_plans_with_reasons_once_for_each_that_is_new():
+    plans = result("agv", "bt", 1)["plans"]
+    assert [[step.split("(")[1].split(",")[0] for step in plan["steps"]] for plan in plans] == [
+        ["c1"],
+        ["c4", "c3", "c2"],
+        ["c3", "c2"],  # with the lamp
+    ]
+    assert plans[0]["at_s"] == 0.0
+    for plan in plans:
+        assert "of all ways the best for time + 0.02 energy + 10 collisions" in plan["reason"]
+        assert plan["steps"][0].split(", ")[-1][:-1] in plan["reason"]
+        assert plan["outcome"] == "solved optimally"
+
+
+def test_tree_without_a_way_left_tells_once_that_there_is_no_plan_and_why():
+    blocked = straight(obstacles=1.0)
+    verdict, run = driven(blocked, "bt", incidents="kinect fails in c1")
+    first, last = run.plans
+    assert first.outcome.is_solved
+    assert (last.outcome.is_solved, last.steps) == (False, ())
+    assert last.reason in verdict.reason
+
+
 def test_map_without_a_way_has_no_plan_of_steps_and_is_asked_no_more_than_things_change():
     blocked = straight(obstacles=1.0)
     blocked["places"]["d"] = [0, 9]

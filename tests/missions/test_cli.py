@@ -86,6 +86,15 @@ def test_table_of_adaptations_begins_each_reason_with_what_set_it_off(quick):
     assert "kinect has failed: cross_c1 is unfeasible because" in out
 
 
+def test_tree_that_plans_tells_its_plans_as_they_are_made(quick):
+    _, out, _ = quick("run", "agv", "--seed", "1", "--set", "capacity_j=2500", "--set", "duration_s=20")
+    text = " ".join(out.split())
+    assert "0.0 s plan (c1: of all ways the best for time" in text
+    assert "amcl_kinect fast (the only design that is feasible" in text
+    assert "plan (no way keeps within the limits: energy would be" in text
+    assert "): none, unsolvable proven (joint plan)" in text
+
+
 def test_run_writes_all_files_that_are_asked_for(quick, tmp_path):
     files = {name: tmp_path / f"out.{name}" for name in ("json", "plot", "timing", "record")}
     options = [part for name, path in files.items() for part in (f"--{name}", path)]
