@@ -6,7 +6,7 @@ What the corridors allow, and what that takes, is asked of the knowledge base; n
 import math
 import sys
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from operator import add
 from typing import Final, NamedTuple
@@ -32,7 +32,7 @@ class Place(NamedTuple):
     Attributes:
         name: the place, or the one that it came from.
         corridor: the corridor that it is in; empty at a place.
-        driven_m: how far along it [m].
+        driven_m: how far along it [m]; what is beyond an end counts as there.
     """
 
     name: str
@@ -377,9 +377,14 @@ class JointPlanner:
         return self._broken_limits(task)
 
     def _broken_limits(self, task: Task) -> str:
-        told = []
-        for name, least in zip(task.limited, task.least(task.start)[1], strict=True):
+        """Say which limits are less than the least that there is of each alone."""
+        told, broken = [], []
+        for name, limit in zip(task.limited, task.limits, strict=True):
             unit, scale = _UNITS[name]
-            amount, limit = least / scale, task.question.limits[name]
-            told.append(f"{name} would be {amount:.6g}{unit} at least, the limit is {limit:g}{unit}")
-        return f"no way keeps within the limits: {'; '.join(told)}"
+            alone = self.plan(replace(task.question, weights={name: 1e3}, limits={}))
+            least = alone.takes[GOALS.index(name)]
+            said = f"{name} would be {least / scale:.6g}{unit} at least"
+            told.append(said)
+            broken += [f"{said}, the limit is {task.question.limits[name]:g}{unit}"] if least > limit else []
+        together = f"each alone can be kept, but not all together ({'; '.join(told)})"
+        return f"no way keeps within the limits: {'; '.join(broken) or together}"

@@ -255,6 +255,20 @@ def test_limits_that_contradict_each_other_are_named_with_what_is_possible():
     assert not answer.is_solved
     assert "no way keeps within the limits" in answer.reason
     assert "the limit is 700 J" in answer.reason
+    assert "collisions" not in answer.reason  # these can be kept to
+
+
+def test_limit_that_is_too_low_is_told_with_the_least_that_would_do():
+    planner = paper()
+    least = planner.plan(Question(weights={"energy": 1.0})).takes.energy_j
+    reason = planner.plan(Question(limits={"energy": least - 0.001})).reason
+    assert reason.startswith(f"no way keeps within the limits: energy would be {least:.6g} J at least")
+    assert planner.plan(Question(limits={"energy": least})).is_solved
+
+
+def test_limits_of_which_each_alone_can_be_kept_are_said_to_fail_together():
+    reason = paper().plan(Question(limits={"time": 36.0, "collisions": 0.0})).reason
+    assert "each alone can be kept, but not all together (time would be 34.612 s at least" in reason
 
 
 def test_battery_limit_makes_the_robot_take_a_thriftier_way():
