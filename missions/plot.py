@@ -253,7 +253,7 @@ def _list(axes: Axes, planned: Events, adaptations: Events) -> None:
     head = "adaptations: what set them off → what was changed" if adaptations else "no adaptation"
     told = [*planned, *adaptations]
     axes.text(0, 0, head, fontsize=10, fontweight="bold", va="top")
-    for size, full in (*product((10, 9, 8.5, 8), (True,)), *product((9, 8.5, 8, 7.5, 7, 6.5, 6), (False,))):
+    for size, full in (*product((10, 9, 8.5, 8, 7.5, 7), (True,)), *product((9, 8.5, 8, 7.5, 7, 6.5, 6), (False,))):
         line, left = size * LINE, 18 + size * 13
         texts = [_lines(one, full, (axes.bbox.width - left) / (0.47 * line)) for one in told]
         starts = 32 + np.cumsum([0, *(line * (len(text) + 0.3) for text in texts)])
