@@ -162,6 +162,8 @@ class Mission:
         engines: what plans, see `rosa_pddl.Planner`: the first by itself, the others if that fails; if none is named,
             the default.
         fixed: settings of the world that belong to this mission.
+        why_not: says why its goal cannot be reached, from what is known and was sensed; empty if it cannot tell more
+            than the planner.
     """
 
     name: str
@@ -175,3 +177,4 @@ class Mission:
     facts: Callable[[KnowledgeBase, Senses], Mapping[str, bool | float]] = lambda kb, senses: {}
     engines: tuple[str, ...] = ()
     fixed: Mapping[str, str] = field(default_factory=dict)
+    why_not: Callable[[KnowledgeBase, Senses], str] = lambda kb, senses: ""

@@ -44,6 +44,10 @@ def agv_mission(name: str, summary: str, building: Building, weights: Mapping[st
     def outlook(kb: KnowledgeBase, senses: Senses) -> Outlook:
         return Outlook(Route(building, kb, senses, weights), words)
 
+    def why_not(kb: KnowledgeBase, senses: Senses) -> str:
+        answer = outlook(kb, senses).route.answer
+        return "" if answer.is_solved else answer.reason
+
     return Mission(
         name=name,
         summary=summary,
@@ -56,6 +60,7 @@ def agv_mission(name: str, summary: str, building: Building, weights: Mapping[st
         facts=lambda kb, senses: outlook(kb, senses).told,
         engines=("label-setting",),
         world=AgvKind(building, weights),
+        why_not=why_not,
     )
 
 

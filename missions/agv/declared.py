@@ -26,9 +26,11 @@ __all__ = [
     "cross_schema",
     "declarations_of_task",
     "facts_of",
+    "left_of",
     "numbers_of",
     "problem_of",
     "switch_schema",
+    "used",
     "switching_of",
 ]
 
@@ -38,7 +40,18 @@ SWITCH: Final = "switch"
 CROSS: Final = "cross"
 """The PDDL action of driving a way in a mode; its ROSA action is that of the corridor."""
 
+_UNITS: Final = {"time": "ms", "energy": "mj", "collisions": "millionths"}
 _PLENTY: Final = 1e15  # what is left of something of which it is not known how much is left
+
+
+def used(name: str) -> str:
+    """Return the numeric fact for how much of something was used up, with its unit."""
+    return f"{name}_used_{_UNITS[name]}"
+
+
+def left_of(name: str) -> str:
+    """Return the numeric fact for how much of something may be used up at most, with its unit."""
+    return f"{name}_left_{_UNITS[name]}"
 
 
 def switch_schema(limited: Iterable[str] = ()) -> ActionSchema:
@@ -50,7 +63,7 @@ def switch_schema(limited: Iterable[str] = ()) -> ActionSchema:
         end_effects=("(not (configured ?now))", "(configured ?next)"),
         duration_s=1,
         cost="(switching ?now ?next)",
-        uses={f"{name}_used": f"(switching_{name} ?now ?next)" for name in limited},
+        uses={used(name): f"(switching_{name} ?now ?next)" for name in limited},
     )
 
 
@@ -64,7 +77,7 @@ def cross_schema(limited: Iterable[str] = ()) -> ActionSchema:
         end_effects=("(not (at ?from))", "(at ?to)"),
         duration_s=60,
         cost="(crossing ?w ?m)",
-        uses={f"{name}_used": f"(crossing_{name} ?w ?m)" for name in limited},
+        uses={used(name): f"(crossing_{name} ?w ?m)" for name in limited},
         action=None,
     )
 
@@ -180,7 +193,7 @@ def numbers_of(words: Words, task: Task, limited: Iterable[str] = ()) -> dict[st
     numbers |= switching_of(words, task, {words.now: task.start[1]}, limited)
     left = dict(zip(task.limited, task.limits, strict=True))
     for name in limited:  # what was used up is left no more
-        numbers |= {f"({name}_used)": 0.0, f"({name}_left)": left.get(name, _PLENTY)}
+        numbers |= {f"({used(name)})": 0.0, f"({left_of(name)})": left.get(name, _PLENTY)}
     return numbers
 
 
@@ -196,7 +209,7 @@ def switching_of(words: Words, task: Task, setups: Mapping[str, Mode], limited: 
 def problem_of(words: Words, limited: Iterable[str] = ()) -> DeclaredProblem:
     """Return the problem of a building, without what may change."""
     goal = (f"(at {words.places[words.building.goal]})",)
-    limits = {f"{name}_used": f"({name}_left)" for name in limited}
+    limits = {used(name): f"({left_of(name)})" for name in limited}
     return DeclaredProblem(goal, words.objects, tuple(words.fixed), types={"mode": "setup"}, limits=limits)
 
 

@@ -12,25 +12,35 @@ Plan = Callable[[Problem], PlanningResult]
 
 
 def why_unsolvable(question: Question, plan: Plan) -> list[str]:
-    """Say in sentences why a question has no plan, by planning for less and with more being feasible.
+    """Say in sentences why a question has no plan, by planning for less, with more being feasible, and without limits.
 
     Args:
         question: of which the planner said that it is unsolvable.
         plan: asks the planner. What it cannot answer in its time is not told.
     """
     out = question.unfeasible
+    own = question.why_not()
+    said = [own] if own else []
     if not out:
-        return [_told(question, _lost(question, out, plan), f"whatever is done{_within(question)}")]
+        return [_unreachable(question, out, plan, "whatever is done"), *said]
     if _unsolvable(plan(question.supposing(()))):
-        return [_told(question, _lost(question, (), plan), f"even if every action were feasible{_within(question)}")]
-    told = [_told(question, _lost(question, out, plan), f"as it is{_within(question)}")]
+        return [_unreachable(question, (), plan, "even if every action were feasible"), *said]
+    told = [_unreachable(question, out, plan, "as it is"), *said]
     needed = _needed(question, plan)
     return [*told, f"there would be a plan if {needed} were feasible"] if needed else told
 
 
-def _within(question: Question) -> str:
-    limited = [resource.name for resource in question.domain.limited]
-    return f" within the limits of {_listed(limited, 'and')}" if limited else ""
+def _unreachable(question: Question, unfeasible: Sequence[str], plan: Plan, how: str) -> str:
+    """Say what cannot be reached while these actions are unfeasible, and whether that is for the limits."""
+    limited = _listed([resource.name for resource in question.domain.limited], "and")
+    if not limited:
+        return _told(question, _lost(question, unfeasible, plan), how)
+    free = question.unlimited
+    result = plan(free.supposing(unfeasible))
+    if _unsolvable(result):
+        return _told(question, _lost(free, unfeasible, plan), f"{how}, with or without the limits of {limited}")
+    within = f"{how} within the limits of {limited}" if result.outcome.is_solved else how
+    return _told(question, _lost(question, unfeasible, plan), within)
 
 
 def _unsolvable(result: PlanningResult) -> bool:
@@ -70,4 +80,4 @@ def _told(question: Question, lost: Sequence[Condition], how: str) -> str:
 
 
 def _listed(names: Sequence[str], word: str) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {word} {names[-1]}"
+    return "".join(names) if len(names) < 2 else f"{', '.join(names[:-1])} {word} {names[-1]}"

@@ -1,7 +1,8 @@
 """What is to be planned, asked by hand: a domain, what is feasible in some situation, and a goal."""
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -12,7 +13,7 @@ from missions.senses import Senses
 from rosa_pddl import Domain, Problem, State, feasible_atoms, initial_state, load_domain
 from rosa_pddl.exceptions import nearest
 from rosa_pddl.formulas import Condition, conditions
-from rosa_pddl.problem import without_feasibility
+from rosa_pddl.problem import unlimited, without_feasibility
 
 __all__ = ["Question", "Supposed", "ask", "read_situation"]
 
@@ -46,6 +47,7 @@ class Question:
         oversights: what may be one in the domain or the model, in sentences.
         numbers: what costs and limits are made of, as far as the mission knows it.
         engines: what plans, see `Mission`.
+        why_not: says why there is no plan, as far as the mission can tell; empty if it cannot.
     """
 
     domain: Domain
@@ -55,6 +57,7 @@ class Question:
     oversights: tuple[str, ...] = ()
     numbers: Mapping[str, float] = field(default_factory=dict)
     engines: tuple[str, ...] = ()
+    why_not: Callable[[], str] = str
 
     @property
     def problem(self) -> Problem:
@@ -65,6 +68,11 @@ class Question:
     def unfeasible(self) -> tuple[str, ...]:
         """The ROSA actions that cannot be done."""
         return tuple(action for action in self.domain.rosa_actions if not self.kb.is_feasible(action))
+
+    @property
+    def unlimited(self) -> "Question":
+        """The same without the limits of resources."""
+        return replace(self, domain=unlimited(self.domain))
 
     def supposing(self, unfeasible: Iterable[str], goals: Sequence[Condition] | None = None) -> Problem:
         """Return the problem in which just these ROSA actions are unfeasible, and perhaps something else is wanted."""
@@ -113,7 +121,10 @@ def ask(
     texts = [f"(and {text})" for text in goals] if goals else domain.goals
     wanted = [condition for text in texts for condition in conditions(domain, text)]
     engines = mission.engines if mission is not None else ()
-    return Question(domain, kb, state, tuple(wanted), oversights, numbers, engines)
+    made = Question(domain, kb, state, tuple(wanted), oversights, numbers, engines)
+    if mission is None or files or goals:
+        return made
+    return replace(made, why_not=partial(mission.why_not, kb, Senses()))
 
 
 def read_situation(texts: Iterable[str]) -> Supposed:

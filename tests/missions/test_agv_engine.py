@@ -8,7 +8,7 @@ from numpy.random import default_rng
 
 from kb import KnowledgeBase
 from missions.agv.costs import GOALS
-from missions.agv.declared import declarations_of_task
+from missions.agv.declared import declarations_of_task, left_of
 from missions.agv.generated import generated_building
 from missions.agv.joint import JointPlanner, Question
 from missions.agv.model import agv_model
@@ -47,7 +47,7 @@ def test_it_finds_what_the_joint_planner_finds_within_limits(seed, failed):
     for limits in limits_of(planner, quickest):
         task = planner.task(Question(weights={"time": 1.0}, limits=limits))
         told = told or declarations_of_task(task).load()
-        left = {f"({name}_left)": amount for name, amount in zip(task.limited, task.limits, strict=True)}
+        left = {f"({left_of(name)})": amount for name, amount in zip(task.limited, task.limits, strict=True)}
         result = engine.plan(Problem(told, initial_state(told), costs=left))
         answer = planner.plan(task.question)
         expected = Outcome.SOLVED_OPTIMALLY if answer.is_solved else Outcome.UNSOLVABLE_PROVEN

@@ -107,6 +107,13 @@ def test_there_is_a_plan_again_once_more_is_left(legs):
     assert begun(world) == ["creep"] * 3
 
 
+def test_limits_that_are_not_in_the_way_are_said_not_to_be(legs):
+    world = world_of(legs["0.2"])
+    world.facts = {"(next c d)": False}
+    assert world.run() is Status.FAILURE
+    assert world.executor.feedback_message.endswith("there would not be a plan without the limits of used")
+
+
 @pytest.mark.parametrize("ticks", [1, 2, 3])
 def test_more_that_is_left_while_it_is_planned_is_a_reason_to_ask_again(legs, ticks):
     world = world_of(legs["0.2"])
