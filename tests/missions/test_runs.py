@@ -1,13 +1,23 @@
 """The missions as a stranger runs them: every seed finds, adapts, recharges, carries on."""
 
 import json
+from dataclasses import replace
 
+import numpy
 import pytest
+from py_trees.behaviours import Running
+from py_trees.common import ParallelPolicy
+from py_trees.composites import Parallel
 from running import result, run_mission, text
 
-from kb import Status
-from missions.registry import MISSIONS
-from missions.task import TASK_KINDS
+from kb import KnowledgeBase, Status
+from missions.registry import MISSIONS, find_mission
+from missions.report import summary
+from missions.runner import MissionRun
+from missions.senses import Senses
+from missions.settings import RunSettings
+from missions.task import TASK_KINDS, build_task
+from rosa_pddl import Outcome, PlanRecord
 
 SEEDS = range(10)
 
@@ -41,6 +51,44 @@ def test_tree_and_plans_of_the_extended_mission_begin_the_same_actions(seed):
         ["search_pipeline", "inspect_pipeline"],
         ["recharge", "inspect_pipeline"],
     ]
+
+
+class Plans(Running):
+    """A behaviour that plans by itself; told what comes of it by appending."""
+
+    def __init__(self, name):
+        super().__init__(name)
+        self.plans = ()
+
+    def find(self, reason, outcome=Outcome.SOLVED):
+        self.plans = (*self.plans, PlanRecord(0.0, reason, outcome, (), self.name))
+
+
+def test_plans_of_all_behaviours_of_a_tree_are_told_in_the_order_in_which_they_come():
+    first, second = Plans("first"), Plans("second")
+    root = Parallel("both", ParallelPolicy.SuccessOnAll(), [first, Running("works"), second])
+    mission = replace(find_mission("suave"), tree=lambda kb, senses: root)
+    kb = KnowledgeBase(mission.model(), clock=lambda: 0.0)
+    told = build_task("bt", mission, kb, Senses(), lambda: 0.0, 0.2).plans
+    assert told() == ()
+    for one, reason in ((second, "a"), (first, "b"), (second, "c")):
+        one.find(reason)
+        before = told()
+        assert before[-1].reason == reason
+        assert told() is before
+    assert [plan.reason for plan in told()] == ["a", "b", "c"]
+
+
+def test_tree_whose_planner_is_in_trouble_goes_on_and_the_trouble_is_told():
+    planner = Plans("planner")
+    planner.find("start", Outcome.OUT_OF_TIME)
+    mission = replace(find_mission("suave"), tree=lambda kb, senses: planner)
+    world = mission.world.open({}, numpy.random.default_rng(0))
+    run = MissionRun(mission, "bt", world, RunSettings(duration_s=2.0))
+    verdict = run.run()
+    assert run.world.now == 2.0
+    assert "planner" not in verdict.reason
+    assert [plan["outcome"] for plan in summary(run, verdict, 0, {})["plans"]] == ["out of time"]
 
 
 @pytest.mark.parametrize("task", TASK_KINDS)
