@@ -83,12 +83,12 @@ class Situation(Questions):
         return self._base._history_of(attribute)
 
     def _supposed(self, below: State) -> Overlay:
-        state, now = Overlay(below), self._clock()
+        state = Overlay(below)
         touched: list[Node] = []
         for what, node, value in self._assumptions:
             self._network.find(node.element)
             if what == "measured":
-                touched += _suppose_measured(state, node, value, now)
+                touched += _suppose_measured(state, node, value)
                 continue
             touched.append(node)
             if what == "requested":
@@ -110,11 +110,11 @@ def told_of(state: State) -> str:
     return f"{told}, required: {', '.join(required)}" if required else told
 
 
-def _suppose_measured(state: State, attribute: Node, value: float | None, now: float) -> list[Node]:
-    """Enter a measurement; returns the constraints whose status it may change."""
+def _suppose_measured(state: State, attribute: Node, value: float | None) -> list[Node]:
+    """Enter a value, measured at no time; returns the constraints whose status it may change."""
     index, thresholds = attribute.index, state.network.thresholds(attribute)
     before, was_stale = state.value[index], state.stale[index]
-    state.value[index], state.time[index], state.stale[index] = value, None if value is None else now, False
+    state.value[index], state.time[index], state.stale[index] = value, None, False
     for one in thresholds.steady:
         state.verdict[one.index] = _settled(state, one, value)
     if before is None or value is None or was_stale:

@@ -21,7 +21,7 @@ class Comparison:
         operator: one of `>=`, `>`, `<=`, `<`.
         threshold: what it is compared with, in the attribute's unit.
         value: the latest measurement, None before the first.
-        time: when that was measured [s].
+        time: when that was measured [s]; None before, and where the value is only supposed.
         is_stale: it is older than it may be, and so not compared.
     """
 
@@ -60,7 +60,7 @@ def told(one: Comparison, node: Node, now: float, verdict: Status | None) -> str
     if verdict is Status.NOT_EVALUATED:
         return f"{shown} is not confirmed: {_votes(node)} have to agree"
     holds = OPERATORS[one.operator](one.value, one.threshold)
-    fact = f"{shown} {'satisfies' if holds else 'violates'} {bound}{age and f' ({age})'}"
+    fact = f"{shown} {'satisfies' if holds else 'violates'} {bound} ({age})"
     if verdict is None or holds == (verdict is Status.SATISFIED):
         return fact
     return f"{fact}, but {bound} stays {verdict} {_hold(one, node, verdict)}"
@@ -75,7 +75,7 @@ def reading(state: State, attribute: Node, now: float) -> str:
     age = _age(time, now)
     if state.stale[attribute.index]:
         return f"{attribute.name} {shown} is stale: {age}, {_at_most(attribute)}"
-    return f"{attribute.name} is {shown}{age and f' ({age})'}"
+    return f"{attribute.name} is {shown} ({age})"
 
 
 def shortest(value: float, thresholds: Iterable[float]) -> str:
@@ -92,7 +92,7 @@ def shortest(value: float, thresholds: Iterable[float]) -> str:
 
 
 def _age(time: float | None, now: float) -> str:
-    return "" if time is None else f"measured {max(0.0, now - time):.1f} s ago"
+    return "supposed" if time is None else f"measured {max(0.0, now - time):.1f} s ago"
 
 
 def _at_most(attribute: Node) -> str:

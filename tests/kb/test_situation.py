@@ -130,6 +130,16 @@ def test_supposing_nothing_measured_makes_constraints_not_evaluated(kb):
     assert unknown.attributes["light"].time is None
 
 
+def test_what_is_supposed_is_told_so_and_what_was_measured_with_its_age(kb):
+    kb.measure("light", 0.05)
+    dark = kb.situation({"energy left": 0.1}, failed=["lidar"])
+    assert "light 0.05 violates >= 0.1 (measured 0.0 s ago)" in str(dark.explain("explore"))
+    darker = dark.situation(light=0.0)
+    assert "light 0 violates >= 0.1 (supposed)" in str(darker.explain("explore"))
+    assert darker.why(darker.attributes["light"]).startswith("light is 0 (supposed)")
+    assert darker.attributes["light"].time is None
+
+
 def test_a_situation_supposes_for_an_attribute_named_as_a_keyword_too():
     model = Model("odd")
     model.action("go", constraints=[model.quality_attribute("failed") <= 0.5])

@@ -313,7 +313,7 @@ def test_trouble_is_not_remembered(extended, tmp_path, monkeypatch):
 
 def test_the_cache_holds_no_more_than_its_size_and_forgets_the_oldest(extended):
     cache = PlanCache(2)
-    problems = [Problem(extended, frozenset(), costs={"x": float(number)}) for number in range(3)]
+    problems = [Problem(extended, frozenset({str(number)})) for number in range(3)]
     result = PlanningResult(Outcome.SOLVED)
     for problem in problems[:2]:
         cache.put(problem, result)
