@@ -30,8 +30,8 @@ __all__ = [
     "numbers_of",
     "problem_of",
     "switch_schema",
-    "used",
     "switching_of",
+    "used",
 ]
 
 SWITCH: Final = "switch"
