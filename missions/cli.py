@@ -61,9 +61,9 @@ def list_settings(
     mission: str,
     manager: Annotated[str, typer.Option(help="List what is to be set of this manager, too.")] = OURS,
 ) -> None:
-    """List what `rosa run MISSION --set NAME=VALUE` takes, with unit, default and source."""
+    """List what `rosa run MISSION --set NAME=VALUE` takes, with default, unit, what is allowed, and source."""
     table = Table(box=None, pad_edge=False)
-    for column in ("name", "default", "unit"):
+    for column in ("name", "default", "unit", "allowed"):
         table.add_column(column, no_wrap=True, justify="right" if column == "default" else "left")
     table.add_column("meaning", ratio=1)
     table.add_column("source of the default", ratio=1)
@@ -71,7 +71,8 @@ def list_settings(
     for setting in (*options_of(manager), *describe(found)):
         default = found.fixed.get(setting.name, setting.default)
         shown = f"{default:g}" if isinstance(default, float) else str(default)
-        table.add_row(setting.name, shown, setting.unit, setting.meaning, setting.source)
+        allowed = getattr(setting, "allowed", "")  # a world of one's own may not say it
+        table.add_row(setting.name, shown, setting.unit, allowed, setting.meaning, setting.source)
     _console().print(table)
 
 

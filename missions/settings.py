@@ -13,13 +13,14 @@ __all__ = ["Constants", "RunSettings", "SettingInfo", "describe", "setting", "sp
 
 @dataclass(frozen=True, slots=True)
 class SettingInfo:
-    """What is known of one setting, for listing."""
+    """What is known of one setting, for listing; allowed: its range, such as "0.001 to 0.01"; empty for a text."""
 
     name: str
     unit: str
     default: object
     meaning: str
     source: str
+    allowed: str = ""
 
 
 def setting(default: float, unit: str, meaning: str, source: str, low: float = 0.0, high: float = math.inf) -> Any:  # noqa: ANN401  # as of dataclasses.field: it stands where a value of the field's type would
@@ -50,8 +51,8 @@ class Constants:
     def describe(cls) -> tuple[Setting, ...]:
         """List every setting, in the order of declaration."""
         return tuple(
-            SettingInfo(one.name, one.metadata["unit"], one.default, one.metadata["meaning"], one.metadata["source"])
-            for one in fields(cls)
+            SettingInfo(one.name, told["unit"], one.default, told["meaning"], told["source"], _range(told))
+            for one, told in ((one, one.metadata) for one in fields(cls))
         )
 
     @classmethod
@@ -73,6 +74,14 @@ class Constants:
             default, told = known[name].default, known[name].metadata
             read[name] = text if isinstance(default, str) else _number(name, text, told, isinstance(default, int))
         return cls(**read)
+
+
+def _range(told: Mapping[str, Any]) -> str:
+    """Return which numbers are allowed; empty for a text."""
+    if "low" not in told:
+        return ""
+    low, high = told["low"], told["high"]
+    return f"{low:g} to {high:g}" if math.isfinite(high) else f"from {low:g}"
 
 
 def _number(name: str, text: str, told: Mapping[str, Any], is_whole: bool) -> float:

@@ -40,6 +40,7 @@ class SettingInfo:
         default: The default value.
         meaning: One line.
         source: One line: where the figure comes from.
+        allowed: Its range, such as "0 to 1" or "from 0"; empty if it has none.
     """
 
     name: str
@@ -47,6 +48,7 @@ class SettingInfo:
     default: float | int | bool | str
     meaning: str
     source: str
+    allowed: str = ""
 
 
 @dataclass(frozen=True)
@@ -243,8 +245,8 @@ class Settings:
     def describe(cls) -> tuple[SettingInfo, ...]:
         """List every setting with its unit, default, meaning and source, in the order of declaration."""
         return tuple(
-            SettingInfo(i.name, i.metadata["unit"], i.default, i.metadata["meaning"], i.metadata["source"])  # type: ignore[arg-type]  # every field has a default
-            for i in fields(cls)
+            SettingInfo(i.name, told["unit"], i.default, told["meaning"], told["source"], _range(i))  # type: ignore[arg-type]  # every field has a default
+            for i, told in ((i, i.metadata) for i in fields(cls))
         )
 
 
@@ -289,6 +291,16 @@ def _thruster_event(words: list[str], text: str) -> ThrusterEvent:
     if len(words) != 3 or not 1 <= number <= 6 or kind not in ("failure", "recovery") or not 0 <= time < math.inf:
         raise SuaveEnvError(f"thruster_events cannot be {text!r}; {allowed}")
     return ThrusterEvent(number, kind == "failure", time)
+
+
+def _range(info: "dataclasses.Field[float]") -> str:
+    """Return which numbers a setting may be; empty if it is none, or may be any."""
+    if isinstance(info.default, bool | str):
+        return ""
+    low, high = info.metadata["low"], info.metadata["high"]
+    if math.isfinite(low) and math.isfinite(high):
+        return f"{low:g} to {high:g}"
+    return f"from {low:g}" if math.isfinite(low) else f"to {high:g}" if math.isfinite(high) else ""
 
 
 def _allowed(info: "dataclasses.Field[float]") -> str:

@@ -30,6 +30,11 @@ class Option:
     source: str
     is_published: bool = False
 
+    @property
+    def allowed(self) -> str:
+        """Its range."""
+        return "from 0"
+
 
 def split_options(options: Iterable[Option], values: Mapping[str, str]) -> tuple[dict[str, float], dict[str, str]]:
     """Return the value of every option, and what of the values belongs to none.

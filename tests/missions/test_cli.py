@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -54,6 +55,21 @@ def test_settings_are_listed_with_unit_default_and_source(quick):
     assert " s " in row
     assert "ROSA paper" in row
     assert all(name in out for name in ("duration_s", "tick_period_s", "planning_delay_s", "activation_s"))
+
+
+@pytest.mark.parametrize(
+    ("mission", "row"),
+    [
+        ("agv", r"physics_step_s +0\.01 +s +0\.001 to 0\.01 "),
+        ("agv", r"capacity_j +20000 +J +from 1 "),
+        ("agv", r"duration_s +300 +s +from 0\.001 "),
+        ("uav", r"samples +7 +\S+ +1 to 7 "),
+        ("suave", r"activation_s +\S+ +s +from 0 "),
+    ],
+)
+def test_settings_are_listed_with_what_is_allowed(quick, mission, row):
+    _, out, _ = quick("settings", mission)
+    assert re.search(f"^{row}", out, re.MULTILINE), out
 
 
 def test_run_tells_each_adaptation_with_its_reason_and_ends_with_a_table(quick):
