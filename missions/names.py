@@ -14,7 +14,7 @@ from kb import KnowledgeBase, KnowledgeBaseError, Model
 from missions.mission import MissionError
 from missions.senses import Senses
 from rosa_bt import IsActionFeasible, RosaAction
-from rosa_pddl.syntax import Node, Source, read_source
+from rosa_pddl.reading.syntax import Node, Source, read_source
 
 __all__ = ["Names", "names_in_pddl", "names_in_tree", "tree_builder"]
 

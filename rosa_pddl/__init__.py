@@ -12,9 +12,11 @@ from rosa_pddl.exceptions import (
     UnknownNameError,
     UnsupportedPddlError,
 )
+from rosa_pddl.execution.goals import Goal, Goals
+from rosa_pddl.execution.policy import ReplanningPolicy
+from rosa_pddl.execution.replanning import PlanRecord
 from rosa_pddl.executor import PlanExecutor
 from rosa_pddl.generation import ActionSchema, Declarations, DeclaredProblem
-from rosa_pddl.goals import Goal, Goals
 from rosa_pddl.planning import (
     Attempt,
     Outcome,
@@ -25,10 +27,8 @@ from rosa_pddl.planning import (
     register_engine,
     schedule_flaw,
 )
-from rosa_pddl.policy import ReplanningPolicy
 from rosa_pddl.problem import Problem, feasible_atoms, initial_state
 from rosa_pddl.reader import load_domain, parse_domain
-from rosa_pddl.replanning import PlanRecord
 from rosa_pddl.validate import flaw
 
 __all__ = [

@@ -5,18 +5,18 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 
-from rosa_pddl.asking import PlansAhead
-from rosa_pddl.belief import Belief, Sense, Undo, without
-from rosa_pddl.course import Course, Event
 from rosa_pddl.domain import Domain, Feasibility, State, Step
-from rosa_pddl.goals import Goals
-from rosa_pddl.hopes import Disappointment, Hopes
+from rosa_pddl.execution.asking import PlansAhead
+from rosa_pddl.execution.belief import Belief, Sense, Undo, without
+from rosa_pddl.execution.course import Course, Event
+from rosa_pddl.execution.goals import Goals
+from rosa_pddl.execution.hopes import Disappointment, Hopes
+from rosa_pddl.execution.policy import Decision, ReplanningPolicy, Situation, decide, news_of
+from rosa_pddl.execution.quest import Quest
+from rosa_pddl.execution.replanning import PlanRecord, Replanning
+from rosa_pddl.execution.running import Factory, Interlude, RunningStep, check_factories
 from rosa_pddl.planning import Planner
-from rosa_pddl.policy import Decision, ReplanningPolicy, Situation, decide, news_of
 from rosa_pddl.problem import Problem
-from rosa_pddl.quest import Quest
-from rosa_pddl.replanning import PlanRecord, Replanning
-from rosa_pddl.running import Factory, Interlude, RunningStep, check_factories
 from rosa_pddl.validate import because, missing_at_end, missing_meanwhile
 
 __all__ = ["PlanExecutor"]

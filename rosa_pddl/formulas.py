@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from rosa_pddl.domain import Domain, UpThing
 from rosa_pddl.exceptions import PddlError, UnknownNameError, UnsupportedPddlError, nearest
-from rosa_pddl.syntax import Node, parse
+from rosa_pddl.reading.syntax import Node, parse
 
 __all__ = ["Condition", "conditions"]
 

@@ -13,7 +13,7 @@ from typing import Final
 from rosa_pddl.domain import ACTION_TYPE, FEASIBLE, Domain
 from rosa_pddl.exceptions import PddlError, nearest
 from rosa_pddl.reader import parse_domain
-from rosa_pddl.signatures import Signatures, Uses, typed_names
+from rosa_pddl.reading.signatures import Signatures, Uses, typed_names
 
 __all__ = ["ActionSchema", "Declarations", "DeclaredProblem"]
 

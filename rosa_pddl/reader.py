@@ -9,15 +9,15 @@ from dataclasses import dataclass, replace
 from itertools import chain, pairwise
 from pathlib import Path
 
-from rosa_pddl.conventions import rosa_action_of, with_told
-from rosa_pddl.declarations import Kind, Mention, declared_types, mentions
 from rosa_pddl.domain import ACTION_TYPE, Domain, Schema, UpThing
 from rosa_pddl.exceptions import PddlError, UnsupportedPddlError
 from rosa_pddl.problem import Problem
-from rosa_pddl.resources import resources_of, without_limits
-from rosa_pddl.sections import BODY, doubtful_requirements, in_order
-from rosa_pddl.syntax import Node, Source, parse, read_source
-from rosa_pddl.timing import is_timed
+from rosa_pddl.reading.conventions import rosa_action_of, with_told
+from rosa_pddl.reading.declarations import Kind, Mention, declared_types, mentions
+from rosa_pddl.reading.resources import resources_of, without_limits
+from rosa_pddl.reading.sections import BODY, doubtful_requirements, in_order
+from rosa_pddl.reading.syntax import Node, Source, parse, read_source
+from rosa_pddl.reading.timing import is_timed
 
 __all__ = ["lineage_of", "load_domain", "parse_domain", "schema_of"]
 

@@ -17,9 +17,9 @@ from missions.planning.leaves import Assume, Holds
 from rosa_bt.exceptions import RosaBtError
 from rosa_bt.parsers import BehaviourRegistry, load_xml
 from rosa_pddl import Domain, MissingBehaviourError, Schema, Step
-from rosa_pddl.belief import Belief
 from rosa_pddl.domain import ACTION_TYPE, FEASIBLE, UpThing
 from rosa_pddl.exceptions import nearest
+from rosa_pddl.execution.belief import Belief
 from rosa_pddl.validate import binding_of, mentioned_atoms
 
 __all__ = ["plan_registry", "plan_tree", "plan_xml"]

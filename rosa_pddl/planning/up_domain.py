@@ -7,7 +7,7 @@ from rosa_pddl.domain import Domain, UpThing
 from rosa_pddl.exceptions import UnsupportedPddlError
 from rosa_pddl.planning.sums import template_of
 from rosa_pddl.reader import lineage_of, schema_of
-from rosa_pddl.resources import POSSIBLE, resources_of
+from rosa_pddl.reading.resources import POSSIBLE, resources_of
 
 __all__ = ["domain_of"]
 

@@ -26,7 +26,7 @@ from missions.runner import MissionRun
 from missions.senses import Senses
 from missions.task import TASK_KINDS
 from rosa_pddl import Planner, Problem
-from rosa_pddl.belief import Belief
+from rosa_pddl.execution.belief import Belief
 
 SEEDS = range(10)
 AGV = "missions.agv:MISSION"

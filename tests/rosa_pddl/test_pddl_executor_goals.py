@@ -9,8 +9,8 @@ from pddl_world import World, load_text
 from py_trees.common import Status
 
 from rosa_pddl import GoalError, Goals, PddlError, Planner, UnknownNameError, UnsupportedPddlError
-from rosa_pddl.hopes import Hopes
-from rosa_pddl.quest import Quest
+from rosa_pddl.execution.hopes import Hopes
+from rosa_pddl.execution.quest import Quest
 
 SITES = ("north", "south", "east")
 DOMAIN = """(define (domain survey) (:requirements :typing :action-costs)

@@ -9,7 +9,7 @@ from pddl_world import World, load_text
 from py_trees.common import Status
 
 from rosa_pddl import Planner, ReplanningPolicy
-from rosa_pddl.bounds import Bounds
+from rosa_pddl.execution.bounds import Bounds
 
 # Each leg can be driven, quickly and with much energy, or crept.
 DOMAIN = """(define (domain legs) (:requirements :typing :action-costs :numeric-fluents)

@@ -17,7 +17,7 @@ from rosa_pddl import (
     parse_domain,
     schedule_flaw,
 )
-from rosa_pddl.course import Course
+from rosa_pddl.execution.course import Course
 
 pytest.importorskip("up_aries")
 

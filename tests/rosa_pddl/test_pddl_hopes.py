@@ -11,8 +11,8 @@ from py_trees.common import Status
 
 from kb import KnowledgeBase, Model
 from rosa_pddl import Goals, Outcome, Planner, Problem, flaw, initial_state
-from rosa_pddl.hopes import Hopes
-from rosa_pddl.quest import Quest
+from rosa_pddl.execution.hopes import Hopes
+from rosa_pddl.execution.quest import Quest
 from rosa_pddl.validate import ended, missing_at_start, started
 
 # Mending serves driving; there is a dear detour on foot if the problem has a path.

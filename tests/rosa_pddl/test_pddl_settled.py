@@ -7,8 +7,8 @@ from pddl_world import World, load_text
 from py_trees.common import Status
 
 from rosa_pddl import Planner, Problem, initial_state
+from rosa_pddl.execution.settled import Unsettled
 from rosa_pddl.formulas import conditions
-from rosa_pddl.settled import Unsettled
 from rosa_pddl.validate import goal_holds, mentioned_atoms
 
 # What is wanted and where it is light are for others to say.

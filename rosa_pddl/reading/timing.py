@@ -1,7 +1,7 @@
 """When conditions and effects of a PDDL action hold: what a durative action says, and a plain one must not."""
 
-from rosa_pddl.sections import start_of
-from rosa_pddl.syntax import Node, Source
+from rosa_pddl.reading.sections import start_of
+from rosa_pddl.reading.syntax import Node, Source
 
 __all__ = ["check_times", "is_timed"]
 

@@ -3,8 +3,8 @@
 from collections.abc import Collection, Iterable, Iterator, Mapping
 
 from rosa_pddl.domain import Limit, Resource, UpThing
-from rosa_pddl.sections import BODY, start_of
-from rosa_pddl.syntax import Node, Source
+from rosa_pddl.reading.sections import BODY, start_of
+from rosa_pddl.reading.syntax import Node, Source
 
 __all__ = ["POSSIBLE", "check_condition", "check_effect", "check_goal", "resources_of", "used_up", "without_limits"]
 

@@ -3,7 +3,7 @@
 from collections.abc import Collection, Iterator, Mapping
 
 from rosa_pddl.exceptions import nearest
-from rosa_pddl.syntax import Node, Source
+from rosa_pddl.reading.syntax import Node, Source
 
 __all__ = ["BODY", "check_frames", "doubtful_requirements", "in_order", "start_of"]
 

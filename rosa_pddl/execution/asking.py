@@ -8,8 +8,8 @@ from typing import Protocol
 
 from rosa_pddl.domain import State
 from rosa_pddl.exceptions import PlanningBudgetError
+from rosa_pddl.execution.policy import Decision
 from rosa_pddl.planning import Outcome, PlanningResult, awaited
-from rosa_pddl.policy import Decision
 from rosa_pddl.problem import Problem
 
 __all__ = ["Asking", "PlansAhead", "Question"]

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 
 from rosa_pddl.domain import Domain, Schema, Step, UpThing
-from rosa_pddl.goals import Goal
+from rosa_pddl.execution.goals import Goal
 from rosa_pddl.planning import PlanningResult
 from rosa_pddl.problem import action_costs
 

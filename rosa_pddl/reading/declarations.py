@@ -7,10 +7,10 @@ from enum import Enum
 from itertools import chain, pairwise
 
 from rosa_pddl.exceptions import nearest
-from rosa_pddl.resources import check_condition, check_effect, check_goal, used_up
-from rosa_pddl.sections import BODY, check_frames, start_of
-from rosa_pddl.syntax import Node, Source
-from rosa_pddl.timing import check_times, is_timed
+from rosa_pddl.reading.resources import check_condition, check_effect, check_goal, used_up
+from rosa_pddl.reading.sections import BODY, check_frames, start_of
+from rosa_pddl.reading.syntax import Node, Source
+from rosa_pddl.reading.timing import check_times, is_timed
 
 
 class Kind(Enum):

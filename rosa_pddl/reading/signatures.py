@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from rosa_pddl.exceptions import PddlError, nearest
-from rosa_pddl.syntax import Node, parse
+from rosa_pddl.reading.syntax import Node, parse
 
 __all__ = ["Signatures", "Uses", "parsed", "typed_names"]
 

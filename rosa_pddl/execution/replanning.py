@@ -3,14 +3,14 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from rosa_pddl.asking import Asking, PlansAhead
-from rosa_pddl.course import Course
-from rosa_pddl.diagnosis import Diagnosis
 from rosa_pddl.domain import Domain, State, Step
-from rosa_pddl.goals import Goals
+from rosa_pddl.execution.asking import Asking, PlansAhead
+from rosa_pddl.execution.course import Course
+from rosa_pddl.execution.diagnosis import Diagnosis
+from rosa_pddl.execution.goals import Goals
+from rosa_pddl.execution.policy import Decision, ReplanningPolicy, wait_s
+from rosa_pddl.execution.quest import Quest
 from rosa_pddl.planning import Outcome, PlanningResult
-from rosa_pddl.policy import Decision, ReplanningPolicy, wait_s
-from rosa_pddl.quest import Quest
 
 __all__ = ["Found", "PlanRecord", "Replanning"]
 

@@ -2,17 +2,17 @@
 
 from collections.abc import Callable, Iterable, Mapping
 
-from rosa_pddl.bounds import Bounds
-from rosa_pddl.course import Course
 from rosa_pddl.domain import Domain, State
-from rosa_pddl.goals import Goal, Goals
-from rosa_pddl.hopes import Disappointment, Hopes
+from rosa_pddl.execution.bounds import Bounds
+from rosa_pddl.execution.course import Course
+from rosa_pddl.execution.goals import Goal, Goals
+from rosa_pddl.execution.hopes import Disappointment, Hopes
+from rosa_pddl.execution.settled import Unsettled
+from rosa_pddl.execution.soft_goals import SoftGoals
 from rosa_pddl.planning import PlanningResult
 from rosa_pddl.planning.costs import Costs
 from rosa_pddl.planning.grounding import lock_of
 from rosa_pddl.problem import Problem
-from rosa_pddl.settled import Unsettled
-from rosa_pddl.soft_goals import SoftGoals
 from rosa_pddl.validate import goal_holds
 
 __all__ = ["Quest"]

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 from rosa_pddl.domain import Domain, State, UpThing
-from rosa_pddl.goals import Goal
+from rosa_pddl.execution.goals import Goal
 from rosa_pddl.planning import PlanningResult
 from rosa_pddl.problem import Problem, unlimited
 

@@ -6,7 +6,7 @@ from itertools import chain, groupby
 from typing import NamedTuple
 
 from rosa_pddl.domain import Domain, State, Step
-from rosa_pddl.goals import Goal
+from rosa_pddl.execution.goals import Goal
 from rosa_pddl.planning import PlanningResult, TimedStep
 from rosa_pddl.validate import affected_atoms, because, binding_of, changes, goal_holds, mentioned_atoms, missing_of
 

@@ -5,9 +5,9 @@ from collections.abc import Callable, Iterable, Mapping
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 
-from rosa_pddl.belief import Undo
 from rosa_pddl.domain import Domain, Step
 from rosa_pddl.exceptions import MissingBehaviourError, UnknownNameError, nearest
+from rosa_pddl.execution.belief import Undo
 
 __all__ = ["Factory", "Interlude", "RunningStep", "check_factories"]
 
