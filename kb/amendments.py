@@ -50,6 +50,7 @@ __all__ = [
     "description",
     "named",
     "removal",
+    "tables_of",
 ]
 
 Changeable = Element | Constraint | Estimation
@@ -307,9 +308,9 @@ def concerns(fact: Fact, removed: Collection[Changeable]) -> bool:
     return any(named in gone for named in _names(fact))
 
 
-def description(model: "Model") -> object:
-    """Return all that a model says, as plain values that can be compared."""
-    tables = (
+def tables_of(model: "Model") -> tuple[Mapping[str, Element], ...]:
+    """Return all elements that have names, kind by kind, so that what refers to others comes after these."""
+    return (
         model.attributes,
         model.components,
         model.configurations,
@@ -317,6 +318,10 @@ def description(model: "Model") -> object:
         model.designs,
         model.actions,
     )
+
+
+def description(model: "Model") -> object:
+    """Return all that a model says, as plain values that can be compared."""
     number = {constraint: position for position, constraint in enumerate(model.constraints)}
 
     def plain(value: object) -> object:
@@ -333,7 +338,7 @@ def description(model: "Model") -> object:
 
     return (
         model.name,
-        [[contents(one) for one in table.values()] for table in tables],
+        [[contents(one) for one in table.values()] for table in tables_of(model)],
         [contents(one) for one in model.constraints],
         [contents(one) for one in model.estimations],
         [(type(one), contents(one)) for one in model.facts],

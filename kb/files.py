@@ -11,7 +11,16 @@ from kb.exceptions import DuplicateName, KnowledgeBaseError, ModelError, Unknown
 if TYPE_CHECKING:
     from kb.model import Model
 
-__all__ = ["DuplicateInFile", "ModelFileError", "Place", "load_model", "read_text", "save_model", "write_text"]
+__all__ = [
+    "DuplicateInFile",
+    "ModelFileError",
+    "Place",
+    "SUFFIXES",
+    "load_model",
+    "read_text",
+    "save_model",
+    "write_text",
+]
 
 MOST: Final = 256 << 20
 """The largest file that is read [bytes]."""
@@ -138,6 +147,9 @@ def _owl(model: "Model") -> str:
 
 
 _WRITERS: Final[Mapping[str, Callable[["Model"], str]]] = {".tql": _typeql, ".owl": _owl}
+
+SUFFIXES: Final = tuple(_WRITERS)
+"""Of the files that models can be in."""
 
 
 def _is_folder(file: Path) -> bool:

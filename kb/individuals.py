@@ -14,7 +14,7 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from urllib.parse import quote, unquote
 
-from kb.amendments import Changeable
+from kb.amendments import Changeable, tables_of
 from kb.elements import (
     Action,
     Attribute,
@@ -221,15 +221,8 @@ def individuals(model: "Model", serials: Serials | None = None) -> Iterator[Indi
     """Yield all that a model says, in an order in which it can be declared; what it states to be so comes last."""
     serials = serials or Serials(model)
     yield Individual(MODEL, f"{MODEL}.{_escaped(model.name)}", {"name": (model.name,)})
-    tables: tuple[Mapping[str, Element], ...] = (
-        model.attributes,
-        model.components,
-        model.configurations,
-        model.functions,
-        model.designs,
-        model.actions,
-    )
-    kinds: list[Iterable[Changeable]] = [*(table.values() for table in tables), model.constraints, model.estimations]
+    tables = [table.values() for table in tables_of(model)]
+    kinds: list[Iterable[Changeable]] = [*tables, model.constraints, model.estimations]
     for elements in kinds:
         for position, element in enumerate(elements):
             yield from _described(element, element_id(element, serials), position, serials)

@@ -7,9 +7,9 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from kb.amendments import Changeable
+from kb.amendments import Changeable, tables_of
 from kb.declaring import Declarer
-from kb.elements import Constraint, Element, Estimation
+from kb.elements import Constraint, Estimation
 from kb.exceptions import InvalidValue
 from kb.history import Attempt, Process, VetoAnswer
 from kb.individuals import (
@@ -312,15 +312,7 @@ def _plain(value: object) -> object:
 
 
 def _everything(model: Model) -> Iterator[Changeable]:
-    tables: tuple[Mapping[str, Element], ...] = (
-        model.attributes,
-        model.components,
-        model.configurations,
-        model.functions,
-        model.designs,
-        model.actions,
-    )
-    for table in tables:
+    for table in tables_of(model):
         yield from table.values()
     yield from model.constraints
     yield from model.estimations

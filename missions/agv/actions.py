@@ -66,10 +66,8 @@ class Cross(RosaAction):
         anew = self._choose()
         if anew is not None and anew.to == leg.to:
             self._leg = leg = anew
-        if self.kb.pending_plan is None and not self._is_selected(
-            leg
-        ):  # it was planned anew, or the manager had to choose before it was
-            self._select(leg)
+        if self.kb.pending_plan is None and not self._is_selected(leg):
+            self._select(leg)  # it was planned anew, or the manager had to choose before it was
         return Status.RUNNING
 
     def terminate(self, new_status: Status) -> None:

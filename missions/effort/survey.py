@@ -7,7 +7,7 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from kb import Model, UnknownName
-from kb.files import read_text
+from kb.files import SUFFIXES, read_text
 from missions.agv.model import agv_model
 from missions.effort import published
 from missions.effort.baseline import ByHand, TreeCount, by_hand, count_tree, is_managed_by_tree
@@ -21,7 +21,6 @@ from rosa_pddl import DeclaredProblem
 
 __all__ = ["LawPoint", "ModelEffort", "Survey", "TreeEffort", "as_data", "survey"]
 
-SUFFIXES: Final = (".tql", ".owl")
 AS_PUBLISHED: Final[Mapping[str, Callable[[], Model]]] = MappingProxyType({"agv": agv_model})
 """Missions whose model holds more than the published one, and what is counted for them."""
 

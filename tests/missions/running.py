@@ -4,6 +4,7 @@ from functools import cache
 
 import numpy
 
+from missions import cli
 from missions.mission import Verdict
 from missions.registry import find_mission
 from missions.report import as_json, summary
@@ -32,3 +33,16 @@ def result(name, task="bt", seed=0) -> dict:
 def text(name, task="bt", seed=0) -> str:
     """Return that result as the JSON that the command line writes."""
     return as_json(result(name, task, seed))
+
+
+def called(capsys, monkeypatch, *arguments) -> tuple[int, str, str]:
+    """Call `rosa` as a person does; returns exit status, output and errors."""
+    monkeypatch.setattr("sys.argv", ["rosa", *map(str, arguments)])
+    code = 0
+    try:
+        cli.main()
+    except SystemExit as end:
+        code = end.code or 0
+    captured = capsys.readouterr()
+    assert "Traceback" not in captured.out + captured.err
+    return code, captured.out, captured.err

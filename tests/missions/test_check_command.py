@@ -3,13 +3,15 @@
 import dataclasses
 import json
 import sys
+from functools import partial
 
 import py_trees
 import pytest
+from running import called
 
 from kb import Model
 from kb.judge.findings import RULES
-from missions import cli, registry
+from missions import registry
 from missions.checking import judge
 from missions.mission import MissionError
 from missions.names import names_in_pddl, names_in_tree
@@ -83,18 +85,7 @@ def rosa(capsys, monkeypatch, tmp_path):
     (tmp_path / "problem.pddl").write_text(PROBLEM)
     explorer().save("explorer.tql")
 
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["rosa", "check", *arguments])
-        code = 0
-        try:
-            cli.main()
-        except SystemExit as end:
-            code = end.code or 0
-        captured = capsys.readouterr()
-        assert "Traceback" not in captured.out + captured.err
-        return code, captured.out, captured.err
-
-    return run
+    return partial(called, capsys, monkeypatch, "check")
 
 
 @pytest.mark.parametrize("name", MISSIONS)

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 
@@ -9,9 +10,10 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 from py_trees.display import ascii_tree
+from running import called
 
 from kb import KnowledgeBase, Model
-from missions import cli, suave
+from missions import suave
 from missions.effort import count, published
 from missions.effort.baseline import count_tree
 from missions.effort.figure import draw, picture
@@ -48,18 +50,7 @@ def rosa(capsys, monkeypatch, tmp_path):
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.chdir(tmp_path)
 
-    def run(*arguments):
-        monkeypatch.setattr("sys.argv", ["rosa", "effort", *map(str, arguments)])
-        code = 0
-        try:
-            cli.main()
-        except SystemExit as end:
-            code = end.code or 0
-        captured = capsys.readouterr()
-        assert "Traceback" not in captured.out + captured.err
-        return code, captured.out, captured.err
-
-    return run
+    return partial(called, capsys, monkeypatch, "effort")
 
 
 def row(text, name, *, table):

@@ -4,15 +4,17 @@ import dataclasses
 import json
 import subprocess
 import sys
+from functools import partial
 from itertools import chain, combinations
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
 from plan_worlds import House
+from running import called
 
 from kb import KnowledgeBase
-from missions import cli, suave, suave_extended
+from missions import suave, suave_extended
 from missions.mission import MissionError
 from missions.planning.declared import by_schema, declarations_of, mission_domain
 from missions.planning.tree import plan_registry
@@ -30,18 +32,7 @@ def rosa(capsys, monkeypatch, tmp_path):
     """Run `rosa plan` in an empty folder; returns exit status, output and errors."""
     monkeypatch.chdir(tmp_path)
 
-    def run(*arguments):
-        monkeypatch.setattr("sys.argv", ["rosa", "plan", *map(str, arguments)])
-        code = 0
-        try:
-            cli.main()
-        except SystemExit as end:
-            code = end.code or 0
-        captured = capsys.readouterr()
-        assert "Traceback" not in captured.out + captured.err
-        return code, captured.out, captured.err
-
-    return run
+    return partial(called, capsys, monkeypatch, "plan")
 
 
 def plans_of(domain):
