@@ -201,6 +201,12 @@ class Domain:
         """Whether the domain has the predicate `action_feasible` at all."""
         return ("predicate", FEASIBLE) in self.inside
 
+    @property
+    def numeric(self) -> frozenset[str]:
+        """The names of the numeric facts, as the files spell them."""
+        fluents = self.up_problem.fluents
+        return frozenset(self.outside[fluent.name] for fluent in fluents if not fluent.type.is_bool_type())
+
     def is_feasibility(self, atom: str) -> bool:
         """Whether an atom says that a ROSA action is feasible."""
         return atom[1:-1].lower().split()[0] == FEASIBLE
@@ -254,3 +260,8 @@ class Domain:
             known = [self.outside[inner] for (other, _), inner in self.inside.items() if other == kind]
             raise UnknownNameError(f"{self.file} has no {kind} {word!r} (in {text!r}); {nearest(word, known)}")
         return self.outside[self.inside[kind, word.lower()]]
+
+
+def head_of(atom: str) -> str:
+    """Return the name that an atom, or a numeric fact, begins with: lit of `(lit room)`."""
+    return atom[1:-1].split(" ", 1)[0]

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from typing import TypeAlias
 
-from rosa_pddl.domain import Domain, Feasibility, Schema, State, UpThing
+from rosa_pddl.domain import Domain, Feasibility, Schema, State, UpThing, head_of
 from rosa_pddl.exceptions import UnknownNameError, UnsupportedPddlError, nearest
 
 Exact: TypeAlias = int | Fraction
@@ -66,9 +66,9 @@ class Problem:
 
 
 def _check_numeric(domain: Domain, texts: Iterable[str]) -> None:
-    numeric = {domain.outside[fluent.name] for fluent in domain.up_problem.fluents if not fluent.type.is_bool_type()}
+    numeric = domain.numeric
     for text in texts:
-        head = domain.atom(text)[1:-1].split(" ", 1)[0]
+        head = head_of(domain.atom(text))
         if head not in numeric:
             raise UnknownNameError(f"{text!r} is no numeric fact of {domain.file}; {nearest(head, numeric)}")
 

@@ -5,7 +5,7 @@ from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field, replace
 from math import isfinite
 
-from rosa_pddl.domain import Domain, Feasibility, State, Step
+from rosa_pddl.domain import Domain, Feasibility, State, Step, head_of
 from rosa_pddl.exceptions import SensingError, UnsupportedPddlError
 from rosa_pddl.planning.uses import Uses
 from rosa_pddl.problem import Problem, feasible_atoms, initial_state, without_feasibility
@@ -63,7 +63,7 @@ class Belief:
     def __init__(self, domain: Domain, kb: Feasibility, sense: Sense) -> None:
         self._domain, self._kb, self._sense = domain, kb, sense
         self._facts = without_feasibility(domain, initial_state(domain))
-        self._numeric = {domain.outside[one.name] for one in domain.up_problem.fluents if not one.type.is_bool_type()}
+        self._numeric = domain.numeric
         self._answer: Mapping[str, bool | float] = {}
         self._sensed = _Sensed()
         self._taken_in: tuple[State, Mapping[str, bool]] | None = None
@@ -159,7 +159,7 @@ class Belief:
             if not isinstance(text, str):
                 raise SensingError(f"sense returned {text!r}: {value!r}, expected a text such as '(lit room)' first")
             atom = self._domain.atom(text)
-            is_number = atom[1:-1].split(" ", 1)[0] in self._numeric
+            is_number = head_of(atom) in self._numeric
             known = value.item() if hasattr(value, "item") else value  # what numpy makes is as good
             if isinstance(known, bool) is is_number or not isinstance(known, bool | int | float):
                 expected = "a number" if is_number else "True or False"

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator, Mapping
 from collections.abc import Set as AbstractSet
 
-from rosa_pddl.domain import Domain, Step, UpThing
+from rosa_pddl.domain import Domain, Step, UpThing, head_of
 from rosa_pddl.exceptions import UnsupportedPddlError
 from rosa_pddl.planning.sums import template_of
 from rosa_pddl.planning.uses import Left, Uses
@@ -61,7 +61,7 @@ class Bounds:
             return False
         known = {**self._told, **then}
         pairs = [
-            (exact(now[key]), exact(known[key]) if key in known else None) for key in now if _head(key) in self._used
+            (exact(now[key]), exact(known[key]) if key in known else None) for key in now if head_of(key) in self._used
         ]
         return all(new == old or (self._is_simple and old is not None and new > old) for new, old in pairs)
 
@@ -71,10 +71,6 @@ class Bounds:
     def _asked(self, numbers: Numbers, keys: AbstractSet[str]) -> Problem:
         costs = {key: numbers[key] for key in keys if key in numbers}  # of a large world it is a small part
         return Problem(self._domain, frozenset(), costs=costs)
-
-
-def _head(key: str) -> str:
-    return key[1:-1].split(" ", 1)[0]
 
 
 def _names(domain: Domain, amounts: Iterable[UpThing]) -> Iterator[str]:

@@ -7,7 +7,7 @@ is wanted is for others to say.
 from collections import OrderedDict
 from collections.abc import Iterable, Iterator
 
-from rosa_pddl.domain import Domain, State, UpThing
+from rosa_pddl.domain import Domain, State, UpThing, head_of
 from rosa_pddl.planning.grounding import lock_of
 from rosa_pddl.validate import mentioned_atoms
 
@@ -45,7 +45,7 @@ class Unsettled:
     def _rest(self, goal: UpThing, state: State) -> tuple[UpThing, ...]:
         if goal not in self._lasting:
             atoms = mentioned_atoms(self._domain, [goal], (), {})
-            self._lasting[goal] = tuple(sorted({atom for atom in atoms if _head(atom) not in self._changed}))
+            self._lasting[goal] = tuple(sorted({atom for atom in atoms if head_of(atom) not in self._changed}))
         lasting = self._lasting[goal]
         if not lasting:
             return (goal,)
@@ -66,10 +66,6 @@ class Unsettled:
         rest = ground.substitute(values).simplify()
         # planners say better than nothing at all why there is no plan
         return (goal,) if rest.is_false() else tuple(_conjuncts(rest))
-
-
-def _head(atom: str) -> str:
-    return atom[1:-1].split(" ", 1)[0]
 
 
 def _conjuncts(formula: UpThing) -> Iterator[UpThing]:

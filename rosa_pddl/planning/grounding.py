@@ -9,7 +9,7 @@ from math import prod
 from typing import NamedTuple, TypeAlias
 from weakref import WeakKeyDictionary
 
-from rosa_pddl.domain import FEASIBLE, Domain, UpThing
+from rosa_pddl.domain import FEASIBLE, Domain, UpThing, head_of
 from rosa_pddl.exceptions import UnsupportedPddlError
 from rosa_pddl.planning.costs import Costs
 from rosa_pddl.planning.downward import Trouble, translate
@@ -183,7 +183,7 @@ def _untouched(domain: Domain, atoms: Iterable[str]) -> frozenset[str]:
     """Return the atoms of predicates that no action changes."""
     added, deleted = _directions(domain)
     touched = {domain.outside[name] for name in added | deleted}
-    return frozenset(atom for atom in atoms if atom[1:-1].split(" ", 1)[0] not in touched)
+    return frozenset(atom for atom in atoms if head_of(atom) not in touched)
 
 
 def _alive(problem: Problem, changing: Iterable[str]) -> dict[str, tuple[str, ...]]:
@@ -198,7 +198,7 @@ def _alive(problem: Problem, changing: Iterable[str]) -> dict[str, tuple[str, ..
         if fluent.type.is_bool_type() and (domain.outside[name].lower() == FEASIBLE or (one_way and not moves)):
             alive[name] = set(_instances(problem, fluent))
     for atom in changing:
-        name = domain.inside["predicate", atom[1:-1].split(" ", 1)[0].lower()]
+        name = domain.inside["predicate", head_of(atom).lower()]
         if not (name in added and name in deleted):
             alive.setdefault(name, set()).add(atom)
     return {name: tuple(sorted(atoms)) for name, atoms in alive.items()}
@@ -223,6 +223,6 @@ def _instances(problem: Problem, fluent: UpThing) -> Iterator[str]:
     head = domain.outside[fluent.name]
     choices = [domain.objects_of(domain.outside[parameter.type.name]) for parameter in fluent.signature]
     if prod(map(len, choices)) > _MOST_ATOMS:
-        yield from (atom for atom in problem.state if atom[1:-1].split(" ", 1)[0] == head)
+        yield from (atom for atom in problem.state if head_of(atom) == head)
         return
     yield from (f"({' '.join((head, *words))})" for words in product(*choices))
