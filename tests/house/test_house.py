@@ -15,7 +15,6 @@ ROOT = Path(__file__).parents[2]
 PACKAGES = ("kb", "rosa_bt", "rosa_pddl", "suave_env", "missions")
 GENERIC = ("kb", "rosa_bt", "rosa_pddl")
 MISSION_WORDS = ("suave", "pipeline", "thruster", "spiral", "recharge", "battery", "bluerov", "agv", "uav")
-MAX_LINES = 400
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 
@@ -48,11 +47,6 @@ def test_check_passes(command):
     program = Path(sys.executable).with_name(command[0])
     done = subprocess.run([str(program), *command[1:]], cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
-
-
-@pytest.mark.parametrize("path", sources(*PACKAGES), ids=lambda path: str(path.relative_to(ROOT)))
-def test_file_is_short_enough_to_explain_itself(path):
-    assert len(path.read_text().splitlines()) <= MAX_LINES
 
 
 @pytest.mark.parametrize("package", PACKAGES)
