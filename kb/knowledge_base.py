@@ -18,6 +18,7 @@ from kb.facts import Fact, MeasurementFact, PlanFact, ProcessFact, RequiredActio
 from kb.inference.growth import grown, shrunk
 from kb.inference.network import Network, Node, is_steady
 from kb.inference.settling import settle
+from kb.inference.state import Overlay
 from kb.model import Model
 from kb.reconfiguration import ReconfigurationPlan, Selection, by_whole, planned, reselect
 from kb.requests import Reply, RequiredAction, check_result
@@ -192,6 +193,8 @@ class KnowledgeBase(Keeping):
         designs: Mapping[str, str] | None = None,
         configurations: Mapping[str, str] | None = None,
         reason: str = "",
+        *,
+        dry_run: bool = False,
     ) -> ReconfigurationPlan | None:
         """Select a design for each function and a configuration for each component named; unselect what is obsolete.
 
@@ -199,6 +202,7 @@ class KnowledgeBase(Keeping):
             designs: name of the design by name of its function.
             configurations: name of the configuration by name of its component.
             reason: why these, in words, if not by priority; it is kept with what is selected and with the plan.
+            dry_run: only return the plan; nothing is selected, and nobody is told.
 
         Returns:
             The plan that leads there from the present state; None if there is nothing to do.
@@ -211,8 +215,11 @@ class KnowledgeBase(Keeping):
                 _owned(self.configurations.node(name), self.components.node(of)) for of, name in _pairs(configurations)
             ]
             now = self._clock()
-            why_these = why_selected(self._state, [*chosen, *given], now, reason, self._ended)
-            selection = reselect(self._state, chosen, given)
+            state = Overlay(self._state) if dry_run else self._state
+            why_these = why_selected(state, [*chosen, *given], now, reason, self._ended)
+            selection = reselect(state, chosen, given)
+            if dry_run:
+                return planned(state, selection, why_these, now) if selection else None
             reselected = dict.fromkeys([*selection.reselected, *chosen, *given])
             for node in reselected:
                 self._known.give_reason("selected", node, reason if self._known.selected[node.index] else "")

@@ -5,7 +5,8 @@ anything. A knowledge base adds facts to this.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from threading import RLock
 from typing import Any, Final
 
@@ -70,6 +71,12 @@ class Questions(ABC):
     @abstractmethod
     def _state(self) -> State:
         """The facts and statuses to answer from."""
+
+    @contextmanager
+    def reading(self) -> Iterator[State]:
+        """Give the facts and statuses, to be read only; nothing changes within the `with` statement."""
+        with self._lock:
+            yield self._state
 
     def is_feasible(self, action: str) -> bool:
         """Tell whether an action can be done now: its status is not "unfeasible"."""
