@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from missions.registry import MISSIONS
+    from missions.engine.registry import MISSIONS
 
 __all__ = ["MISSIONS"]
 
@@ -12,6 +12,6 @@ def __getattr__(name: str) -> object:
     """Import the missions only when they are asked for: the pytest plugin imports this package at each start."""
     if name != "MISSIONS":
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from missions.registry import MISSIONS
+    from missions.engine.registry import MISSIONS
 
     return MISSIONS

@@ -11,7 +11,7 @@ from rich.markup import escape
 
 from kb import Model
 from kb.judge.findings import RULES, Finding, Severity
-from missions.mission import Mission, MissionError
+from missions.engine.mission import Mission, MissionError
 from missions.names import Names, names_in_pddl, names_in_tree, tree_builder
 from missions.planning.declared import planned_names
 

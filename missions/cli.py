@@ -16,21 +16,21 @@ from rich.table import Table
 
 from kb import KnowledgeBaseError
 from kb.judge.findings import Severity
+from missions.baselines import MANAGERS, OURS, open_run
+from missions.baselines.options import split_options
+from missions.baselines.registry import options_of
 from missions.campaign.command import campaign, report
 from missions.checking import inconsistencies, judge, print_judgement
 from missions.effort.command import effort
+from missions.engine.mission import MissionError, Verdict
+from missions.engine.recording import header, line_of
+from missions.engine.registry import MISSIONS, find_mission
+from missions.engine.runner import Listener, MissionRun
+from missions.engine.settings import describe, split_settings
 from missions.live import Narrator, Pace, Recorder
-from missions.managers import MANAGERS, OURS, open_run
-from missions.managers.options import split_options
-from missions.managers.registry import options_of
-from missions.mission import MissionError, Verdict
 from missions.output import open_files
 from missions.plan_command import plan
-from missions.recording import header, line_of
-from missions.registry import MISSIONS, find_mission
 from missions.report import adaptation_table, as_json, figure_in_words, summary, timing
-from missions.runner import Listener, MissionRun
-from missions.settings import describe, split_settings
 from rosa_pddl import RosaPddlError
 
 __all__ = ["app", "main"]

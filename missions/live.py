@@ -8,11 +8,11 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn
 
 from kb import DiagnosticProblem
-from missions.adaptations import Adaptation
-from missions.mission import Message
+from missions.engine.adaptations import Adaptation
+from missions.engine.mission import Message
+from missions.engine.recording import line_of
+from missions.engine.runner import Listener, MissionRun
 from missions.output import OutputFile
-from missions.recording import line_of
-from missions.runner import Listener, MissionRun
 
 if TYPE_CHECKING:
     from rosa_pddl import PlanRecord

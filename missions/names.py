@@ -11,8 +11,8 @@ from py_trees.behaviour import Behaviour
 from py_trees.trees import BehaviourTree
 
 from kb import KnowledgeBase, KnowledgeBaseError, Model
-from missions.mission import MissionError
-from missions.senses import Senses
+from missions.engine.mission import MissionError
+from missions.engine.percepts import Percepts
 from rosa_bt import IsActionFeasible, RosaAction
 from rosa_pddl.reading.syntax import Node, Source, read_source
 
@@ -71,11 +71,11 @@ def names_in_tree(build: Callable[..., object], model: Model, title: str) -> Nam
     """Return the actions that the behaviours of a tree are about.
 
     Args:
-        build: builds the tree; called with a knowledge base and senses, or with as many of these as it needs.
+        build: builds the tree; called with a knowledge base and percepts, or with as many of these as it needs.
         model: what the knowledge base is made of.
         title: what the tree is called in messages.
     """
-    root = _built(build, (_Tolerant(model), Senses()), title)
+    root = _built(build, (_Tolerant(model), Percepts()), title)
     if isinstance(root, BehaviourTree):
         root = root.root
     if not isinstance(root, Behaviour):

@@ -8,7 +8,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO, Self
 
-from missions.mission import MissionError
+from missions.engine.mission import MissionError
 
 __all__ = ["OutputFile", "open_files"]
 

@@ -8,12 +8,12 @@ from typing import Annotated
 
 import typer
 
-from missions.mission import MissionError
+from missions.engine.mission import MissionError
+from missions.engine.registry import find_mission
 from missions.output import open_files
 from missions.planning.answer import Answer, answer
 from missions.planning.picture import svg_of_plan
 from missions.planning.question import ask, read_situation
-from missions.registry import find_mission
 
 __all__ = ["plan"]
 

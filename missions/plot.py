@@ -17,8 +17,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from matplotlib.transforms import IdentityTransform
 
+from missions.engine.runner import MissionRun
 from missions.report import figure_in_words
-from missions.runner import MissionRun
 from missions.story import Array, Events, Story, bare, brief, listed, panels_of, story_of
 
 __all__ = ["draw", "picture"]

@@ -9,11 +9,11 @@ from rich.box import SIMPLE_HEAD
 from rich.markup import escape
 from rich.table import Table
 
-from missions.adaptations import Adaptation
-from missions.managers.reactions import Reaction
-from missions.managers.watch import WatchedSea
-from missions.mission import Verdict
-from missions.runner import MissionRun
+from missions.baselines.reactions import Reaction
+from missions.baselines.watch import WatchedSea
+from missions.engine.adaptations import Adaptation
+from missions.engine.mission import Verdict
+from missions.engine.runner import MissionRun
 
 __all__ = ["adaptation_table", "as_json", "figure_in_words", "summary", "timing"]
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kb import Model
-from missions.runner import MissionRun
+from missions.engine.runner import MissionRun
 
 __all__ = ["Array", "Events", "Leg", "Story", "bare", "brief", "listed", "panels_of", "story_of"]
 

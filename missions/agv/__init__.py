@@ -15,9 +15,9 @@ from missions.agv.modes import Modes
 from missions.agv.route import Route
 from missions.agv.tree import agv_tree
 from missions.agv.world import AgvKind
-from missions.mission import Mission
+from missions.engine.mission import Mission
+from missions.engine.percepts import Percepts
 from missions.planning.declared import by_schema
-from missions.senses import Senses
 
 __all__ = ["MAPS", "MISSION", "WEIGHTS", "agv_mission"]
 
@@ -41,11 +41,11 @@ def agv_mission(name: str, summary: str, building: Building, weights: Mapping[st
     words = Words(building, Modes(known, NAVIGATE).under({}))
 
     @lru_cache(maxsize=8)  # what a run is told takes time to find out, so its behaviours share it
-    def outlook(kb: KnowledgeBase, senses: Senses) -> Outlook:
-        return Outlook(Route(building, kb, senses, weights), words)
+    def outlook(kb: KnowledgeBase, percepts: Percepts) -> Outlook:
+        return Outlook(Route(building, kb, percepts, weights), words)
 
-    def why_not(kb: KnowledgeBase, senses: Senses) -> str:
-        answer = outlook(kb, senses).route.answer
+    def why_not(kb: KnowledgeBase, percepts: Percepts) -> str:
+        answer = outlook(kb, percepts).route.answer
         return "" if answer.is_solved else answer.reason
 
     return Mission(
@@ -57,7 +57,7 @@ def agv_mission(name: str, summary: str, building: Building, weights: Mapping[st
         actions=by_schema(
             Planned(switch_schema(LIMITED), outlook, switch), Planned(cross_schema(LIMITED), outlook, cross)
         ),
-        facts=lambda kb, senses: outlook(kb, senses).told,
+        facts=lambda kb, percepts: outlook(kb, percepts).told,
         engines=("label-setting",),
         world=AgvKind(building, weights),
         why_not=why_not,

@@ -13,7 +13,7 @@ from missions.agv.joint import Leg
 from missions.agv.model import FOLLOW, NAVIGATE, NAVIGATOR, heading, headings
 from missions.agv.modes import Mode, running_mode
 from missions.agv.route import Route
-from missions.senses import Senses
+from missions.engine.percepts import Percepts
 from rosa_bt import RosaAction
 from rosa_pddl import Step
 from rosa_pddl.generation import ActionSchema
@@ -162,12 +162,12 @@ class Planned:
     """
 
     schema: ActionSchema
-    outlook: Callable[[KnowledgeBase, Senses], Outlook]
+    outlook: Callable[[KnowledgeBase, Percepts], Outlook]
     make: Callable[[Outlook, Step], Behaviour]
 
-    def __call__(self, kb: KnowledgeBase, senses: Senses, step: Step) -> Behaviour:
+    def __call__(self, kb: KnowledgeBase, percepts: Percepts, step: Step) -> Behaviour:
         """Make it."""
-        return self.make(self.outlook(kb, senses), step)
+        return self.make(self.outlook(kb, percepts), step)
 
 
 def cross(outlook: Outlook, step: Step) -> Cross:

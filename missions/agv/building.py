@@ -13,7 +13,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
-from missions.mission import MissionError
+from missions.engine.mission import MissionError
 
 __all__ = ["Building", "BuildingError", "Corridor", "building_from", "load_building"]
 

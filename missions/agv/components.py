@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from missions.agv.settings import Settings
-from missions.mission import MissionError
+from missions.engine.mission import MissionError
 
 __all__ = ["Components"]
 

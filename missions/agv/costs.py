@@ -11,7 +11,7 @@ from dataclasses import dataclass, fields
 from typing import Final, NamedTuple
 
 from missions.agv.modes import Mode
-from missions.mission import MissionError
+from missions.engine.mission import MissionError
 
 __all__ = ["Amounts", "Costs", "GOALS", "check_number", "weighing"]
 

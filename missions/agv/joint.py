@@ -15,7 +15,7 @@ from kb import KnowledgeBase
 from missions.agv.building import Building, Corridor
 from missions.agv.costs import GOALS, Amounts, Costs, check_number, weighing
 from missions.agv.modes import Mode, Modes, running_mode
-from missions.mission import MissionError
+from missions.engine.mission import MissionError
 from rosa_pddl.planning.labels import Graph, Move, cheapest, distances
 
 __all__ = ["Answer", "DEMANDS", "JointPlanner", "Leg", "Place", "Question", "Task"]

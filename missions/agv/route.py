@@ -6,7 +6,7 @@ from typing import Final
 from kb import KnowledgeBase, Status
 from missions.agv.building import Building
 from missions.agv.joint import Answer, JointPlanner, Leg, Place, Question, Task
-from missions.senses import Senses
+from missions.engine.percepts import Percepts
 
 __all__ = ["RESERVE", "Route"]
 
@@ -22,16 +22,16 @@ class Route:
     Args:
         building: the map.
         kb: the knowledge base of the robot.
-        senses: what else was told.
+        percepts: what else was told.
         weights: what is minimised, see `Question`.
 
     Attributes:
         plans: how often it was planned.
     """
 
-    def __init__(self, building: Building, kb: KnowledgeBase, senses: Senses, weights: Mapping[str, float]) -> None:
+    def __init__(self, building: Building, kb: KnowledgeBase, percepts: Percepts, weights: Mapping[str, float]) -> None:
         self.building, self.kb, self.plans = building, kb, 0
-        self._senses = senses
+        self._percepts = percepts
         self._weights = weights
         self._planner = JointPlanner(building, kb)
         self._believed: tuple[object, ...] = ()
@@ -40,7 +40,9 @@ class Route:
     @property
     def at(self) -> str:
         """The place where the robot is, or the one that it came from."""
-        return next((place for place in self.building.places if self._senses.holds(f"at {place}")), self.building.start)
+        return next(
+            (place for place in self.building.places if self._percepts.holds(f"at {place}")), self.building.start
+        )
 
     @property
     def is_there(self) -> bool:
@@ -85,7 +87,7 @@ class Route:
     @property
     def inside(self) -> str:
         """The corridor that the robot is in; empty at a place."""
-        return next((one.name for one in self.building.exits[self.at] if self._senses.holds(f"in {one.name}")), "")
+        return next((one.name for one in self.building.exits[self.at] if self._percepts.holds(f"in {one.name}")), "")
 
     @property
     def standing(self) -> Mapping[str, float]:
@@ -98,7 +100,7 @@ class Route:
     @property
     def revision(self) -> tuple[object, ...]:
         """Differs when anything has happened; that it drives on and draws energy is nothing."""
-        return self.kb.revision, self._senses.revision, self.kb.attributes["energy"].value is None
+        return self.kb.revision, self._percepts.revision, self.kb.attributes["energy"].value is None
 
     @property
     def believed(self) -> tuple[object, ...]:
@@ -109,5 +111,5 @@ class Route:
     @property
     def _light(self) -> Mapping[str, float]:
         """Return how light it was found to be in corridors, where that was told."""
-        told = {name: self._senses.value(f"light in {name}") for name in self.building.corridors}
+        told = {name: self._percepts.value(f"light in {name}") for name in self.building.corridors}
         return {name: light for name, light in told.items() if light is not None}

@@ -5,8 +5,8 @@ from typing import Final, NamedTuple
 
 from missions.agv.building import Building, BuildingError
 from missions.agv.model import DRAW_W
-from missions.mission import MissionError
-from missions.settings import Constants, setting, text_setting
+from missions.engine.mission import MissionError
+from missions.engine.settings import Constants, setting, text_setting
 
 __all__ = ["Incident", "Settings", "incidents"]
 

@@ -17,7 +17,7 @@ from missions.agv.actions import Cross
 from missions.agv.building import Building
 from missions.agv.joint import Answer, Leg
 from missions.agv.route import Route
-from missions.senses import Senses
+from missions.engine.percepts import Percepts
 from rosa_bt import feasible_then_act
 from rosa_bt.decorators import UntilSuccess
 from rosa_pddl import Outcome, PlanRecord, Step
@@ -101,6 +101,6 @@ def _is_rest(answer: Answer, before: Answer) -> bool:
     return answer.is_solved is before.is_solved and ways == others[len(others) - len(ways) :]
 
 
-def agv_tree(building: Building, weights: Mapping[str, float], kb: KnowledgeBase, senses: Senses) -> Behaviour:
+def agv_tree(building: Building, weights: Mapping[str, float], kb: KnowledgeBase, percepts: Percepts) -> Behaviour:
     """Build the tree; it runs until the goal is reached."""
-    return UntilSuccess("until arrived", FollowRoute(Route(building, kb, senses, weights)))
+    return UntilSuccess("until arrived", FollowRoute(Route(building, kb, percepts, weights)))

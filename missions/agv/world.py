@@ -15,8 +15,8 @@ from missions.agv.route import Route
 from missions.agv.scene import boxes, check_walls
 from missions.agv.settings import Incident, Settings, incidents
 from missions.agv.steering import Aim, Array, aim_along, steer
-from missions.mission import Message, Sample, Setting, Verdict, World, WorldKind
-from missions.senses import Senses
+from missions.engine.mission import Message, Sample, Setting, Verdict, World, WorldKind
+from missions.engine.percepts import Percepts
 
 __all__ = ["AgvKind", "BuildingWorld"]
 
@@ -273,9 +273,9 @@ class AgvKind(WorldKind):
         """Open the building."""
         return BuildingWorld(self._building, Settings.read(values), rng)
 
-    def verdict(self, senses: Senses, results: Mapping[str, float | None], kb: KnowledgeBase) -> Verdict:
+    def verdict(self, percepts: Percepts, results: Mapping[str, float | None], kb: KnowledgeBase) -> Verdict:
         """Judge by where the robot is."""
-        route = Route(self._building, kb, senses, self._weights)
+        route = Route(self._building, kb, percepts, self._weights)
         if route.is_there:
             return Verdict("arrived", f"the robot is at {self._building.goal}")
         if not route.answer.is_solved:

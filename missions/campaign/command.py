@@ -17,7 +17,7 @@ from missions.campaign.plan import Campaign, check_campaign, paper_table, read_c
 from missions.campaign.store import Store, read_store
 from missions.campaign.work import CRASHED
 from missions.campaign.workers import Cluster, Processes, Workers
-from missions.mission import MissionError
+from missions.engine.mission import MissionError
 
 __all__ = ["campaign", "report"]
 

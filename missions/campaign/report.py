@@ -8,12 +8,12 @@ from statistics import fmean, median
 
 import numpy
 
+from missions.baselines import OURS
 from missions.campaign.document import Document
 from missions.campaign.figures import distribution, reaction_histograms
 from missions.campaign.groups import SEARCH, Comparison, comparisons
 from missions.campaign.store import Kept
-from missions.managers import OURS
-from missions.mission import MissionError
+from missions.engine.mission import MissionError
 from missions.output import OutputFile
 from missions.statistics import contrast, holm, interval_of_mean, interval_of_sd, two_clusters
 

@@ -12,7 +12,7 @@ from typing import Any, Self
 
 from missions.campaign.plan import Campaign, from_data
 from missions.campaign.work import CRASHED, Outcome, provenance
-from missions.mission import MissionError
+from missions.engine.mission import MissionError
 from missions.output import OutputFile
 
 __all__ = ["Kept", "Store", "read_store"]

@@ -13,12 +13,12 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
+from missions.baselines import open_run
+from missions.baselines.watch import WatchedSea
 from missions.campaign.plan import PlannedRun
-from missions.managers import open_run
-from missions.managers.watch import WatchedSea
-from missions.registry import find_mission
+from missions.engine.registry import find_mission
+from missions.engine.runner import MissionRun
 from missions.report import as_json, summary
-from missions.runner import MissionRun
 
 __all__ = ["CRASHED", "Outcome", "crash", "do", "provenance"]
 

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 from missions.campaign.plan import PlannedRun
 from missions.campaign.work import Outcome, crash, do, provenance
-from missions.mission import MissionError
+from missions.engine.mission import MissionError
 
 __all__ = ["Cluster", "Processes", "Workers", "outcomes"]
 

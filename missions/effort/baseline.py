@@ -8,15 +8,15 @@ from typing import cast
 from py_trees.behaviour import Behaviour
 
 from kb import KnowledgeBase, Model
+from missions.baselines import modes as modes_module
+from missions.baselines.bt import TreeManager
+from missions.baselines.manager import Manager
+from missions.baselines.opening import open_run
+from missions.baselines.run import ManagedRun
 from missions.effort.source import Module, Written, built, code_lines
-from missions.managers import modes as modes_module
-from missions.managers.bt import TreeManager
-from missions.managers.manager import Manager
-from missions.managers.opening import open_run
-from missions.managers.run import ManagedRun
-from missions.mission import Mission, MissionError
-from missions.sea import SEA
-from missions.senses import Senses
+from missions.engine.mission import Mission, MissionError
+from missions.engine.percepts import Percepts
+from missions.suave.world import SEA
 
 __all__ = ["ByHand", "TreeCount", "by_hand", "count_tree", "is_managed_by_tree"]
 
@@ -82,7 +82,7 @@ def count_tree(mission: Mission) -> TreeCount:
     finally:
         run.world.close()
     model = mission.model()
-    given = KnowledgeBase(model), Senses()
+    given = KnowledgeBase(model), Percepts()
     task = built(f"the tree of {mission.name}", Behaviour, mission.tree, *given)  # type: ignore[type-abstract]  # only asked about
     return TreeCount(_nodes(tree), _nodes(task), _modes(model))
 

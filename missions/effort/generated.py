@@ -2,7 +2,7 @@
 
 from kb import Model
 from kb.elements import Attribute, Component, Function
-from missions.mission import MissionError
+from missions.engine.mission import MissionError
 
 __all__ = ["generated_model"]
 

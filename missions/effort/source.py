@@ -17,7 +17,7 @@ from py_trees.composites import Composite
 from py_trees.decorators import Decorator
 
 from kb import KnowledgeBaseError
-from missions.mission import MissionError
+from missions.engine.mission import MissionError
 
 __all__ = ["Module", "Written", "built", "code_lines", "python_written", "typeql_written"]
 

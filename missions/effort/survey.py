@@ -14,9 +14,9 @@ from missions.effort.baseline import ByHand, TreeCount, by_hand, count_tree, is_
 from missions.effort.counting import RULE, Count, count
 from missions.effort.generated import generated_model
 from missions.effort.source import Written, built, code_lines, python_written, typeql_written
-from missions.mission import Mission, MissionError
+from missions.engine.mission import Mission, MissionError
+from missions.engine.registry import MISSIONS, find_mission
 from missions.planning.declared import declarations_of
-from missions.registry import MISSIONS, find_mission
 from rosa_pddl import DeclaredProblem
 
 __all__ = ["LawPoint", "ModelEffort", "Survey", "TreeEffort", "as_data", "survey"]

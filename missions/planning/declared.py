@@ -6,7 +6,7 @@ from typing import Any
 
 from py_trees.behaviour import Behaviour
 
-from missions.mission import Mission, MissionError
+from missions.engine.mission import Mission, MissionError
 from missions.names import Names, names_in_pddl
 from rosa_pddl import ActionSchema, Declarations, DeclaredProblem, Domain, load_domain
 from rosa_pddl.domain import ACTION_TYPE
@@ -86,8 +86,8 @@ def check_facts(mission: Mission) -> None:
     try:
         signature(mission.facts).bind(None, None)
     except TypeError as error:
-        told = f"the facts of mission {mission.name} are called with the knowledge base and the senses"
-        raise MissionError(f"{told}: {error}; write facts=lambda kb, senses: {{...}}") from error
+        told = f"the facts of mission {mission.name} are called with the knowledge base and the percepts"
+        raise MissionError(f"{told}: {error}; write facts=lambda kb, percepts: {{...}}") from error
 
 
 def planned_names(mission: Mission) -> Names | None:

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Final
 
 from kb import KnowledgeBase, Model
-from missions.mission import Mission, MissionError
+from missions.engine.mission import Mission, MissionError
+from missions.engine.percepts import Percepts
 from missions.planning.declared import check_facts, mission_domain
-from missions.senses import Senses
 from rosa_pddl import Domain, Problem, State, feasible_atoms, initial_state, load_domain
 from rosa_pddl.exceptions import nearest
 from rosa_pddl.formulas import Condition, conditions
@@ -124,7 +124,7 @@ def ask(
     made = Question(domain, kb, state, tuple(wanted), oversights, numbers, engines)
     if mission is None or files or goals:
         return made
-    return replace(made, why_not=partial(mission.why_not, kb, Senses()))
+    return replace(made, why_not=partial(mission.why_not, kb, Percepts()))
 
 
 def read_situation(texts: Iterable[str]) -> Supposed:
@@ -170,7 +170,7 @@ def _domain(files: Sequence[Path], mission: Mission | None) -> Domain:
 def _told(mission: Mission, kb: KnowledgeBase) -> Mapping[str, bool | float]:
     """Return what a mission knows before it has begun; nothing is sensed, so what is false there may be true."""
     check_facts(mission)
-    return mission.facts(kb, Senses())
+    return mission.facts(kb, Percepts())
 
 
 def _model(domain: Domain, mission: Mission | None, models: Sequence[Path]) -> Model:

@@ -11,7 +11,7 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 from py_trees.behaviour import Behaviour
 
 from kb import KnowledgeBase
-from missions.mission import MissionError
+from missions.engine.mission import MissionError
 from missions.planning.formulas import written_condition, written_effects
 from missions.planning.leaves import Assume, Holds
 from rosa_bt.exceptions import RosaBtError

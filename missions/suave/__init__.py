@@ -1,11 +1,11 @@
 """SUAVE: an underwater vehicle searches for a pipeline and inspects it, through murky water and a thruster failure."""
 
-from missions.mission import Mission
+from missions.engine.mission import Mission
 from missions.planning.declared import by_schema
-from missions.sea import SEA
 from missions.suave.actions import PROBLEM, InspectPipeline, SearchPipeline, facts
 from missions.suave.model import suave_model
 from missions.suave.tree import suave_tree
+from missions.suave.world import SEA
 
 __all__ = ["MISSION"]
 

@@ -10,7 +10,7 @@ from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 
 from kb import KnowledgeBase
-from missions.senses import Senses
+from missions.engine.percepts import Percepts
 from rosa_bt import RosaAction
 from rosa_pddl.generation import ActionSchema, DeclaredProblem
 
@@ -24,13 +24,13 @@ PROBLEM: Final = DeclaredProblem(
 class PipelineFound(Behaviour):
     """Condition: SUCCESS once the camera has seen the pipeline."""
 
-    def __init__(self, name: str, senses: Senses) -> None:
+    def __init__(self, name: str, percepts: Percepts) -> None:
         super().__init__(name)
-        self._senses = senses
+        self._percepts = percepts
 
     def update(self) -> Status:
         """Look at what was sensed."""
-        return Status.SUCCESS if self._senses.holds("pipeline_found") else Status.FAILURE
+        return Status.SUCCESS if self._percepts.holds("pipeline_found") else Status.FAILURE
 
 
 class SearchPipeline(RosaAction):
@@ -47,9 +47,9 @@ class SearchPipeline(RosaAction):
         duration_s=60,
     )
 
-    def __init__(self, kb: KnowledgeBase, senses: Senses) -> None:
+    def __init__(self, kb: KnowledgeBase, percepts: Percepts) -> None:
         super().__init__("search", kb, self.schema.rosa_action)
-        self._senses = senses
+        self._percepts = percepts
         self._since_s = 0.0
 
     @property
@@ -72,7 +72,7 @@ class SearchPipeline(RosaAction):
 
     def update(self) -> Status:
         """Look at what was sensed."""
-        if not self._senses.holds("pipeline_found"):
+        if not self._percepts.holds("pipeline_found"):
             return Status.RUNNING
         self.feedback_message = f"found after {self.searched_s:.0f} s of searching"
         return Status.SUCCESS
@@ -96,9 +96,9 @@ class InspectPipeline(RosaAction):
         duration_s=60,
     )
 
-    def __init__(self, kb: KnowledgeBase, senses: Senses) -> None:
+    def __init__(self, kb: KnowledgeBase, percepts: Percepts) -> None:
         super().__init__("inspect", kb, self.schema.rosa_action)
-        self._senses = senses
+        self._percepts = percepts
         self.inspected_m, self._told_m, self._heard = 0.0, 0.0, 0
 
     def initialise(self) -> None:
@@ -116,11 +116,11 @@ class InspectPipeline(RosaAction):
 
     def update(self) -> Status:
         """Look at what was sensed."""
-        heard = self._senses.count("distance_inspected")
+        heard = self._percepts.count("distance_inspected")
         if heard != self._heard:
             self._heard = heard
-            self._count(self._senses.value("distance_inspected") or 0.0)
-        return Status.SUCCESS if self._senses.holds("pipeline_inspected") else Status.RUNNING
+            self._count(self._percepts.value("distance_inspected") or 0.0)
+        return Status.SUCCESS if self._percepts.holds("pipeline_inspected") else Status.RUNNING
 
     def _count(self, told_m: float) -> None:
         self.inspected_m += told_m - self._told_m if told_m >= self._told_m else told_m
@@ -128,9 +128,9 @@ class InspectPipeline(RosaAction):
         self.feedback_message = f"{self.inspected_m:.1f} m inspected"
 
 
-def facts(kb: KnowledgeBase, senses: Senses) -> Mapping[str, bool]:
+def facts(kb: KnowledgeBase, percepts: Percepts) -> Mapping[str, bool]:
     """Return what was sensed as facts of the PDDL problem."""
     return {
-        "(pipeline_found pipeline)": senses.holds("pipeline_found"),
-        "(pipeline_inspected pipeline)": senses.holds("pipeline_inspected"),
+        "(pipeline_found pipeline)": percepts.holds("pipeline_found"),
+        "(pipeline_inspected pipeline)": percepts.holds("pipeline_inspected"),
     }

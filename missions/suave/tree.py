@@ -10,7 +10,7 @@ from py_trees.behaviour import Behaviour
 from py_trees.composites import Selector, Sequence
 
 from kb import KnowledgeBase
-from missions.senses import Senses
+from missions.engine.percepts import Percepts
 from missions.suave.actions import InspectPipeline, PipelineFound, SearchPipeline
 from rosa_bt import feasible_then_act
 from rosa_bt.decorators import UntilSuccess
@@ -18,15 +18,15 @@ from rosa_bt.decorators import UntilSuccess
 __all__ = ["search_and_inspect", "suave_tree"]
 
 
-def suave_tree(kb: KnowledgeBase, senses: Senses) -> Behaviour:
+def suave_tree(kb: KnowledgeBase, percepts: Percepts) -> Behaviour:
     """Build the tree; it runs until the whole pipeline is inspected."""
-    return UntilSuccess("until inspected", search_and_inspect(kb, senses))
+    return UntilSuccess("until inspected", search_and_inspect(kb, percepts))
 
 
-def search_and_inspect(kb: KnowledgeBase, senses: Senses) -> Behaviour:
+def search_and_inspect(kb: KnowledgeBase, percepts: Percepts) -> Behaviour:
     """Build the part that does the work; it fails as soon as what it is doing becomes unfeasible."""
-    search = feasible_then_act(SearchPipeline(kb, senses))
+    search = feasible_then_act(SearchPipeline(kb, percepts))
     # With memory, a search under way ends by itself, as a success, rather than being cut short by the condition.
-    find = Selector("find", memory=True, children=[PipelineFound("pipeline found?", senses), search])
-    inspect = feasible_then_act(InspectPipeline(kb, senses))
+    find = Selector("find", memory=True, children=[PipelineFound("pipeline found?", percepts), search])
+    inspect = feasible_then_act(InspectPipeline(kb, percepts))
     return Sequence("search and inspect", memory=False, children=[find, inspect])

@@ -1,9 +1,9 @@
 """Extended SUAVE: as SUAVE, and the battery drops to a critical level, so that the task has to change too."""
 
-from missions.mission import Mission
+from missions.engine.mission import Mission
 from missions.planning.declared import by_schema
-from missions.sea import SEA
 from missions.suave.actions import PROBLEM, InspectPipeline, SearchPipeline, facts
+from missions.suave.world import SEA
 from missions.suave_extended.actions import Recharge
 from missions.suave_extended.model import suave_extended_model
 from missions.suave_extended.tree import suave_extended_tree

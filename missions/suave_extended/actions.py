@@ -5,7 +5,7 @@ from typing import ClassVar
 from py_trees.common import Status
 
 from kb import KnowledgeBase
-from missions.senses import Senses
+from missions.engine.percepts import Percepts
 from rosa_bt import RosaAction
 from rosa_pddl.generation import ActionSchema
 
@@ -23,15 +23,15 @@ class Recharge(RosaAction):
         hopes=("search_pipeline", "inspect_pipeline"),
     )
 
-    def __init__(self, kb: KnowledgeBase, senses: Senses) -> None:
+    def __init__(self, kb: KnowledgeBase, percepts: Percepts) -> None:
         super().__init__("recharge", kb, self.schema.rosa_action)
-        self._senses = senses
+        self._percepts = percepts
         self._before = 0
 
     def initialise(self) -> None:
         """Remember how many recharges there were."""
-        self._before = self._senses.count("battery_recharged")
+        self._before = self._percepts.count("battery_recharged")
 
     def update(self) -> Status:
         """Look whether there was one more."""
-        return Status.SUCCESS if self._senses.count("battery_recharged") > self._before else Status.RUNNING
+        return Status.SUCCESS if self._percepts.count("battery_recharged") > self._before else Status.RUNNING

@@ -9,7 +9,7 @@ until inspected
 from py_trees.behaviour import Behaviour
 
 from kb import KnowledgeBase
-from missions.senses import Senses
+from missions.engine.percepts import Percepts
 from missions.suave.tree import search_and_inspect
 from missions.suave_extended.actions import Recharge
 from rosa_bt import do_until_unfeasible
@@ -18,8 +18,8 @@ from rosa_bt.decorators import UntilSuccess
 __all__ = ["suave_extended_tree"]
 
 
-def suave_extended_tree(kb: KnowledgeBase, senses: Senses) -> Behaviour:
+def suave_extended_tree(kb: KnowledgeBase, percepts: Percepts) -> Behaviour:
     """Build the tree; it runs until the whole pipeline is inspected."""
     # With memory, a recharge that has begun is finished although the battery is full a moment before it ends.
-    mission = do_until_unfeasible(search_and_inspect(kb, senses), Recharge(kb, senses), memory=True, name="mission")
+    mission = do_until_unfeasible(search_and_inspect(kb, percepts), Recharge(kb, percepts), memory=True, name="mission")
     return UntilSuccess("until inspected", mission)

@@ -7,12 +7,12 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from missions.replay import replay
+    from missions.engine.components import CommandFailed, ScriptedManaged
+    from missions.engine.replay import replay
     from missions.testing.clock import FakeClock
     from missions.testing.decisions import Decisions
     from missions.testing.golden import check_golden
     from missions.testing.leaves import LeafMock, mock_leaf
-    from missions.testing.managed import CommandFailed, ScriptedManaged
 
 __all__ = [
     "CommandFailed",
@@ -26,14 +26,14 @@ __all__ = [
 ]
 
 _HOMES = {
-    "CommandFailed": "missions.testing.managed",
+    "CommandFailed": "missions.engine.components",
     "Decisions": "missions.testing.decisions",
     "FakeClock": "missions.testing.clock",
     "LeafMock": "missions.testing.leaves",
-    "ScriptedManaged": "missions.testing.managed",
+    "ScriptedManaged": "missions.engine.components",
     "check_golden": "missions.testing.golden",
     "mock_leaf": "missions.testing.leaves",
-    "replay": "missions.replay",
+    "replay": "missions.engine.replay",
 }
 
 

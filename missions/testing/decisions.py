@@ -7,7 +7,7 @@ from difflib import ndiff
 from typing import TYPE_CHECKING, Final
 
 from kb import DiagnosticProblem, KnowledgeBase, ReconfigurationPlan
-from missions.adaptations import Adaptation
+from missions.engine.adaptations import Adaptation
 from missions.testing.timeline import Moment, around, seconds
 from missions.testing.witness import TaskChange
 

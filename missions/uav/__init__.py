@@ -1,6 +1,6 @@
 """UAV: an aerial vehicle searches a field for samples and analyses them, as its battery and its gripper allow."""
 
-from missions.mission import Mission
+from missions.engine.mission import Mission
 from missions.planning.declared import by_schema
 from missions.uav.actions import (
     PROBLEM,

@@ -11,7 +11,7 @@ from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 
 from kb import KnowledgeBase
-from missions.senses import Senses
+from missions.engine.percepts import Percepts
 from missions.uav.settings import MOST_SAMPLES
 from rosa_bt import RosaAction
 from rosa_pddl.generation import ActionSchema, DeclaredProblem
@@ -40,35 +40,37 @@ PROBLEM: Final = DeclaredProblem(
 )
 
 
-def analysed(senses: Senses) -> int:
+def analysed(percepts: Percepts) -> int:
     """Return how many samples are analysed."""
-    return sum(senses.holds(f"{one}_analysed") for one in SAMPLES)
+    return sum(percepts.holds(f"{one}_analysed") for one in SAMPLES)
 
 
-def target(senses: Senses) -> str:
+def target(percepts: Percepts) -> str:
     """Return the sample that is to be analysed next; empty if there is none."""
-    return next((one for one in SAMPLES if senses.holds(f"{one}_target")), "")
+    return next((one for one in SAMPLES if percepts.holds(f"{one}_target")), "")
 
 
-def is_waiting(senses: Senses) -> bool:
+def is_waiting(percepts: Percepts) -> bool:
     """Whether there is a sample to be analysed next."""
-    return bool(target(senses))
+    return bool(target(percepts))
 
 
-def is_all_analysed(senses: Senses) -> bool:
+def is_all_analysed(percepts: Percepts) -> bool:
     """Whether all samples are analysed that are wanted now, of which there is at least one."""
-    wanted = [one for one in SAMPLES if senses.holds(f"{one}_wanted")]
-    return bool(wanted) and all(senses.holds(f"{one}_analysed") for one in wanted)
+    wanted = [one for one in SAMPLES if percepts.holds(f"{one}_wanted")]
+    return bool(wanted) and all(percepts.holds(f"{one}_analysed") for one in wanted)
 
 
-def facts(kb: KnowledgeBase, senses: Senses) -> Mapping[str, bool]:
+def facts(kb: KnowledgeBase, percepts: Percepts) -> Mapping[str, bool]:
     """Return what was sensed as facts of the PDDL problem."""
     told = {
-        f"({what} {one})": senses.holds(f"{one}_{what}") for what in ("wanted", "analysed", "target") for one in SAMPLES
+        f"({what} {one})": percepts.holds(f"{one}_{what}")
+        for what in ("wanted", "analysed", "target")
+        for one in SAMPLES
     }
     return told | {
-        "(looking drone)": not is_waiting(senses),
-        "(gripper_folded drone)": senses.holds("gripper_folded") and not _is_starting(kb, "gripper"),
+        "(looking drone)": not is_waiting(percepts),
+        "(gripper_folded drone)": percepts.holds("gripper_folded") and not _is_starting(kb, "gripper"),
     }
 
 
@@ -80,25 +82,25 @@ def _is_starting(kb: KnowledgeBase, component: str) -> bool:
 class SampleWaiting(Behaviour):
     """Condition: SUCCESS while there is a sample to be analysed next."""
 
-    def __init__(self, name: str, senses: Senses) -> None:
+    def __init__(self, name: str, percepts: Percepts) -> None:
         super().__init__(name)
-        self._senses = senses
+        self._percepts = percepts
 
     def update(self) -> Status:
         """Look at what was sensed."""
-        return Status.SUCCESS if is_waiting(self._senses) else Status.FAILURE
+        return Status.SUCCESS if is_waiting(self._percepts) else Status.FAILURE
 
 
 class AllAnalysed(Behaviour):
     """Condition: SUCCESS while all samples are analysed that are wanted."""
 
-    def __init__(self, name: str, senses: Senses) -> None:
+    def __init__(self, name: str, percepts: Percepts) -> None:
         super().__init__(name)
-        self._senses = senses
+        self._percepts = percepts
 
     def update(self) -> Status:
         """Look at what was sensed."""
-        return Status.SUCCESS if is_all_analysed(self._senses) else Status.FAILURE
+        return Status.SUCCESS if is_all_analysed(self._percepts) else Status.FAILURE
 
 
 class SearchForSamples(RosaAction):
@@ -113,13 +115,13 @@ class SearchForSamples(RosaAction):
         cost=1,
     )
 
-    def __init__(self, kb: KnowledgeBase, senses: Senses) -> None:
+    def __init__(self, kb: KnowledgeBase, percepts: Percepts) -> None:
         super().__init__("search", kb, self.schema.rosa_action, wait=True)
-        self._senses = senses
+        self._percepts = percepts
 
     def update(self) -> Status:
         """Look at what was sensed."""
-        return Status.SUCCESS if is_waiting(self._senses) else Status.RUNNING
+        return Status.SUCCESS if is_waiting(self._percepts) else Status.RUNNING
 
 
 class _Analyse(RosaAction):
@@ -128,18 +130,18 @@ class _Analyse(RosaAction):
     schema: ClassVar[ActionSchema]
     title: ClassVar[str]
 
-    def __init__(self, kb: KnowledgeBase, senses: Senses) -> None:
+    def __init__(self, kb: KnowledgeBase, percepts: Percepts) -> None:
         super().__init__(self.title, kb, self.schema.rosa_action, wait=True)
-        self._senses = senses
+        self._percepts = percepts
         self._sample = ""
 
     def initialise(self) -> None:
         """Remember which sample it is."""
-        self._sample = target(self._senses)
+        self._sample = target(self._percepts)
 
     def update(self) -> Status:
         """Look whether that is still to be analysed."""
-        return Status.RUNNING if self._senses.holds(f"{self._sample}_target") else Status.SUCCESS
+        return Status.RUNNING if self._percepts.holds(f"{self._sample}_target") else Status.SUCCESS
 
 
 class PickUpAndAnalyse(_Analyse):
@@ -183,13 +185,13 @@ class LandAndFoldGripper(RosaAction):
         cost=1,
     )
 
-    def __init__(self, kb: KnowledgeBase, senses: Senses) -> None:
+    def __init__(self, kb: KnowledgeBase, percepts: Percepts) -> None:
         super().__init__("land and fold", kb, self.schema.rosa_action, wait=True)
-        self._senses = senses
+        self._percepts = percepts
 
     def update(self) -> Status:
         """Look at what was sensed."""
-        return Status.SUCCESS if self._senses.holds("gripper_folded") else Status.RUNNING
+        return Status.SUCCESS if self._percepts.holds("gripper_folded") else Status.RUNNING
 
 
 class ReturnAndRecharge(RosaAction):
@@ -207,15 +209,15 @@ class ReturnAndRecharge(RosaAction):
         hopes=("search_for_samples", "pick_up_and_analyse", "analyse_on_site"),
     )
 
-    def __init__(self, kb: KnowledgeBase, senses: Senses) -> None:
+    def __init__(self, kb: KnowledgeBase, percepts: Percepts) -> None:
         super().__init__("recharge", kb, self.schema.rosa_action, wait=True)
-        self._senses = senses
+        self._percepts = percepts
         self._before = 0
 
     def initialise(self) -> None:
         """Remember how many recharges there were."""
-        self._before = self._senses.count("battery_recharged")
+        self._before = self._percepts.count("battery_recharged")
 
     def update(self) -> Status:
         """Look whether there was one more."""
-        return Status.SUCCESS if self._senses.count("battery_recharged") > self._before else Status.RUNNING
+        return Status.SUCCESS if self._percepts.count("battery_recharged") > self._before else Status.RUNNING

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from difflib import get_close_matches
 
-from missions.mission import MissionError
+from missions.engine.mission import MissionError
 from missions.uav.nodes import Node
 
 __all__ = ["Components", "Operation"]

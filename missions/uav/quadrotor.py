@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import mujoco
 
-from missions.mission import MissionError
+from missions.engine.mission import MissionError
 from missions.uav.control import Vector, attitude_torques, mast, mixed, velocity_wanted, wanted_force
 from missions.uav.settings import Settings
 

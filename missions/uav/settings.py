@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Final
 
-from missions.settings import Constants, setting
+from missions.engine.settings import Constants, setting
 
 __all__ = ["MOST_SAMPLES", "Settings"]
 

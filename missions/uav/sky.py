@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 from numpy.random import Generator
 
 from kb import KnowledgeBase
-from missions.mission import Setting, Verdict, WorldKind
-from missions.senses import Senses
+from missions.engine.mission import Setting, Verdict, WorldKind
+from missions.engine.percepts import Percepts
 from missions.uav.actions import analysed, is_all_analysed
 from missions.uav.settings import Settings
 
@@ -29,12 +29,12 @@ class _SkyKind(WorldKind):
 
         return UavWorld(settings, rng)
 
-    def verdict(self, senses: Senses, results: Mapping[str, float | None], kb: KnowledgeBase) -> Verdict:
+    def verdict(self, percepts: Percepts, results: Mapping[str, float | None], kb: KnowledgeBase) -> Verdict:
         """Judge by the goal: every sample that is wanted is analysed, and the battery never ran empty."""
-        done, wanted = analysed(senses), results.get("wanted_samples") or 0
-        if senses.holds("battery_empty"):
+        done, wanted = analysed(percepts), results.get("wanted_samples") or 0
+        if percepts.holds("battery_empty"):
             return Verdict("aborted", f"the battery ran empty, {done} of {wanted:g} samples were analysed")
-        if is_all_analysed(senses):
+        if is_all_analysed(percepts):
             return Verdict("analysed_all", f"all {wanted:g} samples are analysed")
         return Verdict("aborted", f"time ran out, {done} of {wanted:g} samples were analysed")
 

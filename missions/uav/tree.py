@@ -16,7 +16,7 @@ from py_trees.behaviour import Behaviour
 from py_trees.composites import Selector, Sequence
 
 from kb import KnowledgeBase
-from missions.senses import Senses
+from missions.engine.percepts import Percepts
 from missions.uav.actions import (
     AllAnalysed,
     AnalyseOnSite,
@@ -32,15 +32,15 @@ from rosa_bt.decorators import UntilSuccess
 __all__ = ["uav_tree"]
 
 
-def uav_tree(kb: KnowledgeBase, senses: Senses) -> Behaviour:
+def uav_tree(kb: KnowledgeBase, percepts: Percepts) -> Behaviour:
     """Build the tree; it runs until all samples are analysed that are wanted."""
-    search = feasible_then_act(SearchForSamples(kb, senses))
-    find = Selector("find", memory=True, children=[SampleWaiting("sample waiting?", senses), search])
-    analyse = first_feasible("analyse", [PickUpAndAnalyse(kb, senses), AnalyseOnSite(kb, senses)])
+    search = feasible_then_act(SearchForSamples(kb, percepts))
+    find = Selector("find", memory=True, children=[SampleWaiting("sample waiting?", percepts), search])
+    analyse = first_feasible("analyse", [PickUpAndAnalyse(kb, percepts), AnalyseOnSite(kb, percepts)])
     # With memory: what was found stays found while it is analysed, also in the moment in which it is no longer waiting.
     work = Sequence("find and analyse", memory=True, children=[find, analyse])
-    one = do_until_unfeasible(work, ReturnAndRecharge(kb, senses), memory=True, name="one sample")
-    every = Sequence("one after another", memory=True, children=[one, AllAnalysed("all analysed?", senses)])
+    one = do_until_unfeasible(work, ReturnAndRecharge(kb, percepts), memory=True, name="one sample")
+    every = Sequence("one after another", memory=True, children=[one, AllAnalysed("all analysed?", percepts)])
     tree = UntilSuccess("until all are analysed", every)
-    fold = LandAndFoldGripper(kb, senses)
+    fold = LandAndFoldGripper(kb, percepts)
     return switch_safely(tree, {("pick_up_and_analyse", "analyse_on_site"): fold})

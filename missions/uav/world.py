@@ -6,7 +6,7 @@ from typing import Any
 
 from numpy.random import Generator
 
-from missions.mission import Message, Sample, World
+from missions.engine.mission import Message, Sample, World
 from missions.uav.field import Field
 from missions.uav.managed import Components
 from missions.uav.model import ANALYSE_LEVEL, PICK_UP_LEVEL, SEARCH_LEVEL

@@ -12,7 +12,7 @@ from py_trees.composites import Selector, Sequence
 from py_trees.trees import BehaviourTree
 
 from kb import KnowledgeBase, Model
-from missions.senses import Senses
+from missions.engine.percepts import Percepts
 from missions.suave_extended.model import suave_extended_model
 from missions.suave_extended.tree import suave_extended_tree
 from rosa_bt import IsActionFeasible, TraceVisitor, TreeRunner
@@ -25,26 +25,26 @@ CONSTANT = {Status.SUCCESS: Success, Status.FAILURE: Failure, Status.RUNNING: Ru
 ROUNDS, TICKS = 30, 100
 
 
-def searching() -> tuple[KnowledgeBase, Senses]:
-    """Return a knowledge base and senses of a vehicle that searches, in clear water with a full battery."""
+def searching() -> tuple[KnowledgeBase, Percepts]:
+    """Return a knowledge base and percepts of a vehicle that searches, in clear water with a full battery."""
     kb = KnowledgeBase(suave_extended_model(), clock=lambda: 0.0)
     kb.measure("water_visibility", 3.5)
     kb.measure("battery_level", 1.0)
-    return kb, Senses()
+    return kb, Percepts()
 
 
-def inspecting() -> tuple[KnowledgeBase, Senses]:
+def inspecting() -> tuple[KnowledgeBase, Percepts]:
     """Return the same when the pipeline is found."""
-    kb, senses = searching()
-    senses.receive({"status": [{"message": "mission status", "values": {"pipeline_found": "true"}}]})
-    return kb, senses
+    kb, percepts = searching()
+    percepts.receive({"status": [{"message": "mission status", "values": {"pipeline_found": "true"}}]})
+    return kb, percepts
 
 
-def recharging() -> tuple[KnowledgeBase, Senses]:
+def recharging() -> tuple[KnowledgeBase, Percepts]:
     """Return the same when the battery is low."""
-    kb, senses = inspecting()
+    kb, percepts = inspecting()
     kb.measure("battery_level", 0.2)
-    return kb, senses
+    return kb, percepts
 
 
 def constant(node: Behaviour) -> Behaviour:
@@ -81,8 +81,8 @@ def report(what: str, found: float, limit: float) -> None:
 
 @pytest.mark.parametrize("situation", [searching, inspecting, recharging])
 def test_tree_that_asks_ticks_nearly_as_fast_as_one_of_constants(situation):
-    kb, senses = situation()
-    runner = TreeRunner(suave_extended_tree(kb, senses), clock=lambda: 0.0)
+    kb, percepts = situation()
+    runner = TreeRunner(suave_extended_tree(kb, percepts), clock=lambda: 0.0)
     runner.tick()
     plain = BehaviourTree(constant(runner.tree.root))
     report(f"asking while {situation.__name__}", ratio(runner.tick, plain.tick), 1.3)
@@ -91,8 +91,8 @@ def test_tree_that_asks_ticks_nearly_as_fast_as_one_of_constants(situation):
 
 @pytest.mark.parametrize("situation", [searching, inspecting, recharging])
 def test_tree_that_is_traced_ticks_at_most_twice_as_long_as_one_of_constants(situation, tmp_path):
-    kb, senses = situation()
-    runner = TreeRunner(suave_extended_tree(kb, senses), clock=lambda: 0.0)
+    kb, percepts = situation()
+    runner = TreeRunner(suave_extended_tree(kb, percepts), clock=lambda: 0.0)
     runner.tick()
     plain = BehaviourTree(constant(runner.tree.root))
     with TraceVisitor(kb, tmp_path / "run.jsonl") as visitor:

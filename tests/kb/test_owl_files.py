@@ -13,7 +13,7 @@ from kb import Model, ModelError
 from kb.files import ModelFileError
 from kb.individuals import CLASSES, GENERAL, MODEL, PARAMETER, PREFERENCE, Ref, individuals, property_of
 from kb.rdfxml import ROSA, metamodel, owl_text, plain_text
-from missions.registry import MISSIONS
+from missions.engine.registry import MISSIONS
 from missions.suave_extended.model import suave_extended_model
 
 rdflib = pytest.importorskip("rdflib")

@@ -69,7 +69,7 @@ def house(goal):
 
 
 class House:
-    """A knowledge base, senses, and a log of what steps begin and how they end."""
+    """A knowledge base, percepts, and a log of what steps begin and how they end."""
 
     def __init__(self, script=(), disturbances=()):
         """Take for each step how many ticks it takes and how it ends; and what happens at which tick."""

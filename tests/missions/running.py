@@ -5,11 +5,11 @@ from functools import cache
 import numpy
 
 from missions import cli
-from missions.mission import Verdict
-from missions.registry import find_mission
+from missions.engine.mission import Verdict
+from missions.engine.registry import find_mission
+from missions.engine.runner import MissionRun
+from missions.engine.settings import split_settings
 from missions.report import as_json, summary
-from missions.runner import MissionRun
-from missions.settings import split_settings
 
 
 def run_mission(name, task="bt", seed=0, listeners=(), **changed) -> tuple[MissionRun, Verdict, dict]:

@@ -3,7 +3,7 @@
 from py_trees.common import Status
 
 from kb import Model
-from missions.recording import failed, measured, recovered, sensed
+from missions.engine.recording import failed, measured, recovered, sensed
 from rosa_bt import RosaAction, do_until_unfeasible
 
 
@@ -26,18 +26,18 @@ def rover_model() -> Model:
 
 
 class Sensing(RosaAction):
-    """Works until the senses hold what it is after."""
+    """Works until the percepts hold what it is after."""
 
-    def __init__(self, name, kb, senses, until):
+    def __init__(self, name, kb, percepts, until):
         super().__init__(name, kb, name)
-        self.senses, self.until = senses, until
+        self.percepts, self.until = percepts, until
 
     def update(self):
-        return Status.SUCCESS if self.senses.holds(self.until) else Status.RUNNING
+        return Status.SUCCESS if self.percepts.holds(self.until) else Status.RUNNING
 
 
-def rover_tree(kb, senses):
-    explore, charge = Sensing("explore", kb, senses, "explored"), Sensing("charge", kb, senses, "charged")
+def rover_tree(kb, percepts):
+    explore, charge = Sensing("explore", kb, percepts, "explored"), Sensing("charge", kb, percepts, "charged")
     return do_until_unfeasible(explore, charge, memory=True, name="mission")
 
 

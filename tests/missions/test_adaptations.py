@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from running import run_mission
 
 from kb import ConfigurationManager, KnowledgeBase, Model
-from missions.adaptations import AdaptationLog
+from missions.engine.adaptations import AdaptationLog
 
 
 class Robot:

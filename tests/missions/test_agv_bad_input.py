@@ -12,7 +12,7 @@ from missions.agv.building import Building, BuildingError, Corridor, building_fr
 from missions.agv.costs import Costs
 from missions.agv.joint import JointPlanner, Place, Question
 from missions.agv.model import agv_model
-from missions.mission import MissionError
+from missions.engine.mission import MissionError
 
 HALL = {
     "start": "a",

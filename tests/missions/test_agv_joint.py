@@ -16,7 +16,7 @@ from missions.agv.declared import asked_of
 from missions.agv.generated import generated_building
 from missions.agv.joint import JointPlanner, Place, Question
 from missions.agv.model import agv_model
-from missions.mission import MissionError
+from missions.engine.mission import MissionError
 from rosa_pddl import Outcome, Planner
 from rosa_pddl.planning.labels import Graph, Move, cheapest, distances
 

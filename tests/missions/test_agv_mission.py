@@ -19,12 +19,12 @@ from missions.agv.model import DRAW_W, agv_model, building_model
 from missions.agv.modes import Modes
 from missions.agv.route import Route
 from missions.agv.settings import Settings
-from missions.mission import MissionError
+from missions.engine.mission import MissionError
+from missions.engine.percepts import Percepts
+from missions.engine.runner import MissionRun
+from missions.engine.task_layer import TASK_KINDS
 from missions.planning.declared import mission_domain
 from missions.report import as_json
-from missions.runner import MissionRun
-from missions.senses import Senses
-from missions.task import TASK_KINDS
 from rosa_pddl import Planner, Problem
 from rosa_pddl.execution.belief import Belief
 
@@ -185,21 +185,21 @@ def test_defaults_of_the_settings_are_allowed():
 
 
 def told(*messages, **values):
-    """Return senses that have heard what is so, and what has which value."""
-    senses = Senses()
+    """Return percepts that have heard what is so, and what has which value."""
+    percepts = Percepts()
     heard = dict.fromkeys(messages, "true") | {name.replace("_in_", " in "): value for name, value in values.items()}
-    senses.receive({"status": [{"message": "mission status", "values": heard}]})
-    return senses
+    percepts.receive({"status": [{"message": "mission status", "values": heard}]})
+    return percepts
 
 
-def planned_and_joint(building, kb, senses, planner):
+def planned_and_joint(building, kb, percepts, planner):
     """Return what the mission's planner answers now, and the joint planner to the same question."""
     mission = agv_mission("small", "drives", building)
     domain = mission_domain(mission)
-    belief = Belief(domain, kb, lambda: mission.facts(kb, senses))
+    belief = Belief(domain, kb, lambda: mission.facts(kb, percepts))
     state = belief.observe()
     result = planner.plan(Problem(domain, state, None, belief.numbers))
-    return result, Route(building, kb, senses, WEIGHTS).answer
+    return result, Route(building, kb, percepts, WEIGHTS).answer
 
 
 @settings(max_examples=12, deadline=None)
@@ -226,7 +226,7 @@ def test_plan_of_steps_costs_what_the_joint_plan_costs(seed, places, failed, dat
 def test_light_that_comes_on_in_a_corridor_dark_on_the_map_is_planned_with():
     building = building_from(straight(light=0.1))
     kb = KnowledgeBase(building_model(building), clock=lambda: 0.0)
-    dark, lit = (Route(building, kb, senses, {"energy": 1.0}).answer for senses in (told(), told(light_in_c1=1.0)))
+    dark, lit = (Route(building, kb, percepts, {"energy": 1.0}).answer for percepts in (told(), told(light_in_c1=1.0)))
     assert [answer.legs[0].mode.name.split()[0] for answer in (dark, lit)] == ["aruco_camera_lamp", "aruco_camera"]
     assert lit.cost < dark.cost
 
@@ -248,7 +248,7 @@ def test_names_of_a_map_never_clash_with_those_of_the_plan():
 def test_switch_selects_the_mode_and_ends_when_the_robot_is_configured_so_or_cannot_be():
     building = building_from(straight())
     kb = KnowledgeBase(building_model(building), clock=lambda: 0.0)
-    route = Route(building, kb, Senses(), WEIGHTS)
+    route = Route(building, kb, Percepts(), WEIGHTS)
     mode = next(one for one in Modes(kb, "navigate").under({}) if one.name == "amcl_lidar fast")
     for active, how, status in ((False, "failed", "FAILURE"), (True, "completed", "SUCCESS")):
         switch = Switch(route, mode)
@@ -319,9 +319,9 @@ def test_each_plan_made_while_driving_costs_what_the_joint_plan_costs(monkeypatc
             asked.append((super().start(problem), answer.cost))
             return asked[-1][0]
 
-    def facts(kb, senses):
-        heard[:] = [(kb, senses)]
-        return mission.facts(kb, senses)
+    def facts(kb, percepts):
+        heard[:] = [(kb, percepts)]
+        return mission.facts(kb, percepts)
 
     monkeypatch.setattr("rosa_pddl.Planner", Compared)
     building = load_building(MAPS / "paper.toml")

@@ -15,8 +15,8 @@ from missions.agv.settings import Settings
 from missions.agv.steering import Aim
 from missions.agv.vehicle import Vehicle
 from missions.agv.world import BuildingWorld
-from missions.runner import MissionRun
-from missions.settings import RunSettings
+from missions.engine.runner import MissionRun
+from missions.engine.settings import RunSettings
 
 AMCL_KINECT = ("amcl", "kinect")
 

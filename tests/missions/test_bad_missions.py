@@ -9,9 +9,10 @@ from py_trees.behaviours import Running
 from py_trees.common import Status
 from running import run_mission
 
-from missions import cli, registry, runner, suave_extended
-from missions.mission import MissionError
-from missions.registry import MISSIONS
+from missions import cli, suave_extended
+from missions.engine import registry, runner
+from missions.engine.mission import MissionError
+from missions.engine.registry import MISSIONS
 from rosa_bt import IsActionFeasible, RosaAction
 from rosa_pddl import Planner
 
@@ -41,7 +42,7 @@ def run_altered(monkeypatch, capsys, *options):
 
 
 def test_action_in_the_tree_that_the_model_does_not_know_names_the_nearest(altered, monkeypatch, capsys):
-    altered(tree=lambda kb, senses: IsActionFeasible("search?", kb, "serch_pipeline"))
+    altered(tree=lambda kb, percepts: IsActionFeasible("search?", kb, "serch_pipeline"))
     code, _, err = run_altered(monkeypatch, capsys)
     assert code == 2
     assert "unknown action 'serch_pipeline'; did you mean 'search_pipeline'" in err
@@ -157,7 +158,7 @@ def test_exception_in_an_action_is_told_with_the_verdict(monkeypatch, capsys, al
         def update(self):
             raise ValueError("no such camera")
 
-    altered(tree=lambda kb, senses: Rash("search", kb, "search_pipeline"))
+    altered(tree=lambda kb, percepts: Rash("search", kb, "search_pipeline"))
     code, out, _ = run_altered(monkeypatch, capsys, "--set", "duration_s=3")
     assert code == 1
     assert "search_pipeline failed last: ValueError: no such camera" in out
@@ -174,7 +175,7 @@ def test_mission_without_a_plan_says_so(monkeypatch, capsys, altered, tmp_path):
 
 
 def test_tree_that_is_none_is_refused(monkeypatch, capsys, altered):
-    altered(tree=lambda kb, senses: None)
+    altered(tree=lambda kb, percepts: None)
     code, _, err = run_altered(monkeypatch, capsys)
     assert code == 2
     assert "the tree of mission altered is None, not a py_trees behaviour" in err
@@ -204,7 +205,7 @@ def test_exception_in_a_plain_behaviour_is_its_failure_and_leaves_nothing_open(a
         def update(self):
             raise RuntimeError("boom")
 
-    mission = dataclasses.replace(MISSIONS["suave_extended"], tree=lambda kb, senses: Rash("rash"))
+    mission = dataclasses.replace(MISSIONS["suave_extended"], tree=lambda kb, percepts: Rash("rash"))
     world = mission.world.open({}, numpy.random.default_rng(0))
     run = runner.MissionRun(mission, "bt", world)
     assert not run.run().success
@@ -216,9 +217,9 @@ def test_exception_in_a_plain_behaviour_is_its_failure_and_leaves_nothing_open(a
 @pytest.mark.parametrize(
     ("action", "message"),
     [
-        (lambda kb, senses, steps: Running(), "PDDL action .* is given .*: missing a required argument: 'steps'"),
-        (lambda kb, senses: None, "what does the PDDL action .* is None, not a py_trees behaviour"),
-        (lambda kb, senses: senses.nothing, "no attribute 'nothing'"),
+        (lambda kb, percepts, steps: Running(), "PDDL action .* is given .*: missing a required argument: 'steps'"),
+        (lambda kb, percepts: None, "what does the PDDL action .* is None, not a py_trees behaviour"),
+        (lambda kb, percepts: percepts.nothing, "no attribute 'nothing'"),
     ],
 )
 def test_what_cannot_make_a_step_ends_the_run_and_is_not_tried_for_ever(action, message):

@@ -19,13 +19,13 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from missions import cli
+from missions.baselines import MANAGERS
 from missions.campaign import Campaign, Store, paper_table, read_store
 from missions.campaign import tables as tables_module
 from missions.campaign.command import _Teller
 from missions.campaign.plan import PlannedRun, from_data
 from missions.campaign.work import PACKAGES, Outcome, do, provenance
-from missions.managers import MANAGERS
-from missions.mission import MissionError
+from missions.engine.mission import MissionError
 
 ROOT = Path(__file__).parents[2]
 SMALL = """
@@ -227,7 +227,7 @@ def test_campaign_that_is_done_is_done(rosa, small):
 CLUMSY = """
 import os, sys
 
-from missions.managers import Manager
+from missions.baselines import Manager
 
 
 class Clumsy(Manager):

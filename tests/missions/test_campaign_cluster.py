@@ -24,7 +24,7 @@ RUNS = 3 * 8
 FATAL = """
 import os
 
-from missions.managers import Manager
+from missions.baselines import Manager
 
 
 class Fatal(Manager):
@@ -164,7 +164,7 @@ def test_cluster_that_cannot_do_it_is_refused_at_once(machines):
 
 def test_scheduler_that_is_not_there_is_told_with_what_starts_one(tmp_path, monkeypatch):
     from missions.campaign import workers
-    from missions.mission import MissionError
+    from missions.engine.mission import MissionError
 
     monkeypatch.setattr(workers, "PATIENCE_S", 0.5)
     with pytest.raises(MissionError, match=r"no scheduler at 127\.0\.0\.1:9: .*start one with `dask scheduler`"):

@@ -13,7 +13,7 @@ from missions.campaign import Campaign, Store, read_store
 from missions.campaign.document import Document
 from missions.campaign.report import write_report
 from missions.campaign.work import Outcome, crash, provenance
-from missions.mission import MissionError
+from missions.engine.mission import MissionError
 
 TABLE = Campaign("table", ("suave",), ("none", "bt", "rosa", "ours"), runs=20)
 

@@ -11,12 +11,12 @@ from running import called
 
 from kb import Model
 from kb.judge.findings import RULES
-from missions import registry
 from missions.checking import judge
-from missions.mission import MissionError
+from missions.engine import registry
+from missions.engine.mission import MissionError
+from missions.engine.registry import MISSIONS
 from missions.names import names_in_pddl, names_in_tree
 from missions.planning.declared import planned_names
-from missions.registry import MISSIONS
 from rosa_bt import IsActionFeasible
 from rosa_pddl import PddlError
 
@@ -42,8 +42,8 @@ class Explore(RosaAction):
     def update(self):
         raise AssertionError("nothing is run")
 
-def of_both(kb, senses):
-    assert not senses.holds("anything")
+def of_both(kb, percepts):
+    assert not percepts.holds("anything")
     return Sequence("all", memory=False, children=[IsActionFeasible("can it?", kb, "expolre"),
                                                    Explore("do it", kb, "explore")])
 
@@ -56,8 +56,8 @@ def of_nothing():
 def of_no_tree():
     return 3
 
-def of_a_mistake(kb, senses):
-    return senses.wings
+def of_a_mistake(kb, percepts):
+    return percepts.wings
 
 def of_a_component(kb):
     return kb.components["wing"]
@@ -198,7 +198,7 @@ def test_name_that_a_tree_is_given_only_while_it_runs_is_no_finding():
     names = names_in_tree(lambda kb: IsActionFeasible("later", kb), model, "the tree")
     assert (dict(names.places), names.complete) == ({}, False)
     given_later = dataclasses.replace(
-        MISSIONS["suave"], model=explorer, tree=lambda kb, senses: IsActionFeasible("later", kb), domain=None
+        MISSIONS["suave"], model=explorer, tree=lambda kb, percepts: IsActionFeasible("later", kb), domain=None
     )
     assert judge([], dataclasses.replace(given_later, problem=None), [], []).findings == ()
 
@@ -212,7 +212,7 @@ def test_files_are_judged_with_the_tree_of_a_mission(rosa):
 
 def test_mission_of_ones_own_with_a_misspelt_action_is_judged_although_it_cannot_run(rosa, monkeypatch):
     broken = dataclasses.replace(
-        MISSIONS["suave"], name="broken", tree=lambda kb, senses: IsActionFeasible("search?", kb, "serch_pipeline")
+        MISSIONS["suave"], name="broken", tree=lambda kb, percepts: IsActionFeasible("search?", kb, "serch_pipeline")
     )
     monkeypatch.setattr(registry, "MISSIONS", {"broken": broken})
     code, out, _ = rosa("--mission", "broken")

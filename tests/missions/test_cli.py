@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from missions import cli
-from missions.registry import MISSIONS
+from missions.engine.registry import MISSIONS
 
 
 def rosa(*arguments, environment=None):
@@ -164,7 +164,7 @@ def test_mission_that_fails_its_goal_exits_with_1(quick):
         (["run", "suave", "--set", "tick_period_s=1e-12"], "allowed is a number of seconds from 0.001"),
         (["run", "suave", "--set", "drag_surge=1e300", "--no-progress"], "the simulation became unstable after"),
         (["run", "nowhere:MISSION"], "cannot import mission 'nowhere:MISSION'"),
-        (["run", "json:loads"], "'json:loads' is a function, not a missions.mission.Mission"),
+        (["run", "json:loads"], "'json:loads' is a function, not a missions.engine.mission.Mission"),
         (["run", "suave", "--seed", "-1"], "--seed"),
         (["run", "suave", "--fast"], "--fast"),
         (["fly"], "fly"),
@@ -226,7 +226,7 @@ def test_same_fault_in_diagnostics_is_told_once_and_counted(quick):
 
 
 def test_recording_carries_the_settings_so_that_its_replay_decides_the_same(quick, tmp_path):
-    from missions.replay import replay
+    from missions.engine.replay import replay
 
     changed = ["tick_period_s=0.7", "duration_s=320", "activation_s=0.4", "deactivation_s=0.2", "planning_delay_s=1.3"]
     options = [part for setting in changed for part in ("--set", setting)]

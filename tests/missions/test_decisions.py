@@ -11,9 +11,9 @@ from py_trees.composites import Sequence
 from small_rover import ENERGY_DROP, Sensing, rover_model, rover_tree
 
 from kb import UnknownName
-from missions.mission import MissionError
-from missions.recording import failed, measured, recovered, sensed
-from missions.settings import RunSettings
+from missions.engine.mission import MissionError
+from missions.engine.recording import failed, measured, recovered, sensed
+from missions.engine.settings import RunSettings
 from missions.testing import FakeClock, ScriptedManaged, replay
 
 
@@ -135,8 +135,8 @@ def test_claim_about_nothing_is_refused():
 
 
 def test_finishing_one_action_and_beginning_the_next_is_no_adaptation():
-    def tree(kb, senses):
-        steps = [Sensing("explore", kb, senses, "explored"), Sensing("charge", kb, senses, "charged")]
+    def tree(kb, percepts):
+        steps = [Sensing("explore", kb, percepts, "explored"), Sensing("charge", kb, percepts, "charged")]
         return Sequence("both", memory=True, children=steps)
 
     decisions = replay([measured(0.0, energy=1.0), sensed(5.0, explored=True)], rover_model(), tree)
@@ -222,10 +222,10 @@ def test_what_else_a_test_wants_to_know_is_in_the_knowledge_base():
 
 def test_behaviour_is_handed_in_as_what_makes_it():
     for wrong in (Sequence("mission", memory=True), "rover_tree"):
-        with pytest.raises(MissionError, match="what decides is made for each replay: lambda kb, senses"):
+        with pytest.raises(MissionError, match="what decides is made for each replay: lambda kb, percepts"):
             replay(ENERGY_DROP, rover_model(), wrong)
     with pytest.raises(MissionError, match="the tree of mission rover is None, not a py_trees behaviour"):
-        replay(ENERGY_DROP, rover_model(), lambda kb, senses: None)
+        replay(ENERGY_DROP, rover_model(), lambda kb, percepts: None)
 
 
 def test_model_may_be_handed_in_as_what_makes_it():

@@ -10,7 +10,7 @@ from kb.typeql import typeql_text
 from missions.agv.model import agv_model
 from missions.effort import count, generated_model
 from missions.effort.published import MODELS, law
-from missions.mission import MissionError
+from missions.engine.mission import MissionError
 from missions.suave.model import suave_model
 from missions.suave_extended.model import suave_extended_model
 from missions.uav.model import uav_model

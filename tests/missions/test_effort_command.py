@@ -14,14 +14,14 @@ from running import called
 
 from kb import KnowledgeBase, Model
 from missions import suave
+from missions.baselines.modes import SystemModes
 from missions.effort import count, published
 from missions.effort.baseline import count_tree
 from missions.effort.figure import draw, picture
 from missions.effort.survey import MOST_ADAPTATIONS, as_data, survey
-from missions.managers.modes import SystemModes
-from missions.mission import MissionError
-from missions.registry import MISSIONS
-from missions.senses import Senses
+from missions.engine.mission import MissionError
+from missions.engine.percepts import Percepts
+from missions.engine.registry import MISSIONS
 from missions.suave.model import suave_model
 
 OWN = """
@@ -94,7 +94,7 @@ def test_model_that_differs_from_the_published_one_is_marked(rosa, monkeypatch):
 def test_tree_of_the_manager_is_counted_as_it_is_built(everything):
     for one in everything.trees:
         mission = MISSIONS[one.name]
-        task = mission.tree(KnowledgeBase(mission.model()), Senses())
+        task = mission.tree(KnowledgeBase(mission.model()), Percepts())
         assert one.count == count_tree(mission)
         assert one.count.task_nodes == len(ascii_tree(task).splitlines())
         assert one.count.adaptation_nodes + one.count.task_nodes == one.count.nodes

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from missions.effort.source import Written, code_lines, python_written, typeql_written
-from missions.registry import MISSIONS
+from missions.engine.registry import MISSIONS
 
 PARTS = '''"""Parts that several robots have."""
 
@@ -73,7 +73,7 @@ def robot():
     return model
 
 
-def tree(kb, senses):
+def tree(kb, percepts):
     return InOrder("in order", memory=True, children=[Drive("drive")])
 
 

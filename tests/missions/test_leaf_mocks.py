@@ -9,8 +9,8 @@ from py_trees.composites import Selector, Sequence
 from small_rover import Sensing, rover_model, rover_tree
 
 from kb import KnowledgeBase, UnknownName
-from missions.recording import measured
-from missions.senses import Senses
+from missions.engine.percepts import Percepts
+from missions.engine.recording import measured
 from missions.testing import FakeClock, mock_leaf, replay
 from missions.testing.leaves import LETTERS
 from rosa_bt import BehaviourRegistry, TreeRunner, load_xml
@@ -61,7 +61,7 @@ def test_leaf_yields_its_script_and_then_its_last_outcome_for_ever(script, times
 @given(st.text("RSF", min_size=1, max_size=6))
 def test_mocked_action_is_requested_while_it_runs_and_released_with_its_result(script):
     kb = KnowledgeBase(rover_model(), clock=FakeClock())
-    root = Selector("root", memory=False, children=[Sensing("explore", kb, Senses(), "never")])
+    root = Selector("root", memory=False, children=[Sensing("explore", kb, Percepts(), "never")])
     mock_leaf(root, "explore", script)
     ticked(root, len(script))
     rounds = [part for part in script.replace("S", "S ").replace("F", "F ").split(" ") if part]
@@ -72,9 +72,9 @@ def test_mocked_action_is_requested_while_it_runs_and_released_with_its_result(s
 
 def test_mock_stands_in_for_a_leaf_of_an_xml_tree(kb):
     registry = BehaviourRegistry(kb=kb)
-    senses = Senses()
-    registry.register("Explore", lambda name, kb: Sensing("explore", kb, senses, "never"))
-    registry.register("Charge", lambda name, kb: Sensing("charge", kb, senses, "never"))
+    percepts = Percepts()
+    registry.register("Explore", lambda name, kb: Sensing("explore", kb, percepts, "never"))
+    registry.register("Charge", lambda name, kb: Sensing("charge", kb, percepts, "never"))
     root = load_xml(XML, registry)
     mock = mock_leaf(root, "explore", "RF")
     charge = mock_leaf(root, "charge", "S")
@@ -84,7 +84,7 @@ def test_mock_stands_in_for_a_leaf_of_an_xml_tree(kb):
 
 
 def test_condition_can_be_mocked_as_well(kb):
-    root = rover_tree(kb, Senses())
+    root = rover_tree(kb, Percepts())
     mock_leaf(root, "explore feasible?", "FS")
     assert ticked(root, 1) == [Status.FAILURE]
     kb.measure("energy", 0.1)
@@ -92,8 +92,8 @@ def test_condition_can_be_mocked_as_well(kb):
 
 
 def test_architecture_follows_a_mocked_action_in_a_replay():
-    def tree(kb, senses):
-        root = rover_tree(kb, senses)
+    def tree(kb, percepts):
+        root = rover_tree(kb, percepts)
         mock_leaf(root, "explore", "RRRRRS")
         return root
 
@@ -103,7 +103,7 @@ def test_architecture_follows_a_mocked_action_in_a_replay():
 
 
 def test_unknown_leaf_and_wrong_outcomes_are_named(kb):
-    root = rover_tree(kb, Senses())
+    root = rover_tree(kb, Percepts())
     with pytest.raises(UnknownName, match=r"unknown leaf 'explor'; did you mean 'explore'"):
         mock_leaf(root, "explor", "S")
     with pytest.raises(UnknownName, match="unknown leaf 'mission'"):

@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from missions.managers import MANAGERS, Manager, find_manager, open_run
-from missions.managers.manager import Robot
-from missions.managers.modes import SystemModes
-from missions.mission import MissionError
-from missions.registry import find_mission
+from missions.baselines import MANAGERS, Manager, find_manager, open_run
+from missions.baselines.manager import Robot
+from missions.baselines.modes import SystemModes
+from missions.engine.mission import MissionError
+from missions.engine.registry import find_mission
+from missions.engine.runner import Listener
 from missions.report import as_json, summary
-from missions.runner import Listener
 
 # start y [m], visibility shift [s]; then search time [s] and distance [m] as published, of none and of the tree:
 # rules of 2025, 250 s, visibility period 120 s, no thruster failure
@@ -141,7 +141,7 @@ def test_mission_node_polls_once_a_second_by_the_rules_of_2024_and_ten_times_by_
 
 
 OWN = '''
-from missions.managers import Manager
+from missions.baselines import Manager
 
 
 class Cautious(Manager):
@@ -183,7 +183,7 @@ def test_manager_of_ones_own_is_run_by_its_name(tmp_path, monkeypatch):
         ),
         ("nowhere:Thing", "cannot import manager 'nowhere:Thing': ModuleNotFoundError"),
         ("json:Thing", "cannot import manager 'json:Thing': AttributeError"),
-        ("json:loads", "'json:loads' is no subclass of missions.managers.Manager"),
+        ("json:loads", "'json:loads' is no subclass of missions.baselines.Manager"),
     ],
 )
 def test_manager_that_cannot_be_had_is_refused_with_those_there_are(name, message):

@@ -6,14 +6,14 @@ from time import perf_counter
 import numpy
 import pytest
 
-from missions.managers import Manager, Option, open_run
-from missions.managers.options import split_options
-from missions.managers.rosa import CONFIGURING, FETCHING, INSERTING, PLANNING
-from missions.managers.watch import WatchedSea
-from missions.mission import MissionError
-from missions.registry import find_mission
+from missions.baselines import Manager, Option, open_run
+from missions.baselines.options import split_options
+from missions.baselines.rosa import CONFIGURING, FETCHING, INSERTING, PLANNING
+from missions.baselines.watch import WatchedSea
+from missions.engine.mission import MissionError
+from missions.engine.registry import find_mission
+from missions.engine.runner import Listener
 from missions.report import as_json, summary
-from missions.runner import Listener
 
 SUAVE = find_mission("suave")
 SWITCHING_S = 0.03

@@ -6,15 +6,24 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from missions.managers import open_run
-from missions.managers.metacontrol import Metacontrol, manager
-from missions.managers.metacontrol.ontology import Design, Knowledge, read_knowledge
-from missions.managers.metacontrol.reasoning import Situation, Standing, best_design, standing, unrealisable
-from missions.managers.modes import SystemModes
-from missions.mission import MissionError
-from missions.registry import find_mission
+from missions.baselines import open_run
+from missions.baselines.metacontrol import (
+    ONTOLOGY,
+    Design,
+    Knowledge,
+    Metacontrol,
+    Situation,
+    Standing,
+    best_design,
+    read_knowledge,
+    standing,
+    unrealisable,
+)
+from missions.baselines.modes import SystemModes
+from missions.engine.mission import MissionError
+from missions.engine.registry import find_mission
 
-SUAVE = read_knowledge(manager.ONTOLOGY)
+SUAVE = read_knowledge(ONTOLOGY)
 SEARCH, MOTION, FOLLOW = "f_generate_search_path", "f_maintain_motion", "f_follow_pipeline"
 FUNCTIONS = st.sampled_from([SEARCH, MOTION, FOLLOW])
 SITUATIONS = st.builds(
@@ -187,6 +196,6 @@ def test_knowledge_orders_designs_by_performance_then_name(tmp_path):
 def test_owl_is_imported_only_when_metacontrol_runs():
     import subprocess
 
-    code = "import sys, missions.managers; print('owlready2' in sys.modules)"
+    code = "import sys, missions.baselines; print('owlready2' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from missions.managers import open_run
-from missions.managers.reactions import News, Reaction, find_reactions, mean_reactions, news_in
-from missions.registry import find_mission
+from missions.baselines import open_run
+from missions.baselines.reactions import News, Reaction, find_reactions, mean_reactions, news_in
+from missions.engine.registry import find_mission
 from suave_env import Change
 from suave_env.water import expected_altitude
 

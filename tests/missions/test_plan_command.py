@@ -15,10 +15,10 @@ from running import called
 
 from kb import KnowledgeBase
 from missions import suave, suave_extended
-from missions.mission import MissionError
+from missions.engine.mission import MissionError
+from missions.engine.registry import MISSIONS
 from missions.planning.declared import by_schema, declarations_of, mission_domain
 from missions.planning.tree import plan_registry
-from missions.registry import MISSIONS
 from missions.suave.actions import SearchPipeline
 from rosa_bt.parsers import load_xml
 from rosa_pddl import ActionSchema, Planner, Problem, initial_state, load_domain
@@ -287,7 +287,7 @@ def test_files_may_go_to_a_pipe():
 
 def test_action_without_a_schema_or_with_that_of_another_is_refused():
     class Idle:
-        def __init__(self, kb, senses):
+        def __init__(self, kb, percepts):
             pass
 
     class Also:

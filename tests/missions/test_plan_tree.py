@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from plan_worlds import GOALS, House, house
 from py_trees.common import Status
 
-from missions.mission import MissionError
+from missions.engine.mission import MissionError
 from missions.planning.tree import plan_registry, plan_tree, plan_xml
 from rosa_bt import TreeRunner
 from rosa_bt.parsers import export_xml, load_xml

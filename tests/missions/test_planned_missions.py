@@ -9,13 +9,13 @@ from py_trees.common import Status
 from kb import KnowledgeBase, Model
 from missions.agv import agv_mission
 from missions.agv.generated import generated_building
-from missions.mission import Mission, MissionError
+from missions.engine.mission import Mission, MissionError
+from missions.engine.percepts import Percepts
+from missions.engine.registry import find_mission
+from missions.engine.task_layer import build_task
 from missions.planning.answer import answer
 from missions.planning.declared import by_schema, planned_names
 from missions.planning.question import ask, read_situation
-from missions.registry import find_mission
-from missions.senses import Senses
-from missions.task import build_task
 from rosa_bt import RosaAction
 from rosa_pddl import ActionSchema, DeclaredProblem, Outcome
 
@@ -32,7 +32,7 @@ class Fetch(RosaAction):
 
     schema = ActionSchema("fetch", parameters=("?x - thing",), end_effects=("(fetched ?x)",), cost="(far ?x)")
 
-    def __init__(self, kb, senses, step):
+    def __init__(self, kb, percepts, step):
         super().__init__(str(step), kb, "fetch")
         self.thing = step.arguments[-1]
 
@@ -45,7 +45,7 @@ DONE = []
 THINGS = ("cup", "book", "lamp")
 
 
-def seen(kb, senses):
+def seen(kb, percepts):
     """Return that what is in stock needs no fetching, and that the lamp is far."""
     return {"(fetched cup)": (kb.attributes["stock"].value or 0.0) >= 1.0 or "cup" in DONE, "(far lamp)": 9.0}
 
@@ -54,7 +54,7 @@ SHELF = Mission(
     name="shelf",
     summary="fetch things",
     model=shelf_model,
-    tree=lambda kb, senses: None,
+    tree=lambda kb, percepts: None,
     world=None,
     problem=DeclaredProblem(
         goal=("(fetched cup)", "(or (fetched book) (fetched lamp))"),
@@ -70,7 +70,7 @@ def run(mission, kb):
     """Tick the planned task layer until it is done; returns what was fetched."""
     DONE.clear()
     now = [0.0]
-    task = build_task("pddl", mission, kb, Senses(), lambda: now[0], 0.0)
+    task = build_task("pddl", mission, kb, Percepts(), lambda: now[0], 0.0)
     try:
         for _ in range(30):
             task.catch_up()
@@ -103,10 +103,10 @@ def test_engines_of_a_mission_plan_it_also_by_hand():
 
 
 def test_facts_that_take_only_the_senses_are_refused_with_what_to_write():
-    mission = replace(SHELF, facts=lambda senses: {})
-    with pytest.raises(MissionError, match="called with the knowledge base and the senses: too many positional"):
+    mission = replace(SHELF, facts=lambda percepts: {})
+    with pytest.raises(MissionError, match="called with the knowledge base and the percepts: too many positional"):
         run(mission, KnowledgeBase(shelf_model(), clock=lambda: 0.0))
-    with pytest.raises(MissionError, match=r"write facts=lambda kb, senses: \{"):
+    with pytest.raises(MissionError, match=r"write facts=lambda kb, percepts: \{"):
         ask([], mission, [], read_situation([]), [])
 
 

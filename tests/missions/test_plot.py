@@ -9,8 +9,8 @@ import pytest
 from matplotlib.image import imread
 from running import run_mission
 
+from missions.engine.runner import Trace
 from missions.plot import draw, picture
-from missions.runner import Trace
 
 
 @cache

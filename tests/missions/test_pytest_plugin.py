@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-import missions.replay
+import missions.engine.components
+import missions.engine.replay
 import missions.testing.decisions
-import missions.testing.managed
 from missions.testing.golden import golden_path
 
 assert missions.MISSIONS, "loaded here, so that the runs inside of a test do not load all of it a second time"

@@ -12,12 +12,12 @@ from running import run_mission
 from small_rover import rover_model, rover_tree
 
 from missions import suave_extended
-from missions.mission import MissionError
+from missions.engine.mission import MissionError
+from missions.engine.percepts import Percepts
+from missions.engine.recording import failed, header, line_of, measured, recovered, sensed
+from missions.engine.replay import replay
+from missions.engine.runner import Listener
 from missions.planning.declared import mission_domain
-from missions.recording import failed, header, line_of, measured, recovered, sensed
-from missions.replay import replay
-from missions.runner import Listener
-from missions.senses import Senses
 from missions.suave.tree import suave_tree
 from missions.suave_extended.model import suave_extended_model
 from missions.suave_extended.tree import suave_extended_tree
@@ -29,7 +29,7 @@ BATTERY_DROP = Path(__file__).with_name("battery_drop.jsonl")
 BLOCKED = """
 import sys
 sys.modules["mujoco"] = None  # importing it raises from here on
-from missions.replay import replay
+from missions.engine.replay import replay
 for task in ("bt", "pddl"):
     decisions = replay(sys.argv[1], "suave_extended", task=task)
     print([name for _, name in decisions.requested])
@@ -94,15 +94,17 @@ def test_replay_of_a_live_run_decides_the_same_at_the_same_times(task, tmp_path)
     assert [(name, start) for name, start, _, _ in decisions.actions] == begun
 
 
-def planned(kb, senses):
+def planned(kb, percepts):
     """Return the planned task layer of the mission, put together by hand."""
     mission = suave_extended.MISSION
     executor = PlanExecutor(
         "plan",
         kb=kb,
         domain=mission_domain(mission),
-        behaviours={name: (lambda step, action=action: action(kb, senses)) for name, action in mission.actions.items()},
-        sense=lambda: mission.facts(kb, senses),
+        behaviours={
+            name: (lambda step, action=action: action(kb, percepts)) for name, action in mission.actions.items()
+        },
+        sense=lambda: mission.facts(kb, percepts),
         clock=lambda: kb.now,
     )
     return FailureIsRunning("until the goal holds", executor)
@@ -126,8 +128,8 @@ def test_behaviour_takes_the_place_of_the_task_layer_of_a_mission():
 
 
 def test_trace_of_a_replay_can_be_decided_once_more():
-    trace = replay(BATTERY_DROP, "suave_extended", lambda kb, senses: suave_tree(kb, Senses())).trace
-    again = replay_trace(trace, suave_extended_model(), lambda kb: suave_tree(kb, Senses()))
+    trace = replay(BATTERY_DROP, "suave_extended", lambda kb, percepts: suave_tree(kb, Percepts())).trace
+    again = replay_trace(trace, suave_extended_model(), lambda kb: suave_tree(kb, Percepts()))
     assert str(again).replace("suave_extended", "") == str(trace).replace("suave_extended", "")
     assert len(trace.ticks) > 2000
 

@@ -7,8 +7,8 @@ from py_trees.common import Status
 from running import run_mission
 
 from kb import KnowledgeBase
-from missions.runner import Listener
-from missions.senses import Senses
+from missions.engine.percepts import Percepts
+from missions.engine.runner import Listener
 from missions.suave.actions import InspectPipeline, SearchPipeline
 from missions.suave_extended.model import suave_extended_model
 from missions.suave_extended.tree import suave_extended_tree
@@ -21,8 +21,8 @@ class Dive:
     def __init__(self):
         self.now = 0.0
         self.kb = KnowledgeBase(suave_extended_model(), clock=lambda: self.now)
-        self.senses = Senses()
-        self.runner = TreeRunner(suave_extended_tree(self.kb, self.senses), clock=lambda: self.now)
+        self.percepts = Percepts()
+        self.runner = TreeRunner(suave_extended_tree(self.kb, self.percepts), clock=lambda: self.now)
 
     def leaf(self, kind):
         return next(one for one in self.runner.tree.root.iterate() if isinstance(one, kind))
@@ -31,7 +31,7 @@ class Dive:
         self.kb.measure("battery_level", battery)
         if said:
             values = {key: str(value) for key, value in said.items()}
-            self.senses.receive({"status": [{"message": "mission status", "values": values}]})
+            self.percepts.receive({"status": [{"message": "mission status", "values": values}]})
         self.now += 1.0
         self.runner.tick()
         return [one.action for one in self.kb.required_actions]
@@ -72,8 +72,8 @@ def test_new_mission_begins_with_nothing_searched_or_inspected():
     inspect = dive.leaf(InspectPipeline)
     assert inspect.inspected_m == 5.0
     dive.runner.shutdown()
-    dive.runner = TreeRunner(suave_extended_tree(dive.kb, Senses()), clock=lambda: dive.now)
-    dive.senses = Senses()
+    dive.runner = TreeRunner(suave_extended_tree(dive.kb, Percepts()), clock=lambda: dive.now)
+    dive.percepts = Percepts()
     dive.tick()
     assert dive.leaf(InspectPipeline).inspected_m == 0.0
 

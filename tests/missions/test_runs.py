@@ -11,12 +11,12 @@ from py_trees.composites import Parallel
 from running import result, run_mission, text
 
 from kb import KnowledgeBase, Status
-from missions.registry import MISSIONS, find_mission
+from missions.engine.percepts import Percepts
+from missions.engine.registry import MISSIONS, find_mission
+from missions.engine.runner import MissionRun
+from missions.engine.settings import RunSettings
+from missions.engine.task_layer import TASK_KINDS, build_task
 from missions.report import summary
-from missions.runner import MissionRun
-from missions.senses import Senses
-from missions.settings import RunSettings
-from missions.task import TASK_KINDS, build_task
 from rosa_pddl import Outcome, PlanRecord
 
 SEEDS = range(10)
@@ -67,9 +67,9 @@ class Plans(Running):
 def test_plans_of_all_behaviours_of_a_tree_are_told_in_the_order_in_which_they_come():
     first, second = Plans("first"), Plans("second")
     root = Parallel("both", ParallelPolicy.SuccessOnAll(), [first, Running("works"), second])
-    mission = replace(find_mission("suave"), tree=lambda kb, senses: root)
+    mission = replace(find_mission("suave"), tree=lambda kb, percepts: root)
     kb = KnowledgeBase(mission.model(), clock=lambda: 0.0)
-    told = build_task("bt", mission, kb, Senses(), lambda: 0.0, 0.2).plans
+    told = build_task("bt", mission, kb, Percepts(), lambda: 0.0, 0.2).plans
     assert told() == ()
     for one, reason in ((second, "a"), (first, "b"), (second, "c")):
         one.find(reason)
@@ -82,7 +82,7 @@ def test_plans_of_all_behaviours_of_a_tree_are_told_in_the_order_in_which_they_c
 def test_tree_whose_planner_is_in_trouble_goes_on_and_the_trouble_is_told():
     planner = Plans("planner")
     planner.find("start", Outcome.OUT_OF_TIME)
-    mission = replace(find_mission("suave"), tree=lambda kb, senses: planner)
+    mission = replace(find_mission("suave"), tree=lambda kb, percepts: planner)
     world = mission.world.open({}, numpy.random.default_rng(0))
     run = MissionRun(mission, "bt", world, RunSettings(duration_s=2.0))
     verdict = run.run()

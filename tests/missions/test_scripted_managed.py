@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from small_rover import ENERGY_DROP, rover_model, rover_tree
 
 from kb import ConfigurationManager, KnowledgeBase, UnknownName
-from missions.mission import MissionError
+from missions.engine.mission import MissionError
 from missions.testing import CommandFailed, FakeClock, ScriptedManaged, replay
 
 VERB = st.sampled_from(["activate", "deactivate"])

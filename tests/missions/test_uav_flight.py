@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from missions.mission import MissionError
+from missions.engine.mission import MissionError
 from missions.uav.control import ARM_M, REACTION_M, attitude_torques, mast, mixed, velocity_wanted
 from missions.uav.quadrotor import ON_GROUND_M, SUBSTEPS, Quadrotor
 from missions.uav.settings import Settings

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from missions.registry import find_mission
-from missions.runner import Listener, MissionRun
-from missions.settings import RunSettings
-from missions.task import TASK_KINDS
+from missions.engine.registry import find_mission
+from missions.engine.runner import Listener, MissionRun
+from missions.engine.settings import RunSettings
+from missions.engine.task_layer import TASK_KINDS
 from missions.uav.field import Sample
 from missions.uav.settings import Settings
 from missions.uav.world import UavWorld

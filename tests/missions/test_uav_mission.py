@@ -9,11 +9,11 @@ from py_trees.common import Status
 from running import run_mission
 
 from kb import KnowledgeBase
-from missions.registry import find_mission
+from missions.engine.percepts import Percepts
+from missions.engine.registry import find_mission
+from missions.engine.runner import Listener
+from missions.engine.task_layer import TASK_KINDS
 from missions.report import as_json
-from missions.runner import Listener
-from missions.senses import Senses
-from missions.task import TASK_KINDS
 from missions.uav.actions import AllAnalysed, AnalyseOnSite, facts, is_all_analysed
 from missions.uav.model import uav_model
 
@@ -193,38 +193,38 @@ def test_knowledge_base_decides_as_the_paper_tells():
 
 
 def test_nothing_is_all_analysed_before_anything_is_wanted():
-    senses = Senses()
-    condition = AllAnalysed("all analysed?", senses)
+    percepts = Percepts()
+    condition = AllAnalysed("all analysed?", percepts)
     condition.tick_once()
     assert condition.status.name == "FAILURE"
-    assert not is_all_analysed(senses)
-    senses.receive({"status": [{"message": "mission status", "values": {"sample_2_wanted": "true"}}]})
-    assert not is_all_analysed(senses)
-    senses.receive({"status": [{"message": "mission status", "values": {"sample_2_analysed": "true"}}]})
-    assert is_all_analysed(senses)
-    assert facts(None, senses)["(analysed sample_2)"]
+    assert not is_all_analysed(percepts)
+    percepts.receive({"status": [{"message": "mission status", "values": {"sample_2_wanted": "true"}}]})
+    assert not is_all_analysed(percepts)
+    percepts.receive({"status": [{"message": "mission status", "values": {"sample_2_analysed": "true"}}]})
+    assert is_all_analysed(percepts)
+    assert facts(None, percepts)["(analysed sample_2)"]
 
 
 def test_gripper_that_will_unfold_before_long_is_not_folded_to_a_plan():
-    kb, senses = KnowledgeBase(uav_model(), clock=lambda: 0.0), Senses()
-    senses.receive({"status": [{"message": "mission status", "values": {"gripper_folded": "true"}}]})
-    assert facts(kb, senses)["(gripper_folded drone)"]
+    kb, percepts = KnowledgeBase(uav_model(), clock=lambda: 0.0), Percepts()
+    percepts.receive({"status": [{"message": "mission status", "values": {"gripper_folded": "true"}}]})
+    assert facts(kb, percepts)["(gripper_folded drone)"]
     kb.request_action(PICK_UP)
     plan = kb.select(dict.fromkeys(("grip_sample",), "by_gripper"))
     kb.component_failed("gripper")
     kb.cancel_action(PICK_UP)
-    assert not facts(kb, senses)["(gripper_folded drone)"]
+    assert not facts(kb, percepts)["(gripper_folded drone)"]
     kb.finish_plan(plan, "failed")
-    assert facts(kb, senses)["(gripper_folded drone)"]
+    assert facts(kb, percepts)["(gripper_folded drone)"]
 
 
 def test_analysis_ends_with_the_sample_for_which_it_was_begun():
-    kb, senses = KnowledgeBase(uav_model(), clock=lambda: 0.0), Senses()
+    kb, percepts = KnowledgeBase(uav_model(), clock=lambda: 0.0), Percepts()
 
     def tell(**values):
-        senses.receive({"status": [{"message": "mission status", "values": values}]})
+        percepts.receive({"status": [{"message": "mission status", "values": values}]})
 
-    look = AnalyseOnSite(kb, senses)
+    look = AnalyseOnSite(kb, percepts)
     look.initialise()
     assert look.update() is Status.SUCCESS  # it was analysed before this could begin
     tell(sample_1_analysed="true", sample_2_target="true")
@@ -245,7 +245,7 @@ def test_analysis_ends_with_the_sample_for_which_it_was_begun():
     ],
 )
 def test_setting_that_is_not_allowed_is_refused_with_what_is(name, value, told):
-    from missions.mission import MissionError
+    from missions.engine.mission import MissionError
 
     with pytest.raises(MissionError, match=told):
         run_mission("uav", **{name: value})

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 from numpy.random import Generator
 
 from kb import KnowledgeBase
-from missions.mission import Message, MissionError, Sample, Setting, Verdict, World, WorldKind
-from missions.senses import Senses
+from missions.engine.mission import Message, MissionError, Sample, Setting, Verdict, World, WorldKind
+from missions.engine.percepts import Percepts
 
 if TYPE_CHECKING:
     from suave_env import ManagedSystem, Settings, SuaveEnv
@@ -100,19 +100,19 @@ class _SeaKind(WorldKind):
         except SuaveEnvError as error:
             raise MissionError(str(error)) from error
 
-    def verdict(self, senses: Senses, results: Mapping[str, float | None], kb: KnowledgeBase) -> Verdict:
+    def verdict(self, percepts: Percepts, results: Mapping[str, float | None], kb: KnowledgeBase) -> Verdict:
         """Judge by the goal: the pipeline found, more than 0 m of it inspected, a recharge done if one was begun."""
-        return self.judge(senses, results, any(one.action == "recharge" for one in kb.action_history))
+        return self.judge(percepts, results, any(one.action == "recharge" for one in kb.action_history))
 
-    def judge(self, senses: Senses, results: Mapping[str, float | None], needed_recharge: bool) -> Verdict:
+    def judge(self, percepts: Percepts, results: Mapping[str, float | None], needed_recharge: bool) -> Verdict:
         """Judge by the goal, given whether the battery ran low or a recharge was begun."""
-        if senses.holds("pipeline_inspected"):
+        if percepts.holds("pipeline_inspected"):
             return Verdict("inspected_all", "the whole pipeline is inspected")
-        if not senses.holds("pipeline_found"):
+        if not percepts.holds("pipeline_found"):
             return Verdict("not_found", "the pipeline was not found in time")
         if not results.get("total_inspected_m"):
             return Verdict("aborted", "time ran out before any of the pipeline was inspected")
-        if needed_recharge and not senses.count("battery_recharged"):
+        if needed_recharge and not percepts.count("battery_recharged"):
             return Verdict("aborted", "the battery ran low, and time ran out before it was recharged")
         return Verdict("time_limit", "the pipeline was found and inspected up to the time limit")
 

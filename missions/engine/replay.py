@@ -3,7 +3,7 @@
 The knowledge base, the manager and the task layer hear the recorded messages at their times, and decide; nothing is
 measured anew. What they command takes as long as it did, and has no effect on the recording.
 
-    from missions.replay import replay
+    from missions.engine.replay import replay
 
     def test_it_recharges_when_the_battery_drops():
         decisions = replay("battery_drop.jsonl", "suave_extended", task="bt")
@@ -23,15 +23,15 @@ from py_trees.behaviour import Behaviour
 
 from kb import DiagnosticProblem, KnowledgeBase, Model, UnknownName
 from kb.diagnostics import Measurement, read_diagnostics
-from missions.mission import Message, Mission, MissionError, Verdict, World, WorldKind
-from missions.recording import read_recording
-from missions.registry import find_mission
-from missions.runner import MissionRun
-from missions.senses import Senses
-from missions.settings import RunSettings
+from missions.engine.components import VERBS, ScriptedManaged
+from missions.engine.mission import Message, Mission, MissionError, Verdict, World, WorldKind
+from missions.engine.percepts import Percepts
+from missions.engine.recording import read_recording
+from missions.engine.registry import find_mission
+from missions.engine.runner import MissionRun
+from missions.engine.settings import RunSettings
 from missions.testing.clock import FakeClock
 from missions.testing.decisions import Decisions
-from missions.testing.managed import VERBS, ScriptedManaged
 from missions.testing.timeline import Moment, seconds, timeline
 from missions.testing.witness import Witness
 from rosa_bt import TraceVisitor
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Decisions", "Recording", "TaskFactory", "replay"]
 
-TaskFactory = Callable[[KnowledgeBase, Senses], Behaviour]
+TaskFactory = Callable[[KnowledgeBase, Percepts], Behaviour]
 """Makes what decides about actions: a tree, or a plan executor (whose clock is then `lambda: kb.now`)."""
 
 SWITCHING_S: Final = 0.05
@@ -76,7 +76,7 @@ def replay(
         source: a recording, as `rosa run MISSION --record FILE` writes it, or written by hand; or its messages.
         mission: whose model and task layer decide, or its name; or a model alone, or a function that makes one, for a
             behaviour that is handed in.
-        behaviour: makes what decides instead of the mission's task layer, given the knowledge base and the senses.
+        behaviour: makes what decides instead of the mission's task layer, given the knowledge base and the percepts.
         task: the kind of the mission's task layer, "bt" or "pddl".
         settings: how it is run, by default as it was recorded; it ends a second after the recording at the latest.
         switching_s: how long a command to a component takes [s], by default as it was recorded, or 0.05.
@@ -154,7 +154,7 @@ class _Nowhere(WorldKind):
     def open(self, values: Mapping[str, str], rng: Generator) -> World:
         raise MissionError("a model alone has no world; replay a recording to it")
 
-    def verdict(self, senses: Senses, results: Mapping[str, float | None], kb: KnowledgeBase) -> Verdict:
+    def verdict(self, percepts: Percepts, results: Mapping[str, float | None], kb: KnowledgeBase) -> Verdict:
         return Verdict("replayed", "")
 
 
@@ -163,7 +163,7 @@ def _asked(
 ) -> Mission:
     """Return the mission to run; the planners in its tree are made known to the world."""
     if behaviour is not None and (isinstance(behaviour, Behaviour) or not callable(behaviour)):
-        raise MissionError(f"what decides is made for each replay: lambda kb, senses: ..., not {behaviour!r}")
+        raise MissionError(f"what decides is made for each replay: lambda kb, percepts: ..., not {behaviour!r}")
     if not isinstance(mission, Mission | str):
         model = mission if isinstance(mission, Model) else _made(mission)
         if behaviour is None:
@@ -173,8 +173,8 @@ def _asked(
         wanted = find_mission(mission) if isinstance(mission, str) else mission
     build = behaviour or wanted.tree
 
-    def tree(kb: KnowledgeBase, senses: Senses) -> Behaviour:
-        root = build(kb, senses)
+    def tree(kb: KnowledgeBase, percepts: Percepts) -> Behaviour:
+        root = build(kb, percepts)
         if isinstance(root, Behaviour):
             world.planners = tuple(one for one in root.iterate() if isinstance(one, _Plans))
         return root

@@ -5,8 +5,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from missions.managers.manager import Robot
-from missions.mission import MissionError
+from missions.baselines.manager import Robot
+from missions.engine.mission import MissionError
 
 __all__ = ["Mode", "SystemModes"]
 

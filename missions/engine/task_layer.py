@@ -9,8 +9,8 @@ from py_trees.behaviour import Behaviour
 from py_trees.decorators import FailureIsRunning
 
 from kb import KnowledgeBase
-from missions.mission import Mission, MissionError
-from missions.senses import Senses
+from missions.engine.mission import Mission, MissionError
+from missions.engine.percepts import Percepts
 
 if TYPE_CHECKING:
     from rosa_pddl import PlanRecord, Step
@@ -58,7 +58,7 @@ def build_task(
     kind: str,
     mission: Mission,
     kb: KnowledgeBase,
-    senses: Senses,
+    percepts: Percepts,
     clock: Callable[[], float],
     planning_delay_s: float,
 ) -> TaskLayer:
@@ -68,7 +68,7 @@ def build_task(
         kind: "bt" or "pddl".
         mission: whose task logic.
         kb: the knowledge base that the task layer asks and tells.
-        senses: what else it is told.
+        percepts: what else it is told.
         clock: gives the time [s].
         planning_delay_s: simulated time in which a plan is found [s].
 
@@ -77,15 +77,15 @@ def build_task(
     """
     check_task(kind)
     if kind == "bt":
-        root = mission.tree(kb, senses)
+        root = mission.tree(kb, percepts)
         if not isinstance(root, Behaviour):
             raise MissionError(f"the tree of mission {mission.name} is {root!r}, not a py_trees behaviour")
         return TaskLayer(root, plans=_Plans(root))
-    return _planning(mission, kb, senses, clock, planning_delay_s)
+    return _planning(mission, kb, percepts, clock, planning_delay_s)
 
 
 def _planning(
-    mission: Mission, kb: KnowledgeBase, senses: Senses, clock: Callable[[], float], delay_s: float
+    mission: Mission, kb: KnowledgeBase, percepts: Percepts, clock: Callable[[], float], delay_s: float
 ) -> TaskLayer:
     from missions.planning.declared import check_facts, mission_domain
     from rosa_pddl import PlanExecutor, Planner
@@ -96,13 +96,13 @@ def _planning(
     missing = planner.missing(domain)
     if missing is not None:
         raise MissionError(missing)
-    made = _Made(kb, senses)
+    made = _Made(kb, percepts)
     executor = PlanExecutor(
         f"plan for {mission.name}",
         kb=kb,
         domain=domain,
         behaviours={schema: made.by(schema, action) for schema, action in mission.actions.items()},
-        sense=lambda: mission.facts(kb, senses),
+        sense=lambda: mission.facts(kb, percepts),
         clock=clock,
         planner=planner,
         delay_s=delay_s,
@@ -142,9 +142,9 @@ class _Made:
         error: what making the latest raised; None if it was made.
     """
 
-    def __init__(self, kb: KnowledgeBase, senses: Senses) -> None:
+    def __init__(self, kb: KnowledgeBase, percepts: Percepts) -> None:
         self.error: Exception | None = None
-        self._kb, self._senses = kb, senses
+        self._kb, self._percepts = kb, percepts
 
     def by(self, schema: str, action: Callable[..., Behaviour]) -> Callable[["Step"], Behaviour]:
         """Return what makes the behaviour of a step; it is told the step if it asks for it.
@@ -155,14 +155,14 @@ class _Made:
         parameters = signature(action)
         is_told = "step" in parameters.parameters
         try:
-            parameters.bind(self._kb, self._senses, **({"step": None} if is_told else {}))
+            parameters.bind(self._kb, self._percepts, **({"step": None} if is_told else {}))
         except TypeError as error:
-            given = "the knowledge base, the senses and, as `step`, the step"
+            given = "the knowledge base, the percepts and, as `step`, the step"
             raise MissionError(f"what does the PDDL action {schema} is given {given}: {error}") from error
 
         def make(step: "Step") -> Behaviour:
             try:
-                made = action(self._kb, self._senses, **({"step": step} if is_told else {}))
+                made = action(self._kb, self._percepts, **({"step": step} if is_told else {}))
                 if not isinstance(made, Behaviour):
                     raise MissionError(f"what does the PDDL action {schema} is {made!r}, not a py_trees behaviour")
                 return made

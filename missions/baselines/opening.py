@@ -3,16 +3,16 @@
 from collections.abc import Iterable, Mapping
 from typing import cast
 
-from missions.managers.manager import Manager
-from missions.managers.options import Option, split_options
-from missions.managers.registry import OURS, find_manager, name_of, options_of
-from missions.managers.run import ManagedRun
-from missions.managers.watch import Aside, WatchedSea
-from missions.mission import Mission, MissionError
-from missions.runner import Listener, MissionRun
-from missions.sea import Sea
-from missions.settings import split_settings
-from missions.task import check_task
+from missions.baselines.manager import Manager
+from missions.baselines.options import Option, split_options
+from missions.baselines.registry import OURS, find_manager, name_of, options_of
+from missions.baselines.run import ManagedRun
+from missions.baselines.watch import Aside, WatchedSea
+from missions.engine.mission import Mission, MissionError
+from missions.engine.runner import Listener, MissionRun
+from missions.engine.settings import split_settings
+from missions.engine.task_layer import check_task
+from missions.suave.world import Sea
 
 __all__ = ["open_run"]
 

@@ -14,15 +14,15 @@ from typing import TypeVar
 from numpy.random import Generator
 
 from kb import DiagnosticProblem, Model
-from missions.adaptations import Adaptation
-from missions.managers.manager import Manager, Robot, Task
-from missions.managers.reactions import LOW_LEVEL
-from missions.managers.registry import name_of
-from missions.mission import Mission, MissionError, Verdict
-from missions.runner import SAMPLE_PERIOD_S, Listener, Trace
-from missions.sea import SEA, Sea
-from missions.senses import Senses
-from missions.settings import RunSettings
+from missions.baselines.manager import Manager, Robot, Task
+from missions.baselines.reactions import LOW_LEVEL
+from missions.baselines.registry import name_of
+from missions.engine.adaptations import Adaptation
+from missions.engine.mission import Mission, MissionError, Verdict
+from missions.engine.percepts import Percepts
+from missions.engine.runner import SAMPLE_PERIOD_S, Listener, Trace
+from missions.engine.settings import RunSettings
+from missions.suave.world import SEA, Sea
 
 __all__ = ["ManagedRun", "Record"]
 
@@ -126,7 +126,7 @@ class ManagedRun:
         self.robot = Robot(mission, world.managed, world.settings, rng, lambda: world.now, options)
         self._class, self.manager = manager, name_of(manager)
         self._manager = self._ask(manager, self.robot)
-        self._senses = Senses()
+        self._percepts = Percepts()
         self.task = "tree of the manager" if manager.decides_tasks else "mission node"
         self._mission_timer = _Timer(world.settings.mission_period_s, phases[0])
         self._manager_timer = _Timer(self._ask(_checked, self._manager.period_s), phases[1])
@@ -150,7 +150,7 @@ class ManagedRun:
             self.robot.end("abandoned", "the mission has ended")
         is_low = self.robot.measured.get("battery_level", 1.0) < LOW_LEVEL
         recharges = is_low or any(task.action == "recharge" for task in self.robot.tasks)
-        return SEA.judge(self._senses, self.world.results(), recharges)
+        return SEA.judge(self._percepts, self.world.results(), recharges)
 
     def _is_done(self) -> bool:
         return self._manager.is_done or any(
@@ -179,7 +179,7 @@ class ManagedRun:
         advanced = perf_counter()
         for message in messages:
             self.robot.receive(message)
-            self._senses.receive(message)
+            self._percepts.receive(message)
             for listener in self._listeners:
                 listener.message(message)
             self._ask(self._manager.receive, message)
@@ -204,10 +204,10 @@ class ManagedRun:
         task = self.robot.task
         if task is None:
             self._begin(SEARCH)
-        elif task == SEARCH and self._senses.holds("pipeline_found"):
+        elif task == SEARCH and self._percepts.holds("pipeline_found"):
             self._end(SEARCH)
             self._begin(INSPECT)
-        elif task == INSPECT and self._senses.holds("pipeline_inspected"):
+        elif task == INSPECT and self._percepts.holds("pipeline_inspected"):
             self._end(INSPECT)
 
     def _begin(self, task: str) -> None:

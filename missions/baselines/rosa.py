@@ -12,11 +12,11 @@ from typing import ClassVar
 from py_trees.common import Status
 
 from kb import ConfigurationManager, Event, EventKind, KnowledgeBase, PriorityPlanner, ReconfigurationPlan
-from missions.managers.manager import Manager, Robot
-from missions.managers.options import Option
-from missions.mission import Message
-from missions.senses import Senses
-from missions.task import build_task
+from missions.baselines.manager import Manager, Robot
+from missions.baselines.options import Option
+from missions.engine.mission import Message
+from missions.engine.percepts import Percepts
+from missions.engine.task_layer import build_task
 from rosa_bt import TreeRunner
 
 __all__ = ["RosaManager"]
@@ -54,8 +54,8 @@ class RosaManager(Manager):
         self.period_s = robot.settings.tree_period_s + self._service_s  # each tick asks whether an action is feasible
         self._kb = KnowledgeBase(robot.mission.model(), clock=lambda: robot.now)
         self._kb.subscribe(self._hear)
-        self._senses = Senses()
-        task = build_task("bt", robot.mission, self._kb, self._senses, lambda: robot.now, 0.0)
+        self._percepts = Percepts()
+        task = build_task("bt", robot.mission, self._kb, self._percepts, lambda: robot.now, 0.0)
         self._runner = TreeRunner(task.root, clock=lambda: robot.now, period=self.period_s)
         self._runner.tree.setup()
         self._planner = PriorityPlanner()
@@ -80,7 +80,7 @@ class RosaManager(Manager):
         self.robot.later(calls * self._service_s, what)
 
     def _insert(self, message: Message) -> None:
-        self._senses.receive(message)
+        self._percepts.receive(message)
         before = self._kb.revision
         self._kb.receive(message)
         if self._kb.revision != before and self._manager.dry_run() is not None:

@@ -5,11 +5,11 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any, cast
 
 from kb import DiagnosticProblem
-from missions.adaptations import Adaptation
-from missions.managers.reactions import Reaction, find_reactions, mean_reactions, news_in
-from missions.mission import Message
-from missions.runner import Listener, MissionRun
-from missions.sea import Sea
+from missions.baselines.reactions import Reaction, find_reactions, mean_reactions, news_in
+from missions.engine.adaptations import Adaptation
+from missions.engine.mission import Message
+from missions.engine.runner import Listener, MissionRun
+from missions.suave.world import Sea
 
 if TYPE_CHECKING:
     from rosa_pddl import PlanRecord

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from statistics import fmean
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from missions.mission import Message
+from missions.engine.mission import Message
 
 if TYPE_CHECKING:
     from suave_env import Change

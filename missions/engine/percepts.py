@@ -4,12 +4,12 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Any, Final
 
-__all__ = ["Senses"]
+__all__ = ["Percepts"]
 
 MISSION_STATUS: Final = "mission status"
 
 
-class Senses:
+class Percepts:
     """Takes in the same messages as the knowledge base and keeps those with the text "mission status".
 
     The knowledge base passes these over; they say what a mission's conditions look at, e.g. that something is found.

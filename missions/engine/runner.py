@@ -10,11 +10,11 @@ from py_trees.common import Status
 from py_trees.trees import BehaviourTree
 
 from kb import ConfigurationManager, DiagnosticProblem, Event, EventKind, KnowledgeBase
-from missions.adaptations import Adaptation, AdaptationLog
-from missions.mission import Message, Mission, Sample, Verdict, World
-from missions.senses import Senses
-from missions.settings import RunSettings
-from missions.task import build_task
+from missions.engine.adaptations import Adaptation, AdaptationLog
+from missions.engine.mission import Message, Mission, Sample, Verdict, World
+from missions.engine.percepts import Percepts
+from missions.engine.settings import RunSettings
+from missions.engine.task_layer import build_task
 from rosa_bt import TreeRunner
 
 if TYPE_CHECKING:
@@ -104,10 +104,10 @@ class MissionRun:
         self.kb = KnowledgeBase(mission.model(), clock=self._now)
         self._configurable = [one for one in self.kb.components.values() if one.configurations]
         self._choices = [one for one in self.kb.functions.values() if len(one.designs) > 1]
-        self._senses = Senses()
+        self._percepts = Percepts()
         self._manager = ConfigurationManager(self.kb, world.managed)
         delay = self.settings.planning_delay_s
-        self._task = build_task(task, mission, self.kb, self._senses, self._now, delay)
+        self._task = build_task(task, mission, self.kb, self._percepts, self._now, delay)
         deciding = self._task.plans if self._task.is_planned else tuple
         self._log = AdaptationLog(self.kb, self._tell_adaptation, deciding)
         self.kb.subscribe(self._hear)
@@ -150,7 +150,7 @@ class MissionRun:
             self.world.close()
         if trouble is not None:
             return trouble
-        verdict = self.mission.world.verdict(self._senses, self.world.results(), self.kb)
+        verdict = self.mission.world.verdict(self._percepts, self.world.results(), self.kb)
         return verdict if verdict.success else verdict._replace(reason=self._in_full(verdict.reason, left))
 
     def _in_full(self, reason: str, left: str) -> str:
@@ -219,10 +219,10 @@ class MissionRun:
     def _sense(self, message: Message) -> None:
         """Pass on what the task layer alone is told, and note what is not so any more, or only now."""
         keys = [key for status in message["status"] for key in status["values"]]
-        held = {key: self._senses.holds(key) for key in keys}
-        self._senses.receive(message)
+        held = {key: self._percepts.holds(key) for key in keys}
+        self._percepts.receive(message)
         for key, before in held.items():
-            if self._senses.holds(key) is not before:
+            if self._percepts.holds(key) is not before:
                 self._log.sensed(f"{key} is {'false' if before else 'true'}")
 
     def _manage(self) -> None:

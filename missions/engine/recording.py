@@ -11,8 +11,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import asdict
 from pathlib import Path
 
-from missions.mission import Message, MissionError
-from missions.runner import MissionRun
+from missions.engine.mission import Message, MissionError
+from missions.engine.runner import MissionRun
 
 __all__ = ["failed", "header", "line_of", "measured", "read_recording", "recovered", "sensed"]
 
@@ -58,7 +58,7 @@ def recovered(time: float, *components: str) -> Message:
 
 
 def sensed(time: float, **news: object) -> Message:
-    """Return the message of what else there is, for the mission's senses only.
+    """Return the message of what else there is, for the mission's percepts only.
 
     Args:
         time: when [s].

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-from missions.mission import MissionError
+from missions.engine.mission import MissionError
 
 __all__ = ["Option", "split_options"]
 

@@ -1,7 +1,7 @@
 """No adaptation: the baseline of SUAVE that others are measured against."""
 
-from missions.managers.manager import Manager, Robot
-from missions.managers.modes import SystemModes
+from missions.baselines.manager import Manager, Robot
+from missions.baselines.modes import SystemModes
 
 __all__ = ["NoManager"]
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from numpy.random import Generator
 
-from missions.managers.options import Option
-from missions.mission import Message, Mission, MissionError
+from missions.baselines.options import Option
+from missions.engine.mission import Message, Mission, MissionError
 
 if TYPE_CHECKING:
     from suave_env import ManagedSystem, Settings

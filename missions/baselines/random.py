@@ -1,7 +1,7 @@
 """Change without reason: SUAVE's baseline that picks modes by chance."""
 
-from missions.managers.manager import Manager, Robot
-from missions.managers.modes import SystemModes
+from missions.baselines.manager import Manager, Robot
+from missions.baselines.modes import SystemModes
 
 __all__ = ["RandomManager"]
 

@@ -1,17 +1,173 @@
 """Tells adaptations from the ordinary course of a mission."""
 
+from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Final, NamedTuple
 
-from kb import ComponentKind, Event, EventKind, KnowledgeBase, ReconfigurationPlan
-from missions.adaptations.adaptation import Adaptation, TaskChange
-from missions.adaptations.headlines import Headlines, News
+from kb import ComponentKind, Event, EventKind, KnowledgeBase, ReconfigurationPlan, Status
 
 if TYPE_CHECKING:
     from rosa_pddl import PlanRecord, Step
 
-__all__ = ["AdaptationLog"]
+__all__ = ["Adaptation", "AdaptationLog", "TaskChange"]
+
+REMEMBERED: Final = 256
+"""How much news is remembered until the plan that it led to is there."""
+
+
+@dataclass(frozen=True, slots=True)
+class News:
+    """Something that was told.
+
+    Attributes:
+        time: when it was so [s].
+        text: what, in words.
+        reason: why it calls for another action, in words; empty if it does not by itself.
+    """
+
+    time: float
+    text: str
+    reason: str = ""
+
+
+class Headlines:
+    """What was news, from one tick of the task layer to the next, and what it did to the actions.
+
+    Attributes:
+        lost: why an action is unfeasible, by name.
+        regained: what made an action feasible again, by name.
+    """
+
+    def __init__(self, kb: KnowledgeBase) -> None:
+        self.lost: dict[str, News] = {}
+        self.regained: dict[str, News] = {}
+        self._kb = kb
+        self._since_tick: list[tuple[News, bool]] = []
+        self._turns: deque[tuple[float, News]] = deque(maxlen=REMEMBERED)
+        self._before_tick: list[News] = []
+        self._own: list[tuple[str, News | None]] = []
+
+    def hear(self, event: Event, stamp: float | None) -> None:
+        """Take in what was measured; without a stamp it is the task layer's own word, and counts from its next tick."""
+        for change in event.changes:
+            if change.kind != "action" or Status.UNFEASIBLE not in (change.old, change.new):
+                continue
+            time = event.time if stamp is None else stamp
+            is_lost = change.new is Status.UNFEASIBLE
+            why = self._kb.why(self._kb.actions[change.name]) if is_lost else f"{change.name} is feasible again"
+            news = News(time, event.text, why)
+            if stamp is None:
+                self._own.append((change.name, news if is_lost else None))
+            elif is_lost:
+                self.lost[change.name] = news
+            else:
+                self.lost.pop(change.name, None)
+                self.regained[change.name] = news
+        if stamp is not None:
+            self.note(News(stamp, event.text), is_turn=bool(event.changes))
+
+    def note(self, news: News, *, is_turn: bool) -> None:
+        """Take in news; a turn has made a difference, other news is of no more than a number."""
+        self._since_tick.append((news, is_turn))
+
+    def ticking(self, time: float) -> None:
+        """Close what a tick can have been led to by."""
+        for name, lost in self._own:
+            if lost is None:
+                self.lost.pop(name, None)
+            else:
+                self.lost[name] = lost
+        self._own.clear()
+        heard, self._since_tick = self._since_tick, []
+        turns = [news for news, is_turn in heard if is_turn]
+        self._before_tick = turns or [news for news, _ in heard]
+        self._turns.extend((time, news) for news in turns)
+
+    def of_tick(self) -> News | None:
+        """Return what was news before this tick: what made a difference, or else what was measured; None for none."""
+        return _together(self._before_tick)
+
+    def of_plan(self, plan: "PlanRecord") -> News:
+        """Return what was news when a plan was asked for, or else why it was."""
+        until = max((tick for tick, _ in self._turns if tick <= plan.at_s), default=None)
+        led = _together([news for tick, news in self._turns if tick == until])
+        return News(plan.at_s, plan.reason, plan.reason) if led is None else News(led.time, led.text, plan.reason)
+
+
+def _together(news: Sequence[News]) -> News | None:
+    return News(news[0].time, " and ".join(dict.fromkeys(one.text for one in news))) if news else None
+
+
+@dataclass(slots=True)
+class Adaptation:
+    """One change of the robot or of what it does, made because of something that was measured.
+
+    Attributes:
+        at_s: when it was decided [s].
+        kind: "parameter", "structural" (components switched) or "task" (another action, and what that needs).
+        trigger: the news that set it off.
+        reason: why that called for a change.
+        change: what was changed.
+        reaction_s: from the news to the change being in force [s]; None if it never was.
+    """
+
+    at_s: float
+    kind: str
+    trigger: str
+    reason: str
+    change: str
+    reaction_s: float | None = None
+    news_s: float = field(default=0.0, repr=False)
+
+    @property
+    def why(self) -> str:
+        """The reason, and the news where the reason does not speak of it."""
+        subject = self.trigger.split(" ")[0]
+        return self.reason if subject in self.reason else f"{self.trigger}: {self.reason}"
+
+
+class TaskChange:
+    """A change of action, until the robot is configured for the new one.
+
+    Attributes:
+        adaptation: what is told of it.
+    """
+
+    def __init__(self, cause: News, before: str, action: str, time: float) -> None:
+        self._action, self._begun = action, time
+        self._change = f"{before} -> {action}"
+        self._plans: list[tuple[str, ReconfigurationPlan]] = []
+        reason = cause.reason or f"{action} is chosen, though {before} is still feasible"
+        self.adaptation = Adaptation(time, "task", cause.text, reason, self._change, None, cause.time)
+
+    def add(self, words: str, plan: ReconfigurationPlan) -> None:
+        """Take in a plan that belongs to it."""
+        self._plans.append((words, plan))
+        self._write()
+
+    def is_over(self, kb: KnowledgeBase, last_tick: float) -> bool:
+        """Whether the robot is configured for the action, or nobody does anything about it any more."""
+        if all(one.action != self._action for one in kb.required_actions):
+            return True
+        latest = kb.latest_plan
+        acted = self._begun if latest is None or latest.end is None else max(self._begun, latest.end)
+        return kb.actions[self._action].status is Status.SOLVED or last_tick >= acted
+
+    def close(self) -> None:
+        """Note when it was in force, if it was."""
+        last = self._plans[-1][1] if self._plans else None
+        if last is None:
+            self.adaptation.reaction_s = self._begun - self.adaptation.news_s
+        elif last.result == "completed" and last.end is not None:
+            self.adaptation.reaction_s = max(self._begun, last.end) - self.adaptation.news_s
+        self._write()
+
+    def _write(self) -> None:
+        told = [
+            words + ("" if plan.result in (None, "completed") else f" ({plan.result})") for words, plan in self._plans
+        ]
+        self.adaptation.change = "; ".join([self._change, *told])
 
 
 class _Ended(NamedTuple):

@@ -4,14 +4,14 @@ from collections.abc import Mapping
 from importlib import import_module
 from types import MappingProxyType
 
-from missions.managers.bt import TreeManager
-from missions.managers.manager import Manager
-from missions.managers.metacontrol import Metacontrol
-from missions.managers.none import NoManager
-from missions.managers.options import Option
-from missions.managers.random import RandomManager
-from missions.managers.rosa import RosaManager
-from missions.mission import MissionError
+from missions.baselines.bt import TreeManager
+from missions.baselines.manager import Manager
+from missions.baselines.metacontrol import Metacontrol
+from missions.baselines.none import NoManager
+from missions.baselines.options import Option
+from missions.baselines.random import RandomManager
+from missions.baselines.rosa import RosaManager
+from missions.engine.mission import MissionError
 
 __all__ = ["MANAGERS", "OURS", "find_manager", "name_of", "options_of"]
 
@@ -68,5 +68,5 @@ def options_of(manager: str | type[Manager]) -> tuple[Option, ...]:
 
 def _checked(found: object, name: str) -> type[Manager]:
     if not (isinstance(found, type) and issubclass(found, Manager)):
-        raise MissionError(f"{name!r} is no subclass of missions.managers.Manager")
+        raise MissionError(f"{name!r} is no subclass of missions.baselines.Manager")
     return found

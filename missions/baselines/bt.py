@@ -19,8 +19,8 @@ from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 from py_trees.composites import Selector, Sequence
 
-from missions.managers.manager import Manager, Robot
-from missions.managers.modes import SystemModes
+from missions.baselines.manager import Manager, Robot
+from missions.baselines.modes import SystemModes
 
 __all__ = ["TreeManager"]
 

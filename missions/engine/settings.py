@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, fields
 from difflib import get_close_matches
 from typing import Any, Self
 
-from missions.mission import Mission, MissionError, Setting
+from missions.engine.mission import Mission, MissionError, Setting
 
 __all__ = ["Constants", "RunSettings", "SettingInfo", "describe", "setting", "split_settings", "text_setting"]
 

@@ -10,7 +10,7 @@ from numpy.random import Generator
 from py_trees.behaviour import Behaviour
 
 from kb import KnowledgeBase, ManagedSystem, Model
-from missions.senses import Senses
+from missions.engine.percepts import Percepts
 from rosa_pddl.generation import DeclaredProblem
 
 __all__ = ["Message", "Mission", "MissionError", "Sample", "Setting", "Verdict", "World", "WorldKind"]
@@ -134,7 +134,7 @@ class WorldKind(ABC):
         """
 
     @abstractmethod
-    def verdict(self, senses: Senses, results: Mapping[str, float | None], kb: KnowledgeBase) -> Verdict:
+    def verdict(self, percepts: Percepts, results: Mapping[str, float | None], kb: KnowledgeBase) -> Verdict:
         """Say how a mission here has ended, from what was sensed, its figures and what was done."""
 
     def settings(self) -> tuple[Setting, ...]:
@@ -169,12 +169,12 @@ class Mission:
     name: str
     summary: str
     model: Callable[[], Model]
-    tree: Callable[[KnowledgeBase, Senses], Behaviour]
+    tree: Callable[[KnowledgeBase, Percepts], Behaviour]
     world: WorldKind
     domain: Path | None = None
     problem: Path | DeclaredProblem | None = None
     actions: Mapping[str, Callable[..., Behaviour]] = field(default_factory=dict)
-    facts: Callable[[KnowledgeBase, Senses], Mapping[str, bool | float]] = lambda kb, senses: {}
+    facts: Callable[[KnowledgeBase, Percepts], Mapping[str, bool | float]] = lambda kb, percepts: {}
     engines: tuple[str, ...] = ()
     fixed: Mapping[str, str] = field(default_factory=dict)
-    why_not: Callable[[KnowledgeBase, Senses], str] = lambda kb, senses: ""
+    why_not: Callable[[KnowledgeBase, Percepts], str] = lambda kb, percepts: ""

@@ -1,0 +1,269 @@
+"""Metacontrol: adaptation by an ontology of functions, their designs and objectives, as SUAVE comes with it.
+
+Every 1.5 s it reasons about its objectives by the rules of TOMASys, as pure functions, and asks for modes.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from functools import cache
+from pathlib import Path
+from typing import Any, ClassVar, Final
+
+from missions.baselines.manager import Manager, Robot
+from missions.baselines.modes import SystemModes
+from missions.baselines.options import Option
+from missions.engine.mission import MissionError
+
+__all__ = [
+    "Design",
+    "Knowledge",
+    "Metacontrol",
+    "ONTOLOGY",
+    "Situation",
+    "Standing",
+    "best_design",
+    "read_knowledge",
+    "standing",
+    "unrealisable",
+]
+
+METAMODEL = Path(__file__).with_name("tomasys.owl")
+
+
+@dataclass(frozen=True, slots=True)
+class Design:
+    """A way to realise a function.
+
+    Attributes:
+        name: its name, which is that of a mode of the function.
+        function: what it realises.
+        performance: how good it is; more is better.
+        components: what it needs, in order of name.
+        qualities: (attribute, value it has to have at least) of each, in order of name.
+    """
+
+    name: str
+    function: str
+    performance: float
+    components: tuple[str, ...] = ()
+    qualities: tuple[tuple[str, float], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Knowledge:
+    """Functions and designs.
+
+    Attributes:
+        designs: all, the best first; equally good ones in order of name.
+        always_improved: functions for which something better is looked for though all is well.
+    """
+
+    designs: tuple[Design, ...]
+    always_improved: frozenset[str] = field(default_factory=frozenset)
+
+    def of(self, function: str) -> tuple[Design, ...]:
+        """Return the designs of a function, the best first."""
+        return tuple(design for design in self.designs if design.function == function)
+
+
+@cache
+def read_knowledge(path: Path) -> Knowledge:
+    """Read an ontology of a vehicle, which says what is so in the words of `tomasys.owl`.
+
+    Raises:
+        MissionError: the file cannot be read, or a design lacks what it needs.
+    """
+    import owlready2
+
+    world = owlready2.World()
+    try:
+        for file in (METAMODEL, path):
+            with file.open("rb") as content:
+                words = world.get_ontology(f"file://{file}").load(fileobj=content)
+        words = world.get_namespace("http://rosa-taca/tomasys#")
+        designs = [_design(one) for one in words.FunctionDesign.instances()]
+        improved = frozenset(one.name for one in words.Function.instances() if one.is_always_improved)
+    except (OSError, owlready2.OwlReadyOntologyParsingError, AttributeError) as error:
+        raise MissionError(
+            f"cannot read the ontology {path}: {type(error).__name__}: {error}; expected are a FunctionDesign for each "
+            "design with solves_function and has_performance, see tomasys.owl"
+        ) from error
+    finally:
+        world.close()
+    return Knowledge(tuple(sorted(designs, key=lambda one: (-one.performance, one.name))), improved)
+
+
+def _design(one: Any) -> Design:  # noqa: ANN401  # an individual of owlready2
+    if one.solves_function is None or one.has_performance is None:
+        raise AttributeError(f"design {one.name} lacks solves_function or has_performance")
+    return Design(
+        one.name,
+        one.solves_function.name,
+        float(one.has_performance),
+        _sorted(component.name for component in one.requires_component),
+        _sorted((quality.of_attribute.name, float(quality.has_value)) for quality in one.requires_quality),
+    )
+
+
+def _sorted(values: Iterable[Any]) -> tuple[Any, ...]:
+    return tuple(sorted(values))
+
+
+class Standing(StrEnum):
+    """How an objective stands; the first that holds."""
+
+    UNGROUNDED = "UNGROUNDED"
+    """No design serves it."""
+    COMPONENT_ERROR = "IN_ERROR_COMPONENT"
+    """Its design needs a component that has failed."""
+    FUNCTION_ERROR = "IN_ERROR_FR"
+    """The mode of its design is not in force though it was asked for."""
+    QUALITY_ERROR = "IN_ERROR_NFR"
+    """A quality that its design needs is measured to be less."""
+    UPDATABLE = "UPDATABLE"
+    """A component has recovered: something better may be possible."""
+    SATISFIED = "SATISFIED"
+    """All is well."""
+
+
+@dataclass(frozen=True, slots=True)
+class Situation:
+    """What Metacontrol has been told, and what it inferred in the pass before.
+
+    Attributes:
+        measured: last value by attribute.
+        failed: components that have failed.
+        unrealisable: names of designs that need one of these, as inferred by the pass before.
+        grounded: names of the designs that serve objectives, by function.
+        not_in_force: functions whose mode is not in force though it was asked for.
+        errors: names of designs that could not be brought into force.
+        recovered: whether a component has recovered since the last choice.
+    """
+
+    measured: Mapping[str, float] = field(default_factory=dict)
+    failed: frozenset[str] = frozenset()
+    unrealisable: frozenset[str] = frozenset()
+    grounded: Mapping[str, str] = field(default_factory=dict)
+    not_in_force: frozenset[str] = frozenset()
+    errors: frozenset[str] = frozenset()
+    recovered: bool = False
+
+
+def unrealisable(knowledge: Knowledge, situation: Situation) -> frozenset[str]:
+    """Return the names of the designs that need a component which has failed."""
+    return frozenset(one.name for one in knowledge.designs if not situation.failed.isdisjoint(one.components))
+
+
+def standing(knowledge: Knowledge, situation: Situation, function: str) -> Standing:
+    """Return how the objective of a function stands."""
+    design = next((one for one in knowledge.of(function) if one.name == situation.grounded.get(function)), None)
+    if design is None:
+        return Standing.UNGROUNDED
+    if design.name in situation.unrealisable:
+        return Standing.COMPONENT_ERROR
+    if function in situation.not_in_force:
+        return Standing.FUNCTION_ERROR
+    if not _suffices(design, situation):
+        return Standing.QUALITY_ERROR
+    return Standing.UPDATABLE if situation.recovered else Standing.SATISFIED
+
+
+def best_design(knowledge: Knowledge, situation: Situation, function: str) -> Design | None:
+    """Return the design of a function that performs best of those that are possible now; None if none is."""
+    barred = situation.unrealisable | situation.errors
+    possible = (one for one in knowledge.of(function) if one.name not in barred and _suffices(one, situation))
+    return next(possible, None)
+
+
+def _suffices(design: Design, situation: Situation) -> bool:
+    """Tell whether no quality that a design needs is measured to be less; what is not measured suffices."""
+    measured = situation.measured
+    return all(not measured[name] < value for name, value in design.qualities if name in measured)
+
+
+ONTOLOGY: Final = Path(__file__).with_name("suave.owl")
+OBJECTIVES: Final = {
+    "search_pipeline": ("f_maintain_motion", "f_generate_search_path"),
+    "inspect_pipeline": ("f_maintain_motion", "f_follow_pipeline"),
+}
+"""Functions that each task asks for; kas-lab/suave v1.3.0, task bridge."""
+
+
+class Metacontrol(Manager):
+    """Grounds the objectives of a task in function designs, and changes the designs of those that are in error.
+
+    One pass of reasoning sees what was told; what follows from an inference of the pass is seen by the next one. So a
+    component that fails makes designs unrealisable in one pass and puts an objective in error in a second one, which
+    follows at once.
+    """
+
+    options: ClassVar = (
+        Option("reasoning_period_s", 1.5, "s", "from one cycle of Metacontrol to the next", "mros2_reasoner"),
+        Option("reasoning_s", 0.3, "s", "time that one pass of its reasoner takes", "own choice: a few tenths"),
+    )
+
+    def __init__(self, robot: Robot) -> None:
+        super().__init__(robot)
+        self.period_s = robot.options["reasoning_period_s"]
+        self._modes = SystemModes(robot)
+        self._knowledge = read_knowledge(ONTOLOGY)
+        self._situation = Situation()
+        self._objectives: tuple[str, ...] = ()
+        self._is_reasoning = False
+
+    def begin(self, task: str) -> None:
+        """Take on the objectives of a task; they are grounded in the next cycle."""
+        self._objectives = OBJECTIVES[task]
+
+    def end(self, task: str) -> None:
+        """Drop the objectives and unground their functions."""
+        self._objectives = ()
+        self._situation = replace(self._situation, grounded={})
+        for function in OBJECTIVES[task]:
+            self._modes.unground(function)
+
+    def update(self) -> None:
+        """Reason about what has been told by now; what is then asked for follows when the reasoner is done."""
+        if not self._is_reasoning:
+            self._is_reasoning = True
+            self._reason()
+
+    def _reason(self) -> None:
+        before = self._situation
+        failed = frozenset(name for name, word in self.robot.told.items() if word in ("FALSE", "ERROR"))
+        situation = self._situation = replace(
+            before,
+            measured=dict(self.robot.measured),
+            failed=failed,
+            not_in_force=frozenset(
+                function for function, mode in before.grounded.items() if not self._modes.is_in(function, mode)
+            ),
+            recovered=before.recovered or not before.failed <= failed,
+        )
+        self.robot.later(self.robot.options["reasoning_s"], lambda: self._act(situation))
+
+    def _act(self, seen: Situation) -> None:
+        """Ask for what was found, then reason again if an inference may have further consequences."""
+        knowledge = self._knowledge
+        inferred = unrealisable(knowledge, seen)
+        for function in self._objectives:
+            stands = standing(knowledge, seen, function)
+            if stands is not Standing.SATISFIED or function in knowledge.always_improved:
+                self._ground(function, stands, seen)
+        if inferred == seen.unrealisable:
+            self._situation = replace(self._situation, recovered=False)
+            self._is_reasoning = False
+        else:
+            self._situation = replace(self._situation, unrealisable=inferred)
+            self._reason()
+
+    def _ground(self, function: str, stands: Standing, seen: Situation) -> None:
+        errors = seen.errors
+        if stands is Standing.FUNCTION_ERROR:
+            errors |= {seen.grounded[function]}
+            self._situation = replace(self._situation, errors=self._situation.errors | errors)
+        design = best_design(self._knowledge, replace(seen, errors=errors), function)
+        if design is not None:
+            self._modes.request(function, design.name)
+            self._situation = replace(self._situation, grounded={**self._situation.grounded, function: design.name})
