@@ -16,7 +16,7 @@ from missions.agv.building import Building, Corridor
 from missions.agv.costs import GOALS, Amounts, Costs, check_number, weighing
 from missions.agv.modes import Mode, Modes, running_mode
 from missions.engine.mission import MissionError
-from rosa_pddl.planning.labels import Graph, Move, cheapest, distances
+from rosa_pddl.search import Graph, Move, cheapest, distances
 
 __all__ = ["Answer", "DEMANDS", "JointPlanner", "Leg", "Place", "Question", "Task"]
 

@@ -4,21 +4,20 @@ After Desrochers and Soumis, "A generalized permanent labelling algorithm for th
 windows", INFOR 26, 1988.
 """
 
-import pickle
 import sys
 from collections.abc import Sequence
 from fractions import Fraction
-from pathlib import Path
 
+from rosa_pddl import search
 from rosa_pddl.exceptions import UnsupportedPddlError
 from rosa_pddl.planning.downward import SEARCHES, Answer, Trouble, install_advice
 from rosa_pddl.planning.grounded import Fitted, Grounded, Ready
 from rosa_pddl.planning.outcomes import Outcome
 from rosa_pddl.planning.processes import Ended, Leash
-from rosa_pddl.planning.sas_search import Operation, Rule, Task
 from rosa_pddl.planning.sums import Sum
 from rosa_pddl.planning.uses import Uses, whole
 from rosa_pddl.problem import Exact, Problem
+from rosa_pddl.search import Operation, Rule, Task, written
 
 __all__ = ["LABEL_SETTING", "TRANSLATED", "label_search", "task_of"]
 
@@ -49,10 +48,9 @@ def label_search(
         Cut: the leash was cut.
     """
     task, scales = task_of(grounded.fitted(problem), problem, uses)
-    folder = Path(__file__).parent
-    command = [sys.executable, "-I", "-S", str(folder / "labelling_child.py"), str(folder.parent), str(folder)]
+    command = [sys.executable, "-I", "-S", search.__file__]
     try:
-        ended = leash.run(command, given=pickle.dumps(task), limit_s=limit_s, memory_bytes=memory_bytes)
+        ended = leash.run(command, given=written(task), limit_s=limit_s, memory_bytes=memory_bytes)
     except OSError as error:
         message = f"no process for it can be started ({error}); {install_advice()}"
         raise Trouble(Outcome.ENGINE_MISSING, message) from error

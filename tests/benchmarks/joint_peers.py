@@ -17,7 +17,7 @@ from kb.status import OPERATORS
 from missions.agv.building import Building, Corridor
 from missions.agv.joint import Place, Question, Task
 from rosa_pddl.planning import downward
-from rosa_pddl.planning.labels import distances
+from rosa_pddl.search import distances
 
 GOALS = {"time": 1e3, "energy": 1e3, "collisions": 1e6}
 WORTH = {"time": 1.0, "energy": 1.0, "collisions": 1e-3}

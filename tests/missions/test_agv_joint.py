@@ -18,7 +18,7 @@ from missions.agv.joint import JointPlanner, Place, Question
 from missions.agv.model import agv_model
 from missions.engine.mission import MissionError
 from rosa_pddl import Outcome, Planner
-from rosa_pddl.planning.labels import Graph, Move, cheapest, distances
+from rosa_pddl.search import Graph, Move, cheapest, distances
 
 MODEL = agv_model()
 

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rosa_pddl import Outcome, Planner, PlannerSettingError, Problem, flaw, initial_state, parse_domain
-from rosa_pddl.planning.sas_search import Operation, SasGraph, Task, found_in
+from rosa_pddl.search import Operation, Task, TaskGraph
 from rosa_pddl.validate import ended, missing_at_start
 
 # ---------------------------------------------------------------- the search alone
@@ -67,7 +67,7 @@ def by_exhaustion(task):
 @settings(max_examples=250)
 @given(tasks())
 def test_the_search_finds_what_trying_everything_finds(task):
-    found = found_in(task)
+    found = TaskGraph(task).plan(task.start, task.limits)
     assert (None if found is None else found.cost) == by_exhaustion(task)
     if found is None:
         return
@@ -82,7 +82,7 @@ def test_the_search_finds_what_trying_everything_finds(task):
 @settings(max_examples=100)
 @given(tasks())
 def test_what_is_lacking_at_least_never_falls_by_more_than_a_step_takes(task):
-    graph = SasGraph(task)
+    graph = TaskGraph(task)
     for state in product(*map(range, task.sizes)):
         cost, uses = graph.least(state)
         assert not graph.is_goal(state) or (cost, *uses) == (0,) * (1 + len(uses))
