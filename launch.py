@@ -4,13 +4,16 @@
     python3 launch.py rosa run suave_extended
     python3 launch.py pytest
 
+Installs what the command needs: what running needs for `rosa` and `python`, what testing needs for anything else.
 Needs nothing but Python >= 3.11 and pip. The versions installed are those of constraints.txt.
 """
 
 import hashlib
 import os
+import re
 import subprocess
 import sys
+import time
 import venv
 from importlib.util import find_spec
 from pathlib import Path
@@ -19,34 +22,67 @@ ROOT = Path(__file__).resolve().parent
 VENV = ROOT / ".venv"
 BIN = VENV / ("Scripts" if os.name == "nt" else "bin")
 MARK = VENV / "set-up-for"
+RUNNING, TESTING = "running", "testing"
+EXTRA = {RUNNING: "", TESTING: "[dev]"}
+TAKES = {RUNNING: "about 20 s", TESTING: "about a minute"}  # measured on two cores, packages near by
+STEP = re.compile(r"\s*(Collecting|Building|Preparing|Installing)\b[^(]{0,60}")
 
 
-def set_up() -> None:
+def set_up(purpose: str) -> None:
     """Make the virtual environment and install this project in it; without the mark the next call does it anew."""
     try:
         inputs = b"".join((ROOT / name).read_bytes() for name in ("pyproject.toml", "constraints.txt", "launch.py"))
     except OSError as error:
         sys.exit(f"launch.py: cannot read {error.filename}: {error.strerror}; get it back from the repository")
     wanted = hashlib.sha256(inputs + sys.version.encode()).hexdigest()
-    if MARK.is_file() and MARK.read_text() == wanted and (BIN / "python").exists():
+    there = MARK.read_text().split() if MARK.is_file() and (BIN / "python").exists() else []
+    if there[:1] == [wanted] and there[1:] in ([purpose], [TESTING]):
         return
     if VENV.exists() and not VENV.is_dir():
         sys.exit(f"launch.py: {VENV} is in the way; it has to be a folder, so move it elsewhere and run this again")
-    print("Setting up .venv (once, about half a minute) ...", file=sys.stderr, flush=True)
+    print(
+        f"Setting up .venv with what {purpose} needs: once, {TAKES[purpose]}, longer where the network is slow",
+        file=sys.stderr,
+        flush=True,
+    )
+    keeps = there[:1] == [wanted]
     python = str(BIN / "python")
     if find_spec("pip"):  # the outer pip serves, so a Python without ensurepip does too
-        venv.create(VENV, clear=VENV.exists(), with_pip=False)
+        if not keeps:
+            venv.create(VENV, clear=VENV.exists(), with_pip=False)
         pip = [sys.executable, "-m", "pip", "--python", python]
     elif find_spec("ensurepip"):
-        venv.create(VENV, clear=VENV.exists(), with_pip=True)
+        if not keeps:
+            venv.create(VENV, clear=VENV.exists(), with_pip=True)
         pip = [python, "-m", "pip"]
     else:
         sys.exit("launch.py: this Python has no pip; install it (Debian: apt-get install python3-pip)")
+    install(pip, f"{ROOT}{EXTRA[purpose]}")
+    MARK.write_text(f"{wanted} {purpose}")
+
+
+def install(pip: list[str], project: str) -> None:
+    """Install the project with pip and show on one line how far it is; what pip finds wrong is shown whole."""
     constraints = str(ROOT / "constraints.txt")
-    install = [*pip, "install", "--quiet", "--disable-pip-version-check", "-c", constraints, "-e", f"{ROOT}[dev]"]
-    if subprocess.run(install, env={**os.environ, "PIP_CONSTRAINT": constraints}, stdout=sys.stderr).returncode:
+    # modules are compiled when they are first imported: most never are
+    arguments = ["install", "--no-compile", "--disable-pip-version-check", "-c", constraints, "-e", project]
+    started, shows = time.monotonic(), sys.stderr.isatty()
+    with subprocess.Popen(
+        [*pip, *arguments],
+        env={**os.environ, "PIP_CONSTRAINT": constraints, "PYTHONUNBUFFERED": "1"},
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stdout is not None
+        for line in process.stdout:
+            step = STEP.match(line)
+            if step and shows:
+                print(f"\r\033[K  {time.monotonic() - started:3.0f} s  {step.group().strip()}", end="", file=sys.stderr)
+    if shows:
+        print("\r\033[K", end="", file=sys.stderr)
+    if process.returncode:
         sys.exit("launch.py: pip could not install the project; mend what it says above and run this again")
-    MARK.write_text(wanted)
+    print(f"Set up in {time.monotonic() - started:.0f} s", file=sys.stderr, flush=True)
 
 
 def main() -> None:
@@ -58,7 +94,7 @@ def main() -> None:
         return
     if len(sys.argv) < 2:
         sys.exit(__doc__)
-    set_up()
+    set_up(RUNNING if sys.argv[1] in ("rosa", "python") else TESTING)
     command = BIN / sys.argv[1]
     if not command.exists():
         sys.exit(f"launch.py: no command {sys.argv[1]!r} in .venv; try: rosa, pytest, ruff, mypy, python")
