@@ -19,14 +19,14 @@ from kb.judge.findings import Severity
 from missions.baselines import MANAGERS, OURS, open_run
 from missions.baselines.options import split_options
 from missions.baselines.registry import options_of
-from missions.campaign.command import campaign, report
 from missions.checking import inconsistencies, judge, print_judgement
-from missions.effort.command import effort
 from missions.engine.mission import MissionError, Verdict
 from missions.engine.recording import header, line_of
 from missions.engine.registry import MISSIONS, find_mission
 from missions.engine.runner import Listener, MissionRun
 from missions.engine.settings import describe, split_settings
+from missions.experiments.campaign_command import campaign, report
+from missions.experiments.effort_command import effort
 from missions.live import Narrator, Pace, Recorder
 from missions.output import open_files
 from missions.plan_command import plan

@@ -21,6 +21,7 @@ ALLOWED = {
         "py_trees",
         "numpy",
         "matplotlib",
+        "markdown_it",
         "rich",
         "typer",
         "scipy",

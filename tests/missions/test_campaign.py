@@ -20,12 +20,12 @@ from rich.console import Console
 
 from missions import cli
 from missions.baselines import MANAGERS
-from missions.campaign import Campaign, Store, paper_table, read_store
-from missions.campaign import tables as tables_module
-from missions.campaign.command import _Teller
-from missions.campaign.plan import PlannedRun, from_data
-from missions.campaign.work import PACKAGES, Outcome, do, provenance
 from missions.engine.mission import MissionError
+from missions.experiments import results as tables_module
+from missions.experiments.campaign import Campaign, PlannedRun, from_data, paper_table
+from missions.experiments.campaign_command import _Teller
+from missions.experiments.results import Store, read_store
+from missions.experiments.work import PACKAGES, Outcome, do, provenance
 
 ROOT = Path(__file__).parents[2]
 SMALL = """

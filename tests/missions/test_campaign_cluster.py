@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from missions.campaign.work import PACKAGES
+from missions.experiments.work import PACKAGES
 
 ROOT = Path(__file__).parents[2]
 SMALL = """
@@ -159,12 +159,12 @@ def test_cluster_that_cannot_do_it_is_refused_at_once(machines):
     machines.wait_for(lambda: machines.count() == 0)
     machines.add_workers(1, path=[str(bare.parent)])
     said = refused(machines, "--cluster", machines.address)
-    assert "cannot do missions: ModuleNotFoundError: No module named 'missions.campaign'" in said
+    assert "cannot do missions: ModuleNotFoundError: No module named 'missions.experiments'" in said
 
 
 def test_scheduler_that_is_not_there_is_told_with_what_starts_one(tmp_path, monkeypatch):
-    from missions.campaign import workers
     from missions.engine.mission import MissionError
+    from missions.experiments import workers
 
     monkeypatch.setattr(workers, "PATIENCE_S", 0.5)
     with pytest.raises(MissionError, match=r"no scheduler at 127\.0\.0\.1:9: .*start one with `dask scheduler`"):

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from missions.statistics import contrast, holm, interval_of_mean, interval_of_sd, two_clusters
+from missions.experiments.statistics import contrast, holm, interval_of_mean, interval_of_sd, two_clusters
 
 NUMBERS = st.integers(-1000, 1000).map(lambda number: number / 8)
 SAMPLES = st.lists(NUMBERS, min_size=1, max_size=20)

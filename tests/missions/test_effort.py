@@ -8,9 +8,8 @@ from kb import AttributeKind, ComponentKind, Model
 from kb.facts import MeasurementFact
 from kb.typeql import typeql_text
 from missions.agv.model import agv_model
-from missions.effort import count, generated_model
-from missions.effort.published import MODELS, law
 from missions.engine.mission import MissionError
+from missions.experiments.effort import MODELS, count, generated_model, law
 from missions.suave.model import suave_model
 from missions.suave_extended.model import suave_extended_model
 from missions.uav.model import uav_model

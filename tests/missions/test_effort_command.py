@@ -15,18 +15,19 @@ from running import called
 from kb import KnowledgeBase, Model
 from missions import suave
 from missions.baselines.modes import SystemModes
-from missions.effort import count, published
-from missions.effort.baseline import count_tree
-from missions.effort.figure import draw, picture
-from missions.effort.survey import MOST_ADAPTATIONS, as_data, survey
 from missions.engine.mission import MissionError
 from missions.engine.percepts import Percepts
 from missions.engine.registry import MISSIONS
+from missions.experiments import effort
+from missions.experiments.effort import MODELS, MOST_ADAPTATIONS, TASK_NODES, TREES, as_data, count, survey
+from missions.experiments.effort_by_hand import count_tree
+from missions.experiments.effort_views import draw, picture
 from missions.suave.model import suave_model
 
 OWN = """
 from dataclasses import replace
 from missions import suave
+from missions.experiments import effort
 
 def fails(*given):
     raise RuntimeError("not today")
@@ -62,8 +63,8 @@ def row(text, name, *, table):
 def test_every_mission_is_counted_beside_what_is_published(rosa):
     code, out, _ = rosa()
     assert code == 0
-    assert set(published.MODELS) == set(MISSIONS)
-    for name, parts in published.MODELS.items():
+    assert set(MODELS) == set(MISSIONS)
+    for name, parts in MODELS.items():
         assert row(out, name, table="model") == [name, *map(str, (*parts, parts.total)), *str(parts).split()]
     assert "entities: actions, functions" in out
     assert "relations: functional requirements" in out
@@ -74,9 +75,9 @@ def test_every_mission_is_counted_beside_what_is_published(rosa):
 
 def test_counts_of_trees_that_differ_are_marked_and_explained(rosa):
     _, out, _ = rosa()
-    for name, parts in published.TREES.items():
+    for name, parts in TREES.items():
         cells = row(out, name, table="managed by")
-        assert cells[3] == f"({published.TASK_NODES[name]})"
+        assert cells[3] == f"({TASK_NODES[name]})"
         assert " ".join(cells[7:12]) == str(parts)
         assert (cells[12:] == ["*"]) == (cells[4:6] != [str(parts.first), str(parts.second)])
     assert "* nodes: the published tree" in out
@@ -84,7 +85,7 @@ def test_counts_of_trees_that_differ_are_marked_and_explained(rosa):
 
 
 def test_model_that_differs_from_the_published_one_is_marked(rosa, monkeypatch):
-    monkeypatch.setattr(published, "MODELS", {"uav": published.Parts(24, 15)})
+    monkeypatch.setattr(effort, "MODELS", {"uav": effort.Parts(24, 15)})
     code, out, _ = rosa("uav")
     assert code == 0
     assert "24 + 15 = 39 *" in out
@@ -109,7 +110,7 @@ def test_modes_are_those_of_the_functions_that_the_mission_needs(everything):
     names = sum(len(modes.of(function)) for function in modes.functions)
     assert extended == 2 * names + altitudes
     assert extended - base == 2 * len(modes.of("f_generate_recharge_path"))
-    first, second = (published.TREES[one.name].second for one in everything.trees)
+    first, second = (TREES[one.name].second for one in everything.trees)
     assert extended - base == second - first
 
 

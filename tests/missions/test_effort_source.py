@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from missions.effort.source import Written, code_lines, python_written, typeql_written
 from missions.engine.registry import MISSIONS
+from missions.experiments.effort_source import Written, code_lines, python_written, typeql_written
 
 PARTS = '''"""Parts that several robots have."""
 
@@ -73,7 +73,7 @@ def robot():
     return model
 
 
-def tree(kb, percepts):
+def tree(kb, senses):
     return InOrder("in order", memory=True, children=[Drive("drive")])
 
 

@@ -12,12 +12,11 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from missions.campaign.conduct import conduct, modules_needed
-from missions.campaign.plan import Campaign, check_campaign, paper_table, read_campaign, with_runs
-from missions.campaign.store import Store, read_store
-from missions.campaign.work import CRASHED
-from missions.campaign.workers import Cluster, Processes, Workers
 from missions.engine.mission import MissionError
+from missions.experiments.campaign import Campaign, check_campaign, paper_table, read_campaign, with_runs
+from missions.experiments.results import Store, read_store
+from missions.experiments.work import CRASHED
+from missions.experiments.workers import Cluster, Processes, Workers, conduct, modules_needed
 
 __all__ = ["campaign", "report"]
 
@@ -62,7 +61,7 @@ def report(
 ) -> None:
     """Say what came of a campaign, as report.md and report.html with pictures: published figures beside ours, tests."""
     kept = read_store(folder)
-    from missions.campaign.report import write_report
+    from missions.experiments.report import write_report
 
     written = write_report(kept, out or folder / "report")
     for path in written:

@@ -4,15 +4,17 @@ import os
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
+from pathlib import Path
 from typing import Any, Protocol
 
-from missions.campaign.plan import PlannedRun
-from missions.campaign.work import Outcome, crash, do, provenance
 from missions.engine.mission import MissionError
+from missions.experiments.campaign import Campaign, PlannedRun
+from missions.experiments.results import Store, read_store, write_tables
+from missions.experiments.work import CRASHED, Outcome, crash, do, provenance
 
-__all__ = ["Cluster", "Processes", "Workers", "outcomes"]
+__all__ = ["Cluster", "Processes", "Teller", "Workers", "conduct", "modules_needed", "outcomes"]
 
 PATIENCE_S = 10.0
 WATCH_S = 0.5
@@ -241,10 +243,56 @@ def _probe(needs: tuple[str, ...]) -> Callable[[], dict[str, str]]:
     def probe() -> dict[str, str]:
         from importlib import import_module
 
-        from missions.campaign.work import provenance
+        from missions.experiments.work import provenance
 
         for name in needs:
             import_module(name)
         return dict(provenance())
 
     return probe
+
+
+class Teller(Protocol):
+    """Who is told of a campaign while it runs."""
+
+    def begin(self, done: int, total: int) -> None:
+        """Hear how many runs are done already, of how many."""
+
+    def done(self, record: Mapping[str, Any]) -> None:
+        """Hear what came of a run."""
+
+    def note(self, text: str) -> None:
+        """Hear of what keeps the runs from being done."""
+
+
+def conduct(store: Store, folder: Path, workers: Workers, *, retry: bool, teller: Teller) -> list[Path]:
+    """Do every run of a campaign that is not done yet, then write the tables.
+
+    Args:
+        store: the folder of the campaign, held.
+        folder: the same, to be read.
+        workers: who does the runs.
+        retry: whether runs that crashed are done again.
+        teller: hears of each run.
+
+    Returns:
+        The tables that were written.
+
+    Raises:
+        MissionError: the folder cannot be written, or the workers are out of reach.
+    """
+    planned = store.campaign.planned()
+    before = read_store(folder).records
+    done = {name for name, record in before.items() if not (retry and record["outcome"] == CRASHED)}
+    left = sorted((run for run in planned if run.name not in done), key=lambda run: run.seed)
+    teller.begin(len(done), len(planned))
+    for outcome in outcomes(left, workers, teller.note):
+        store.keep(outcome)
+        teller.done(outcome.record)
+    return write_tables(read_store(folder), folder)
+
+
+def modules_needed(campaign: Campaign) -> tuple[str, ...]:
+    """Return the modules of missions and managers of one's own."""
+    names = (name.partition(":") for name in (*campaign.missions, *campaign.managers))
+    return tuple(dict.fromkeys(module for module, colon, _ in names if colon))

@@ -30,8 +30,8 @@ def effort(
     Of Python and TypeQL, statements and lines are counted: no docstrings,
     imports, comments and blank lines.
     """
-    from missions.effort.survey import as_data, survey
-    from missions.effort.tables import print_survey
+    from missions.experiments.effort import as_data, survey
+    from missions.experiments.effort_views import print_survey
 
     wanted = {"json": json_file, "plot": plot}
     with ExitStack() as stack:
@@ -42,7 +42,7 @@ def effort(
             files["json"].write(as_json(as_data(found)))
             files["json"].keep()
         if plot is not None:
-            from missions.effort.figure import draw
+            from missions.experiments.effort_views import draw
 
             files["plot"].write(draw(found, "svg" if plot.suffix.lower() == ".svg" else "png"))
             files["plot"].keep()

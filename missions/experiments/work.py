@@ -15,9 +15,9 @@ from typing import Any
 
 from missions.baselines import open_run
 from missions.baselines.watch import WatchedSea
-from missions.campaign.plan import PlannedRun
 from missions.engine.registry import find_mission
 from missions.engine.runner import MissionRun
+from missions.experiments.campaign import PlannedRun
 from missions.report import as_json, summary
 
 __all__ = ["CRASHED", "Outcome", "crash", "do", "provenance"]

@@ -1,25 +1,172 @@
-"""Everything that is counted of a mission or a model file, beside what is published."""
+"""How large models are by the ROSA paper's way of counting, beside what is published."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from kb import Model, UnknownName
+from kb.elements import Attribute, Component, Function
 from kb.files import SUFFIXES, read_text
 from missions.agv.model import agv_model
-from missions.effort import published
-from missions.effort.baseline import ByHand, TreeCount, by_hand, count_tree, is_managed_by_tree
-from missions.effort.counting import RULE, Count, count
-from missions.effort.generated import generated_model
-from missions.effort.source import Written, built, code_lines, python_written, typeql_written
 from missions.engine.mission import Mission, MissionError
 from missions.engine.registry import MISSIONS, find_mission
+from missions.experiments.effort_by_hand import ByHand, TreeCount, by_hand, count_tree, is_managed_by_tree
+from missions.experiments.effort_source import Written, built, code_lines, python_written, typeql_written
 from missions.planning.declared import declarations_of
 from rosa_pddl import DeclaredProblem
 
-__all__ = ["LawPoint", "ModelEffort", "Survey", "TreeEffort", "as_data", "survey"]
+__all__ = [
+    "Count",
+    "LawPoint",
+    "MODELS",
+    "ModelEffort",
+    "Parts",
+    "RULE",
+    "Survey",
+    "TASK_NODES",
+    "TREES",
+    "TreeEffort",
+    "as_data",
+    "count",
+    "generated_model",
+    "law",
+    "survey",
+]
+
+
+class Parts(NamedTuple):
+    """A number that is counted in two parts."""
+
+    first: int
+    second: int
+
+    @property
+    def total(self) -> int:
+        """Both together."""
+        return self.first + self.second
+
+    def __str__(self) -> str:
+        return f"{self.first} + {self.second} = {self.total}"
+
+
+MODELS: Final[Mapping[str, Parts]] = MappingProxyType(
+    {"suave": Parts(18, 12), "suave_extended": Parts(22, 16), "agv": Parts(18, 36), "uav": Parts(24, 16)}
+)
+"""Entities and relations of each model."""
+
+TREES: Final[Mapping[str, Parts]] = MappingProxyType({"suave": Parts(27, 30), "suave_extended": Parts(34, 38)})
+"""For the tree that manages: nodes without those of the task, and modes with their parameters."""
+
+TASK_NODES: Final[Mapping[str, int]] = MappingProxyType({"suave": 10, "suave_extended": 16})
+"""Nodes of the tree with the task only, which are deducted from those of the tree that manages."""
+
+
+def law(structural: int, parameter: int) -> int:
+    """Return how many elements one action needs with that many structural and parameter adaptations."""
+    return 10 + 6 * structural + 3 * parameter
+
+
+RULE: Final = (
+    "entities: actions, functions, components, attributes, parameter values (each key of each configuration)",
+    "relations: functional requirements (one for each action), function designs, component configurations, "
+    "constraints (one that is shared counts once), estimations",
+)
+"""What is counted, in two lines."""
+
+
+@dataclass(frozen=True, slots=True)
+class Count:
+    """How many elements a model has.
+
+    Attributes:
+        of_entities: how many of each kind of entity.
+        of_relations: how many of each kind of relation.
+    """
+
+    of_entities: Mapping[str, int]
+    of_relations: Mapping[str, int]
+
+    @property
+    def entities(self) -> int:
+        """How many entities there are."""
+        return sum(self.of_entities.values())
+
+    @property
+    def relations(self) -> int:
+        """How many relations there are."""
+        return sum(self.of_relations.values())
+
+    @property
+    def total(self) -> int:
+        """How many elements there are."""
+        return self.entities + self.relations
+
+    def __str__(self) -> str:
+        return f"{self.entities} entities + {self.relations} relations = {self.total}"
+
+
+def count(model: Model) -> Count:
+    """Count the entities and relations of a model; what is stated to be so from the start is not counted."""
+    entities = {
+        "actions": len(model.actions),
+        "functions": len(model.functions),
+        "components": len(model.components),
+        "attributes": len(model.attributes),
+        "parameter values": sum(len(one.parameters) for one in model.configurations.values()),
+    }
+    relations = {
+        "functional requirements": sum(bool(one.functions) for one in model.actions.values()),
+        "function designs": len(model.designs),
+        "component configurations": len(model.configurations),
+        "constraints": len(model.constraints),
+        "estimations": len(model.estimations),
+    }
+    return Count(MappingProxyType(entities), MappingProxyType(relations))
+
+
+def generated_model(structural: int, parameter: int, actions: int = 1) -> Model:
+    """Make the smallest model for a number of adaptations (Silva et al., assumptions 1 and 2).
+
+    Each action requires a function of its own, with one design of one component with one configuration. A structural
+    adaptation is one more such design, a parameter adaptation one more configuration of the first component. Every
+    design and every configuration has a priority and a constraint; every component a package, an executable and one
+    parameter. All constraints are on the one quality attribute, which all actions share.
+
+    Args:
+        structural: structural adaptations of each action, from 0.
+        parameter: parameter adaptations of each action, from 0.
+        actions: how many, from 1.
+
+    Raises:
+        MissionError: a number is too small.
+    """
+    for name, number, least in (("structural", structural, 0), ("parameter", parameter, 0), ("actions", actions, 1)):
+        if number < least:
+            raise MissionError(f"{name} is {number}; a generated model takes a whole number from {least}")
+    model = Model("generated")
+    quality = model.quality_attribute("quality")
+    for one in range(1, actions + 1):
+        function = model.function(f"function_{one}")
+        first, *_ = [_design(function, quality, f"{one}_{number}", number) for number in range(1, structural + 2)]
+        for number in range(2, parameter + 2):
+            _configuration(first, quality, number)
+        model.action(f"action_{one}", requires=[function])
+    return model
+
+
+def _design(function: Function, quality: Attribute, name: str, number: int) -> Component:
+    component = function.model.component(f"node_{name}", kind="process", package="nodes", executable=f"node_{name}")
+    _configuration(component, quality, 1)
+    function.design(f"design_{name}", [component], priority=number, constraints=[quality >= 1 / number])
+    return component
+
+
+def _configuration(component: Component, quality: Attribute, number: int) -> None:
+    name = f"{component.name}_as_{number}"
+    component.configuration(name, {"value": number}, priority=number, constraints=[quality >= 1 / number])
+
 
 AS_PUBLISHED: Final[Mapping[str, Callable[[], Model]]] = MappingProxyType({"agv": agv_model})
 """Missions whose model holds more than the published one, and what is counted for them."""
@@ -45,7 +192,7 @@ class ModelEffort:
 
     name: str
     count: Count
-    published: published.Parts | None
+    published: Parts | None
     typeql: Written
     python: Written | None = None
     tree: Written | None = None
@@ -66,7 +213,7 @@ class TreeEffort:
 
     name: str
     count: TreeCount
-    published: published.Parts | None
+    published: Parts | None
     published_task: int | None
 
 
@@ -124,7 +271,7 @@ def survey(names: Iterable[str] = ()) -> Survey:
             structural,
             parameter,
             count(generated_model(structural, parameter)).total,
-            published.law(structural, parameter),
+            law(structural, parameter),
         )
         for structural in steps
         for parameter in steps
@@ -180,7 +327,7 @@ def _model_data(one: ModelEffort) -> dict[str, Any]:
     }
 
 
-def _parts_data(parts: published.Parts | None, first: str, second: str) -> dict[str, int] | None:
+def _parts_data(parts: Parts | None, first: str, second: str) -> dict[str, int] | None:
     return None if parts is None else {first: parts.first, second: parts.second, "total": parts.total}
 
 
@@ -205,7 +352,7 @@ def _of_mission(name: str, mission: Mission) -> ModelEffort:
     return ModelEffort(
         name,
         count(model),
-        published.MODELS.get(name),
+        MODELS.get(name),
         typeql_written(_typeql(model)),
         python_written(build),
         python_written(mission.tree),
@@ -234,4 +381,4 @@ def _pddl(mission: Mission) -> list[str] | None:
 
 
 def _tree(name: str, mission: Mission) -> TreeEffort:
-    return TreeEffort(name, count_tree(mission), published.TREES.get(name), published.TASK_NODES.get(name))
+    return TreeEffort(name, count_tree(mission), TREES.get(name), TASK_NODES.get(name))

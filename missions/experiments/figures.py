@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from missions.campaign.groups import Comparison, Group
-from missions.statistics import two_clusters
+from missions.experiments.comparison import Comparison, Group
+from missions.experiments.statistics import two_clusters
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -13,9 +13,9 @@ from missions.baselines.bt import TreeManager
 from missions.baselines.manager import Manager
 from missions.baselines.opening import open_run
 from missions.baselines.run import ManagedRun
-from missions.effort.source import Module, Written, built, code_lines
 from missions.engine.mission import Mission, MissionError
 from missions.engine.percepts import Percepts
+from missions.experiments.effort_source import Module, Written, built, code_lines
 from missions.suave.world import SEA
 
 __all__ = ["ByHand", "TreeCount", "by_hand", "count_tree", "is_managed_by_tree"]

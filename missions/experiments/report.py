@@ -1,5 +1,7 @@
 """What came of a campaign: the published figures beside ours, tests, distributions and reaction times."""
 
+import base64
+import html
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
@@ -9,15 +11,75 @@ from statistics import fmean, median
 import numpy
 
 from missions.baselines import OURS
-from missions.campaign.document import Document
-from missions.campaign.figures import distribution, reaction_histograms
-from missions.campaign.groups import SEARCH, Comparison, comparisons
-from missions.campaign.store import Kept
 from missions.engine.mission import MissionError
+from missions.experiments.comparison import SEARCH, Comparison, comparisons
+from missions.experiments.figures import distribution, reaction_histograms
+from missions.experiments.results import Kept
+from missions.experiments.statistics import contrast, holm, interval_of_mean, interval_of_sd, two_clusters
 from missions.output import OutputFile
-from missions.statistics import contrast, holm, interval_of_mean, interval_of_sd, two_clusters
 
-__all__ = ["write_report"]
+__all__ = ["Document", "write_report"]
+
+STYLE = """
+body { font: 15px/1.45 sans-serif; color: #222; max-width: 76rem; margin: 2rem auto; padding: 0 1rem; }
+table { border-collapse: collapse; margin: 1rem 0; font-variant-numeric: tabular-nums; }
+th, td { border-bottom: 1px solid #ddd; padding: .25rem .7rem; text-align: right; }
+th { border-bottom: 2px solid #888; } th:first-child, td:first-child { text-align: left; }
+img { max-width: 100%; } code { background: #f3f3f3; padding: 0 .2rem; }
+"""
+
+
+class Document:
+    """Headings, paragraphs, tables, commands and figures, one after the other, in Markdown.
+
+    Args:
+        title: of the whole.
+    """
+
+    def __init__(self, title: str) -> None:
+        self._title = title
+        self._parts = [f"# {title}"]
+
+    def heading(self, text: str, level: int = 2) -> None:
+        self._parts.append(f"{'#' * level} {text}")
+
+    def text(self, text: str) -> None:
+        self._parts.append(text)
+
+    def items(self, texts: Sequence[str]) -> None:
+        self._parts.append("\n".join(f"- {text}" for text in texts))
+
+    def commands(self, lines: Sequence[str]) -> None:
+        self._parts.append("\n".join(["```sh", *lines, "```"]))
+
+    def table(self, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+        """Add a table; the first column names the rows."""
+        marks = ["---", *["---:"] * (len(head) - 1)]
+        lines = [f"| {' | '.join(cell.replace('|', '&#124;') for cell in row)} |" for row in (head, marks, *rows)]
+        self._parts.append("\n".join(lines))
+
+    def figure(self, name: str, caption: str) -> None:
+        """Add a picture that is kept as NAME.png and NAME.svg; the page holds the second within itself."""
+        self._parts.append(f"![{caption}]({name}.png)")
+
+    def as_markdown(self) -> str:
+        return "\n\n".join(self._parts) + "\n"
+
+    def as_html(self, pictures: Mapping[str, bytes]) -> str:
+        """Return the whole as a web page that needs no other file.
+
+        Args:
+            pictures: content of each picture by the name of its file.
+        """
+        from markdown_it import MarkdownIt
+
+        body = MarkdownIt("commonmark", {"html": False}).enable("table").render(self.as_markdown())
+        for name, content in pictures.items():
+            data = f"data:image/svg+xml;base64,{base64.b64encode(content).decode()}"
+            body = body.replace(f'src="{name.removesuffix(".svg")}.png"', f'src="{data}"')
+        head = f'<meta charset="utf-8"><title>{html.escape(self._title)}</title><style>{STYLE}</style>'
+        return f'<!DOCTYPE html>\n<html lang="en"><head>{head}</head>\n<body>\n{body}</body></html>\n'
+
 
 DISTANCE = "distance_inspected_m"
 HEADLINES = {SEARCH: "search time [s]", DISTANCE: "distance inspected [m]"}
@@ -45,7 +107,8 @@ def write_report(kept: Kept, folder: Path) -> list[Path]:
     _tell_crashes(document, kept)
     _tell_speed(document, parts)
     _tell_method(document)
-    contents: dict[str, str | bytes] = {"report.md": document.as_markdown(), "report.html": document.as_html(pictures)}
+    images = {name: content for name, content in pictures.items() if name.endswith(".svg")}
+    contents: dict[str, str | bytes] = {"report.md": document.as_markdown(), "report.html": document.as_html(images)}
     return _write({**pictures, **contents}, folder)
 
 
