@@ -1,4 +1,8 @@
-"""How large models are by the ROSA paper's way of counting, beside what is published."""
+"""How large models are by the ROSA paper's way of counting (Silva et al., section on development effort).
+
+One rule gives the published counts of all four models: what in TypeDB is an entity or a relation counts one. As TypeQL,
+a model has a statement for each.
+"""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -21,6 +25,7 @@ __all__ = [
     "Count",
     "LawPoint",
     "MODELS",
+    "MOST_ADAPTATIONS",
     "ModelEffort",
     "Parts",
     "RULE",
@@ -35,6 +40,16 @@ __all__ = [
     "survey",
 ]
 
+RULE: Final = (
+    "entities: actions, functions, components, attributes, parameter values (each key of each configuration)",
+    "relations: functional requirements (one for each action), function designs, component configurations, "
+    "constraints (one that is shared counts once), estimations",
+)
+"""What is counted, in two lines."""
+
+MOST_ADAPTATIONS: Final = 6
+"""Generated models have up to that many adaptations of each kind."""
+
 
 class Parts(NamedTuple):
     """A number that is counted in two parts."""
@@ -44,7 +59,6 @@ class Parts(NamedTuple):
 
     @property
     def total(self) -> int:
-        """Both together."""
         return self.first + self.second
 
     def __str__(self) -> str:
@@ -54,26 +68,21 @@ class Parts(NamedTuple):
 MODELS: Final[Mapping[str, Parts]] = MappingProxyType(
     {"suave": Parts(18, 12), "suave_extended": Parts(22, 16), "agv": Parts(18, 36), "uav": Parts(24, 16)}
 )
-"""Entities and relations of each model."""
+"""Published: entities and relations of each model."""
 
 TREES: Final[Mapping[str, Parts]] = MappingProxyType({"suave": Parts(27, 30), "suave_extended": Parts(34, 38)})
-"""For the tree that manages: nodes without those of the task, and modes with their parameters."""
+"""Published, for the tree that manages: nodes without those of the task, and modes with their parameters."""
 
 TASK_NODES: Final[Mapping[str, int]] = MappingProxyType({"suave": 10, "suave_extended": 16})
-"""Nodes of the tree with the task only, which are deducted from those of the tree that manages."""
+"""Published: nodes of the tree with the task only, which are deducted from those of the tree that manages."""
+
+AS_PUBLISHED: Final[Mapping[str, Callable[[], Model]]] = MappingProxyType({"agv": agv_model})
+"""Missions whose model holds more than the published one, and what is counted for them."""
 
 
 def law(structural: int, parameter: int) -> int:
-    """Return how many elements one action needs with that many structural and parameter adaptations."""
+    """Return how many elements one action needs with that many adaptations, as published."""
     return 10 + 6 * structural + 3 * parameter
-
-
-RULE: Final = (
-    "entities: actions, functions, components, attributes, parameter values (each key of each configuration)",
-    "relations: functional requirements (one for each action), function designs, component configurations, "
-    "constraints (one that is shared counts once), estimations",
-)
-"""What is counted, in two lines."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,17 +99,14 @@ class Count:
 
     @property
     def entities(self) -> int:
-        """How many entities there are."""
         return sum(self.of_entities.values())
 
     @property
     def relations(self) -> int:
-        """How many relations there are."""
         return sum(self.of_relations.values())
 
     @property
     def total(self) -> int:
-        """How many elements there are."""
         return self.entities + self.relations
 
     def __str__(self) -> str:
@@ -168,13 +174,6 @@ def _configuration(component: Component, quality: Attribute, number: int) -> Non
     component.configuration(name, {"value": number}, priority=number, constraints=[quality >= 1 / number])
 
 
-AS_PUBLISHED: Final[Mapping[str, Callable[[], Model]]] = MappingProxyType({"agv": agv_model})
-"""Missions whose model holds more than the published one, and what is counted for them."""
-
-MOST_ADAPTATIONS: Final = 6
-"""Generated models have up to that many adaptations of each kind."""
-
-
 @dataclass(frozen=True, slots=True)
 class ModelEffort:
     """What is counted of a model.
@@ -183,8 +182,8 @@ class ModelEffort:
         name: as it was given.
         count: its elements.
         published: entities and relations of the paper's; None if it has none.
+        typeql: its size as TypeQL.
         python: its source; None if it is a file.
-        typeql: the same as TypeQL.
         tree: the source of the mission's tree.
         pddl: lines of the mission's domain and problem; None if it has none.
         is_declared: whether that PDDL is made of what the actions declare, so that nobody writes it.
@@ -200,33 +199,17 @@ class ModelEffort:
     is_declared: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class TreeEffort:
-    """What is counted of the tree that manages a mission.
-
-    Attributes:
-        name: of the mission, as it was given.
-        count: its nodes and modes.
-        published: nodes without the task's, and modes, of the paper's; None if it has none.
-        published_task: nodes of the paper's tree with the task only.
-    """
+class TreeEffort(NamedTuple):
+    """What is counted of the tree that manages a mission, beside the paper's: None where it has none."""
 
     name: str
-    count: TreeCount
+    counted: TreeCount
     published: Parts | None
     published_task: int | None
 
 
-@dataclass(frozen=True, slots=True)
-class LawPoint:
-    """A generated model of one action.
-
-    Attributes:
-        structural: its structural adaptations.
-        parameter: its parameter adaptations.
-        total: elements, as counted.
-        law: elements, as the published law says.
-    """
+class LawPoint(NamedTuple):
+    """A generated model of one action: its adaptations, and its elements as counted and as the published law says."""
 
     structural: int
     parameter: int
@@ -263,48 +246,45 @@ def survey(names: Iterable[str] = ()) -> Survey:
     """
     asked = dict.fromkeys(names) or dict.fromkeys(MISSIONS)
     found = {name: None if Path(name).suffix.lower() in SUFFIXES else _mission(name) for name in asked}
-    models = [_of_mission(name, mission) if mission else _of_file(name) for name, mission in found.items()]
-    trees = [_tree(name, one) for name, one in found.items() if one is not None and is_managed_by_tree(one)]
+    models = tuple(_of_mission(name, mission) if mission else _of_file(name) for name, mission in found.items())
+    trees = tuple(
+        TreeEffort(name, count_tree(one), TREES.get(name), TASK_NODES.get(name))
+        for name, one in found.items()
+        if one is not None and is_managed_by_tree(one)
+    )
     steps = range(MOST_ADAPTATIONS + 1)
-    points = [
-        LawPoint(
-            structural,
-            parameter,
-            count(generated_model(structural, parameter)).total,
-            law(structural, parameter),
-        )
-        for structural in steps
-        for parameter in steps
-    ]
-    return Survey(tuple(models), tuple(trees), by_hand() if trees else None, tuple(points))
+    points = tuple(
+        LawPoint(one, two, count(generated_model(one, two)).total, law(one, two)) for one in steps for two in steps
+    )
+    return Survey(models, trees, by_hand() if trees else None, points)
 
 
 def as_data(found: Survey) -> dict[str, Any]:
     """Return it as data for JSON."""
+    hand = found.by_hand
     return {
         "rule": RULE,
         "models": [_model_data(one) for one in found.models],
         "trees": [
             {
                 "name": one.name,
-                "nodes": one.count.nodes,
-                "task_nodes": one.count.task_nodes,
-                "modes": one.count.modes,
-                "total": one.count.total,
+                "nodes": one.counted.nodes,
+                "task_nodes": one.counted.task_nodes,
+                "modes": one.counted.modes,
+                "total": one.counted.total,
                 "published": _parts_data(one.published, "nodes", "modes"),
                 "published_task_nodes": one.published_task,
             }
             for one in found.trees
         ],
-        "by_hand": found.by_hand
+        "by_hand": hand
         and {
-            **{part: getattr(found.by_hand, part)._asdict() for part in ("tree", "kinds", "rest")},
-            "modes_lines": found.by_hand.modes,
+            "tree": hand.tree._asdict(),
+            "kinds": hand.kinds._asdict(),
+            "rest": hand.rest._asdict(),
+            "modes_lines": hand.modes,
         },
-        "generated": [
-            {"structural": one.structural, "parameter": one.parameter, "total": one.total, "law": one.law}
-            for one in found.points
-        ],
+        "generated": [one._asdict() for one in found.points],
     }
 
 
@@ -372,13 +352,8 @@ def _pddl(mission: Mission) -> list[str] | None:
     declared = declarations_of(mission)
     if declared is not None:
         return [declared.domain_pddl, declared.problem_pddl]
-    files = [path for path in (mission.domain, mission.problem) if path is not None]
-    paths = [path for path in files if not isinstance(path, DeclaredProblem)]
+    paths = [path for path in (mission.domain, mission.problem) if path and not isinstance(path, DeclaredProblem)]
     try:
         return [path.read_text(encoding="utf-8") for path in paths] or None
     except (OSError, ValueError) as error:
         raise MissionError(f"cannot read the PDDL of {mission.name}: {error}") from error
-
-
-def _tree(name: str, mission: Mission) -> TreeEffort:
-    return TreeEffort(name, count_tree(mission), TREES.get(name), TASK_NODES.get(name))

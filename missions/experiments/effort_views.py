@@ -83,7 +83,7 @@ def _is_published(one: ModelEffort) -> bool:
 def _trees(trees: tuple[TreeEffort, ...]) -> Table:
     table = _table("managed by a tree", "nodes", "of the task", "left", "modes", "total", "published")
     for one in trees:
-        count = one.count
+        count = one.counted
         task = f"{count.task_nodes}" if one.published_task is None else f"{count.task_nodes} ({one.published_task})"
         published = "-" if one.published is None else f"{one.published}{'' if _is_published_tree(one) else ' *'}"
         numbers = (count.adaptation_nodes, count.modes, count.total)
@@ -99,7 +99,7 @@ def _about_trees(trees: tuple[TreeEffort, ...]) -> Iterator[str]:
 
 
 def _is_published_tree(one: TreeEffort) -> bool:
-    return one.published == (one.count.adaptation_nodes, one.count.modes)
+    return one.published == (one.counted.adaptation_nodes, one.counted.modes)
 
 
 def _sources(models: tuple[ModelEffort, ...]) -> Table:
@@ -214,7 +214,7 @@ def _model_pairs(found: Survey) -> Iterable[_Pair]:
 
 def _tree_pairs(found: Survey) -> Iterable[_Pair]:
     for one in found.trees:
-        yield _Pair(one.name, Parts(one.count.adaptation_nodes, one.count.modes), one.published, TREE_HUES)
+        yield _Pair(one.name, Parts(one.counted.adaptation_nodes, one.counted.modes), one.published, TREE_HUES)
 
 
 def _draw_pairs(axes: "Axes", pairs: Sequence[_Pair]) -> None:

@@ -96,16 +96,16 @@ def test_tree_of_the_manager_is_counted_as_it_is_built(everything):
     for one in everything.trees:
         mission = MISSIONS[one.name]
         task = mission.tree(KnowledgeBase(mission.model()), Percepts())
-        assert one.count == count_tree(mission)
-        assert one.count.task_nodes == len(ascii_tree(task).splitlines())
-        assert one.count.adaptation_nodes + one.count.task_nodes == one.count.nodes
-    assert [one.count.nodes for one in everything.trees] == [32, 32]
-    assert [one.count.task_nodes for one in everything.trees] == [10, 14]
+        assert one.counted == count_tree(mission)
+        assert one.counted.task_nodes == len(ascii_tree(task).splitlines())
+        assert one.counted.adaptation_nodes + one.counted.task_nodes == one.counted.nodes
+    assert [one.counted.nodes for one in everything.trees] == [32, 32]
+    assert [one.counted.task_nodes for one in everything.trees] == [10, 14]
 
 
 def test_modes_are_those_of_the_functions_that_the_mission_needs(everything):
     modes = SystemModes(None)  # only asked which modes there are
-    base, extended = (one.count.modes for one in everything.trees)
+    base, extended = (one.counted.modes for one in everything.trees)
     altitudes = 4  # only searching has a value beside `active`
     names = sum(len(modes.of(function)) for function in modes.functions)
     assert extended == 2 * names + altitudes
@@ -220,7 +220,8 @@ def test_suffix_svg_gives_that(rosa):
 def test_bars_are_as_high_as_what_is_counted(everything):
     sizes, scaling = picture(everything).axes
     over = {text.get_text() for text in sizes.texts if text.get_fontweight() == "bold"}
-    assert over == {str(one.count.total) for one in (*everything.models, *everything.trees)}
+    counts = [*(one.count for one in everything.models), *(one.counted for one in everything.trees)]
+    assert over == {str(one.total) for one in counts}
     lines = [line for line in scaling.lines if len(line.get_xdata())]
     assert len(lines) == 6
     for law, counted in zip(lines[::2], lines[1::2], strict=True):
