@@ -3,7 +3,7 @@
 from py_trees.common import Status
 from py_trees.decorators import FailureIsRunning
 
-from kb import ConfigurationManager, KnowledgeBase, Model
+from kb import ConfigurationManager, EventKind, KnowledgeBase, Model
 from missions.testing import FakeClock, ScriptedManaged
 from rosa_bt import ForAction, Measurement, RosaAction, TreeRunner, do_until_unfeasible
 
@@ -40,7 +40,7 @@ class Carry(RosaAction):
 
 clock = FakeClock()
 kb = KnowledgeBase(model, clock=clock)
-kb.subscribe(lambda event: print(f"{event.time:3.0f} s  {event.text}"))
+kb.subscribe(lambda event: event.kind is EventKind.RECORD or print(f"{event.time:3.0f} s  {event.text}"))
 robot = ScriptedManaged(clock)  # stands in for the real one
 manager = ConfigurationManager(kb, robot)
 

@@ -2,7 +2,7 @@
 
 from kb.diagnostics import DiagnosticProblem
 from kb.elements import AttributeKind, ComponentKind, EstimationKind, Expression, StalePolicy
-from kb.events import Event, EventKind, StatusChange, Told
+from kb.events import Event, EventKind, StatusChange
 from kb.exceptions import AmbiguousName, DuplicateName, InvalidValue, KnowledgeBaseError, ModelError, UnknownName
 from kb.execution.attempts import Attempt
 from kb.execution.condemned import Condemnation
@@ -14,6 +14,7 @@ from kb.files import ModelFileError
 from kb.history import Process
 from kb.judge import Finding, Severity
 from kb.knowledge_base import KnowledgeBase
+from kb.log import Log
 from kb.managed import ManagedObject, ManagedObjects, ManagedSystem, Operation
 from kb.manager import ConfigurationManager, Executor, Monitor, Planner, PriorityPlanner
 from kb.model import Model
@@ -48,6 +49,7 @@ __all__ = [
     "InvalidValue",
     "KnowledgeBase",
     "KnowledgeBaseError",
+    "Log",
     "ManagedObject",
     "ManagedObjects",
     "ManagedSystem",
@@ -74,7 +76,6 @@ __all__ = [
     "Status",
     "StatusChange",
     "StoreError",
-    "Told",
     "UnknownName",
     "VetoAnswer",
 ]

@@ -1,27 +1,43 @@
-"""What a knowledge base tells those who listen: the original's three kinds of events, in order."""
+"""Events: everything that becomes known, one after the other, as data that can be written down and told again."""
 
 import logging
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from enum import StrEnum
 from threading import get_ident
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple, Self
 
 from kb.exceptions import InvalidValue
 from kb.reconfiguration import ReconfigurationPlan
 from kb.status import Status
 
-__all__ = ["Event", "EventKind", "Publisher", "StatusChange", "Told"]
+__all__ = ["Event", "EventKind", "Publisher", "StatusChange"]
 
 _log = logging.getLogger(__name__)
 
 
 class EventKind(StrEnum):
-    """What kind of knowledge arrived."""
+    """What kind of knowledge arrived: the original's three kinds, and what is only put on record."""
 
     MONITORING_DATA = "monitoring data"
     ACTION_UPDATE = "action update"
     RECONFIGURATION_PLAN = "reconfiguration plan"
+    RECORD = "record"
+
+
+_KINDS: Final[Mapping[str, EventKind]] = {
+    "request_action": EventKind.ACTION_UPDATE,
+    "cancel_action": EventKind.ACTION_UPDATE,
+    "component_configured": EventKind.RECORD,
+    "component_started": EventKind.RECORD,
+    "component_ended": EventKind.RECORD,
+    "finish_plan": EventKind.RECORD,
+    "record_attempt": EventKind.RECORD,
+    "finish_attempt": EventKind.RECORD,
+    "record_answer": EventKind.RECORD,
+    "store": EventKind.RECORD,
+}
+"""Any other verb is of monitoring data, but for a selection that makes a plan."""
 
 
 class StatusChange(NamedTuple):
@@ -33,40 +49,107 @@ class StatusChange(NamedTuple):
     new: Status
 
 
-class Told(NamedTuple):
-    """What was told, as data: `getattr(kb, verb)(*arguments)` tells it again.
+class Event(NamedTuple):
+    """Something that became known: somebody told it, or time or the model made it so.
 
     Attributes:
-        verb: name of the method of the knowledge base, e.g. "measure".
-        arguments: all of them, in its order, those that were left out too: names as in the model, numbers, reasons
-            and times exactly, and what `assert_status` and its like are about as the element of the model.
+        number: 1 for the first; 0 for what is said of the store, which is not in the log.
+        time: when [s].
+        verb: name of the method of `KnowledgeBase` that tells it again, e.g. "measure"; "stale", "dwell" and "lapse"
+            are what time does, "amend" is a change of the model, "store" is how the store is.
+        arguments: of the method, all of them, as plain values: names, numbers, texts. An element is (kind, name), a
+            constraint (kind, name, position) by what it constrains, a plan or attempt its number.
+        changes: the statuses that changed by it.
+        cause: number of the event that caused it; None if that is not known, or it is news from outside.
+        effects: what was selected, or is no longer, by a selection: (kind, name, whether it is selected).
+        plan: the plan that a selection made.
+        words: the event in words, if whoever made it knows them better than the arguments say.
     """
 
+    number: int
+    time: float
     verb: str
     arguments: tuple[Any, ...]
-
-
-class Event(NamedTuple):
-    """Something was told to the knowledge base, or has become so with time.
-
-    Attributes:
-        kind: one of the three kinds.
-        time: when [s].
-        subject: name of the attribute, component, action or other element that it is about; empty for a plan.
-        text: what, in words, e.g. "light is 0.3" or "gripper has failed".
-        changes: the statuses that changed because of it.
-        plan: the plan, for a reconfiguration plan.
-        told: the same as `text`, as data; None if nobody told it: time did it, the model was amended, or the store
-            says how it is.
-    """
-
-    kind: EventKind
-    time: float
-    subject: str
-    text: str
     changes: tuple[StatusChange, ...] = ()
+    cause: int | None = None
+    effects: tuple[tuple[str, str, bool], ...] = ()
     plan: ReconfigurationPlan | None = None
-    told: Told | None = None
+    words: str = ""
+
+    @property
+    def kind(self) -> EventKind:
+        """What kind of knowledge it is."""
+        if self.plan is not None:
+            return EventKind.RECONFIGURATION_PLAN
+        return _KINDS.get(self.verb, EventKind.MONITORING_DATA)
+
+    @property
+    def subject(self) -> str:
+        """Name of the attribute, component, action or other element that it is about; empty where it is about none."""
+        first = self.arguments[0] if self.arguments else ""
+        if isinstance(first, tuple):
+            return str(first[1])
+        return first if isinstance(first, str) and self.verb not in ("store", "amend") else ""
+
+    @property
+    def text(self) -> str:
+        """What, in words, e.g. "light is 0.3" or "gripper has failed"."""
+        if self.words:
+            return self.words
+        given = ", ".join(map(_shown, self.arguments))
+        return f"{self.verb.replace('_', ' ')}: {given}"
+
+    def to_json(self) -> dict[str, Any]:
+        """Return it as values that JSON can hold; `from_json` is the way back, but for the plan."""
+        written: dict[str, Any] = {
+            "number": self.number,
+            "time": self.time,
+            "verb": self.verb,
+            "arguments": [_plain(one) for one in self.arguments],
+        }
+        if self.changes:
+            written["changes"] = [list(map(str, one)) for one in self.changes]
+        if self.cause is not None:
+            written["cause"] = self.cause
+        if self.effects:
+            written["effects"] = [list(one) for one in self.effects]
+        if self.words:
+            written["words"] = self.words
+        return written
+
+    @classmethod
+    def from_json(cls, written: Mapping[str, Any]) -> Self:
+        """Return the event that was written.
+
+        Raises:
+            LookupError, TypeError, ValueError: that was no event.
+        """
+        changes = tuple(
+            StatusChange(kind, name, Status(old), Status(new)) for kind, name, old, new in written.get("changes", ())
+        )
+        return cls(
+            int(written["number"]),
+            float(written["time"]),
+            str(written["verb"]),
+            tuple(tuple(one) if isinstance(one, list) else one for one in written["arguments"]),
+            changes,
+            written.get("cause"),
+            tuple((kind, name, bool(selected)) for kind, name, selected in written.get("effects", ())),
+            None,
+            str(written.get("words", "")),
+        )
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, Mapping):
+        return {key: _plain(one) for key, one in value.items()}
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return [_plain(one) for one in value]
+    return value
+
+
+def _shown(value: object) -> str:
+    return " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
 
 
 class Publisher:

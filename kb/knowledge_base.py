@@ -3,6 +3,7 @@
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Final
@@ -11,24 +12,26 @@ from kb.amendments import Changeable
 from kb.beginning import past_plan, past_process, past_request, stated
 from kb.declarations import text
 from kb.elements import Action, Attribute, Component, Constraint, Element, Estimation, finite_number
-from kb.events import Event, EventKind, Told
+from kb.events import Event
 from kb.exceptions import InvalidValue, KnowledgeBaseError
 from kb.explanation.reasons import why, why_selected
 from kb.facts import Fact, MeasurementFact, PlanFact, ProcessFact, RequiredActionFact
+from kb.individuals import individual, plain_json
 from kb.inference.growth import grown, shrunk
 from kb.inference.network import Network, Node, is_steady
 from kb.inference.settling import settle
 from kb.inference.state import Overlay
 from kb.model import Model
-from kb.reconfiguration import ReconfigurationPlan, Selection, by_whole, planned, reselect
+from kb.reconfiguration import ReconfigurationPlan, by_whole, planned, reselect
 from kb.requests import Reply, RequiredAction, check_result
 from kb.situation import Situation, assumptions, told_of
 from kb.status import Status
 from kb.store.keeping import KEPT, Keeping
 from kb.store.recovery import open_store, resume
-from kb.telling import status_changes
 
 __all__ = ["KnowledgeBase"]
+
+_BY_TIME: Final = frozenset({"stale", "dwell", "lapse"})
 
 _ENDED: Final = 4
 """How many requests that have ended a plan names as its reason at most."""
@@ -69,6 +72,7 @@ class KnowledgeBase(Keeping):
         self._plans: list[ReconfigurationPlan] = []
         self._open_plans: list[ReconfigurationPlan] = []
         self._ended: deque[str] = deque(maxlen=_ENDED)
+        self._ended_at: tuple[float, int] | None = None
         if past and not past.store.is_new:
             resume(self, past.facts, clock())
             self._look_at_the_clock()
@@ -98,13 +102,17 @@ class KnowledgeBase(Keeping):
             self._is_closed = self._store is not None
         super().close()
 
-    def request_action(self, action: str, preference: str | Mapping[str, float] | None = None) -> Reply:
+    def request_action(
+        self, action: str, preference: str | Mapping[str, float] | None = None, *, cause: int | None = None
+    ) -> Reply:
         """Ask that the robot be configured for an action; refused, with the reason, while it is unfeasible.
 
         Args:
             action: its name.
             preference: name of the attribute to favour when a configuration is chosen for it, or the weight of each
                 of several.
+            cause: number of the event that led to it; without one, that which ended another action at this instant, or
+                the latest that made an action feasible or unfeasible.
         """
         node = self.actions.node(action)
         action = node.name
@@ -116,21 +124,27 @@ class KnowledgeBase(Keeping):
                 return Reply(True, f"{action} is required already")
             if self._state.status[node.index] is Status.UNFEASIBLE:
                 return Reply(False, why(self._state, node, now))
-            self._open[action] = RequiredAction(action, preference, now)
+            if cause is None:
+                ended, number = self._ended_at or (None, None)
+                cause = number if ended == now else self._feasibility_changed
+            self._open[action] = RequiredAction(action, preference, now, cause=cause)
             self._history.append(self._open[action])
             self._journal.enter(now, self._known, (), [self._open[action]])
             self._known.requested[node.index] = True
-            told = f"{action} is requested", Told("request_action", (action, preference))
-            self._tell(EventKind.ACTION_UPDATE, now, node, lambda: told)
+            told = (action, preference)
+            self._tell(now, "request_action", told, node, lambda: f"{action} is requested", cause=cause)
             return Reply(True, f"{action} is required")
 
-    def cancel_action(self, action: str, result: str = "abandoned", reason: str = "") -> None:
+    def cancel_action(
+        self, action: str, result: str = "abandoned", reason: str = "", *, cause: int | None = None
+    ) -> None:
         """Say that an action is no longer required, and how it ended; nothing happens if it is not required.
 
         Args:
             action: its name.
             result: "completed", "failed" or "abandoned".
             reason: why it ended so, in words; for those who listen and for the history.
+            cause: number of the event that led to it; without one, that which made the action unfeasible, if it is.
         """
         node = self.actions.node(action)
         action = node.name
@@ -148,8 +162,10 @@ class KnowledgeBase(Keeping):
             words = f"{action} is {result}: {reason}" if reason else f"{action} is {result}"
             if reason:
                 self._ended.append(words)
-            told = Told("cancel_action", (action, result, reason))
-            self._tell(EventKind.ACTION_UPDATE, now, node, lambda: (words, told))
+            if cause is None and result != "completed" and self._state.status[node.index] is Status.UNFEASIBLE:
+                cause = self._changed_by.get(node.index)
+            told = (action, result, reason)
+            self._ended_at = now, self._tell(now, "cancel_action", told, node, lambda: words, cause=cause)
 
     def __repr__(self) -> str:
         return f"<KnowledgeBase {self.model.name!r}: {told_of(self._known)}>"
@@ -195,6 +211,7 @@ class KnowledgeBase(Keeping):
         reason: str = "",
         *,
         dry_run: bool = False,
+        cause: int | None = None,
     ) -> ReconfigurationPlan | None:
         """Select a design for each function and a configuration for each component named; unselect what is obsolete.
 
@@ -203,6 +220,7 @@ class KnowledgeBase(Keeping):
             configurations: name of the configuration by name of its component.
             reason: why these, in words, if not by priority; it is kept with what is selected and with the plan.
             dry_run: only return the plan; nothing is selected, and nobody is told.
+            cause: number of the event that made it needed; without one, the latest that changed what is chosen for.
 
         Returns:
             The plan that leads there from the present state; None if there is nothing to do.
@@ -220,38 +238,45 @@ class KnowledgeBase(Keeping):
             selection = reselect(state, chosen, given)
             if dry_run:
                 return planned(state, selection, why_these, now) if selection else None
+            if cause is None:
+                cause = self._cause_of([*chosen, *given])
             reselected = dict.fromkeys([*selection.reselected, *chosen, *given])
+            said = dict(self._known.reasons)
             for node in reselected:
                 self._known.give_reason("selected", node, reason if self._known.selected[node.index] else "")
                 self._known.give_reason("unselected", node.wholes[0])
-            told = Told("select", (by_whole(chosen), by_whole(given), reason))
+            told = (by_whole(chosen), by_whole(given), reason)
+            turns = Counter(selection.reselected)  # what is selected and obsolete at once is as it was
+            changed = [node for node, count in turns.items() if count % 2]
+            selected = self._known.selected
+            effects = tuple((one.kind, one.name, selected[one.index]) for one in changed)
             if not selection:
-                self._selected(now, reselected, selection, told)
+                self._journal.enter(now, self._known, reselected)
+                if changed:
+                    self._revision += 1
+                if not changed and self._known.reasons == said:
+                    return None
+                words = ", ".join(f"{name} is {'' if is_so else 'not '}selected" for _, name, is_so in effects)
+                self._happened(now, "select", told, lambda: words, selection.changes, cause=cause, effects=effects)
                 return None
-            plan = planned(self._known, selection, why_these, now)
+            plan = replace(planned(self._known, selection, why_these, now), cause=cause, number=len(self._plans) + 1)
             self._ended.clear()
             self._plans.append(plan)
             self._open_plans.append(plan)
+            self._plan_numbers[plan] = plan.number
             self._journal.enter(now, self._known, reselected, [plan])
-            if self._publisher:
-                changes = status_changes(selection.changes)
-                self._publisher.publish(Event(EventKind.RECONFIGURATION_PLAN, now, "", str(plan), changes, plan, told))
+            words = str(plan)
+            self._happened(
+                now, "select", told, lambda: words, selection.changes, cause=cause, plan=plan, effects=effects
+            )
             return plan
 
-    def _selected(self, now: float, nodes: Iterable[Node], selection: Selection, told: Told) -> None:
-        """Take note of a selection that needs no plan."""
-        self._journal.enter(now, self._known, nodes)
-        turns = Counter(selection.reselected)  # what is selected and obsolete at once is as it was
-        changed = [node for node, count in turns.items() if count % 2]
-        if not changed:
-            return
-        self._revision += 1
-        if self._publisher:
-            selected = self._known.selected
-            text = ", ".join(f"{one.name} is {'' if selected[one.index] else 'not '}selected" for one in changed)
-            subject = changed[0].name if len(changed) == 1 else ""
-            changes = status_changes(selection.changes)
-            self._publisher.publish(Event(EventKind.MONITORING_DATA, now, subject, text, changes, told=told))
+    def _cause_of(self, chosen: Sequence[Node]) -> int | None:
+        """Return the latest event that changed what is chosen for, or any status of what is not plain data."""
+        known = [self._changed_by[one.index] for node in chosen for one in node.wholes if one.index in self._changed_by]
+        if not chosen:
+            known = [self._ended_at[1]] if self._ended_at else list(self._changed_by.values())
+        return max(known, default=None)
 
     @property
     def plans(self) -> tuple[ReconfigurationPlan, ...]:
@@ -276,11 +301,11 @@ class KnowledgeBase(Keeping):
         with self._lock:
             return tuple(self._open_plans)
 
-    def finish_plan(self, plan: ReconfigurationPlan, result: str) -> bool:
+    def finish_plan(self, plan: ReconfigurationPlan | int, result: str) -> bool:
         """Close a plan; one that completes abandons every other plan that is open.
 
         Args:
-            plan: one of `plans`.
+            plan: one of `plans`, or its number.
             result: "completed", "failed" or "abandoned".
 
         Returns:
@@ -289,6 +314,8 @@ class KnowledgeBase(Keeping):
         check_result(result)
         with self._lock:
             self._check_open()
+            if isinstance(plan, int):
+                plan = self._plan(plan)
             if not isinstance(plan, ReconfigurationPlan) or (plan.end is None and plan not in self._open_plans):
                 raise KnowledgeBaseError(f"{plan!r} is not a plan of this knowledge base; finish one of kb.plans")
             if plan.end is not None:
@@ -303,7 +330,19 @@ class KnowledgeBase(Keeping):
                 other._finish("abandoned", now)
                 self._open_plans.remove(other)
             self._journal.enter(now, self._known, (), [plan, *others])
+            told = (self._plan_numbers[plan], result)
+            self._happened(now, "finish_plan", told, lambda: f"{plan} is {result}", cause=plan.cause)
             return True
+
+    def tell(self, event: Event) -> None:
+        """Tell an event again; the clock of this base should show its time.
+
+        What time does comes by itself, and so does what is said of the store.
+        """
+        self._look_at_the_clock()
+        if event.verb in _BY_TIME or not event.number:
+            return
+        getattr(self, event.verb)(*event.arguments)
 
     def model_grew(self, added: Iterable[Changeable]) -> None:
         """Take in what was added to the model; the model calls this."""
@@ -381,13 +420,12 @@ class KnowledgeBase(Keeping):
 
     def _amended(self, how: str, changed: Sequence[Changeable], touched: Sequence[Node]) -> None:
         elements = [one for one in changed if not isinstance(one, Estimation)]
-        name = elements[0].name if elements and isinstance(elements[0], Element) else ""
         text = f"{', '.join(one.name if isinstance(one, Element) else str(one) for one in elements)} {how} in the model"
-        changes = status_changes(settle(self._known, touched))
+        written = plain_json(made for one in changed for made in individual(one, self._journal.serials))
+        changes = settle(self._known, touched)
         self._journal.amended(self._clock(), how, changed, self._known, touched)
         self._revision += 1
-        if self._publisher and elements:
-            self._publisher.publish(Event(EventKind.MONITORING_DATA, self._clock(), name, text, changes))
+        self._happened(self._clock(), "amend", (how, written), lambda: text, changes)
 
     def _preference(self, given: str | Mapping[str, float] | None) -> str | Mapping[str, float] | None:
         if not isinstance(given, Mapping):

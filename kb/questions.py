@@ -16,7 +16,7 @@ from kb.exceptions import AmbiguousName, InvalidValue, UnknownName
 from kb.explanation.choice import ChoiceExplanation, explain_choice
 from kb.explanation.reasons import Explanation, explain, why
 from kb.history import History
-from kb.inference.network import Network, Node
+from kb.inference.network import Network, Node, Ref
 from kb.inference.state import Overlay, State
 from kb.reconfiguration import Obsolete, obsolete, reselect
 from kb.selection import Choice, Criterion, first_by_priority, summed_weights
@@ -185,9 +185,11 @@ class Questions(ABC):
         return tuple(node.name for node in nodes if status[node.index] is not Status.UNFEASIBLE)
 
     def _node(
-        self, element: ElementView | Element | Constraint | str, kinds: Iterable[str], unique: bool = False
+        self, element: ElementView | Element | Constraint | Ref | str, kinds: Iterable[str], unique: bool = False
     ) -> Node:
         """Return the node that is meant; a bare name is looked for in the given kinds, in this order."""
+        if isinstance(element, tuple):
+            return _allowed(self._referred(*element), kinds)
         if isinstance(element, ElementView):
             if element._base is not self:
                 raise InvalidValue(f"{element!r} is a view of another knowledge base; take it from this one")
@@ -213,6 +215,15 @@ class Questions(ABC):
             example = f"kb.{found[0].kind.removeprefix('function ')}s[{element!r}]"
             raise AmbiguousName(f"{element!r} names several things: {things}; pass the view meant, e.g. {example}")
         return found[0]
+
+    def _referred(self, kind: str, name: str, position: int | None = None) -> Node:
+        """Return the node that `Node.ref` tells of."""
+        tables = (self.actions, self.functions, self.components, self.designs, self.configurations)
+        named = {"action": 0, "function": 1, "component": 2, "function design": 3, "configuration": 4}
+        if kind not in named:
+            raise UnknownName("kind of element", kind, named)
+        node = tables[named[kind]].node(name)
+        return node if position is None else node.constraints[position]
 
 
 def _allowed(node: Node, kinds: Iterable[str]) -> Node:

@@ -48,6 +48,8 @@ class ReconfigurationPlan:
         end: when it ended [s], None while it is open.
         result: "completed", "failed" or "abandoned", None while it is open.
         plain: those to activate or deactivate that nobody commands: it is only noted that they are active or not.
+        cause: number of the event that made it needed, as far as that is known.
+        number: 1 for the first plan of a knowledge base.
     """
 
     activate: tuple[str, ...]
@@ -58,6 +60,8 @@ class ReconfigurationPlan:
     end: float | None = None
     result: str | None = None
     plain: frozenset[str] = frozenset()
+    cause: int | None = None
+    number: int = 0
 
     def __str__(self) -> str:
         steps = (

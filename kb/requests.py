@@ -38,6 +38,7 @@ class RequiredAction:
         end: when it ended [s], None while it is open.
         result: "completed", "failed" or "abandoned", None while it is open.
         reason: why it ended so, in words, where that was told.
+        cause: number of the event that led to the request, as far as that is known.
     """
 
     action: str
@@ -46,6 +47,7 @@ class RequiredAction:
     end: float | None = None
     result: str | None = None
     reason: str = ""
+    cause: int | None = None
 
     def __repr__(self) -> str:
         return f"<RequiredAction {self.action!r} ({self.result or 'open'})>"

@@ -2,19 +2,20 @@
 
 import logging
 import math
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection
+from typing import Any
 
 from kb.declarations import text as checked_text
 from kb.diagnostics import DiagnosticProblem, Measurement, read_diagnostics
 from kb.elements import Constraint, Element, finite_number
-from kb.events import Event, EventKind, Publisher, StatusChange, Told
+from kb.events import Event
 from kb.exceptions import InvalidValue, KnowledgeBaseError
 from kb.explanation.reasons import shortest
 from kb.history import History
 from kb.inference.alarms import Alarms
 from kb.inference.measuring import Measurements
-from kb.inference.network import Network, Node
-from kb.inference.settling import Change, settle
+from kb.inference.network import Network, Node, Ref
+from kb.inference.settling import settle
 from kb.inference.state import Reason, State
 from kb.questions import ELEMENTS
 from kb.recording import Recording
@@ -36,7 +37,6 @@ class Telling(Recording):
 
     def __init__(self, network: Network, clock: Callable[[], float]) -> None:
         super().__init__(network, clock)
-        self._publisher = Publisher()
         self._measurements = Measurements(self._known)
         self._lapses = Alarms()
         self._rejected = 0
@@ -65,7 +65,8 @@ class Telling(Recording):
             touched = self._measurements.take(node, number, now)
             if self._journal.keeps_measurements:
                 self._journal.measured(node.name, number, now)
-            self._tell(EventKind.MONITORING_DATA, now, node, lambda: self._said_of(node, number), touched, plain=True)
+            told = (node.name, number)
+            self._tell(now, "measure", told, node, lambda: self._said_of(node, number), touched, plain=True)
 
     def component_failed(self, component: str, reason: str = "") -> None:
         """Tell that a component has failed.
@@ -99,8 +100,7 @@ class Telling(Recording):
             self._known.active[node.index] = running
             self._known.give_reason("active", node, "" if running else reason)
             words = "active" if running else f"inactive{self._known.reason('active', node)}"
-            told = Told("component_active", (node.name, running, reason))
-            self._tell(EventKind.MONITORING_DATA, now, node, lambda: (f"{node.name} is {words}", told))
+            self._tell(now, "component_active", (node.name, running, reason), node, lambda: f"{node.name} is {words}")
 
     def receive(self, diagnostics: object) -> tuple[DiagnosticProblem, ...]:
         """Take in a DiagnosticArray; see `kb.diagnostics` for the forms in which it may come.
@@ -129,7 +129,7 @@ class Telling(Recording):
 
     def assert_status(
         self,
-        element: ElementView | Element | Constraint | str,
+        element: ElementView | Element | Constraint | Ref | str,
         status: Status | str,
         reason: str = "",
         until: float | None = None,
@@ -151,11 +151,11 @@ class Telling(Recording):
         end = None if until is None or until == math.inf else finite_number(until)
         self._assert_status(element, wanted, reason, end)
 
-    def retract_status(self, element: ElementView | Element | Constraint | str) -> None:
+    def retract_status(self, element: ElementView | Element | Constraint | Ref | str) -> None:
         """Take back an asserted status; the inferred one holds again."""
         self._assert_status(element, None)
 
-    def assert_required(self, element: ElementView | Element | Constraint | str, required: bool | None) -> None:
+    def assert_required(self, element: ElementView | Element | Constraint | Ref | str, required: bool | None) -> None:
         """State that an element is required; False or None takes that back and hides no inferred requirement."""
         with self._lock:
             self._check_open()
@@ -163,11 +163,10 @@ class Telling(Recording):
             now = self._clock()
             self._known.asserted_required[node.index] = required is not None and _yes("required", required)
             words = "asserted required" if required else "no longer asserted required"
-            told = Told("assert_required", (node.element, required))
-            self._tell(EventKind.MONITORING_DATA, now, node, lambda: (f"{node.name} is {words}", told))
+            self._tell(now, "assert_required", (node.ref, required), node, lambda: f"{node.name} is {words}")
 
     def assert_selected(
-        self, element: ElementView | Element | Constraint | str, selected: bool | None, reason: str = ""
+        self, element: ElementView | Element | Constraint | Ref | str, selected: bool | None, reason: str = ""
     ) -> None:
         """State that a design or configuration is the selected one, or is not.
 
@@ -186,8 +185,8 @@ class Telling(Recording):
             is_without = not any(state.selected[part.index] for part in whole.parts)
             state.give_reason("unselected", whole, reason if is_without else "")
             words = f"{'' if is_selected else 'not '}selected{Reason(reason)}"
-            told = Told("assert_selected", (node.element, selected, reason))
-            self._tell(EventKind.MONITORING_DATA, now, node, lambda: (f"{node.name} is {words}", told))
+            told = (node.ref, selected, reason)
+            self._tell(now, "assert_selected", told, node, lambda: f"{node.name} is {words}")
 
     @property
     def rejected(self) -> int:
@@ -236,7 +235,9 @@ class Telling(Recording):
         with self._lock:
             now = self._clock()
             for node, text, touched in self._measurements.due(now):
-                self._tell(EventKind.MONITORING_DATA, now, node, lambda said=text: (said, None), touched, plain=True)  # type: ignore[misc]  # a default binds it now
+                verb = "dwell" if node.kind == "constraint" else "stale"
+                told = (node.ref if node.kind == "constraint" else node.name,)
+                self._tell(now, verb, told, node, lambda said=text: said, touched, plain=True)  # type: ignore[misc]  # a default binds it now
 
             for index in self._lapses.due(now):
                 self._lapse(self._known.network.nodes[index], now)
@@ -249,12 +250,8 @@ class Telling(Recording):
         status, self._known.asserted[node.index] = self._known.asserted[node.index], None
         self._known.give_reason("asserted", node)
         self._journal.enter(until, self._known, [node])
-        self._tell(
-            EventKind.MONITORING_DATA,
-            now,
-            node,
-            lambda: (f"{node.name} is no longer asserted {status}: its time is over", None),
-        )
+        words = f"{node.name} is no longer asserted {status}: its time is over"
+        self._tell(until, "lapse", (node.ref, status), node, lambda: words)
 
     def _report(self, component: str, failed: bool, reason: str = "") -> None:
         node = self.components.node(component)
@@ -270,14 +267,13 @@ class Telling(Recording):
                 return
             state.failed[node.index] = failed
             state.give_reason("failed", node, reason)
-            words, told = "is recovered", Told("component_recovered", (node.name,))
-            if failed:
-                words, told = f"has failed{Reason(reason)}", Told("component_failed", (node.name, reason))
-            self._tell(EventKind.MONITORING_DATA, now, node, lambda: (f"{node.name} {words}", told))
+            words = f"has failed{Reason(reason)}" if failed else "is recovered"
+            verb, told = ("component_failed", (node.name, reason)) if failed else ("component_recovered", (node.name,))
+            self._tell(now, verb, told, node, lambda: f"{node.name} {words}")
 
     def _assert_status(
         self,
-        element: ElementView | Element | Constraint | str,
+        element: ElementView | Element | Constraint | Ref | str,
         status: Status | None,
         reason: str = "",
         until: float | None = None,
@@ -295,48 +291,45 @@ class Telling(Recording):
             self._known.give_reason("asserted", node, reason, until)
             if until is not None:
                 self._lapses.set(node.index, until)
-            words, told = "no longer asserted", Told("retract_status", (node.element,))
+            words, verb, told = "no longer asserted", "retract_status", (node.ref,)
             if status is not None:
                 words = f"asserted {status}{Reason(reason, until)}"
-                told = Told("assert_status", (node.element, status, reason, until))
-            self._tell(EventKind.MONITORING_DATA, now, node, lambda: (f"{node.name} is {words}", told))
+                verb, told = "assert_status", (node.ref, status, reason, until)  # type: ignore[assignment]  # as the verb has them
+            self._tell(now, verb, told, node, lambda: f"{node.name} is {words}")
 
     def _tell(
         self,
-        kind: EventKind,
         now: float,
+        verb: str,
+        arguments: tuple[Any, ...],
         node: Node,
-        said: Callable[[], tuple[str, Told | None]],
+        words: Callable[[], str],
         touched: Collection[Node] | None = None,
         plain: bool = False,
-    ) -> None:
-        """Infer what follows from changed facts and publish it.
+        cause: int | None = None,
+    ) -> int:
+        """Infer what follows from changed facts, enter the event and publish it; returns its number.
 
         Args:
-            kind: of the event.
             now: the time [s].
+            verb: of the event.
+            arguments: of the event.
             node: what the event is about.
-            said: gives the event in words, and what was told; asked only if somebody listens.
+            words: gives the event in words; asked only if somebody listens.
             touched: the nodes whose facts changed, if not the one that the event is about.
             plain: it matters only if a status changed by it.
+            cause: number of the event that caused it.
         """
         nodes = [node] if touched is None else touched
         changes = settle(self._known, nodes)
         self._journal.enter(now, self._known, nodes)
         if changes or not plain:
             self._revision += 1
-        if self._publisher:
-            text, told = said()
-            self._publisher.publish(Event(kind, now, node.name, text, status_changes(changes), None, told))
+        return self._happened(now, verb, arguments, words, changes, cause=cause)
 
-    def _said_of(self, attribute: Node, value: float) -> tuple[str, Told]:
+    def _said_of(self, attribute: Node, value: float) -> str:
         reading = shortest(value, self._network.thresholds(attribute).around(value))
-        return f"{attribute.name} is {reading}", Told("measure", (attribute.name, value))
-
-
-def status_changes(changes: Iterable[Change]) -> tuple[StatusChange, ...]:
-    """Name the elements whose statuses changed."""
-    return tuple(StatusChange(node.kind, node.name, old, new) for node, old, new in changes)
+        return f"{attribute.name} is {reading}"
 
 
 def _yes(what: str, value: object) -> bool:

@@ -98,8 +98,8 @@ class Listener:
     def _hear(self, event: Event) -> None:
         if not self.is_deaf:
             self._look_at_plans()  # no event tells that a plan has ended; whatever did so came before this one
-        if event.told is not None:
-            verb, arguments = event.told
+        verb, arguments = event.verb, event.arguments
+        if verb in _VERBS and verb != "finish_plan":
             if verb == "request_action":
                 self.decisions.append(Decision(event.subject, "requested", ""))
             elif verb == "cancel_action":
@@ -180,6 +180,10 @@ def _plain(kb: KnowledgeBase, argument: object) -> object:
     """Return an argument as it is written; an element by name, with its kind only if others have that name."""
     if isinstance(argument, Mapping):
         return dict(argument)
+    if isinstance(argument, tuple):
+        kind, name, *position = argument
+        is_unique = not position and sum(name in table for table in _tables(kb).values()) == 1
+        return name if is_unique else list(argument)
     if not isinstance(argument, Element | Constraint):
         return argument
     owner = argument if isinstance(argument, Element) else argument.constrained[0]

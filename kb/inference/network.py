@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 __all__ = ["LEVELS", "Network", "Node", "Thresholds", "is_steady"]
 
+Ref = tuple[str, str] | tuple[str, str, int]
+
 LEVELS: Final = {
     "constraint": 0,
     "configuration": 1,
@@ -53,6 +55,14 @@ class Node:
     def name(self) -> str:
         """The element's name; a constraint is called by its text."""
         return self.element.name if isinstance(self.element, Element) else str(self.element)
+
+    @property
+    def ref(self) -> "Ref":
+        """What it is, as plain values: (kind, name), or (kind, name, position) of a constraint by what it is on."""
+        if isinstance(self.element, Element):
+            return self.kind, self.element.name
+        owner = self.wholes[0]
+        return owner.kind, owner.name, owner.constraints.index(self)
 
     def __repr__(self) -> str:
         return f"<{self.kind} {self.name!r}>"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 from weakref import WeakMethod, finalize
 
 from kb.elements import finite_number
-from kb.events import Event, EventKind
+from kb.events import Event
 from kb.exceptions import InvalidValue
 from kb.individuals import Individual, element_id, individuals
 from kb.inference.network import Network, Node
@@ -126,7 +126,7 @@ class Keeping(Telling):
             if self._store is None or self._store.is_given_up:
                 self._keep_in_memory()
             if self._publisher:
-                self._publisher.publish(Event(EventKind.MONITORING_DATA, self._clock(), "", text))
+                self._publisher.publish(Event(0, self._clock(), "store", (text,), words=text))
 
     def _keep_in_memory(self) -> None:
         self._journal.keeps_measurements = False

@@ -54,7 +54,7 @@ def timeline(events: Iterable[Event], changes: Iterable[TaskChange]) -> tuple[Mo
                 Moment(event.time, "plan", f"{_commanded(event.plan)}: {_ending(event.plan)}", event.plan.reason)
             )
         elif event.kind is EventKind.ACTION_UPDATE:
-            is_begun = event.told is not None and event.told.verb == "request_action"
+            is_begun = event.verb == "request_action"
             reason = reasons.get((event.time, event.subject), "") if is_begun else ""
             moments.append(Moment(event.time, "action", event.text, reason))
         elif not _is_our_own(event):
@@ -85,7 +85,9 @@ def _ending(plan: ReconfigurationPlan) -> str:
 
 def _is_our_own(event: Event) -> bool:
     """Tell whether an event only notes what a plan has switched; the plan's own line says it."""
-    if event.told is None or event.told.verb != "component_active":
+    if event.kind is EventKind.RECORD:
+        return True
+    if event.verb != "component_active":
         return False
-    _, is_active, reason = event.told.arguments
+    _, is_active, reason = event.arguments
     return is_active or not reason

@@ -597,7 +597,7 @@ def test_measuring_again_and_again_holds_no_memory_but_its_history(kb):
     grown = tracemalloc.get_traced_memory()[0] - before
     tracemalloc.stop()
     measurements = 2000 * 2 * 16 * 1.25  # two numbers each, in arrays that grow ahead of need
-    events = 2000 * 2 * 800  # for queries; of these the newest 10,000 are kept
+    events = 2000 * 2 * 1100  # of these the newest 100,000 are kept
     assert grown < 50_000 + measurements + events
 
 
