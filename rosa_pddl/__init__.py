@@ -1,6 +1,6 @@
 """What to do next: a replanning executor of PDDL plans on unified-planning, itself a py_trees behaviour."""
 
-from rosa_pddl.domain import Domain, Feasibility, Schema, State, Step
+from rosa_pddl.domain import Domain, Feasibility, Schema, State, Step, TimedStep
 from rosa_pddl.exceptions import (
     GoalError,
     MissingBehaviourError,
@@ -12,24 +12,21 @@ from rosa_pddl.exceptions import (
     UnknownNameError,
     UnsupportedPddlError,
 )
-from rosa_pddl.execution.goals import Goal, Goals
-from rosa_pddl.execution.policy import ReplanningPolicy
-from rosa_pddl.execution.replanning import PlanRecord
 from rosa_pddl.executor import PlanExecutor
 from rosa_pddl.generation import ActionSchema, Declarations, DeclaredProblem
+from rosa_pddl.goals import Goal, Goals
 from rosa_pddl.planning import (
     Attempt,
     Outcome,
     Planner,
     PlanningResult,
-    TimedStep,
     awaited,
     register_engine,
-    schedule_flaw,
 )
 from rosa_pddl.problem import Problem, feasible_atoms, initial_state
 from rosa_pddl.reader import load_domain, parse_domain
-from rosa_pddl.validate import flaw
+from rosa_pddl.replanning import PlanRecord, ReplanningPolicy
+from rosa_pddl.validate import flaw, schedule_flaw
 
 __all__ = [
     "ActionSchema",

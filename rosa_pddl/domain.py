@@ -1,6 +1,6 @@
 """A domain with its problem: ROSA's view of what was read, in the names that the files use."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeAlias
 
@@ -68,6 +68,26 @@ class Step:
 
     def __str__(self) -> str:
         return f"{self.schema}({', '.join(self.arguments)})"
+
+
+@dataclass(frozen=True)
+class TimedStep:
+    """A step of a plan in which steps overlap.
+
+    Args:
+        step: what is done.
+        start_s: when it starts, from the start of the plan [s].
+        duration_s: how long it takes [s]; 0 for an instantaneous action.
+    """
+
+    step: Step
+    start_s: float
+    duration_s: float
+
+    @property
+    def end_s(self) -> float:
+        """When it ends, from the start of the plan [s]."""
+        return self.start_s + self.duration_s
 
 
 @dataclass(frozen=True)
@@ -265,3 +285,12 @@ class Domain:
 def head_of(atom: str) -> str:
     """Return the name that an atom, or a numeric fact, begins with: lit of `(lit room)`."""
     return atom[1:-1].split(" ", 1)[0]
+
+
+def conjuncts(formulas: Iterable[UpThing]) -> Iterator[UpThing]:
+    """Yield the parts of unified-planning expressions that are neither conjunctions nor just true."""
+    for formula in formulas:
+        if formula.is_and():
+            yield from conjuncts(formula.args)
+        elif not formula.is_true():
+            yield formula

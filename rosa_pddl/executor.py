@@ -1,25 +1,188 @@
 """Executes plans with py_trees behaviours, and plans anew when the world or the goals are not what the plan needs."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 
+from rosa_pddl.belief import Belief, ExpectedEffects, Sense, Undo, UnmetEffect, without
 from rosa_pddl.domain import Domain, Feasibility, State, Step
-from rosa_pddl.execution.asking import PlansAhead
-from rosa_pddl.execution.belief import Belief, Sense, Undo, without
-from rosa_pddl.execution.course import Course, Event
-from rosa_pddl.execution.goals import Goals
-from rosa_pddl.execution.hopes import Disappointment, Hopes
-from rosa_pddl.execution.policy import Decision, ReplanningPolicy, Situation, decide, news_of
-from rosa_pddl.execution.quest import Quest
-from rosa_pddl.execution.replanning import PlanRecord, Replanning
-from rosa_pddl.execution.running import Factory, Interlude, RunningStep, check_factories
+from rosa_pddl.exceptions import MissingBehaviourError, UnknownNameError, nearest
+from rosa_pddl.goals import Goals, PlanningTask
+from rosa_pddl.plan_monitor import PlanExecution, PlanMonitor
 from rosa_pddl.planning import Planner
 from rosa_pddl.problem import Problem
-from rosa_pddl.validate import because, missing_at_end, missing_meanwhile
+from rosa_pddl.replanning import (
+    Decision,
+    PlannerClient,
+    PlanningState,
+    PlanRecord,
+    PlansAhead,
+    Replanning,
+    ReplanningPolicy,
+    decide,
+    news_of,
+)
+from rosa_pddl.validate import StepEvent, because, missing_at_end, missing_meanwhile
 
 __all__ = ["PlanExecutor"]
+
+Factory = Callable[[Step], Behaviour]
+
+
+def check_factories(domain: Domain, behaviours: Mapping[str, Factory]) -> None:
+    """Assure that each PDDL action has what makes its behaviours.
+
+    Raises:
+        MissingBehaviourError: one has not, or something that makes none.
+        UnknownNameError: something is given for a PDDL action that there is not.
+    """
+    given = ", ".join(sorted(behaviours)) or "none"
+    for schema in domain.schemas:
+        if schema not in behaviours:
+            message = f"no behaviour for the PDDL action {schema!r} of {domain.file}; given: {given}"
+            raise MissingBehaviourError(f"{message} ({nearest(schema, behaviours)})")
+        if not callable(behaviours[schema]):
+            message = f"no behaviour can be made for {schema!r} from {behaviours[schema]!r}"
+            raise MissingBehaviourError(f"{message}; expected what makes one for each step, such as a lambda")
+    for name in behaviours:
+        if name not in domain.schemas:
+            message = f"a behaviour is given for {name!r}, but {domain.file} has no such PDDL action"
+            raise UnknownNameError(f"{message}; {nearest(name, domain.schemas)}")
+
+
+class RunningStep:
+    """A step that runs; its `undo` is what its start changed in what is believed.
+
+    Args:
+        step: what is done.
+        factory: makes the behaviour that does it.
+        number: its number in the plan that is executed; None if it is of an earlier one.
+        parent: the behaviour that ticks it.
+        arguments: for the `setup` of its behaviour.
+
+    Raises:
+        MissingBehaviourError: the factory made no behaviour. What the factory or a `setup` raises comes out as it is,
+            with a note that says for which step.
+    """
+
+    def __init__(
+        self,
+        step: Step,
+        factory: Factory,
+        number: int | None,
+        parent: Behaviour,
+        arguments: Mapping[str, object],
+    ) -> None:
+        self.step, self.number = step, number
+        self.undo = Undo()
+        try:
+            self.behaviour = _made(factory, step)
+            self._set_up(arguments)
+        except Exception as error:
+            error.add_note(f"it was raised when the behaviour of {step} was made")
+            raise
+        self.behaviour.parent = parent
+
+    def tick(self) -> tuple[Status, str, list[Behaviour]]:
+        """Tick the behaviour; return its status, what it says, and the nodes that were ticked.
+
+        Whatever a step's behaviour raises is that step's failure, not the tree's.
+        """
+        ticked: list[Behaviour] = []
+        try:
+            ticked.extend(self.behaviour.tick())
+        except Exception as error:
+            self._stop()
+            return Status.FAILURE, f"{type(error).__name__}: {error}", ticked
+        return self.behaviour.status, self.behaviour.feedback_message, ticked
+
+    def release(self) -> None:
+        """Stop the behaviour if it still runs, and let go of it."""
+        if self.behaviour.status == Status.RUNNING:
+            self._stop()
+        self._shut_down(self.behaviour.iterate())
+        self.behaviour.parent = None
+
+    def _set_up(self, arguments: Mapping[str, object]) -> None:
+        done: list[Behaviour] = []
+        try:
+            for node in self.behaviour.iterate():
+                done.append(node)
+                node.setup(**arguments)
+        except Exception:
+            self._shut_down(done)
+            raise
+
+    def _shut_down(self, nodes: Iterable[Behaviour]) -> None:
+        """Shut down nodes: one that raises then must not keep others from being let go of."""
+        for node in nodes:
+            try:
+                node.shutdown()
+            except Exception as error:
+                node.logger.error(f"{type(error).__name__} in shutdown of {self.step}: {error}")
+
+    def _stop(self) -> None:
+        """Stop for good: a behaviour that raises in its `terminate` must not keep the executor from going on."""
+        try:
+            self.behaviour.stop(Status.INVALID)
+        except Exception as error:
+            self.behaviour.logger.error(f"{type(error).__name__} in terminate of {self.step}: {error}")
+            for node in self.behaviour.iterate():
+                node.status = Status.INVALID
+
+
+class Interlude:
+    """What is done between two steps while a plan is made: a behaviour made of the step before.
+
+    Args:
+        factory: makes it; None for nothing.
+        parent: the behaviour that ticks it.
+    """
+
+    def __init__(self, factory: Factory | None, parent: Behaviour) -> None:
+        self._factory, self._parent = factory, parent
+        self._after: Step | None = None
+        self._running: RunningStep | None = None
+
+    @property
+    def behaviours(self) -> list[Behaviour]:
+        """The behaviour that runs, if one does."""
+        return [] if self._running is None else [self._running.behaviour]
+
+    def follow(self, step: Step) -> None:
+        """Note that a step is over: what is done next would be made of that one."""
+        self._after = step
+
+    def go_on(self, arguments: Mapping[str, object]) -> list[Behaviour]:
+        """Tick it, and begin it if that is due; return the nodes that were ticked. Once it has ended, that is it."""
+        before = None
+        if self._factory is not None and self._after is not None:
+            before, after, self._after = self._running, self._after, None
+            self._running = RunningStep(after, self._factory, None, self._parent, arguments)
+        if self._running is None:
+            return []
+        status, _, ticked = self._running.tick()
+        if status != Status.RUNNING:
+            self.end()
+        if before is not None:
+            before.release()
+        return ticked
+
+    def end(self) -> None:
+        """Let go of it."""
+        running, self._running, self._after = self._running, None, None
+        if running is not None:
+            running.release()
+
+
+def _made(factory: Factory, step: Step) -> Behaviour:
+    made = factory(step)
+    if not isinstance(made, Behaviour):
+        message = f"for {step} what was given for {step.schema!r} made {made!r}, expected a py_trees behaviour"
+        raise MissingBehaviourError(message)
+    return made
 
 
 class PlanExecutor(Behaviour):
@@ -82,17 +245,19 @@ class PlanExecutor(Behaviour):
         self._owns_planner = planner is None
         self._planner: PlansAhead = Planner() if planner is None else planner
         self._belief = Belief(domain, kb, sense)
-        self._hopes = Hopes(domain, kb)
-        self._quest = Quest(self._hopes, lambda: self._belief.numbers)
-        self._replanning = Replanning(self.goals, self._quest, self._planner, clock, delay_s, self._policy)
+        self._effects = ExpectedEffects(domain, kb)
+        self._monitor = PlanMonitor(self._effects, lambda: self._belief.numbers)
+        task = PlanningTask(self._effects, lambda: self._belief.numbers)
+        client = PlannerClient(self._planner, clock, delay_s)
+        self._replanning = Replanning(self.goals, self._effects, task, self._monitor, client, clock, self._policy)
         self._setup_arguments: dict[str, object] = {}
         self._running: list[RunningStep] = []
         self._interlude = Interlude(meanwhile, self)
         self._ended_meanwhile: list[Step] = []
-        self._course: Course | None = None
-        self._found_valid: tuple[Course, Situation] | None = None
+        self._plan: PlanExecution | None = None
+        self._found_valid: tuple[PlanExecution, PlanningState] | None = None
         self._seen_goals = self.goals.version
-        self._expected: Situation | None = None
+        self._expected: PlanningState | None = None
         self._ticked: list[Behaviour] = []
 
     @property
@@ -113,8 +278,8 @@ class PlanExecutor(Behaviour):
     @property
     def remaining_steps(self) -> tuple[Step, ...]:
         """The steps of the plan that have not started."""
-        course = self._course
-        return () if course is None else tuple(course.steps[number] for number in course.remaining)
+        plan = self._plan
+        return () if plan is None else tuple(plan.steps[number] for number in plan.remaining)
 
     def catch_up(self) -> None:
         """Wait for an answer of the planner that is due by now.
@@ -186,32 +351,32 @@ class PlanExecutor(Behaviour):
 
     def _watch(self, state: State) -> None:
         """Stop what cannot go on, and find out whether the plan still does."""
-        if self._hopes.look() and self._course is not None:
-            self._course = self._course.with_domain(self._hopes.domain)
+        if self._effects.update() and self._plan is not None:
+            self._plan = replace(self._plan, domain=self._effects.domain)
         goals_changed, self._seen_goals = self.goals.version != self._seen_goals, self.goals.version
         if goals_changed:
-            self._replanning.goals_changed(is_needed=self._course is None)
-            if self._course is not None:
-                self._course = self._quest.aimed(self._course, state, self.goals)
+            self._replanning.goals_changed(is_needed=self._plan is None)
+            if self._plan is not None:
+                self._plan = self._monitor.aimed(self._plan, state, self.goals)
         for running in tuple(self._running):
             missing = missing_meanwhile(self._domain, running.step, state)
             if missing is not None:
                 self._release([running])
                 self._want(Decision(because(self._domain, running.step, missing, verb="became"), is_needed=True))
-        if self._course is not None:
-            flaw = self._flaw(self._course, self._belief.observe())
+        if self._plan is not None:
+            flaw = self._flaw(self._plan, self._belief.observe())
             news = news_of(self._expected, (state, self._belief.numbers))
             self._want(decide(self._policy, flaw=flaw, goals_changed=goals_changed, news=news))
 
-    def _flaw(self, course: Course, state: State) -> str | None:
+    def _flaw(self, plan: PlanExecution, state: State) -> str | None:
         """Why the rest of the plan will not do any more, in words; looked for again only when something is new."""
         now = (state, self._belief.numbers)
-        if self._found_valid is not None and self._found_valid[0] is course and self._found_valid[1] == now:
+        if self._found_valid is not None and self._found_valid[0] is plan and self._found_valid[1] == now:
             return None
-        if self._replanning.had_no_plan and self._replanning.why_hopeless(self._unstarted(state)) is None:
+        if self._replanning.had_no_plan and self._replanning.why_no_plan(self._unstarted(state)) is None:
             return "the state changed"
-        flaw = course.replay(state).flaw or self._quest.overspent(course)
-        self._found_valid = (course, now) if flaw is None else None
+        flaw = plan.outlook(state).flaw or self._monitor.overspent(plan)
+        self._found_valid = (plan, now) if flaw is None else None
         return flaw
 
     def _want(self, decision: Decision | None) -> None:
@@ -220,19 +385,19 @@ class PlanExecutor(Behaviour):
             return
         self._replanning.want(decision)
         if decision.is_needed:
-            self._course = None
+            self._plan = None
             if self._policy.while_planning == "hold":
                 self._release(self._running)
 
     def _conclude(self, state: State) -> Status:
         """Say how the tick ends, and ask for a plan if one is wanted."""
-        if not self._running and self._quest.is_over(state, self.goals, self._course):
+        if not self._running and self._monitor.is_over(state, self.goals, self._plan):
             self._drop_plan()
             self.feedback_message = "the goal holds"
             return Status.SUCCESS
         planned_from = self._unstarted(state)
-        if not self._replanning.is_busy and (self._course is None or self._course.is_finished):
-            why = self._replanning.why_hopeless(planned_from)
+        if not self._replanning.is_busy and (self._plan is None or self._plan.is_finished):
+            why = self._replanning.why_no_plan(planned_from)
             if why is not None:
                 self._drop_plan()
                 self.feedback_message = why
@@ -268,55 +433,55 @@ class PlanExecutor(Behaviour):
         found = self._replanning.take(self._unstarted(self._belief.observe()))
         if found is None:
             return
-        course = self._with_what_ended(found.course)
+        plan = self._with_what_ended(found.plan)
         kept: dict[int, RunningStep] = {}
         for running in self._running:
-            number = course.starts_with(running.step)
+            number = plan.starts_with(running.step)
             if number is not None:
                 kept[number] = running
-                course = course.with_event(Event(number, False))
+                plan = plan.with_event(StepEvent(number, False))
         others = [running for running in self._running if running not in kept.values()]
         state = self._belief.observe()
         after = without((running.undo for running in others), state)
-        old = None if found.decision.is_needed else self._course
-        if old is not None and not self._quest.is_better(course, after, old, state, self.goals):
+        old = None if found.decision.is_needed else self._plan
+        if old is not None and not self._monitor.is_better(plan, after, old, state, self.goals):
             return
         self._release(others)
         for number, running in kept.items():
             running.number = number
-        self._course = course
+        self._plan = plan
 
-    def _with_what_ended(self, course: Course) -> Course:
+    def _with_what_ended(self, plan: PlanExecution) -> PlanExecution:
         """Return a plan less the steps that it starts with and that ended well while it was made."""
         for step in self._ended_meanwhile:
-            number = course.starts_with(step)
+            number = plan.starts_with(step)
             if number is not None:
-                course = course.with_event(Event(number, False), Event(number, True))
-        return course
+                plan = plan.with_event(StepEvent(number, False), StepEvent(number, True))
+        return plan
 
     # ---------------------------------------------------------------- executing
 
     def _start_ready(self) -> tuple[RunningStep, ...]:
         """Start the steps that may start; return them."""
         begun: list[RunningStep] = []
-        while self._course is not None and self._course.startable:
+        while self._plan is not None and self._plan.startable:
             state = self._belief.observe()
-            if self._quest.is_over(state, self.goals, self._course):
+            if self._monitor.is_over(state, self.goals, self._plan):
                 break
-            flaw = self._flaw(self._course, state)
+            flaw = self._flaw(self._plan, state)
             if flaw is not None:
                 self._want(Decision(flaw, is_needed=True))
                 break
-            begun.append(self._begin(self._course, self._course.startable[0], state))
+            begun.append(self._begin(self._plan, self._plan.startable[0], state))
         return tuple(begun)
 
-    def _begin(self, course: Course, number: int, state: State) -> RunningStep:
-        step = course.steps[number]
+    def _begin(self, plan: PlanExecution, number: int, state: State) -> RunningStep:
+        step = plan.steps[number]
         running = RunningStep(step, self._factories[step.schema], number, self, self._setup_arguments)
         running.undo = self._belief.start(step, state)
         self._running.append(running)
         self.children = [one.behaviour for one in self._running]
-        self._course = course.with_event(Event(number, False))
+        self._plan = plan.with_event(StepEvent(number, False))
         return running
 
     def _tick_steps(self, steps: tuple[RunningStep, ...]) -> bool:
@@ -346,22 +511,22 @@ class PlanExecutor(Behaviour):
         self._belief.end(step, state)
         running.undo = Undo()
         self._release([running])
-        if self._course is not None and running.number is not None:
-            self._course = self._course.with_event(Event(running.number, True))
+        if self._plan is not None and running.number is not None:
+            self._plan = self._plan.with_event(StepEvent(running.number, True))
         self._ended_meanwhile.append(step)
-        disappointed = self._hopes.ended(step, state)
-        if disappointed and self._course is not None:
-            self._lose_hope(self._course.with_domain(self._hopes.domain), disappointed)
+        unmet = self._effects.ended(step, state)
+        if unmet and self._plan is not None:
+            self._rely_no_more(replace(self._plan, domain=self._effects.domain), unmet)
         return None
 
-    def _lose_hope(self, course: Course, disappointed: Iterable[Disappointment]) -> None:
-        """Go on without what a step was hoped to make feasible, or have a plan made if the rest needs that."""
+    def _rely_no_more(self, plan: PlanExecution, unmet: Iterable[UnmetEffect]) -> None:
+        """Go on without what a step did not make feasible, or plan anew if the rest needs that."""
         state = self._belief.observe()
-        hoped = state | {self._domain.feasible_atom(one.action) for one in disappointed}
-        if course.replay(state).flaw is not None and course.replay(hoped).flaw is None:
-            self._want(Decision("; ".join(map(str, disappointed)), is_needed=True))
+        expected = state | {self._domain.feasible_atom(one.action) for one in unmet}
+        if plan.outlook(state).flaw is not None and plan.outlook(expected).flaw is None:
+            self._want(Decision("; ".join(map(str, unmet)), is_needed=True))
         else:
-            self._course = course
+            self._plan = plan
 
     def _release(self, steps: Iterable[RunningStep]) -> None:
         """Stop steps if they still run, take back what was believed because they had started, and let go of them."""
@@ -374,7 +539,7 @@ class PlanExecutor(Behaviour):
             self._interlude.follow(running.step)
 
     def _drop_plan(self) -> None:
-        self._course = self._found_valid = self._expected = None
+        self._plan = self._found_valid = self._expected = None
         self._replanning.forget()
         self._release(self._running)
         self._interlude.end()

@@ -42,7 +42,7 @@ class ActionSchema:
         uses: what it uses up of resources, by their names, as numbers or the texts of numeric facts: such as
             `{"energy_used": "(takes ?way ?mode)"}`. Where the problem limits one, plan with `Planner("label-setting")`.
         action: name of the ROSA action that is done; empty if it is called `name` too, None if there is none.
-        hopes: names of ROSA actions that are hoped to be feasible afterwards. The hope serves planning only.
+        makes_feasible: names of ROSA actions that are expected to be feasible afterwards; this serves planning only.
     """
 
     name: str
@@ -56,7 +56,7 @@ class ActionSchema:
     cost: float | str | None = None
     uses: Mapping[str, float | str] = field(default_factory=dict, hash=False)
     action: str | None = ""
-    hopes: tuple[str, ...] = ()
+    makes_feasible: tuple[str, ...] = ()
 
     @property
     def rosa_action(self) -> str | None:
@@ -111,9 +111,9 @@ class Declarations:
 
     @property
     def rosa_actions(self) -> tuple[str, ...]:
-        """The ROSA actions that are done, or hoped for."""
+        """The ROSA actions that are done, or made feasible."""
         done = [one.rosa_action for one in self.schemas if one.rosa_action is not None]
-        return tuple(dict.fromkeys([*done, *(name for one in self.schemas for name in one.hopes)]))
+        return tuple(dict.fromkeys([*done, *(name for one in self.schemas for name in one.makes_feasible)]))
 
     @property
     def domain_pddl(self) -> str:
@@ -191,9 +191,11 @@ class Declarations:
             if one.name.lower() in taken:
                 raise PddlError(f"the action {one.name!r} is declared twice (PDDL ignores case)", self._place)
             taken.add(one.name.lower())
-            for hope in one.hopes:
-                if hope not in known:
-                    raise PddlError(f"hopes for {hope!r}, which no action does; {nearest(hope, known)}", _of(one))
+            for action in one.makes_feasible:
+                if action not in known:
+                    raise PddlError(
+                        f"makes {action!r} feasible, which no action does; {nearest(action, known)}", _of(one)
+                    )
 
     def _used(self) -> Uses:
         """Find out what the predicates and numeric facts are about, from how they are used."""
@@ -275,10 +277,10 @@ def _check_name(name: str, place: str) -> None:
 
 def _check(schema: ActionSchema) -> None:
     place = _of(schema)
-    for key in ("parameters", "start", "over_all", "end", "start_effects", "end_effects", "hopes"):
+    for key in ("parameters", "start", "over_all", "end", "start_effects", "end_effects", "makes_feasible"):
         if isinstance(getattr(schema, key), str):
             raise PddlError(f"{key} is one text, expected several; write ({getattr(schema, key)!r},)", place)
-    for name in (schema.name, *schema.hopes, *([] if schema.rosa_action is None else [schema.rosa_action])):
+    for name in (schema.name, *schema.makes_feasible, *([] if schema.rosa_action is None else [schema.rosa_action])):
         _check_name(name, place)
     for name, kind in typed_names(schema.parameters, place):
         _check_name(kind, place)
@@ -298,7 +300,7 @@ def _check(schema: ActionSchema) -> None:
 def _reserved(schema: ActionSchema) -> list[str]:
     """Return the parameters that stand for ROSA actions."""
     own = ["?a"] if schema.rosa_action is not None else []
-    return own + [f"?a{number}" for number in range(1, len(schema.hopes) + 1)]
+    return own + [f"?a{number}" for number in range(1, len(schema.makes_feasible) + 1)]
 
 
 def _scope(schema: ActionSchema) -> dict[str, str]:
@@ -308,9 +310,11 @@ def _scope(schema: ActionSchema) -> dict[str, str]:
 
 def _action(schema: ActionSchema, has_costs: bool) -> str:
     own = [f"({schema.rosa_action}_action ?a)", f"({FEASIBLE} ?a)"] if schema.rosa_action is not None else []
-    hoped = [(f"({hope}_action ?a{number})", f"?a{number}") for number, hope in enumerate(schema.hopes, start=1)]
-    start = [*schema.start, *(condition for condition, _ in hoped)]
-    effects = [*schema.end_effects, *(f"({FEASIBLE} {parameter})" for _, parameter in hoped)]
+    expected = [
+        (f"({action}_action ?a{number})", f"?a{number}") for number, action in enumerate(schema.makes_feasible, start=1)
+    ]
+    start = [*schema.start, *(condition for condition, _ in expected)]
+    effects = [*schema.end_effects, *(f"({FEASIBLE} {parameter})" for _, parameter in expected)]
     if has_costs:
         effects.append(f"(increase (total-cost) {_number(schema.cost or 0)})")
     effects += [f"(increase ({name}) {_number(amount)})" for name, amount in schema.uses.items()]

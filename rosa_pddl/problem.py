@@ -58,8 +58,8 @@ class Problem:
         for text, value in sorted(self.costs.items()):
             expression = self.domain.expression(self.domain.atom(text))
             if problem.has_fluent(expression.fluent().name):
-                told = exact(value) if self.domain.limited else Fraction(value).limit_denominator(1000)
-                problem.set_initial_value(expression, told)
+                number = exact(value) if self.domain.limited else Fraction(value).limit_denominator(1000)
+                problem.set_initial_value(expression, number)
         for goal in (*self.wanted, *limits_of(self.domain)):
             problem.add_goal(goal)
         return problem
@@ -83,8 +83,8 @@ def exact(value: float | Fraction) -> Exact:
         return value
     if isinstance(value, float) and value.is_integer() and abs(value) < _ALL_WHOLE:
         return int(value)
-    told = value if isinstance(value, Fraction) else Fraction(str(float(value)))
-    return told.numerator if told.denominator == 1 else told
+    written = value if isinstance(value, Fraction) else Fraction(str(float(value)))
+    return written.numerator if written.denominator == 1 else written
 
 
 def limits_of(domain: Domain) -> Iterator[UpThing]:
@@ -134,8 +134,7 @@ def _sequential(domain: Domain) -> UpThing:
     defaults = {read.environment.type_manager.BoolType(): false}
     problem = UpProblem(read.name, read.environment, initial_defaults=defaults)
     problem.add_objects(read.all_objects)
-    metric = action_costs(domain)
-    has_numbers = metric is not None or bool(domain.limited)
+    has_numbers = action_costs(domain) is not None or bool(domain.limited)
     for fluent in read.fluents:
         # numbers that nothing needs would only keep engines from taking the problem
         if fluent.type.is_bool_type() or has_numbers:
@@ -143,10 +142,8 @@ def _sequential(domain: Domain) -> UpThing:
     for expression, value in read.explicit_initial_values.items():
         if not value.is_bool_constant() and has_numbers:
             problem.set_initial_value(expression, value)
-    actions = {action.name: _instantaneous(action, domain) for action in read.actions}
-    problem.add_actions(actions.values())
-    if metric is not None:
-        problem.add_quality_metric(_costs(metric, actions, read.environment))
+    problem.add_actions([_instantaneous(action, domain) for action in read.actions])
+    with_costs(domain, problem)
     return problem
 
 
@@ -166,11 +163,15 @@ def action_costs(domain: Domain) -> UpThing:
     raise UnsupportedPddlError(message, file, line)
 
 
-def _costs(metric: UpThing, actions: Mapping[str, UpThing], environment: UpThing) -> UpThing:
+def with_costs(domain: Domain, problem: UpThing) -> None:
+    """Give a problem with actions of the same names the costs of a domain; unified-planning keeps them by action."""
     from unified_planning.model.metrics import MinimizeActionCosts
 
-    costs = {actions[action.name]: cost for action, cost in metric.costs.items()}
-    return MinimizeActionCosts(costs, metric.default, environment)
+    given = action_costs(domain)
+    if given is not None:
+        costs = {problem.action(action.name): cost for action, cost in given.costs.items()}
+        problem.clear_quality_metrics()
+        problem.add_quality_metric(MinimizeActionCosts(costs, given.default, problem.environment))
 
 
 def _instantaneous(action: UpThing, domain: Domain) -> UpThing:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from itertools import chain, pairwise
 from pathlib import Path
 
-from rosa_pddl.domain import ACTION_TYPE, Domain, Schema, UpThing
+from rosa_pddl.domain import ACTION_TYPE, Domain, Schema, UpThing, conjuncts
 from rosa_pddl.exceptions import PddlError, UnsupportedPddlError
 from rosa_pddl.problem import Problem
 from rosa_pddl.reading.conventions import rosa_action_of, with_told
@@ -333,7 +333,7 @@ def schema_of(action: UpThing, outside: Mapping[str, str], file: str) -> Schema:
     if hasattr(action, "conditions"):
         parts = _timed(action, name, file)
     elif hasattr(action, "preconditions"):
-        parts = {"start": tuple(_conjuncts(action.preconditions)), "end_effects": tuple(action.effects)}
+        parts = {"start": tuple(conjuncts(action.preconditions)), "end_effects": tuple(action.effects)}
     else:
         raise UnsupportedPddlError(f"the action {name!r} is of an unsupported kind", file)
     complete = {key: parts.get(key, ()) for key in ("start", "over_all", "end", "start_effects", "end_effects")}
@@ -354,18 +354,10 @@ def _timed(action: UpThing, name: str, file: str) -> dict[str, tuple[UpThing, ..
     for interval, conditions in action.conditions.items():
         at_start, at_end = interval.lower.is_from_start(), interval.upper.is_from_end()
         key = "over_all" if at_start and at_end else "start" if at_start else "end"
-        parts[key] = parts.get(key, ()) + tuple(_conjuncts(conditions))
+        parts[key] = parts.get(key, ()) + tuple(conjuncts(conditions))
     for timing, effects in action.effects.items():
         key = "start_effects" if timing.is_from_start() else "end_effects"
         parts[key] = parts.get(key, ()) + tuple(effects)
     if action.continuous_effects:
         raise UnsupportedPddlError(f"the action {name!r} changes numbers continuously", file)
     return parts
-
-
-def _conjuncts(formulas: Iterable[UpThing]) -> Iterator[UpThing]:
-    for formula in formulas:
-        if formula.is_and():
-            yield from _conjuncts(formula.args)
-        elif not formula.is_true():
-            yield formula

@@ -1,13 +1,18 @@
 """What a formula, an effect and a plan mean in a state: the judge of every plan, independent of the planner."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from itertools import product
+from itertools import permutations, product
+from math import inf
+from typing import NamedTuple
 
-from rosa_pddl.domain import Domain, State, Step, UpThing
+from rosa_pddl.domain import Domain, State, Step, TimedStep, UpThing
 
 Binding = Mapping[str, str]
 Facts = AbstractSet[str]
+
+SAME_TIME_S = 1e-6
+"""Times that differ by less are the same: those of an engine are decimal numbers, and are added up here [s]."""
 
 
 def goal_holds(domain: Domain, state: Facts, goals: Iterable[UpThing] | None = None) -> bool:
@@ -53,6 +58,89 @@ def ended(domain: Domain, step: Step, state: State) -> State:
     return _after(domain, domain.schema_of[step.schema].end_effects, binding_of(domain, step), state)
 
 
+class StepEvent(NamedTuple):
+    """The start or the end of a step, by its number in the plan."""
+
+    number: int
+    is_end: bool
+
+
+def replay(
+    domain: Domain,
+    steps: Sequence[Step],
+    moments: Iterable[Sequence[StepEvent]],
+    state: State,
+    running: Iterable[int] = (),
+) -> tuple[str | None, State]:
+    """Do a plan event by event, as PDDL 2.1 means it: the judge of every plan.
+
+    Conditions at the start or at the end hold just before; what holds over all does so from just after the start until
+    just before the end; of two things that happen at once, none may change what the other needs or changes.
+
+    Args:
+        domain: what `load_domain` returned.
+        steps: of the plan.
+        moments: starts and ends in their order; those of one moment happen at once.
+        state: the true atoms.
+        running: steps that have started already. Their conditions at the end are passed over: the world may bring them
+            about until then.
+
+    Returns:
+        Why it cannot be done, in words, None if it can; and the true atoms in the end, or where it broke off.
+    """
+    facts, under_way, begun = set(state), list(running), frozenset(running)
+    for moment in moments:
+        wrong = _happen(domain, steps, moment, facts, begun)
+        for number, is_end in moment:
+            if is_end:
+                under_way.remove(number)
+            else:
+                under_way.append(number)
+        for number in under_way if wrong is None else ():
+            schema, binding = domain.schema_of[steps[number].schema], binding_of(domain, steps[number])
+            missing = missing_of(domain, schema.over_all, binding, facts)
+            if missing is not None:
+                wrong = because(domain, steps[number], missing)
+                break
+        if wrong is not None:
+            return wrong, frozenset(facts)
+    return None, frozenset(facts)
+
+
+def _happen(
+    domain: Domain, steps: Sequence[Step], moment: Sequence[StepEvent], facts: set[str], begun: AbstractSet[int]
+) -> str | None:
+    """Change the facts by what happens at once, or return why it cannot."""
+    gone, come = set[str](), set[str]()
+    touched: list[tuple[int, AbstractSet[str], AbstractSet[str]]] = []
+    for number, is_end in moment:
+        step = steps[number]
+        schema, binding = domain.schema_of[step.schema], binding_of(domain, step)
+        conditions = () if is_end and number in begun else schema.end if is_end else schema.start
+        effects = schema.end_effects if is_end else schema.start_effects
+        missing = missing_of(domain, conditions, binding, facts)
+        if missing is not None:
+            return because(domain, step, missing)
+        deleted, added = changes(domain, effects, binding, facts)
+        gone |= deleted
+        come |= added
+        if len(moment) > 1:
+            read = set(mentioned_atoms(domain, conditions, effects, binding))
+            touched.append((number, read, deleted | added))
+    for (one, needed, changed), (other, _, changed_too) in permutations(touched, 2):
+        if one != other and changed_too & (needed | changed):
+            atom = min(changed_too & (needed | changed))
+            return f"{steps[one]} and {steps[other]} get in each other's way over {atom}"
+    facts -= gone
+    facts |= come
+    return None
+
+
+def one_after_the_other(count: int) -> tuple[StepEvent, ...]:
+    """Return the starts and ends of steps that follow one another."""
+    return tuple(StepEvent(number, is_end) for number in range(count) for is_end in (False, True))
+
+
 def flaw(domain: Domain, steps: Iterable[Step], state: State, goals: Iterable[UpThing] | None = None) -> str | None:
     """Why a plan does not lead from a state to the goal, in words; None if it does.
 
@@ -62,16 +150,55 @@ def flaw(domain: Domain, steps: Iterable[Step], state: State, goals: Iterable[Up
         state: the true atoms.
         goals: what shall hold in the end, as unified-planning expressions; by default the goal of the problem file.
     """
-    facts = set(state)
-    for step in steps:
-        schema, binding = domain.schema_of[step.schema], binding_of(domain, step)
-        missing = missing_of(domain, schema.start, binding, facts)
-        _change(domain, schema.start_effects, binding, facts)
-        missing = missing or missing_of(domain, schema.over_all + schema.end, binding, facts)
-        if missing is not None:
-            return because(domain, step, missing)
-        _change(domain, schema.end_effects, binding, facts)
-    return None if goal_holds(domain, facts, goals) else "the rest of the plan does not reach the goal"
+    listed = tuple(steps)
+    wrong, facts = replay(domain, listed, ([event] for event in one_after_the_other(len(listed))), state)
+    return wrong or (None if goal_holds(domain, facts, goals) else "the rest of the plan does not reach the goal")
+
+
+def schedule_flaw(
+    domain: Domain, schedule: Sequence[TimedStep], state: State, goals: Iterable[UpThing] | None = None
+) -> str | None:
+    """Why a schedule does not lead from a state to the goal, in words; None if it does.
+
+    Args:
+        domain: what `load_domain` returned.
+        schedule: the plan, whose steps may overlap.
+        state: the true atoms.
+        goals: what shall hold in the end, as unified-planning expressions; by default the goal of the problem file.
+    """
+    for timed in schedule:
+        if not _lasts_as_declared(domain, timed):
+            return f"{timed.step} takes {timed.duration_s:g} s, which is not its duration"
+    steps = [timed.step for timed in schedule]
+    wrong, facts = replay(domain, steps, _moments(schedule), state)
+    return wrong or (None if goal_holds(domain, facts, goals) else "the plan does not reach the goal")
+
+
+def _lasts_as_declared(domain: Domain, timed: TimedStep) -> bool:
+    """Whether a step lasts as its action says; durations that are computed from numeric facts are not looked at."""
+    action = domain.up_problem.action(domain.inside["action", timed.step.schema.lower()])
+    if not hasattr(action, "duration"):
+        return timed.duration_s == 0.0
+    lower, upper = action.duration.lower, action.duration.upper
+    least = float(lower.constant_value()) if lower.is_constant() else 0.0
+    most = float(upper.constant_value()) if upper.is_constant() else timed.duration_s
+    return least - SAME_TIME_S <= timed.duration_s <= most + SAME_TIME_S and timed.duration_s > 0.0
+
+
+def _moments(schedule: Sequence[TimedStep]) -> Iterator[list[StepEvent]]:
+    """Yield what happens at once, in the order of time."""
+    dated = [(timed.start_s, StepEvent(number, False)) for number, timed in enumerate(schedule)]
+    dated += [(timed.end_s, StepEvent(number, True)) for number, timed in enumerate(schedule)]
+    together: list[StepEvent] = []
+    began_s = -inf
+    for at_s, event in sorted(dated):
+        if together and at_s - began_s > SAME_TIME_S:
+            yield together
+            together = []
+        if not together:
+            began_s = at_s
+        together.append(event)
+    yield together
 
 
 def because(domain: Domain, step: Step, missing: str, verb: str = "is") -> str:

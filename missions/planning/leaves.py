@@ -6,7 +6,7 @@ from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 
 from rosa_pddl import Domain, State
-from rosa_pddl.execution.belief import Belief
+from rosa_pddl.belief import Belief
 from rosa_pddl.formulas import conditions
 from rosa_pddl.reading.syntax import Node, parse
 from rosa_pddl.validate import holds

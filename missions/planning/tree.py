@@ -17,9 +17,9 @@ from missions.planning.leaves import Assume, Holds
 from rosa_bt.exceptions import RosaBtError
 from rosa_bt.parsers import BehaviourRegistry, load_xml
 from rosa_pddl import Domain, MissingBehaviourError, Schema, Step
+from rosa_pddl.belief import Belief
 from rosa_pddl.domain import ACTION_TYPE, FEASIBLE, UpThing
 from rosa_pddl.exceptions import nearest
-from rosa_pddl.execution.belief import Belief
 from rosa_pddl.validate import binding_of, mentioned_atoms
 
 __all__ = ["plan_registry", "plan_tree", "plan_xml"]
@@ -131,7 +131,7 @@ def _holds(domain: Domain, formulas: Sequence[UpThing], binding: Mapping[str, st
 
 
 def _assume(domain: Domain, effects: Iterable[UpThing], binding: Mapping[str, str]) -> list[Element]:
-    """Return what is believed; hopes for feasibility are for planning only."""
+    """Return what is believed; expected feasibility is for planning only."""
     own = [effect for effect in effects if not _is_feasibility(domain, effect.fluent)]
     texts = written_effects(domain, own, binding)
     return [Element("Assume", effects=texts[0] if len(texts) == 1 else f"(and {' '.join(texts)})")] if texts else []

@@ -20,7 +20,7 @@ class Recharge(RosaAction):
         parameters=("?r - robot",),
         end_effects=("(recharged ?r)",),
         duration_s=30,
-        hopes=("search_pipeline", "inspect_pipeline"),
+        makes_feasible=("search_pipeline", "inspect_pipeline"),
     )
 
     def __init__(self, kb: KnowledgeBase, percepts: Percepts) -> None:

@@ -47,7 +47,7 @@
     )
   )
 
-  ; Recharging is hoped to make the other two feasible again. The hope serves planning only:
+  ; Recharging is expected to make the other two feasible again. This serves planning only:
   ; when the action has ended, the knowledge base says what is feasible.
   (:durative-action recharge
     :parameters (?a ?a1 ?a2 - action ?r - robot)

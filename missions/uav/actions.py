@@ -206,7 +206,7 @@ class ReturnAndRecharge(RosaAction):
         start=("(or (looking ?r) (not (action_feasible ?a3)))",),
         duration_s=30,
         cost=30,
-        hopes=("search_for_samples", "pick_up_and_analyse", "analyse_on_site"),
+        makes_feasible=("search_for_samples", "pick_up_and_analyse", "analyse_on_site"),
     )
 
     def __init__(self, kb: KnowledgeBase, percepts: Percepts) -> None:

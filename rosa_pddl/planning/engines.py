@@ -7,12 +7,12 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from rosa_pddl.domain import Domain, UpThing
+from rosa_pddl.domain import Domain, TimedStep, UpThing
 from rosa_pddl.exceptions import nearest
 from rosa_pddl.planning.downward import Trouble, install_advice, missing_part
 from rosa_pddl.planning.grounding import lock_of
 from rosa_pddl.planning.labelling import LABEL_SETTING, TRANSLATED
-from rosa_pddl.planning.outcomes import Outcome, TimedStep
+from rosa_pddl.planning.outcomes import Outcome
 from rosa_pddl.planning.processes import Leash
 from rosa_pddl.problem import Problem, limits_of
 

@@ -3,9 +3,9 @@
 from dataclasses import dataclass, field
 from enum import Enum
 
-from rosa_pddl.domain import Step
+from rosa_pddl.domain import Step, TimedStep
 
-__all__ = ["Attempt", "Outcome", "PlanningResult", "TimedStep"]
+__all__ = ["Attempt", "Outcome", "PlanningResult"]
 
 
 class Outcome(Enum):
@@ -34,26 +34,6 @@ class Outcome(Enum):
 
     def __str__(self) -> str:
         return self.value
-
-
-@dataclass(frozen=True)
-class TimedStep:
-    """A step of a plan in which steps overlap.
-
-    Args:
-        step: what is done.
-        start_s: when it starts, from the start of the plan [s].
-        duration_s: how long it takes [s]; 0 for an instantaneous action.
-    """
-
-    step: Step
-    start_s: float
-    duration_s: float
-
-    @property
-    def end_s(self) -> float:
-        """When it ends, from the start of the plan [s]."""
-        return self.start_s + self.duration_s
 
 
 @dataclass(frozen=True)

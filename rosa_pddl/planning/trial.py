@@ -6,19 +6,18 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
 
-from rosa_pddl.domain import Domain, Schema, Step, UpThing
+from rosa_pddl.domain import Domain, Schema, Step, TimedStep, UpThing
 from rosa_pddl.exceptions import UnsupportedPddlError
 from rosa_pddl.planning.downward import SEARCHES, Answer, Trouble, search
 from rosa_pddl.planning.engines import asked, missing
 from rosa_pddl.planning.grounded import Grounded, NotRepresentableError, UnreachableGoalError
 from rosa_pddl.planning.grounding import Grounding, Instantaneous, instantaneous, translated
 from rosa_pddl.planning.labelling import LABEL_SETTING, label_search
-from rosa_pddl.planning.outcomes import Attempt, Outcome, PlanningResult, TimedStep
+from rosa_pddl.planning.outcomes import Attempt, Outcome, PlanningResult
 from rosa_pddl.planning.processes import Cut, Leash
-from rosa_pddl.planning.schedule import schedule_flaw
 from rosa_pddl.planning.sums import Numbers
 from rosa_pddl.problem import Problem
-from rosa_pddl.validate import flaw, missing_at_start
+from rosa_pddl.validate import flaw, missing_at_start, schedule_flaw
 
 __all__ = ["Settings", "Trial"]
 

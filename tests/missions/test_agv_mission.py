@@ -26,7 +26,7 @@ from missions.engine.task_layer import TASK_KINDS
 from missions.planning.declared import mission_domain
 from missions.report import as_json
 from rosa_pddl import Planner, Problem
-from rosa_pddl.execution.belief import Belief
+from rosa_pddl.belief import Belief
 
 SEEDS = range(10)
 AGV = "missions.agv:MISSION"

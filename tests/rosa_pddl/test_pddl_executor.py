@@ -82,7 +82,7 @@ def test_what_becomes_unfeasible_stops_in_the_same_tick_and_the_new_plan_starts_
     assert (second.at_s, second.reason) == (dropped_s, f"{during} became unfeasible")
 
 
-def test_a_hoped_for_effect_never_overrides_the_kb(world):
+def test_an_expected_effect_never_overrides_the_kb(world):
     world.kb.unfeasible = set(BOTH)
     world.run(until="recharge")
     for _ in range(10):

@@ -9,8 +9,8 @@ from pddl_world import World, load_text
 from py_trees.common import Status
 
 from rosa_pddl import GoalError, Goals, PddlError, Planner, UnknownNameError, UnsupportedPddlError
-from rosa_pddl.execution.hopes import Hopes
-from rosa_pddl.execution.quest import Quest
+from rosa_pddl.belief import ExpectedEffects
+from rosa_pddl.goals import PlanningTask
 
 SITES = ("north", "south", "east")
 DOMAIN = """(define (domain survey) (:requirements :typing :action-costs)
@@ -167,12 +167,12 @@ def test_the_soft_goals_that_are_pursued_have_the_best_net_benefit(survey, worth
     for site, value in worth.items():
         goals.add(f"(photographed {site})", worth=value)
     world = World(survey)
-    quest = Quest(Hopes(survey, world.kb), dict)
-    problem = quest.problem(world.executor._belief.observe(), goals)
+    task = PlanningTask(ExpectedEffects(survey, world.kb), dict)
+    problem = task.problem(world.executor._belief.observe(), goals)
     result = Planner().plan(problem)
     subsets = [chosen for size in range(len(worth) + 1) for chosen in combinations(sorted(worth), size)]
     assert result.cost == min(benefit(worth, chosen) for chosen in subsets), result.message
-    kept, reached = quest.read(result, goals)
+    kept, reached = task.read(result, goals)
     assert {step.schema for step in kept.steps} <= set(survey.schemas)
     chosen = [goal.text.split()[1][:-1] for goal in reached if goal.is_soft]
     assert benefit(worth, chosen) == result.cost

@@ -17,7 +17,7 @@ from rosa_pddl import (
     parse_domain,
     schedule_flaw,
 )
-from rosa_pddl.execution.course import Course
+from rosa_pddl.plan_monitor import PlanExecution
 
 pytest.importorskip("up_aries")
 
@@ -152,8 +152,8 @@ def test_a_schedule_that_the_judge_accepts_can_be_executed_in_whatever_order_it_
     state = initial_state(cellar)
     assert schedule_flaw(cellar, schedule, state) is None
     steps = tuple(timed.step for timed in schedule)
-    course = Course.of(cellar, PlanningResult(Outcome.SOLVED, steps, schedule=tuple(schedule)), ())
-    assert course.replay(state).flaw is None
+    plan = PlanExecution.of(cellar, PlanningResult(Outcome.SOLVED, steps, schedule=tuple(schedule)), ())
+    assert plan.outlook(state).flaw is None
 
 
 def test_that_there_is_no_plan_without_overlapping_is_no_proof_and_says_what_would_do(cellar):

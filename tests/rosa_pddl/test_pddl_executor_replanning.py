@@ -10,7 +10,7 @@ from pddl_world import World, load_text
 from py_trees.common import Status
 
 from rosa_pddl import Outcome, Planner, PlannerSettingError, PlanningResult, ReplanningPolicy, SensingError
-from rosa_pddl.execution.policy import decide, wait_s
+from rosa_pddl.replanning import decide, wait_s
 
 WAYS = """(define (domain ways) (:requirements :typing)
   (:types action)

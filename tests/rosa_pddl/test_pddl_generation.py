@@ -27,7 +27,9 @@ LOOK = ActionSchema(
     action="explore",
     cost=2,
 )
-CHARGE = ActionSchema("charge", ("?r - rover",), end_effects=("(full ?r)",), duration_s=5, hopes=("drive", "explore"))
+CHARGE = ActionSchema(
+    "charge", ("?r - rover",), end_effects=("(full ?r)",), duration_s=5, makes_feasible=("drive", "explore")
+)
 PROBLEM = DeclaredProblem(
     goal=("(seen pit)",),
     objects={"r1": "rover", "base": "place", "pit": "crater"},
@@ -70,13 +72,13 @@ def test_what_is_generated_reads_back_as_it_was_declared():
     assert domain.step("look", ["explore", "r1", "pit"]).action == "explore"
 
 
-def test_plan_has_the_declared_costs_and_a_hope_serves_planning():
+def test_plan_has_the_declared_costs_and_an_expected_effect_serves_it():
     domain = declared().load()
     result = planned(domain, "drive", "explore", "charge")
     assert [str(step) for step in result.steps] == ["drive(drive, r1, base, pit)", "look(explore, r1, pit)"]
     assert result.cost == pytest.approx(5.5)
-    hoping = planned(domain, "charge")
-    assert [step.schema for step in hoping.steps] == ["charge", "drive", "look"]
+    expecting = planned(domain, "charge")
+    assert [step.schema for step in expecting.steps] == ["charge", "drive", "look"]
     assert not planned(domain, "explore").outcome.is_solved
 
 
@@ -169,7 +171,7 @@ def problem(**changes):
         (bad(over_all=("(seen ?x)",)), "state duration_s"),
         (bad(duration_s=-1), "duration_s is -1, expected a number that is not negative"),
         (bad(cost=float("nan")), "cost is nan"),
-        (bad(hopes=("dive",)), "hopes for 'dive', which no action does; known: look"),
+        (bad(makes_feasible=("dive",)), "makes 'dive' feasible, which no action does; known: look"),
         (problem(goal=()), "there is no goal"),
         (problem(goal=("(sene pit)",)), "no action mentions the predicate 'sene'; nearest: seen"),
         (problem(facts=("(deep pit)",)), "no action mentions the predicate 'deep'"),

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pddl_world import FakeKb, load_text
 
-from rosa_pddl.execution.belief import Belief
+from rosa_pddl.belief import Belief
 
 DOMAIN = """(define (domain signals) (:requirements :typing :action-costs)
   (:types action signal)

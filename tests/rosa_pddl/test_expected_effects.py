@@ -1,4 +1,4 @@
-"""Hopes that are not fulfilled: a step that did not help is not relied upon until what is in the way has gone."""
+"""Expected effects that are unmet: a step that did not help is not relied upon until what is in the way has gone."""
 
 from heapq import heappop, heappush
 from itertools import product
@@ -11,8 +11,8 @@ from py_trees.common import Status
 
 from kb import KnowledgeBase, Model
 from rosa_pddl import Goals, Outcome, Planner, Problem, flaw, initial_state
-from rosa_pddl.execution.hopes import Hopes
-from rosa_pddl.execution.quest import Quest
+from rosa_pddl.belief import ExpectedEffects
+from rosa_pddl.goals import PlanningTask
 from rosa_pddl.validate import ended, missing_at_start, started
 
 # Mending serves driving; there is a dear detour on foot if the problem has a path.
@@ -105,7 +105,7 @@ def happen(car, event, value):
 
 @settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(events=EVENTS, does_mend=st.booleans(), tools=st.sampled_from(["jack", "glue jack"]))
-def test_whatever_happens_no_hope_is_tried_twice_while_the_same_is_in_the_way(roads, events, does_mend, tools):
+def test_whatever_happens_nothing_is_tried_twice_while_the_same_is_in_the_way(roads, events, does_mend, tools):
     car = Car(roads[tools, ""])
     car.does_mend = does_mend
     happen(car, "fog", 0.9)
@@ -182,7 +182,7 @@ def test_without_another_plan_it_fails_and_says_what_did_not_help_until_that_has
     assert car.reasons()[-1] == "the state changed"
 
 
-def test_news_that_comes_later_than_the_end_of_the_step_fulfils_its_hope(roads):
+def test_news_that_comes_later_than_the_end_of_the_step_counts(roads):
     car = Car(roads["jack", ""])
     car.does_mend = False
     happen(car, "tyre", 0)
@@ -219,42 +219,42 @@ def test_a_kb_that_does_not_explain_itself_is_believed_about_feasibility(roads):
 # ------------------------------------------------------------------ the domain without what is in doubt
 
 
-def test_nothing_but_the_doubted_step_has_lost_its_hope(roads):
+def test_nothing_but_the_step_that_did_not_help_is_not_relied_upon(roads):
     domain = roads["glue jack", ""]
     kb = FakeKb(domain.rosa_actions)
     kb.unfeasible = {"drive"}
-    hopes = Hopes(domain, kb)
+    effects = ExpectedEffects(domain, kb)
     state = initial_state(domain) | {"(action_feasible mend)", "(action_feasible walk)"}
     planner = Planner(cached=0)
     for tool in ("glue", "jack"):
-        result = planner.plan(Problem(hopes.domain, state))
+        result = planner.plan(Problem(effects.domain, state))
         assert [attempt.way for attempt in result.attempts] == ["warm"]
-        assert flaw(hopes.domain, result.steps, state) is None
-        (doubt,) = hopes.ended(domain.step("mend", ("mend", "drive", tool)), state)
-        assert (doubt.action, hopes.domain) == ("drive", hopes.domain)
-        assert tool not in [step.arguments[-1] for step in planner.plan(Problem(hopes.domain, state)).steps]
-    assert planner.plan(Problem(hopes.domain, state)).outcome is Outcome.UNSOLVABLE_PROVEN
+        assert flaw(effects.domain, result.steps, state) is None
+        (unmet,) = effects.ended(domain.step("mend", ("mend", "drive", tool)), state)
+        assert (unmet.action, effects.domain) == ("drive", effects.domain)
+        assert tool not in [step.arguments[-1] for step in planner.plan(Problem(effects.domain, state)).steps]
+    assert planner.plan(Problem(effects.domain, state)).outcome is Outcome.UNSOLVABLE_PROVEN
     assert planner.plan(Problem(domain, state)).outcome is Outcome.SOLVED_OPTIMALLY
     kb.unfeasible = set()
-    assert hopes.look()
-    assert (hopes.domain, hopes.doubts) == (domain, ())
+    assert effects.update()
+    assert (effects.domain, effects.unmet) == (domain, ())
 
 
-def test_engines_that_know_no_conditional_effects_are_not_told_of_the_hope_at_all(extended):
+def test_engines_that_know_no_conditional_effects_get_no_such_effect_at_all(extended):
     kb = FakeKb(extended.rosa_actions)
     kb.unfeasible = {"inspect_pipeline"}
-    hopes = Hopes(extended, kb)
+    effects = ExpectedEffects(extended, kb)
     step = extended.step("recharge", ("recharge", "search_pipeline", "inspect_pipeline", "bluerov"))
-    (doubt,) = hopes.ended(step, initial_state(extended))
-    assert doubt.action == "inspect_pipeline"
-    told = str(hopes.domain.up_problem.action(extended.inside["action", "recharge"]))
+    (unmet,) = effects.ended(step, initial_state(extended))
+    assert unmet.action == "inspect_pipeline"
+    told = str(effects.domain.up_problem.action(extended.inside["action", "recharge"]))
     assert "action_feasible(a1) := true" in told
     assert "action_feasible(a2) := true" not in told
     assert "action_feasible(a2) := true" in str(extended.up_problem.action(extended.inside["action", "recharge"]))
     state = initial_state(extended) | {"(action_feasible recharge)"}
     planner = Planner("aries", overlapping=True)
     goal = (extended.expression("(pipeline_found pipeline)"),)
-    assert [step.schema for step in planner.plan(Problem(hopes.domain, state, goal)).steps] == [
+    assert [step.schema for step in planner.plan(Problem(effects.domain, state, goal)).steps] == [
         "recharge",
         "search_pipeline",
     ]
@@ -264,16 +264,16 @@ def test_costs_and_soft_goals_are_as_before_where_something_is_in_doubt(roads):
     domain = roads["jack", "(path home goal)"]
     kb = FakeKb(domain.rosa_actions)
     kb.unfeasible = {"drive"}
-    hopes, goals = Hopes(domain, kb), Goals(domain)
+    effects, goals = ExpectedEffects(domain, kb), Goals(domain)
     goals.add("(used jack)", worth=2.5)
-    quest = Quest(hopes, dict)
+    task = PlanningTask(effects, dict)
     state = initial_state(domain) | {"(action_feasible mend)", "(action_feasible walk)"}
     planner = Planner(cached=0)
-    assert planner.plan(quest.problem(state, goals)).cost == 3.0
-    hopes.ended(domain.step("mend", ("mend", "drive", "jack")), state)
-    assert planner.plan(quest.problem(state, goals)).cost == 22.0
+    assert planner.plan(task.problem(state, goals)).cost == 3.0
+    effects.ended(domain.step("mend", ("mend", "drive", "jack")), state)
+    assert planner.plan(task.problem(state, goals)).cost == 22.0
     goals.add("(used jack)", worth=1.5)
-    assert planner.plan(quest.problem(state, goals)).cost == 21.5
+    assert planner.plan(task.problem(state, goals)).cost == 21.5
 
 
 def cheapest(domain, state, doubted):
@@ -317,9 +317,9 @@ def test_plans_without_what_is_in_doubt_are_the_cheapest_that_do_without_it(road
     state = initial_state(domain) | facts
     kb = FakeKb(domain.rosa_actions)
     kb.unfeasible = {"drive"}
-    hopes = Hopes(domain, kb)
+    effects = ExpectedEffects(domain, kb)
     for step in doubted:
-        hopes.ended(step, state)
-    result = (PLANNER if warm else COLD).plan(Problem(hopes.domain, state))
+        effects.ended(step, state)
+    result = (PLANNER if warm else COLD).plan(Problem(effects.domain, state))
     assert result.cost == cheapest(domain, state, doubted)
     assert result.outcome in (Outcome.SOLVED_OPTIMALLY, Outcome.UNSOLVABLE_PROVEN)

@@ -7,8 +7,8 @@ from pddl_world import World, load_text
 from py_trees.common import Status
 
 from rosa_pddl import Planner, Problem, initial_state
-from rosa_pddl.execution.settled import Unsettled
 from rosa_pddl.formulas import conditions
+from rosa_pddl.goals import GoalSimplifier
 from rosa_pddl.validate import goal_holds, mentioned_atoms
 
 # What is wanted and where it is light are for others to say.
@@ -64,7 +64,7 @@ def states(atoms):
 )
 def test_what_is_left_holds_in_the_end_exactly_if_the_goal_does(samples, texts, lasting, now, end):
     goals = [part.expression for text in texts for part in conditions(samples, text)]
-    rest = Unsettled(samples).of(goals, lasting | now)
+    rest = GoalSimplifier(samples).simplified(goals, lasting | now)
     assert goal_holds(samples, lasting | end, rest) == goal_holds(samples, lasting | end, goals)
     told = {atom for goal in rest if goal not in goals for atom in mentioned_atoms(samples, [goal], (), {})}
     assert told <= set(MOVING)
@@ -75,7 +75,7 @@ def test_what_is_left_holds_in_the_end_exactly_if_the_goal_does(samples, texts, 
 def test_plans_cost_the_same_as_those_of_the_cold_way_for_the_goal_as_it_is(samples, text, lasting, now):
     goals = tuple(part.expression for part in conditions(samples, text))
     state = lasting | now
-    rest = Unsettled(samples).of(goals, state)
+    rest = GoalSimplifier(samples).simplified(goals, state)
     assume(rest != goals)
     plain = Planner(warm=False, cached=0).plan(Problem(samples, state, goals))
     quick = PLANNER.plan(Problem(samples, state, rest))
@@ -86,11 +86,11 @@ PLANNER = Planner(cached=0)
 
 
 def test_a_goal_about_what_is_wanted_is_planned_for_warm_whatever_is_wanted(samples):
-    unsettled, goals = Unsettled(samples), tuple(samples.up_problem.goals)
+    simplifier, goals = GoalSimplifier(samples), tuple(samples.up_problem.goals)
     told = {}
     for wanted in ("", "a", "ab", "b"):
         state = initial_state(samples) - set(LASTING[:3]) | {f"(wanted {one})" for one in wanted}
-        rest = unsettled.of(goals, state)
+        rest = simplifier.simplified(goals, state)
         assert sorted(map(str, rest)) == [f"analysed({one})" for one in wanted]
         result = PLANNER.plan(Problem(samples, state, rest))
         told[wanted] = [attempt.way for attempt in result.attempts], result.cost
@@ -109,7 +109,7 @@ def test_the_executor_follows_what_is_wanted_while_it_runs(samples):
 def test_a_goal_that_nothing_can_make_so_is_handed_on_as_it_is(samples):
     (goal,) = [part.expression for part in conditions(samples, "(exists (?s - sample) (not (or (wanted ?s) (home))))")]
     state = frozenset({"(wanted a)", "(wanted b)", "(wanted c)"})
-    assert Unsettled(samples).of([goal], state) == (goal,)
+    assert GoalSimplifier(samples).simplified([goal], state) == (goal,)
     world = World(samples, PLANNER)
     world.executor.goals.replace("(wanted c)")
     assert world.run() is Status.FAILURE

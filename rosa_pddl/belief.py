@@ -1,0 +1,351 @@
+"""What is taken to be true while a plan is executed: what is sensed, what is feasible, effects of its own steps.
+
+That a step makes an action feasible is expected while it is planned for, and never believed. A step that ended well but
+left the action unfeasible has an unmet effect: it is not relied upon for that again as long as something that kept the
+action from being feasible then has done so ever since, for the step has shown that it does not change that. If all of
+it has gone, or the action was feasible in between, whatever keeps it from being feasible now is something else.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass, field, replace
+from functools import lru_cache, partial
+from math import isfinite
+from typing import Protocol, runtime_checkable
+
+from rosa_pddl.domain import Domain, Feasibility, State, Step, UpThing, head_of
+from rosa_pddl.exceptions import SensingError, UnsupportedPddlError
+from rosa_pddl.planning.grounding import lock_of
+from rosa_pddl.planning.uses import Uses
+from rosa_pddl.problem import Problem, feasible_atoms, initial_state, with_costs, without_feasibility
+from rosa_pddl.validate import affected_atoms, binding_of, changes, ended, started
+
+__all__ = ["Belief", "ExpectedEffects", "Sense", "Undo", "UnmetEffect", "without"]
+
+_MOST_DOMAINS = 8
+
+Sense = Callable[[], Mapping[str, bool | float]]
+"""Returns what is sensed now: by text, whether a fact such as `(lit room)` holds, and the value of a number such as
+`(length a b)`."""
+
+
+@dataclass(frozen=True)
+class Undo:
+    """What the start of a step changed.
+
+    Args:
+        taken: atoms that it made false.
+        given: atoms that it made true.
+    """
+
+    taken: State = frozenset()
+    given: State = frozenset()
+
+
+@dataclass(frozen=True)
+class _Sensed:
+    """What was sensed: atoms, feasibility left out, with whether they hold, those that do, and numbers."""
+
+    facts: Mapping[str, bool] = field(default_factory=dict)
+    true: State = frozenset()
+    numbers: Mapping[str, float] = field(default_factory=dict)
+
+    def updated(self, facts: Mapping[str, bool], numbers: Mapping[str, float]) -> "_Sensed":
+        """Return the same after more was sensed; where no fact changed, the facts are the same object."""
+        if not facts:
+            return replace(self, numbers={**self.numbers, **numbers})
+        true = self.true.difference(facts) | {atom for atom, holds in facts.items() if holds}
+        return _Sensed({**self.facts, **facts}, true, {**self.numbers, **numbers})
+
+
+class Belief:
+    """The state as it is believed, kept from one planning to the next.
+
+    What is sensed stands. Effects of steps are assumed until something else is sensed; those on feasibility never: what
+    is feasible is for the knowledge base to say. Numbers stay what they were sensed to be last; what of a resource is
+    used up grows by what steps use, if it is not sensed.
+
+    Args:
+        domain: what `load_domain` returned; the facts of its problem file are believed at first.
+        kb: says which ROSA actions are feasible.
+        sense: returns what is sensed now.
+    """
+
+    def __init__(self, domain: Domain, kb: Feasibility, sense: Sense) -> None:
+        self._domain, self._kb, self._sense = domain, kb, sense
+        self._facts = without_feasibility(domain, initial_state(domain))
+        self._numeric = domain.numeric
+        self._answer: Mapping[str, bool | float] = {}
+        self._sensed = _Sensed()
+        self._taken_in: tuple[State, Mapping[str, bool]] | None = None
+        self._numbers: Mapping[str, float] = {}
+        self._uses = Uses(domain)
+
+    @property
+    def domain(self) -> Domain:
+        """What the facts are about."""
+        return self._domain
+
+    @property
+    def numbers(self) -> Mapping[str, float]:
+        """The numbers that are no more what the problem file says, by their text."""
+        return self._numbers
+
+    @property
+    def sensed_atoms(self) -> AbstractSet[str]:
+        """The atoms that were spoken of when it was last sensed."""
+        return self._sensed.facts.keys()
+
+    def observe(self) -> State:
+        """Take in what is sensed; return what is true then, with what is feasible.
+
+        Raises:
+            SensingError: what is sensed is no mapping from texts to what holds and to numbers.
+            UnknownNameError: what is sensed is not of the domain.
+        """
+        sensed = self._read()
+        # large worlds are looked at several times a tick, and mostly nothing has changed
+        if self._taken_in is None or self._taken_in[0] is not self._facts or self._taken_in[1] is not sensed.facts:
+            self._facts = self._facts.difference(sensed.facts) | sensed.true
+            self._taken_in = (self._facts, sensed.facts)
+        return self._facts | feasible_atoms(self._domain, self._kb)
+
+    def start(self, step: Step, state: State) -> Undo:
+        """Assume the effects of a step's start; return what takes them back."""
+        before = self._facts
+        self._facts = without_feasibility(self._domain, started(self._domain, step, state))
+        return Undo(before - self._facts, self._facts - before)
+
+    def end(self, step: Step, state: State) -> None:
+        """Assume the effects of a step's end."""
+        self._facts = without_feasibility(self._domain, ended(self._domain, step, state))
+
+    def assume(self, gone: AbstractSet[str], come: AbstractSet[str]) -> None:
+        """Assume that atoms became false, and others true; what becomes true wins, as PDDL says."""
+        self._facts = without_feasibility(self._domain, (self._facts - gone) | come)
+
+    def use_up(self, step: Step) -> None:
+        """Assume that a step, however it ended, used up what it may."""
+        known = Problem(self._domain, frozenset(), costs=self._numbers)
+        try:
+            numbers = self._uses.numbers(known)
+            used = [self._uses.value(amount, numbers) for amount in self._uses.of(step)]
+        except UnsupportedPddlError:
+            return  # nothing can be planned within limits of which nothing is known
+        for resource, amount in zip(self._domain.limited, used, strict=True):
+            key = f"({resource.name})"
+            if amount and key not in self._sensed.numbers:
+                self._numbers = {**self._numbers, key: float(numbers.get(key, 0) + amount)}
+
+    def take_back(self, undo: Undo) -> None:
+        """Believe what would be so had a step not started."""
+        self._facts = without([undo], self._facts)
+
+    def _read(self) -> _Sensed:
+        try:
+            answer = self._sense()
+            if not isinstance(answer, Mapping):
+                raise SensingError(f"sense returned {answer!r}, expected a mapping such as {{'(lit room)': True}}")
+            if answer != self._answer:
+                self._sensed = self._changed_by(answer)
+                self._answer, self._numbers = dict(answer), {**self._numbers, **self._sensed.numbers}
+        except Exception as error:
+            error.add_note("this came of what `sense` returned or raised")
+            raise
+        return self._sensed
+
+    def _changed_by(self, answer: Mapping[str, bool | float]) -> _Sensed:
+        """Return what is sensed by an answer; only what differs from the last one is read."""
+        old, before = self._answer, self._sensed
+        if not old.keys() <= answer.keys():
+            old, before = {}, _Sensed()
+        new = {text: value for text, value in answer.items() if text not in old or old[text] != value}
+        return before.updated(*self._sorted(new))
+
+    def _sorted(self, answer: Mapping[str, bool | float]) -> tuple[Mapping[str, bool], Mapping[str, float]]:
+        """Return facts and numbers."""
+        facts: dict[str, bool] = {}
+        numbers: dict[str, float] = {}
+        for text, value in answer.items():
+            if not isinstance(text, str):
+                raise SensingError(f"sense returned {text!r}: {value!r}, expected a text such as '(lit room)' first")
+            atom = self._domain.atom(text)
+            is_number = head_of(atom) in self._numeric
+            known = value.item() if hasattr(value, "item") else value  # what numpy makes is as good
+            if isinstance(known, bool) is is_number or not isinstance(known, bool | int | float):
+                expected = "a number" if is_number else "True or False"
+                raise SensingError(f"sense returned {value!r} for {atom}, expected {expected}")
+            if not isfinite(known):
+                raise SensingError(f"sense returned {value!r} for {atom}, expected a finite number")
+            if is_number:
+                numbers[atom] = float(known)
+            elif not self._domain.is_feasibility(atom):
+                facts[atom] = bool(known)
+        return facts, numbers
+
+
+def without(undos: Iterable[Undo], state: State) -> State:
+    """Return what a state would be had steps not started."""
+    for undo in undos:
+        state = (state | undo.taken) - undo.given
+    return state
+
+
+class Reason(Protocol):
+    """An element, and what its status follows from."""
+
+    @property
+    def kind(self) -> str: ...
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def causes(self) -> "Iterable[Reason]": ...
+
+
+@runtime_checkable
+class _Explaining(Protocol):
+    """What a knowledge base may offer beside feasibility; `kb.KnowledgeBase` does."""
+
+    def explain(self, element: str) -> Reason: ...
+
+    def why(self, element: str) -> str: ...
+
+
+@dataclass(frozen=True)
+class UnmetEffect:
+    """A step that ended well without making feasible what it was to.
+
+    Args:
+        step: what was done.
+        action: the ROSA action that stayed unfeasible.
+        causes: what has kept it from being feasible ever since, by kind and name.
+        why: the same in a sentence.
+    """
+
+    step: Step
+    action: str
+    causes: frozenset[str]
+    why: str
+
+    def __str__(self) -> str:
+        return f"{self.step} did not make {self.action} feasible: {self.why}"
+
+
+class ExpectedEffects:
+    """Which steps are relied upon to make actions feasible, as a domain without those that did not.
+
+    Args:
+        domain: what `load_domain` returned.
+        kb: says what is feasible; one that explains itself also says why not.
+    """
+
+    def __init__(self, domain: Domain, kb: Feasibility) -> None:
+        self._domain, self._kb = domain, kb
+        self._unmet: dict[tuple[Step, str], UnmetEffect] = {}
+        self._without = lru_cache(_MOST_DOMAINS)(self._made)
+
+    @property
+    def unmet(self) -> tuple[UnmetEffect, ...]:
+        """What is not relied upon, in the order in which it happened."""
+        return tuple(self._unmet.values())
+
+    @property
+    def domain(self) -> Domain:
+        """The domain without the effects that are unmet; the same object for the same ones."""
+        return self._without(frozenset(self._unmet)) if self._unmet else self._domain
+
+    def ended(self, step: Step, state: State) -> tuple[UnmetEffect, ...]:
+        """Take in that a step ended well; return what it did not make feasible."""
+        found = tuple(
+            UnmetEffect(step, action, _causes(self._kb, action), _why(self._kb, action))
+            for action in self._expected(step, state)
+            if not self._kb.is_feasible(action)
+        )
+        self._unmet |= {(one.step, one.action): one for one in found}
+        return found
+
+    def update(self) -> bool:
+        """Take in what is known now; return whether something is relied upon again."""
+        before = len(self._unmet)
+        for key, unmet in tuple(self._unmet.items()):
+            feasible = self._kb.is_feasible(unmet.action)
+            left = frozenset() if feasible else unmet.causes & _causes(self._kb, unmet.action)
+            if left:
+                self._unmet[key] = replace(unmet, causes=left)
+            else:
+                del self._unmet[key]
+        return len(self._unmet) < before
+
+    def _expected(self, step: Step, state: State) -> Iterator[str]:
+        """Yield the ROSA actions that a step is to make feasible."""
+        schema = self._domain.schema_of[step.schema]
+        effects = schema.start_effects + schema.end_effects
+        _, made = changes(self._domain, effects, binding_of(self._domain, step), state)
+        known = {self._domain.feasible_atom(one): one for one in self._domain.rosa_actions}
+        yield from (known[atom] for atom in sorted(made & known.keys()))
+
+    def _made(self, unmet: frozenset[tuple[Step, str]]) -> Domain:
+        with lock_of(self._domain):
+            return _without_effects(self._domain, sorted(unmet, key=str))
+
+
+def _causes(kb: Feasibility, action: str) -> frozenset[str]:
+    """Return what an action is unfeasible for in the end, by kind and name; of a kb that cannot tell, the action."""
+    if not isinstance(kb, _Explaining):
+        return frozenset({action})
+    found, left, seen = set[str](), [kb.explain(action)], set[str]()
+    while left:
+        reason = left.pop()
+        key, causes = f"{reason.kind} {reason.name}", tuple(reason.causes)
+        if key not in seen:
+            seen.add(key)
+            left += causes
+            found |= set() if causes else {key}
+    return frozenset(found)
+
+
+def _why(kb: Feasibility, action: str) -> str:
+    return kb.why(action) if isinstance(kb, _Explaining) else f"{action} is unfeasible"
+
+
+def _without_effects(domain: Domain, unmet: Iterable[tuple[Step, str]]) -> Domain:
+    """Return a domain in which some steps are not expected to make some actions feasible.
+
+    What is translated for Fast Downward gets conditions that say for which objects that is; they vanish when it is
+    translated. Temporal engines seldom know such conditions, so for them the effect is left out for all objects.
+    """
+    problem, schemas = domain.up_problem.clone(), dict(domain.schema_of)
+    for step, action in unmet:
+        schema, up_action = schemas[step.schema], problem.action(domain.inside["action", step.schema.lower()])
+        limited = partial(_limited, domain, up_action, step, action)
+        schemas[step.schema] = replace(
+            schema,
+            start_effects=tuple(map(limited, schema.start_effects)),
+            end_effects=tuple(map(limited, schema.end_effects)),
+        )
+        effects = up_action.effects
+        for listed in effects.values() if isinstance(effects, dict) else [effects]:
+            listed[:] = [effect for effect in listed if not _makes_feasible(domain, effect, step, action)]
+    with_costs(domain, problem)
+    return replace(domain, up_problem=problem, schema_of=schemas, _atoms={})
+
+
+def _makes_feasible(domain: Domain, effect: UpThing, step: Step, action: str) -> bool:
+    if not effect.fluent.type.is_bool_type() or effect.value.is_false():
+        return False
+    return domain.feasible_atom(action) in affected_atoms(domain, [effect], binding_of(domain, step))
+
+
+def _limited(domain: Domain, up_action: UpThing, step: Step, action: str, effect: UpThing) -> UpThing:
+    """Return an effect that does not come about for the objects of a step, if it makes a ROSA action feasible there."""
+    if not _makes_feasible(domain, effect, step, action):
+        return effect
+    manager = domain.up_problem.environment.expression_manager
+    things = [domain.up_problem.object(domain.inside["object", name.lower()]) for name in (*step.arguments, action)]
+    places = [*(manager.ParameterExp(one) for one in up_action.parameters), effect.fluent.arg(0)]
+    same = [manager.Equals(place, manager.ObjectExp(thing)) for place, thing in zip(places, things, strict=True)]
+    made = effect.clone()
+    made.set_condition(manager.And(effect.condition, manager.Not(manager.And(same))))
+    return made

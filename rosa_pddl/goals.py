@@ -1,0 +1,357 @@
+"""What a plan executor is to reach, which may change while it runs, and what a planner is asked for that.
+
+What of a goal no action changes is looked up before: of `(forall (?s - sample) (imply (wanted ?s) (analysed ?s)))` a
+conjunction of what is to be analysed is left, when what is wanted is for others to say.
+
+Soft goals become costs (Keyder and Geffner, "Soft goals can be compiled away", JAIR 36, 2009): when all else is done, a
+plan either collects each one that holds, for nothing, or forgoes it at the cost of its worth. The cheapest plan then is
+the one with the best net benefit, so that any planner that heeds costs will do.
+"""
+
+from collections import OrderedDict
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from numbers import Real
+
+from rosa_pddl.belief import ExpectedEffects
+from rosa_pddl.domain import Domain, Schema, State, Step, UpThing, conjuncts, head_of
+from rosa_pddl.exceptions import GoalError, nearest
+from rosa_pddl.formulas import Condition, conditions
+from rosa_pddl.planning import PlanningResult
+from rosa_pddl.planning.grounding import lock_of
+from rosa_pddl.problem import Problem, action_costs, exact
+from rosa_pddl.validate import mentioned_atoms
+
+__all__ = ["Goal", "GoalSimplifier", "Goals", "PlanningTask", "SoftGoals"]
+
+_MOST_REMEMBERED = 64
+
+
+@dataclass(frozen=True)
+class Goal:
+    """One thing that shall hold in the end.
+
+    Args:
+        text: the condition as PDDL.
+        expression: the same as unified-planning's expression.
+        worth: how much a plan may cost more for it; None if it must be reached.
+    """
+
+    text: str
+    expression: UpThing
+    worth: float | None = None
+
+    @property
+    def is_soft(self) -> bool:
+        """Whether it may be given up when it costs more than it is worth."""
+        return self.worth is not None
+
+    def __str__(self) -> str:
+        return self.text if self.worth is None else f"{self.text} worth {self.worth:g}"
+
+
+class Goals:
+    """The goals, in the order in which they were added; at first those of the problem file.
+
+    A condition that is a conjunction is several goals. Change them between ticks, in the thread that ticks.
+
+    Args:
+        domain: what `load_domain` returned.
+    """
+
+    def __init__(self, domain: Domain) -> None:
+        self._domain = domain
+        self._goals: dict[str, Goal] = {}
+        self._version = 0
+        for text in domain.goals:
+            self._put(text, None)
+
+    @property
+    def version(self) -> int:
+        """Counts the changes."""
+        return self._version
+
+    @property
+    def hard(self) -> tuple[Goal, ...]:
+        """Those that must be reached."""
+        return tuple(goal for goal in self if not goal.is_soft)
+
+    @property
+    def soft(self) -> tuple[Goal, ...]:
+        """Those that may be given up."""
+        return tuple(goal for goal in self if goal.is_soft)
+
+    def add(self, text: str, worth: float | None = None) -> None:
+        """Add a goal; one that is there already gets the new worth.
+
+        Args:
+            text: a condition such as `(inspected north)`.
+            worth: how much a plan may cost more for it, in the unit of the plan's cost (steps, if the problem has no
+                metric); None if it must be reached. Of a conjunction, each part is worth it.
+
+        Raises:
+            GoalError: it is no text, or the worth is not positive.
+            PddlError: the text is no PDDL.
+            UnknownNameError: it mentions what the domain does not have.
+        """
+        if worth is not None and not (isinstance(worth, Real) and 0.0 < worth < float("inf")):
+            raise GoalError(f"{text} is worth {worth}, expected more than 0; leave it out if it must be reached")
+        before = dict(self._goals)
+        self._put(text, worth)
+        self._version += before != self._goals
+
+    def drop(self, text: str) -> None:
+        """Give up a goal.
+
+        Raises:
+            GoalError: it is no text, or there is no such goal.
+            PddlError: the text is no PDDL.
+            UnknownNameError: it mentions what the domain does not have.
+        """
+        read = [part.text for part in self._read(text)]
+        for one in read:
+            if one not in self._goals:
+                raise GoalError(f"{one} is not among the goals; {nearest(one, self._goals)}")
+        for one in read:
+            self._goals.pop(one, None)
+        self._version += 1
+
+    def replace(self, *texts: str) -> None:
+        """Put other goals, which must be reached, in place of all there are; none at all leaves nothing to do.
+
+        Raises:
+            GoalError: one is no text.
+            PddlError: a text is no PDDL.
+            UnknownNameError: one mentions what the domain does not have.
+        """
+        read = [part for text in texts for part in self._read(text)]
+        before, self._goals = self._goals, {part.text: Goal(part.text, part.expression) for part in read}
+        self._version += before != self._goals
+
+    def __contains__(self, text: object) -> bool:
+        return text in self._goals
+
+    def __iter__(self) -> Iterator[Goal]:
+        return iter(tuple(self._goals.values()))
+
+    def __len__(self) -> int:
+        return len(self._goals)
+
+    def __repr__(self) -> str:
+        return f"Goals({', '.join(str(goal) for goal in self)})"
+
+    def _put(self, text: str, worth: float | None) -> None:
+        for part in self._read(text):
+            self._goals[part.text] = Goal(part.text, part.expression, worth)
+
+    def _read(self, text: str) -> tuple[Condition, ...]:
+        if not isinstance(text, str):
+            raise GoalError(f"{text!r} is no goal, expected a condition as text such as '(inspected north)'")
+        # a planner may be reading the same environment of unified-planning, in a thread of its own
+        with lock_of(self._domain):
+            return conditions(self._domain, text)
+
+
+class GoalSimplifier:
+    """Leaves of goals what actions have to bring about.
+
+    Args:
+        domain: what `load_domain` returned.
+    """
+
+    def __init__(self, domain: Domain) -> None:
+        self._domain = domain
+        self._changed = {
+            domain.outside[effect.fluent.fluent().name]
+            for schema in domain.schema_of.values()
+            for effect in schema.start_effects + schema.end_effects
+        }
+        self._lasting: dict[UpThing, tuple[str, ...]] = {}
+        self._rests: OrderedDict[tuple[UpThing, tuple[bool, ...]], tuple[UpThing, ...]] = OrderedDict()
+
+    def simplified(self, goals: Iterable[UpThing], state: State) -> tuple[UpThing, ...]:
+        """Return goals that hold after a plan from a state exactly if the given ones do; no conjunction among them.
+
+        Args:
+            goals: what shall hold, as unified-planning expressions.
+            state: the atoms that are true now.
+        """
+        return tuple(part for goal in goals for part in self._rest(goal, state))
+
+    def _rest(self, goal: UpThing, state: State) -> tuple[UpThing, ...]:
+        if goal not in self._lasting:
+            atoms = mentioned_atoms(self._domain, [goal], (), {})
+            self._lasting[goal] = tuple(sorted({atom for atom in atoms if head_of(atom) not in self._changed}))
+        lasting = self._lasting[goal]
+        if not lasting:
+            return (goal,)
+        key = goal, tuple(atom in state for atom in lasting)
+        if key not in self._rests:
+            with lock_of(self._domain):
+                self._rests[key] = self._substituted(goal, dict(zip(lasting, key[1], strict=True)))
+            if len(self._rests) > _MOST_REMEMBERED:
+                self._rests.popitem(last=False)
+        return self._rests[key]
+
+    def _substituted(self, goal: UpThing, known: dict[str, bool]) -> tuple[UpThing, ...]:
+        from unified_planning.model.walkers import ExpressionQuantifiersRemover
+
+        problem, manager = self._domain.up_problem, self._domain.up_problem.environment.expression_manager
+        ground = ExpressionQuantifiersRemover(problem.environment).remove_quantifiers(goal, problem)
+        values = {self._domain.expression(atom): manager.Bool(holds) for atom, holds in known.items()}
+        rest = ground.substitute(values).simplify()
+        # planners say better than nothing at all why there is no plan
+        return (goal,) if rest.is_false() else tuple(conjuncts([rest]))
+
+
+class SoftGoals:
+    """Goals that may be given up, compiled into a domain with actions that settle each.
+
+    Args:
+        base: the domain without.
+        goals: at least one.
+
+    Attributes:
+        domain: with actions that collect or forgo each goal.
+        goal: what must hold for all to be settled, as unified-planning's expression.
+
+    Raises:
+        UnsupportedPddlError: the problem has a metric that is no action cost.
+    """
+
+    def __init__(self, base: Domain, goals: tuple[Goal, ...]) -> None:
+        from unified_planning.model.metrics import MinimizeActionCosts
+
+        self._base, self._problem = base, base.up_problem.clone()
+        self._manager = self._problem.environment.expression_manager
+        self._schemas = dict(base.schema_of)
+        self._inside, self._outside = dict(base.inside), dict(base.outside)
+        self._costs: dict[UpThing, UpThing] = self._given_costs()
+        self._collected_by: dict[str, Goal] = {}
+        settling = self._fluent("settling")
+        self._forbid(settling)
+        self.goal: UpThing = self._manager.TRUE()
+        for number, goal in enumerate(goals):
+            this = self._fluent(f"settled_{number}")
+            collect = self._action(f"collect_{number}", (self.goal, goal.expression), (settling, this))
+            self._collected_by[collect] = goal
+            self._action(f"forgo_{number}", (self.goal,), (settling, this), goal.worth or 0.0)
+            self.goal = this
+        self._problem.clear_quality_metrics()
+        metric = MinimizeActionCosts(self._costs, self._manager.Int(0), self._problem.environment)
+        self._problem.add_quality_metric(metric)
+        self.domain = replace(
+            base,
+            schemas=tuple(self._schemas),
+            schema_of=self._schemas,
+            up_problem=self._problem,
+            inside=self._inside,
+            outside=self._outside,
+            _atoms={},
+        )
+
+    def kept(self, result: PlanningResult) -> tuple[PlanningResult, tuple[Goal, ...]]:
+        """Return a plan without the steps that settle goals, and the soft goals that it reaches."""
+        schedule = tuple(timed for timed in result.schedule if self._is_real(timed.step))
+        steps = tuple(step for step in result.steps if self._is_real(step))
+        reached = tuple(self._collected_by[step.schema] for step in result.steps if step.schema in self._collected_by)
+        return replace(result, steps=steps, schedule=schedule), reached
+
+    def _is_real(self, step: Step) -> bool:
+        return step.schema in self._base.schema_of
+
+    def _given_costs(self) -> dict[UpThing, UpThing]:
+        given, zero, one = action_costs(self._base), self._manager.Int(0), self._manager.Int(1)
+        known = self._base.up_problem.action
+        return {
+            action: one if given is None else given.get_action_cost(known(action.name)) or zero
+            for action in self._problem.actions
+        }
+
+    def _forbid(self, settling: UpThing) -> None:
+        """No action but those that settle may follow one that settles."""
+        from unified_planning.model import ClosedTimeInterval, EndTiming, StartTiming
+
+        never = self._manager.Not(settling)
+        for action in self._problem.actions:
+            schema = self._schemas[self._outside[action.name]]
+            if hasattr(action, "add_precondition"):
+                action.add_precondition(never)
+                self._schemas[schema.name] = replace(schema, start=(*schema.start, never))
+            else:
+                action.add_condition(ClosedTimeInterval(StartTiming(), EndTiming()), never)
+                self._schemas[schema.name] = replace(schema, over_all=(*schema.over_all, never))
+
+    def _fluent(self, name: str) -> UpThing:
+        unique = self._unique(name)
+        self._outside[unique] = unique
+        self._inside["predicate", unique] = unique
+        return self._problem.add_fluent(unique, default_initial_value=False)()
+
+    def _action(self, name: str, needed: tuple[UpThing, ...], made: tuple[UpThing, ...], cost: float = 0.0) -> str:
+        from unified_planning.model import InstantaneousAction
+
+        unique = self._unique(name)
+        action = InstantaneousAction(unique, _env=self._problem.environment)
+        for condition in needed:
+            action.add_precondition(condition)
+        for fluent in made:
+            action.add_effect(fluent, True)
+        self._problem.add_action(action)
+        self._costs[action] = self._number(cost)
+        self._outside[unique] = unique
+        self._inside["action", unique] = unique
+        self._schemas[unique] = Schema(unique, (), needed, (), (), (), tuple(action.effects), None)
+        return unique
+
+    def _number(self, value: float) -> UpThing:
+        number = exact(value)
+        return (
+            self._manager.Int(number) if isinstance(number, int) else self._manager.Real(number.limit_denominator(1000))
+        )
+
+    def _unique(self, name: str) -> str:
+        while name in self._outside:
+            name += "_"
+        return name
+
+
+class PlanningTask:
+    """What the planner is asked for the goals in a domain, and how its answer is read.
+
+    Args:
+        effects: the domain, as far as its steps are relied upon.
+        numbers: returns the values, now, of numeric facts that costs are made of; the others are those of the problem
+            file.
+    """
+
+    def __init__(self, effects: ExpectedEffects, numbers: Callable[[], Mapping[str, float]]) -> None:
+        self._effects, self._numbers = effects, numbers
+        self._simplifier = GoalSimplifier(effects.domain)
+        self._soft: tuple[Domain, tuple[Goal, ...], SoftGoals] | None = None
+
+    def problem(self, state: State, goals: Goals) -> Problem:
+        """Return what to ask the planner.
+
+        Raises:
+            UnsupportedPddlError: there are soft goals, and the metric is no action cost.
+        """
+        hard = self._simplifier.simplified((goal.expression for goal in goals.hard), state)
+        if not goals.soft:
+            return Problem(self._effects.domain, state, hard, self._numbers())
+        soft = self._softened(goals.soft)
+        return Problem(soft.domain, state, (*hard, soft.goal), self._numbers())
+
+    def read(self, result: PlanningResult, goals: Goals) -> tuple[PlanningResult, tuple[Goal, ...]]:
+        """Return an answer in the names of the domain, and the goals that its plan reaches."""
+        if not goals.soft:
+            return result, goals.hard
+        kept, reached = self._softened(goals.soft).kept(result)
+        return kept, goals.hard + reached
+
+    def _softened(self, goals: tuple[Goal, ...]) -> SoftGoals:
+        domain = self._effects.domain
+        if self._soft is None or self._soft[:2] != (domain, goals):
+            with lock_of(domain):
+                self._soft = domain, goals, SoftGoals(domain, goals)
+        return self._soft[2]

@@ -1,0 +1,369 @@
+"""How far a plan has come, in which order its steps may start, and whether the rest will still do."""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass, replace
+from itertools import chain, groupby
+from typing import NamedTuple
+
+from rosa_pddl.belief import ExpectedEffects
+from rosa_pddl.domain import Domain, State, Step, TimedStep, UpThing, head_of
+from rosa_pddl.exceptions import UnsupportedPddlError
+from rosa_pddl.goals import Goal, Goals
+from rosa_pddl.planning import PlanningResult
+from rosa_pddl.planning.costs import Costs
+from rosa_pddl.planning.grounding import lock_of
+from rosa_pddl.planning.sums import template_of
+from rosa_pddl.planning.uses import Left, Uses
+from rosa_pddl.problem import Problem, exact
+from rosa_pddl.validate import (
+    SAME_TIME_S,
+    StepEvent,
+    affected_atoms,
+    binding_of,
+    goal_holds,
+    mentioned_atoms,
+    one_after_the_other,
+    replay,
+)
+
+__all__ = ["PlanExecution", "PlanMonitor", "ResourceLimits"]
+
+# Costs are sums of decimal numbers: less than this is no difference.
+_SAME_COST = 1e-9
+
+_Touched = tuple[frozenset[str], frozenset[str]]
+_Numbers = Mapping[str, float]
+
+
+class Outlook(NamedTuple):
+    """What the rest of a plan leads to, if nothing comes between.
+
+    Attributes:
+        flaw: why it does not reach the goals, in words; None if it does.
+        facts: the true atoms in the end, or where it broke off.
+    """
+
+    flaw: str | None
+    facts: State
+
+
+@dataclass(frozen=True)
+class PlanExecution:
+    """A plan, the order of its steps, and what of it has happened.
+
+    Args:
+        domain: what `load_domain` returned.
+        steps: of the plan, in the order of their starts.
+        events: every start and end, in the order that was planned.
+        after: for each step, what has to have happened before it may start.
+        goals: what the plan shall reach.
+        happened: what has happened.
+    """
+
+    domain: Domain
+    steps: tuple[Step, ...]
+    events: tuple[StepEvent, ...]
+    after: tuple[frozenset[StepEvent], ...]
+    goals: tuple[Goal, ...]
+    happened: frozenset[StepEvent] = frozenset()
+
+    @classmethod
+    def of(cls, domain: Domain, result: PlanningResult, goals: tuple[Goal, ...]) -> "PlanExecution":
+        """Order a plan: a schedule by what its steps need of one another, other plans one step after the other."""
+        if result.schedule:
+            return _scheduled(domain, result.schedule, goals)
+        count = len(result.steps)
+        after = tuple(frozenset({StepEvent(number - 1, True)} if number else ()) for number in range(count))
+        return cls(domain, result.steps, one_after_the_other(count), after, goals)
+
+    def with_event(self, *events: StepEvent) -> "PlanExecution":
+        """Return the same after something has happened."""
+        return replace(self, happened=self.happened.union(events))
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether everything has happened."""
+        return len(self.happened) == len(self.events)
+
+    @property
+    def startable(self) -> tuple[int, ...]:
+        """Numbers of the steps that may start now."""
+        return tuple(number for number in self.remaining if self.after[number] <= self.happened)
+
+    @property
+    def remaining(self) -> tuple[int, ...]:
+        """Numbers of the steps that have not started."""
+        return tuple(number for number in range(len(self.steps)) if StepEvent(number, False) not in self.happened)
+
+    @property
+    def unfinished_steps(self) -> tuple[Step, ...]:
+        """The steps that have not ended."""
+        return tuple(step for number, step in enumerate(self.steps) if StepEvent(number, True) not in self.happened)
+
+    def starts_with(self, step: Step) -> int | None:
+        """Return the number of an equal step that may start now, None if there is none."""
+        return next((number for number in self.startable if self.steps[number] == step), None)
+
+    def outlook(self, state: State) -> Outlook:
+        """Suppose that the rest happens as planned, from the atoms that are true now."""
+        left = [event for event in self.events if event not in self.happened]
+        started = [one.number for one in self.events if not one.is_end and one in self.happened]
+        running = [number for number in started if StepEvent(number, True) not in self.happened]
+        flaw, facts = replay(self.domain, self.steps, ([event] for event in left), state, running)
+        return Outlook(flaw or self._unreached(facts), facts)
+
+    def _unreached(self, facts: State) -> str | None:
+        for goal in self.goals:
+            if not goal_holds(self.domain, facts, [goal.expression]):
+                return f"the rest of the plan does not reach {goal.text}"
+        return None
+
+
+def _scheduled(domain: Domain, schedule: Sequence[TimedStep], goals: tuple[Goal, ...]) -> PlanExecution:
+    timed = sorted(schedule, key=lambda one: one.start_s)
+    events = _in_time(domain, timed)
+    touched = [_touched(domain, one.step) for one in timed]
+    at_events = {event: _touched(domain, timed[event.number].step, [event.is_end]) for event in events}
+    after = tuple(
+        frozenset(
+            event
+            for event in events[: events.index(StepEvent(number, False))]
+            if event.number != number and _interfere(at_events[event], touched[number])
+        )
+        for number in range(len(timed))
+    )
+    return PlanExecution(
+        domain, tuple(one.step for one in timed), events, _not_too_early(domain, timed, touched, after), goals
+    )
+
+
+def _not_too_early(
+    domain: Domain, timed: Sequence[TimedStep], touched: Sequence[_Touched], after: Sequence[frozenset[StepEvent]]
+) -> tuple[frozenset[StepEvent], ...]:
+    """Let a step that provides something only while it lasts, such as light, wait for what its first user waits for.
+
+    Otherwise it might be over before it is of use, as nothing tells how long the others take.
+    """
+    waits = list(after)
+    for number, one in enumerate(timed):
+        lent = _lent(domain, one.step)
+        users = [
+            user for user in range(len(timed)) if lent & touched[user][0] and StepEvent(number, False) in after[user]
+        ]
+        if users and one.duration_s > 0.0:
+            waiting = _waiting_for(waits, number)
+            waits[number] |= {event for event in after[users[0]] if event.number not in waiting}
+    return tuple(waits)
+
+
+def _lent(domain: Domain, step: Step) -> frozenset[str]:
+    """Return the atoms that a step makes true when it starts, and false when it ends."""
+    schema, binding = domain.schema_of[step.schema], binding_of(domain, step)
+    given = [effect for effect in schema.start_effects if not effect.value.is_false()]
+    taken = [effect for effect in schema.end_effects if not effect.value.is_true()]
+    return frozenset(affected_atoms(domain, given, binding)) & frozenset(affected_atoms(domain, taken, binding))
+
+
+def _waiting_for(waits: Sequence[frozenset[StepEvent]], number: int) -> set[int]:
+    """Return a step and those that have to wait for it."""
+    found, more = set[int](), {number}
+    while more:
+        found |= more
+        rest = [other for other in range(len(waits)) if other not in found]
+        more = {other for other in rest if any(event.number in found for event in waits[other])}
+    return found
+
+
+def _in_time(domain: Domain, timed: Sequence[TimedStep]) -> tuple[StepEvent, ...]:
+    """Order starts and ends; at one moment first what ends, then what starts, then what is over at once."""
+    dated: list[tuple[int, int, StepEvent]] = []
+    for number, one in enumerate(timed):
+        dated.append((round(one.start_s / SAME_TIME_S), 1, StepEvent(number, False)))
+        dated.append((round(one.end_s / SAME_TIME_S), 0 if one.duration_s > 0.0 else 2, StepEvent(number, True)))
+    moments = groupby(sorted(dated), key=lambda one: one[0])
+    return tuple(chain.from_iterable(_in_turn(domain, timed, [event for *_, event in moment]) for _, moment in moments))
+
+
+def _in_turn(domain: Domain, timed: Sequence[TimedStep], together: list[StepEvent]) -> Iterator[StepEvent]:
+    """Yield what happens at one moment in an order that keeps what holds over all.
+
+    A step needs that from just after its start until just before its end: it starts after what brings it about, and
+    ends before what takes it away.
+    """
+    left = list(together)
+    while left:
+        free = (one for one in left if not any(_precedes(domain, timed, other, one) for other in left))
+        event = next(free, left[0])
+        left.remove(event)
+        yield event
+
+
+def _precedes(domain: Domain, timed: Sequence[TimedStep], one: StepEvent, other: StepEvent) -> bool:
+    if one.number == other.number:
+        return other.is_end and not one.is_end
+    if one.is_end and timed[one.number].duration_s > 0.0:
+        return bool(_held(domain, timed[one.number].step) & _changed(domain, timed, other))
+    return not other.is_end and bool(_held(domain, timed[other.number].step) & _changed(domain, timed, one))
+
+
+def _held(domain: Domain, step: Step) -> frozenset[str]:
+    """Return the atoms that a step looks at all the while."""
+    over_all = domain.schema_of[step.schema].over_all
+    return frozenset(mentioned_atoms(domain, over_all, (), binding_of(domain, step)))
+
+
+def _changed(domain: Domain, timed: Sequence[TimedStep], event: StepEvent) -> frozenset[str]:
+    return _touched(domain, timed[event.number].step, [event.is_end])[1]
+
+
+def _touched(domain: Domain, step: Step, ends: Iterable[bool] = (False, True)) -> _Touched:
+    """Return the atoms that a step, or only its start or its end, needs, and those that it changes."""
+    schema, binding = domain.schema_of[step.schema], binding_of(domain, step)
+    needed: set[str] = set()
+    changed: set[str] = set()
+    for is_end in ends:
+        conditions = schema.over_all + (schema.end if is_end else schema.start)
+        effects = schema.end_effects if is_end else schema.start_effects
+        needed |= set(mentioned_atoms(domain, conditions, effects, binding))
+        changed |= set(affected_atoms(domain, effects, binding))
+    return frozenset(needed), frozenset(changed)
+
+
+def _interfere(one: _Touched, other: _Touched) -> bool:
+    return bool(one[1] & (other[0] | other[1]) or one[0] & other[1])
+
+
+class ResourceLimits:
+    """The limits of a domain's resources, if it has any: numbers that decide whether there is a plan.
+
+    Args:
+        domain: what `load_domain` returned.
+
+    Raises:
+        UnsupportedPddlError: an amount is no sum of numbers and numeric facts.
+    """
+
+    def __init__(self, domain: Domain) -> None:
+        self._domain, self._uses = domain, Uses(domain)
+        self._stated = self._uses.numbers(Problem(domain, frozenset()))
+        limited = domain.limited
+        used = [amount for resource in limited for amount in resource.uses.values()]
+        limits = [limit.amount for resource in limited for limit in resource.limits]
+        self._used = frozenset(_names(domain, used))
+        # a limit on the whole grows when less was used up before
+        limiting = [template_of(domain, one).bound({}) for one in (*limits, *(each.fluent for each in limited))]
+        self._limiting = frozenset(text for one in limiting for _, text in one.terms)
+        self._is_simple = all(_only_grows(amount) for amount in used)
+
+    def overspent(self, steps: Iterable[Step], numbers: _Numbers) -> str | None:
+        """Return which limit steps break, in words; None if they keep them all."""
+        if not self._domain.limited:
+            return None
+        listed = tuple(steps)
+        used = {text for step in listed for amount in self._uses.of(step) for _, text in amount.terms}
+        try:
+            return self._uses.overspent(self._asked(numbers, self._limiting | used), listed)
+        except UnsupportedPddlError:  # what is done without a plan, where a number is not known
+            return None
+
+    def leave_no_more(self, now: _Numbers, then: _Numbers) -> bool:
+        """Whether what is impossible with some numbers is so with others: no limit leaves more, no step uses less."""
+        if now is then or not self._domain.limited:
+            return True
+        try:
+            before, after = self._left(then), self._left(now)
+        except UnsupportedPddlError:  # a number is not known, so nothing can be planned
+            return now == then
+        if any(
+            new.amount > old.amount or new.is_strict < old.is_strict for old, new in zip(before, after, strict=True)
+        ):
+            return False
+        known = {**self._stated, **then}
+        pairs = [
+            (exact(now[key]), exact(known[key]) if key in known else None) for key in now if head_of(key) in self._used
+        ]
+        return all(new == old or (self._is_simple and old is not None and new > old) for new, old in pairs)
+
+    def _left(self, numbers: _Numbers) -> tuple[Left, ...]:
+        return self._uses.left(self._uses.numbers(self._asked(numbers, self._limiting)))
+
+    def _asked(self, numbers: _Numbers, keys: AbstractSet[str]) -> Problem:
+        costs = {key: numbers[key] for key in keys if key in numbers}  # of a large world it is a small part
+        return Problem(self._domain, frozenset(), costs=costs)
+
+
+def _names(domain: Domain, amounts: Iterable[UpThing]) -> Iterator[str]:
+    for amount in amounts:
+        if amount.is_fluent_exp():
+            yield domain.outside[amount.fluent().name]
+        else:
+            yield from _names(domain, amount.args)
+
+
+def _only_grows(amount: UpThing) -> bool:
+    """Whether an amount can but grow with the numbers that it is made of."""
+    if amount.is_constant():
+        return bool(amount.constant_value() >= 0)
+    if amount.is_fluent_exp():
+        return True
+    return not amount.is_minus() and all(_only_grows(part) for part in amount.args)
+
+
+class PlanMonitor:
+    """Whether the plan that is executed will still do.
+
+    Args:
+        effects: the domain, as far as its steps are relied upon.
+        numbers: returns the values, now, of numeric facts; the others are those of the problem file.
+
+    Raises:
+        UnsupportedPddlError: the metric cannot be kept.
+    """
+
+    def __init__(self, effects: ExpectedEffects, numbers: Callable[[], _Numbers]) -> None:
+        self._effects, self._numbers = effects, numbers
+        domain = effects.domain
+        self._limits = ResourceLimits(domain)
+        with lock_of(domain):
+            self._costs = Costs(domain, Problem(domain, frozenset()).build())
+
+    def is_no_easier(self, then: _Numbers) -> bool:
+        """Whether what could not be reached with some numbers cannot be reached now, by its limits."""
+        return self._limits.leave_no_more(self._numbers(), then)
+
+    def overspent(self, plan: PlanExecution) -> str | None:
+        """Return which limit the steps break that have not started, in words; None if they keep them all.
+
+        What runs is passed over: part of what it uses may be in what is sensed already.
+        """
+        over = self._limits.overspent((plan.steps[number] for number in plan.remaining), self._numbers())
+        return None if over is None else f"the rest of the plan is too much: {over}"
+
+    def aimed(self, plan: PlanExecution, state: State, goals: Goals) -> PlanExecution:
+        """Return a plan that has to reach the goals as they are now; of the soft ones those that it reaches."""
+        return replace(plan, goals=goals.hard + self._holding(goals.soft, plan.outlook(state).facts))
+
+    def is_over(self, state: State, goals: Goals, plan: PlanExecution | None) -> bool:
+        """Whether nothing is left to do: the goals hold, or those that do not are not worth it, as the plan found."""
+        if len(self._holding(goals.hard, state)) < len(goals.hard):
+            return False
+        if plan is not None and plan.is_finished:
+            return True
+        return len(self._holding(goals.soft, state)) == len(goals.soft)
+
+    def is_better(self, new: PlanExecution, after: State, old: PlanExecution, now: State, goals: Goals) -> bool:
+        """Whether a plan, begun in a state, works and costs less than the rest of another one, now."""
+        if new.outlook(after).flaw is not None or self.overspent(new) is not None:
+            return False
+        return self._price(new, after, goals) < self._price(old, now, goals) - _SAME_COST
+
+    def _price(self, plan: PlanExecution, state: State, goals: Goals) -> float:
+        """Return the cost of what has not ended, and the worth of the goals that are forgone."""
+        held = self._holding(goals.soft, plan.outlook(state).facts)
+        forgone = sum(goal.worth or 0.0 for goal in goals.soft if goal not in held)
+        numbers = self._costs.numbers(Problem(self._effects.domain, frozenset(), costs=self._numbers()))
+        return forgone + self._costs.total(plan.unfinished_steps, numbers)
+
+    def _holding(self, goals: Iterable[Goal], facts: State) -> tuple[Goal, ...]:
+        return tuple(goal for goal in goals if goal_holds(self._effects.domain, facts, [goal.expression]))

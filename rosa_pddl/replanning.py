@@ -1,0 +1,539 @@
+"""When to plan anew, the dialogue with the planner, and why there is no plan."""
+
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Literal, Protocol
+
+from rosa_pddl.belief import ExpectedEffects
+from rosa_pddl.domain import Domain, State, Step, UpThing
+from rosa_pddl.exceptions import PlannerSettingError, PlanningBudgetError
+from rosa_pddl.goals import Goal, Goals, PlanningTask
+from rosa_pddl.plan_monitor import PlanExecution, PlanMonitor
+from rosa_pddl.planning import Outcome, PlanningResult, awaited
+from rosa_pddl.problem import Problem, unlimited
+
+__all__ = [
+    "Decision",
+    "PlanRecord",
+    "PlannerClient",
+    "PlanningState",
+    "PlansAhead",
+    "Replanning",
+    "ReplanningPolicy",
+    "decide",
+    "news_of",
+    "wait_s",
+]
+
+_LOG = logging.getLogger(__name__)
+
+# Sums of tick lengths miss the due time by rounding; no clock of ours tells less than this apart [s].
+_CLOCK_RESOLUTION_S = 1e-6
+# A planner keeps its own time limit; this much more is waited before it is given up [s].
+_GRACE_S = 2.0
+
+PlanningState = tuple[State, Mapping[str, float]]
+"""What is believed: the true atoms, and numbers by their text."""
+
+
+@dataclass(frozen=True)
+class ReplanningPolicy:
+    """How eager a plan executor is to plan anew.
+
+    A plan that does not reach the goal any more is always replaced; what a running step needs is always watched, and
+    the step stopped at once when it is missing.
+
+    Args:
+        eager: whether to look for a better plan whenever the world changed by itself though the current plan still
+            works. The better plan replaces the current one if it costs less.
+        at_most_every_s: no planning begins sooner than this after the one before [s].
+        while_planning: what becomes of steps that run while a plan is needed: `continue` lets those go on whose own
+            conditions hold, and they run on if the new plan starts with them; `hold` stops them all.
+
+    Raises:
+        PlannerSettingError: a setting that makes no sense.
+    """
+
+    eager: bool = False
+    at_most_every_s: float = 0.2
+    while_planning: Literal["continue", "hold"] = "continue"
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.at_most_every_s < float("inf"):
+            raise PlannerSettingError(f"at_most_every_s is {self.at_most_every_s:g} s, expected 0 or more")
+        if self.while_planning not in ("continue", "hold"):
+            message = f"while_planning is {self.while_planning!r}, expected 'continue' or 'hold'"
+            raise PlannerSettingError(message)
+
+
+@dataclass(frozen=True)
+class Decision:
+    """That a plan is to be made.
+
+    Args:
+        reason: why, in words.
+        is_needed: whether the current plan is of no use any more; else it goes on unless a better one is found.
+    """
+
+    reason: str
+    is_needed: bool
+
+
+def decide(policy: ReplanningPolicy, *, flaw: str | None, goals_changed: bool, news: str | None) -> Decision | None:
+    """Decide whether to plan anew while there is a plan; None to go on with it.
+
+    Args:
+        policy: how eager.
+        flaw: why the rest of the current plan does not reach the goals, None if it does.
+        goals_changed: whether others are wanted than when it was last looked for.
+        news: what changed in the world other than by the plan, in words; None if nothing did.
+    """
+    if flaw is not None:
+        return Decision(f"the goals changed: {flaw}" if goals_changed else flaw, is_needed=True)
+    if goals_changed:
+        return Decision("the goals changed", is_needed=False)
+    if policy.eager and news is not None:
+        return Decision(f"something better may be possible: {news}", is_needed=False)
+    return None
+
+
+def news_of(expected: PlanningState | None, now: PlanningState) -> str | None:
+    """Return what changed by itself since it was last looked, in words; None if nothing did."""
+    if expected is None or expected == now:
+        return None
+    (before, known), (state, numbers) = expected, now
+    changed = sorted(state - before) + [f"(not {atom})" for atom in sorted(before - state)]
+    changed += [f"{text} is {value:g}" for text, value in sorted(numbers.items()) if known.get(text) != value]
+    return ", ".join(changed[:3]) + (", ..." if len(changed) > 3 else "")
+
+
+def wait_s(policy: ReplanningPolicy, now_s: float, last_s: float | None) -> float:
+    """Return how long the next planning has to wait [s]; 0 if it may begin now.
+
+    Args:
+        policy: sets the rate.
+        now_s: the executor's clock [s].
+        last_s: when the last planning began [s]; None if there was none.
+    """
+    return 0.0 if last_s is None else max(0.0, last_s + policy.at_most_every_s - now_s)
+
+
+class PlansAhead(Protocol):
+    """What the executor needs of a planner."""
+
+    @property
+    def timeout_s(self) -> float:
+        """After this long the planner gives up by itself [s]."""
+
+    def start(self, problem: Problem) -> "Future[PlanningResult]":
+        """Begin to plan, without waiting."""
+
+
+@dataclass(frozen=True)
+class _Question:
+    """What was asked of the planner.
+
+    Args:
+        problem: what is to be planned.
+        state: the state that was believed, whatever the problem makes of it.
+        decision: why it was asked; None if only to find out why there is no plan.
+        at_s: when [s, the executor's clock].
+    """
+
+    problem: Problem
+    state: State
+    decision: Decision | None
+    at_s: float
+
+
+class PlannerClient:
+    """Asks a planner beside the ticks, at most one question at a time.
+
+    Args:
+        planner: answers.
+        clock: returns the time [s].
+        delay_s: an answer is taken this long after the question, whatever it took [s]; None to take it as soon as it is
+            there.
+    """
+
+    def __init__(self, planner: PlansAhead, clock: Callable[[], float], delay_s: float | None) -> None:
+        self._planner, self._clock, self._delay_s = planner, clock, delay_s
+        self._future: Future[PlanningResult] | None = None
+        self._question: _Question | None = None
+
+    @property
+    def is_under_way(self) -> bool:
+        """Whether something is being planned."""
+        return self._question is not None
+
+    def ask(self, problem: Problem, state: State, decision: Decision | None) -> None:
+        """Begin to plan, in place of what was being planned."""
+        self.give_up()
+        self._question = _Question(problem, state, decision, self._clock())
+        try:
+            self._future = self._planner.start(problem)
+        except Exception as error:  # a planner must not stop the tree; what it raises is its answer
+            self._future = Future()
+            self._future.set_exception(error)
+
+    @property
+    def has_answer(self) -> bool:
+        """Whether the answer is there and due, or will not come any more."""
+        return self._future is not None and self._is_due() and (self._future.done() or self._is_late())
+
+    def take(self) -> tuple[_Question, PlanningResult] | None:
+        """Return the answer with its question if it is due and there; never waits."""
+        if self._question is None or self._future is None or not self.has_answer:
+            return None
+        answer = self._question, self._answer(self._future)
+        self._question = self._future = None
+        return answer
+
+    def catch_up(self) -> None:
+        """Wait for an answer that is due.
+
+        Raises:
+            PlanningBudgetError: it needed more wall-clock time than the planner allows.
+        """
+        if self._future is None or self._delay_s is None or not self._is_due():
+            return
+        try:
+            awaited(self._future, self._planner.timeout_s + _GRACE_S)
+        except PlanningBudgetError:
+            raise
+        except Exception as error:  # it is reported by name when the answer is taken
+            _LOG.debug("the planner raised %r", error)
+
+    def give_up(self) -> None:
+        """Forget the question."""
+        if self._future is not None:
+            self._future.cancel()
+        self._question = self._future = None
+
+    def _is_due(self) -> bool:
+        return self._passed_s() >= (self._delay_s or 0.0) - _CLOCK_RESOLUTION_S
+
+    def _is_late(self) -> bool:
+        """Whether a planner is not keeping its own time limit; in lock-step the clock says nothing of that."""
+        return self._delay_s is None and self._passed_s() > self._planner.timeout_s + _GRACE_S
+
+    def _passed_s(self) -> float:
+        assert self._question is not None
+        return self._clock() - self._question.at_s
+
+    def _answer(self, future: "Future[PlanningResult]") -> PlanningResult:
+        engine = str(getattr(self._planner, "engine", type(self._planner).__name__))
+        if not future.done():
+            future.cancel()
+            message = f"{engine} gave no answer in {self._passed_s():.3g} s; allow more time or ask for less"
+            return PlanningResult(Outcome.OUT_OF_TIME, engine=engine, message=message)
+        try:
+            return future.result()
+        except Exception as error:  # a planner of the user's own may raise anything
+            return PlanningResult(Outcome.ENGINE_CRASHED, engine=engine, message=f"{type(error).__name__}: {error}")
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Further questions to the planner after it found no plan, and what their answers say.
+
+    Args:
+        domain: what `load_domain` returned.
+        state: from which there is no plan.
+        goals: that cannot all be reached.
+        why: the answer of the planner, in words.
+        costs: the values of numeric facts, as they were asked with.
+        answers: to the questions so far, in order.
+        is_open: whether there is anything to ask: not if it was the planner that failed.
+    """
+
+    domain: Domain
+    state: State
+    goals: tuple[Goal, ...]
+    why: str
+    costs: Mapping[str, float] = field(default_factory=dict)
+    answers: tuple[PlanningResult, ...] = ()
+    is_open: bool = True
+
+    @property
+    def next_question(self) -> Problem | None:
+        """What to ask next; None if enough is known.
+
+        First each goal alone, if there are several; then all of them, were every action feasible, or nothing limited.
+        """
+        questions = self._questions if self.is_open else []
+        return questions[len(self.answers)]() if len(self.answers) < len(questions) else None
+
+    def answered(self, result: PlanningResult) -> "Diagnosis":
+        """Return the diagnosis with one more answer."""
+        return replace(self, answers=(*self.answers, result))
+
+    def __str__(self) -> str:
+        return "; ".join(filter(None, [self.why, self._which(), self._if_all_were_feasible(), self._if_unlimited()]))
+
+    @property
+    def _questions(self) -> list[Callable[[], Problem]]:
+        asked: list[Callable[[], Problem]] = [partial(self._problem, [goal]) for goal in self.goals[: self._singles]]
+        if self._unfeasible:
+            asked.append(partial(self._problem, self.goals, is_all_feasible=True))
+        if self.domain.limited:
+            asked.append(partial(self._problem, self.goals, is_limited=False))
+        return asked
+
+    @property
+    def _singles(self) -> int:
+        return len(self.goals) if len(self.goals) > 1 else 0
+
+    @property
+    def _unfeasible(self) -> tuple[str, ...]:
+        if not self.domain.tracks_feasibility:
+            return ()
+        actions = self.domain.rosa_actions
+        return tuple(action for action in actions if self.domain.feasible_atom(action) not in self.state)
+
+    def _problem(self, goals: Sequence[Goal], *, is_all_feasible: bool = False, is_limited: bool = True) -> Problem:
+        domain, state = self.domain, self.state
+        if is_all_feasible:
+            state |= {domain.feasible_atom(action) for action in domain.rosa_actions}
+        if not is_limited:
+            domain = unlimited(domain)
+        expressions: tuple[UpThing, ...] = tuple(goal.expression for goal in goals)
+        return Problem(domain, state, expressions, self.costs)
+
+    def _which(self) -> str:
+        if not self._singles or not self.is_open:
+            return ""
+        answered = list(zip(self.goals, self.answers[: self._singles], strict=True))
+        out = [goal.text for goal, answer in answered if not answer.outcome.is_solved and not answer.outcome.is_trouble]
+        unknown = [goal.text for goal, answer in answered if answer.outcome.is_trouble]
+        well = [goal.text for goal, answer in answered if answer.outcome.is_solved]
+        if not out and not unknown:
+            return "each goal can be reached alone, but not all together"
+        parts = [
+            f"out of reach: {', '.join(out)}" if out else "",
+            f"in reach alone: {', '.join(well)}" if well else "",
+            f"not known: {', '.join(unknown)}" if unknown else "",
+        ]
+        return "; ".join(filter(None, parts))
+
+    def _if_all_were_feasible(self) -> str:
+        if not self._unfeasible or len(self.answers) <= self._singles:
+            return ""
+        last = self.answers[self._singles]
+        if last.outcome.is_trouble:
+            return ""
+        names = ", ".join(self._unfeasible)
+        if last.outcome.is_solved:
+            return f"unfeasible now: {names}; there would be a plan if they were feasible"
+        return "there would be no plan even if every action were feasible"
+
+    def _if_unlimited(self) -> str:
+        if not self.domain.limited or len(self.answers) < len(self._questions):
+            return ""
+        last = self.answers[-1]
+        if last.outcome.is_trouble:
+            return ""
+        names = ", ".join(resource.name for resource in self.domain.limited)
+        are = "would" if last.outcome.is_solved else "would not"
+        return f"there {are} be a plan without the limits of {names}"
+
+
+@dataclass(frozen=True)
+class PlanRecord:
+    """One planning that happened.
+
+    Args:
+        at_s: when it was asked for [s, the executor's clock].
+        reason: why, in words.
+        outcome: how it ended.
+        steps: the plan; empty unless solved.
+        engine: the engine that was asked.
+        message: what was tried and what to do about it; empty when solved.
+    """
+
+    at_s: float
+    reason: str
+    outcome: Outcome
+    steps: tuple[Step, ...]
+    engine: str
+    message: str = ""
+
+
+@dataclass(frozen=True)
+class _DeadEnd:
+    """What there is no plan from, and why."""
+
+    state: State
+    domain: Domain
+    numbers: Mapping[str, float]
+    why: str
+
+
+@dataclass(frozen=True)
+class _Found:
+    """A plan, and why it was asked for.
+
+    Args:
+        plan: the plan, of which nothing has happened yet.
+        decision: why.
+    """
+
+    plan: PlanExecution
+    decision: Decision
+
+
+class Replanning:
+    """Asks for plans as a policy allows, and finds out why there is none.
+
+    Args:
+        goals: what shall be reached.
+        effects: the domain, as far as its steps are relied upon.
+        task: turns goals into problems.
+        monitor: knows whether numbers leave less than before.
+        client: asks the planner.
+        clock: returns the time [s].
+        policy: sets the rate.
+    """
+
+    def __init__(
+        self,
+        goals: Goals,
+        effects: ExpectedEffects,
+        task: PlanningTask,
+        monitor: PlanMonitor,
+        client: PlannerClient,
+        clock: Callable[[], float],
+        policy: ReplanningPolicy,
+    ) -> None:
+        self._goals, self._effects, self._task, self._monitor = goals, effects, task, monitor
+        self._client, self._clock, self._policy = client, clock, policy
+        self._last_asked_s: float | None = None
+        self._wanted: Decision | None = None
+        self._diagnosis: Diagnosis | None = None
+        self._asked_in = effects.domain
+        self._dead_end: _DeadEnd | None = None
+        self.records: list[PlanRecord] = []
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether a plan is wanted or being made."""
+        return self._wanted is not None or self._client.is_under_way
+
+    @property
+    def has_answer(self) -> bool:
+        """Whether an answer of the planner can be taken."""
+        return self._client.has_answer
+
+    def catch_up(self) -> None:
+        """Wait for an answer that is due; see `PlanExecutor.catch_up`."""
+        self._client.catch_up()
+
+    def why_no_plan(self, state: State) -> str | None:
+        """Return why there is no plan from a state, if that has been found; None if it has to be asked."""
+        dead_end = self._dead_end
+        if dead_end is None or (dead_end.state, dead_end.domain) != (state, self._effects.domain):
+            return None
+        return dead_end.why if self._monitor.is_no_easier(dead_end.numbers) else None
+
+    @property
+    def had_no_plan(self) -> bool:
+        """Whether the last answer was that there is none."""
+        return self._dead_end is not None
+
+    def want(self, decision: Decision) -> None:
+        """Note that a plan is to be made; what is being planned for something else is given up if it is needed."""
+        if self._wanted is not None and self._wanted.is_needed:
+            return
+        self._wanted = decision
+        if decision.is_needed:
+            self._client.give_up()
+            self._diagnosis = None
+
+    def goals_changed(self, *, is_needed: bool) -> None:
+        """Plan for the goals as they are now, if a plan was being made; there may be one now."""
+        self._dead_end = None
+        if self._client.is_under_way:
+            self._client.give_up()
+            self._diagnosis = None
+            self.want(Decision("the goals changed", is_needed))
+
+    def ask_if_allowed(self, state: State) -> str | None:
+        """Ask for the plan that is wanted, unless the policy says that it is too soon; return what to say of it."""
+        if self._wanted is None:
+            return None
+        now_s = self._clock()
+        left_s = wait_s(self._policy, now_s, self._last_asked_s)
+        if left_s > 0.0:
+            return f"planning in {left_s:.2g} s: {self._wanted.reason}"
+        decision, self._wanted = self._wanted, None
+        self._asked_in = self._effects.domain
+        self._client.ask(self._task.problem(state, self._goals), state, decision)
+        self._last_asked_s, self._dead_end = now_s, None
+        return f"planning: {decision.reason}"
+
+    def forget(self) -> None:
+        """Give up what is wanted or being planned; that there is none stays known."""
+        self._client.give_up()
+        self._wanted = self._diagnosis = None
+
+    def take(self, state: State) -> _Found | None:
+        """Return a plan if one has just been found.
+
+        Args:
+            state: to plan from if there is none.
+        """
+        answer = self._client.take()
+        if answer is None:
+            return None
+        question, result = answer
+        if question.decision is None:
+            assert self._diagnosis is not None
+            self._diagnose(self._diagnosis.answered(result), state)
+            return None
+        decision = question.decision
+        result, promised = self._task.read(result, self._goals)
+        outcome, steps, domain = result.outcome, result.steps, self._effects.domain
+        is_fresh = state == question.state and domain is self._asked_in
+        self.records.append(PlanRecord(question.at_s, decision.reason, outcome, steps, result.engine, result.message))
+        if outcome.is_solved:
+            plan = PlanExecution.of(domain, result, promised)
+            wrong = plan.outlook(state).flaw if is_fresh else None
+            if wrong is None:
+                return _Found(plan, decision)
+            # the same question would get the same answer, again and again
+            why = f"no plan: what {result.engine} gave cannot be done event by event: {wrong}"
+            self._give_up(state, question.problem.costs, why)
+            return None
+        if not decision.is_needed:
+            return None
+        if not is_fresh:
+            self.want(Decision("the state changed during planning", is_needed=True))
+            return None
+        what = result.message or decision.reason
+        why = f"no plan: {what}" if str(outcome) in what else f"no plan, {outcome}: {what}"
+        costs, is_open = question.problem.costs, not outcome.is_trouble
+        diagnosis = Diagnosis(domain, state, self._goals.hard, why, costs, is_open=is_open)
+        self._diagnose(diagnosis, state)
+        if result.safe_step is None:
+            return None
+        safe = PlanningResult(Outcome.SOLVED, (result.safe_step,))
+        return _Found(PlanExecution.of(domain, safe, ()), Decision("there is no plan", is_needed=True))
+
+    def _give_up(self, state: State, numbers: Mapping[str, float], why: str) -> None:
+        """Note that there is no plan with the numbers that were asked with, which may be others by now."""
+        self._dead_end = _DeadEnd(state, self._effects.domain, numbers, why)
+
+    def _diagnose(self, diagnosis: Diagnosis, state: State) -> None:
+        """Ask on, or conclude that there is no plan; when the state has changed it is better to plan anew."""
+        domain = self._effects.domain
+        if (state, domain) != (diagnosis.state, diagnosis.domain):
+            self.want(Decision("the state changed", is_needed=True))
+        elif diagnosis.next_question is not None:
+            self._diagnosis = diagnosis
+            self._client.ask(diagnosis.next_question, state, None)
+        else:
+            self._diagnosis = None
+            self._give_up(state, diagnosis.costs, "; ".join(map(str, (diagnosis, *self._effects.unmet))))
