@@ -16,7 +16,7 @@ from missions.experiments.comparison import SEARCH, Comparison, comparisons
 from missions.experiments.figures import distribution, reaction_histograms
 from missions.experiments.results import Kept
 from missions.experiments.statistics import contrast, holm, interval_of_mean, interval_of_sd, two_clusters
-from missions.output import OutputFile
+from missions.views.output import OutputFile
 
 __all__ = ["Document", "write_report"]
 

@@ -16,7 +16,7 @@ from typing import Any, Self
 from missions.engine.mission import MissionError
 from missions.experiments.campaign import Campaign, from_data
 from missions.experiments.work import CRASHED, Outcome, provenance
-from missions.output import OutputFile
+from missions.views.output import OutputFile
 
 __all__ = ["Kept", "Store", "reaction_rows", "read_store", "run_rows", "write_tables"]
 

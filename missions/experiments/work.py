@@ -18,7 +18,7 @@ from missions.baselines.watch import WatchedSea
 from missions.engine.registry import find_mission
 from missions.engine.runner import MissionRun
 from missions.experiments.campaign import PlannedRun
-from missions.report import as_json, summary
+from missions.views.output import as_json, summary
 
 __all__ = ["CRASHED", "Outcome", "crash", "do", "provenance"]
 

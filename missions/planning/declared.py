@@ -7,11 +7,9 @@ from typing import Any
 from py_trees.behaviour import Behaviour
 
 from missions.engine.mission import Mission, MissionError
-from missions.names import Names, names_in_pddl
 from rosa_pddl import ActionSchema, Declarations, DeclaredProblem, Domain, load_domain
-from rosa_pddl.domain import ACTION_TYPE
 
-__all__ = ["by_schema", "check_facts", "declarations_of", "mission_domain", "planned_names", "schema_of"]
+__all__ = ["by_schema", "check_facts", "declarations_of", "mission_domain", "schema_of"]
 
 Action = Callable[..., Behaviour]
 
@@ -88,15 +86,3 @@ def check_facts(mission: Mission) -> None:
     except TypeError as error:
         told = f"the facts of mission {mission.name} are called with the knowledge base and the percepts"
         raise MissionError(f"{told}: {error}; write facts=lambda kb, percepts: {{...}}") from error
-
-
-def planned_names(mission: Mission) -> Names | None:
-    """Return the ROSA actions that the planned task layer of a mission is about; None if it has none."""
-    declared = declarations_of(mission)
-    if declared is not None:
-        objects = [name for name, kind in declared.problem.objects.items() if kind == ACTION_TYPE]
-        place = f"the schemas of {mission.name}"
-        return Names(dict.fromkeys([*declared.rosa_actions, *objects], (place,)))
-    files = [path for path in (mission.domain, mission.problem) if path is not None]
-    paths = [path for path in files if not isinstance(path, DeclaredProblem)]
-    return names_in_pddl(paths) if paths else None

@@ -127,8 +127,12 @@ def ask(
     return replace(made, why_not=partial(mission.why_not, kb, Percepts()))
 
 
-def read_situation(texts: Iterable[str]) -> Supposed:
+def read_situation(texts: Iterable[str], feasible: Iterable[str] | None = None) -> Supposed:
     """Read what is supposed, such as `battery_level=0.2,camera=failed`.
+
+    Args:
+        texts: values of attributes and failed components.
+        feasible: names of the ROSA actions that are feasible, several with commas; None for what follows.
 
     Raises:
         MissionError: it is of another form.
@@ -147,7 +151,12 @@ def read_situation(texts: Iterable[str]) -> Supposed:
         except ValueError as error:
             message = f"--situation takes {name}=NUMBER, or {name}={FAILED} for a component, not {part.strip()!r}"
             raise MissionError(message) from error
-    return Supposed(measured=measured, failed=tuple(failed))
+    names = (
+        None
+        if feasible is None
+        else tuple(name.strip() for text in feasible for name in text.split(",") if name.strip())
+    )
+    return Supposed(names, measured, tuple(failed))
 
 
 def _check(supposed: Supposed, *, has_model: bool) -> None:

@@ -56,7 +56,7 @@ LATE_MODULES = {
     "kb/optimum/solver.py",
     "kb/owl.py",
     "kb/typeql/reading.py",
-    "missions/plot.py",
+    "missions/views/picture.py",
     "missions/testing/plugin.py",
     "rosa_pddl/planning/up_engine.py",
     "suave_env/gym.py",

@@ -9,7 +9,7 @@ from missions.engine.mission import Verdict
 from missions.engine.registry import find_mission
 from missions.engine.runner import MissionRun
 from missions.engine.settings import split_settings
-from missions.report import as_json, summary
+from missions.views.output import as_json, summary
 
 
 def run_mission(name, task="bt", seed=0, listeners=(), **changed) -> tuple[MissionRun, Verdict, dict]:

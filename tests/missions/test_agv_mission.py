@@ -24,7 +24,7 @@ from missions.engine.percepts import Percepts
 from missions.engine.runner import MissionRun
 from missions.engine.task_layer import TASK_KINDS
 from missions.planning.declared import mission_domain
-from missions.report import as_json
+from missions.views.output import as_json
 from rosa_pddl import Planner, Problem
 from rosa_pddl.belief import Belief
 

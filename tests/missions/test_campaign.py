@@ -23,9 +23,9 @@ from missions.baselines import MANAGERS
 from missions.engine.mission import MissionError
 from missions.experiments import results as tables_module
 from missions.experiments.campaign import Campaign, PlannedRun, from_data, paper_table
-from missions.experiments.campaign_command import _Teller
 from missions.experiments.results import Store, read_store
 from missions.experiments.work import PACKAGES, Outcome, do, provenance
+from missions.views.console import CampaignProgress
 
 ROOT = Path(__file__).parents[2]
 SMALL = """
@@ -422,7 +422,7 @@ def test_whatever_is_cut_off_at_the_end_costs_the_last_line_at_most(data, tmp_pa
 
 def test_bar_shows_how_far_how_fast_and_how_long():
     shown = StringIO()
-    with _Teller(Console(file=shown, force_terminal=True, width=120)) as teller:
+    with CampaignProgress(Console(file=shown, force_terminal=True, width=120)) as teller:
         teller.begin(1, 4)
         teller.done(first().record)
         teller.note("no worker is left")

@@ -11,12 +11,11 @@ from running import called
 
 from kb import Model
 from kb.judge.findings import RULES
-from missions.checking import judge
+from missions.commands.check import judge
 from missions.engine import registry
 from missions.engine.mission import MissionError
 from missions.engine.registry import MISSIONS
-from missions.names import names_in_pddl, names_in_tree
-from missions.planning.declared import planned_names
+from missions.views.names import names_in_pddl, names_in_tree, planned_names
 from rosa_bt import IsActionFeasible
 from rosa_pddl import PddlError
 

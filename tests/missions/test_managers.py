@@ -14,7 +14,7 @@ from missions.baselines.modes import SystemModes
 from missions.engine.mission import MissionError
 from missions.engine.registry import find_mission
 from missions.engine.runner import Listener
-from missions.report import as_json, summary
+from missions.views.output import as_json, summary
 
 # start y [m], visibility shift [s]; then search time [s] and distance [m] as published, of none and of the tree:
 # rules of 2025, 250 s, visibility period 120 s, no thruster failure

@@ -13,7 +13,7 @@ from missions.baselines.watch import WatchedSea
 from missions.engine.mission import MissionError
 from missions.engine.registry import find_mission
 from missions.engine.runner import Listener
-from missions.report import as_json, summary
+from missions.views.output import as_json, summary
 
 SUAVE = find_mission("suave")
 SWITCHING_S = 0.03

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from plan_worlds import GOALS, house
 
 from missions.planning.causes import CausalOrder, Link, causal_order
-from missions.planning.picture import svg_of_plan
+from missions.views.plan import svg_of_plan
 from rosa_pddl import Step
 from rosa_pddl.validate import flaw
 

@@ -14,8 +14,9 @@ from missions.engine.percepts import Percepts
 from missions.engine.registry import find_mission
 from missions.engine.task_layer import build_task
 from missions.planning.answer import answer
-from missions.planning.declared import by_schema, planned_names
+from missions.planning.declared import by_schema
 from missions.planning.question import ask, read_situation
+from missions.views.names import planned_names
 from rosa_bt import RosaAction
 from rosa_pddl import ActionSchema, DeclaredProblem, Outcome
 

@@ -10,19 +10,13 @@ from matplotlib.image import imread
 from running import run_mission
 
 from missions.engine.runner import Trace
-from missions.plot import draw, picture
+from missions.views.picture import draw, picture
 
 
 @cache
 def short_run(name="suave_extended", task="bt"):
     run, _, data = run_mission(name, task, seed=0, duration_s=40)
     return run, data
-
-
-def drawn(run, data):
-    out = BytesIO()
-    draw(run, data, out)
-    return out.getvalue()
 
 
 def words(axes):
@@ -40,11 +34,11 @@ def panel(figure, name):
 @pytest.mark.parametrize(("name", "task"), [("suave", "bt"), ("suave_extended", "pddl")])
 def test_png_has_its_size_is_not_blank_and_is_the_same_twice(name, task):
     run, data = short_run(name, task)
-    png = drawn(run, data)
+    png = draw(run, data)
     pixels = imread(BytesIO(png))
     assert pixels.shape[:2] == (1200, 1600)
     assert np.ptp(pixels) == 1
-    assert drawn(run, data) == png
+    assert draw(run, data) == png
 
 
 def test_map_list_and_time_axis_carry_the_number_of_every_adaptation():
@@ -102,7 +96,7 @@ def test_the_map_has_the_same_scale_both_ways():
 def test_hardly_any_samples_are_drawn_all_the_same(samples):
     run, _, data = run_mission("suave_extended", duration_s=20)
     run.trace = Trace(run.trace.samples[:samples], run.trace.designs[:samples])
-    assert drawn(run, data)
+    assert draw(run, data)
 
 
 def test_a_run_in_which_nothing_happened_says_so():
@@ -121,7 +115,7 @@ def test_signals_that_are_missing_and_names_that_look_like_formulas_do_no_harm()
     figure = picture(run, data)
     assert panel(figure, "odd $x")
     assert not [axes for axes in figure.axes if axes.get_ylabel().startswith("battery")]
-    assert drawn(run, data)
+    assert draw(run, data)
 
 
 def test_a_great_many_adaptations_are_cut_off_in_the_list_with_a_word():

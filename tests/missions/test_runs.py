@@ -16,7 +16,7 @@ from missions.engine.registry import MISSIONS, find_mission
 from missions.engine.runner import MissionRun
 from missions.engine.settings import RunSettings
 from missions.engine.task_layer import TASK_KINDS, build_task
-from missions.report import summary
+from missions.views.output import summary
 from rosa_pddl import Outcome, PlanRecord
 
 SEEDS = range(10)
@@ -125,7 +125,7 @@ def test_reactions_follow_the_disturbances_that_truly_happened():
 @pytest.mark.parametrize("task", TASK_KINDS)
 def test_same_seed_gives_the_same_bytes_and_another_does_not(task):
     again = run_mission("suave_extended", task, 0)[2]
-    from missions.report import as_json
+    from missions.views.output import as_json
 
     assert as_json(again) == text("suave_extended", task, 0)
     assert text("suave_extended", task, 1) != text("suave_extended", task, 0)

@@ -13,9 +13,9 @@ from missions.engine.percepts import Percepts
 from missions.engine.registry import find_mission
 from missions.engine.runner import Listener
 from missions.engine.task_layer import TASK_KINDS
-from missions.report import as_json
 from missions.uav.actions import AllAnalysed, AnalyseOnSite, facts, is_all_analysed
 from missions.uav.model import uav_model
+from missions.views.output import as_json
 
 SEEDS = range(10)
 SEARCH, PICK_UP, LOOK = "search_for_samples", "pick_up_and_analyse", "analyse_on_site"

@@ -4,8 +4,9 @@ import re
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from io import BytesIO
 from itertools import pairwise, product
-from typing import Any, BinaryIO, Final
+from typing import Any, Final
 
 import numpy as np
 from matplotlib import rc_context
@@ -18,8 +19,8 @@ from matplotlib.patheffects import withStroke
 from matplotlib.transforms import IdentityTransform
 
 from missions.engine.runner import MissionRun
-from missions.report import figure_in_words
-from missions.story import Array, Events, Story, bare, brief, listed, panels_of, story_of
+from missions.views.output import figure_in_words
+from missions.views.timeline import Array, Events, RunTimeline, bare, brief, listed, panels_of, timeline_of
 
 __all__ = ["draw", "picture"]
 
@@ -48,15 +49,16 @@ STYLE: Final[dict[Any, Any]] = {
 }
 
 
-def draw(run: MissionRun, data: Mapping[str, Any], out: BinaryIO) -> None:
-    """Write the picture of a finished run as PNG, 1600 x 1200 px; the same run gives the same bytes.
+def draw(run: MissionRun, data: Mapping[str, Any]) -> bytes:
+    """Draw a finished run as PNG, 1600 x 1200 px; the same run gives the same bytes.
 
     Args:
         run: the run, ended.
-        data: what `report.summary` returned for it.
-        out: a file that is open for writing bytes.
+        data: what `views.output.summary` returned for it.
     """
-    picture(run, data).savefig(out, format="png", dpi=DPI, metadata={"Software": None})
+    png = BytesIO()
+    picture(run, data).savefig(png, format="png", dpi=DPI, metadata={"Software": None})
+    return png.getvalue()
 
 
 @rc_context(STYLE)
@@ -64,24 +66,26 @@ def picture(run: MissionRun, data: Mapping[str, Any]) -> Figure:
     """Return what `draw` writes: a map and the list of adaptations over lines of time."""
     figure = Figure(figsize=(WIDTH / DPI, HEIGHT / DPI), dpi=DPI, facecolor="white")
     FigureCanvasAgg(figure)
-    story, split = story_of(run, data), 12.0
+    timeline, split = timeline_of(run, data), 12.0
     _title(figure, data, run.world.results())
-    _legend(figure, story)
-    top = _timelines(figure, story)
-    if np.isfinite(story.xy).any():
+    _legend(figure, timeline)
+    top = _timelines(figure, timeline)
+    if np.isfinite(timeline.xy).any():
         places = {name: np.asarray(points, dtype=float) for name, points in run.world.scenery().items() if len(points)}
-        shown = _shown(story, places)
-        split = _split(shown, top) if story.adaptations or story.planned else 1420 if _is_ours(data) else WIDTH - 34
-        _map(_axes(figure, 72, 106, split - 72, top - 162), story, places, shown)
+        shown = _shown(timeline, places)
+        split = (
+            _split(shown, top) if timeline.adaptations or timeline.planned else 1420 if _is_ours(data) else WIDTH - 34
+        )
+        _map(_axes(figure, 72, 106, split - 72, top - 162), timeline, places, shown)
     if _is_ours(data):  # how others adapt is not told, only what they switch
-        _list(_axes(figure, split + 22, 106, WIDTH - split - 30, top - 120), story.planned, story.adaptations)
+        _list(_axes(figure, split + 22, 106, WIDTH - split - 30, top - 120), timeline.planned, timeline.adaptations)
     return figure
 
 
-def _shown(story: Story, places: Mapping[str, Array]) -> Array:
+def _shown(timeline: RunTimeline, places: Mapping[str, Array]) -> Array:
     """Return what a map has to show: the way, and the nearest part of each place (n, 2) [m]."""
-    near = [points[[np.argmin(np.hypot(*(points - story.xy[0]).T))]] for points in places.values()]
-    return np.vstack([story.xy, *near])
+    near = [points[[np.argmin(np.hypot(*(points - timeline.xy[0]).T))]] for points in places.values()]
+    return np.vstack([timeline.xy, *near])
 
 
 def _split(shown: Array, top: float) -> float:
@@ -128,16 +132,16 @@ def _title(figure: Figure, data: Mapping[str, Any], results: Mapping[str, float 
     figure.text(0.988, 1 - 32 / HEIGHT, "   ·   ".join(facts), fontsize=9.5, ha="right", va="center")
 
 
-def _legend(figure: Figure, story: Story) -> None:
-    entries = [Line2D([], [], color=hue, linewidth=4, label=name) for name, hue in story.hues.items()]
-    for kind in dict.fromkeys(one["kind"] for one in story.adaptations):
+def _legend(figure: Figure, timeline: RunTimeline) -> None:
+    entries = [Line2D([], [], color=hue, linewidth=4, label=name) for name, hue in timeline.hues.items()]
+    for kind in dict.fromkeys(one["kind"] for one in timeline.adaptations):
         size, face, edge, _ = BADGES.get(kind, BADGES["parameter"])
         badge = Line2D([], [], linestyle="", marker="o", markersize=size * 0.42, label=f"{kind} adaptation")
         badge.set(markerfacecolor=face, markeredgecolor=edge)
         entries.append(badge)
-    if story.disturbances:
+    if timeline.disturbances:
         entries.append(Line2D([], [], linewidth=1, linestyle="--", label="disturbance", **DIAMOND))
-    if story.completed:
+    if timeline.completed:
         done = Line2D([], [], linestyle="", marker="o", markersize=8, color=MUTED, label="completed")
         done.set(markerfacecolor="none", markeredgewidth=1.6)
         entries.append(done)
@@ -201,49 +205,49 @@ class _Room:
         return float(np.hypot(*(centre - anchor)) + 5 * hidden + 20 * crossed + 300 * met + 1000 * outside)
 
 
-def _map(axes: Axes, story: Story, places: Mapping[str, Array], shown: Array) -> None:
+def _map(axes: Axes, timeline: RunTimeline, places: Mapping[str, Array], shown: Array) -> None:
     box = axes.bbox.size
     half = np.ptp(shown, axis=0) * 0.55 + 0.8
     middle, half = (shown.min(axis=0) + shown.max(axis=0)) / 2, np.maximum(half, half[::-1] * box / box[::-1])
     axes.set(xlim=middle[0] + half[0] * SIDES, ylim=middle[1] + half[1] * SIDES, facecolor="#f6f9fb")
     axes.set(aspect="equal", xlabel="east x [m]", ylabel="north y [m]")
-    links, hues = np.stack([story.xy[:-1], story.xy[1:]], axis=1), story.hues
-    turns = np.cumsum([before != after for before, after in pairwise(story.actions)])
+    links, hues = np.stack([timeline.xy[:-1], timeline.xy[1:]], axis=1), timeline.hues
+    turns = np.cumsum([before != after for before, after in pairwise(timeline.actions)])
     lines = LineCollection(list(links), capstyle="round", zorder=4)
-    lines.set(color=[hues.get(names.split(", ")[0], FAINT) for names in story.actions[:-1]])
+    lines.set(color=[hues.get(names.split(", ")[0], FAINT) for names in timeline.actions[:-1]])
     lines.set(linewidth=1.8 + 2.8 * (1 - turns / max([1, *turns[-1:]])))  # an earlier passage stays in sight below
     axes.add_collection(lines, autolim=False)
-    room = _Room(axes, story.xy)
+    room = _Room(axes, timeline.xy)
     for name, points in places.items():
         axes.plot(*points.T, color="#c9ced3", linewidth=10, solid_capstyle="round", zorder=2)
         inside = points[np.all(np.abs(points - middle) < half, axis=1)]
-        lonely = [np.hypot(*(story.xy - point).T).min() for point in inside]
+        lonely = [np.hypot(*(timeline.xy - point).T).min() for point in inside]
         if len(places) > CROWD and np.median(lonely) > LONELY_M:
             continue
         centred = -np.hypot(*(inside - inside[len(inside) // 2]).T)  # if the way leads along all of it
         room.name(
             inside[np.argmax(lonely if max(lonely) > LONELY_M else centred)], name, "" if len(points) > 1 else "s", 9
         )
-    room.name(story.xy[0], "start", "o", 8)
-    _choices(room, story)
-    for number, one in enumerate(story.adaptations, start=1):
+    room.name(timeline.xy[0], "start", "o", 8)
+    _choices(room, timeline)
+    for number, one in enumerate(timeline.adaptations, start=1):
         size = BADGES.get(one["kind"], BADGES["parameter"])[0]
-        _badge(axes, room.lead(story.where(one["at_s"]), size, size), number, one["kind"])
-    step = next(one for one in (5, 10, 30, 60, 120, 300, 600, 1800, 7200, 10**9) if story.end / one <= 10)
-    marked = story.xy[0]
-    for time in range(step, int(story.times[-1]) + 1, step):
-        if np.hypot(*(story.where(time) - marked)) * room.scale > 1:  # where it stands, one mark is enough
-            marked = story.where(time)
+        _badge(axes, room.lead(timeline.where(one["at_s"]), size, size), number, one["kind"])
+    step = next(one for one in (5, 10, 30, 60, 120, 300, 600, 1800, 7200, 10**9) if timeline.end / one <= 10)
+    marked = timeline.xy[0]
+    for time in range(step, int(timeline.times[-1]) + 1, step):
+        if np.hypot(*(timeline.where(time) - marked)) * room.scale > 1:  # where it stands, one mark is enough
+            marked = timeline.where(time)
             room.name(marked, f"{time} s", "o", 4.5, MUTED)
 
 
-def _choices(room: _Room, story: Story) -> None:
+def _choices(room: _Room, timeline: RunTimeline) -> None:
     """Write onto each longer part of the way what was chosen there, and ring where an action was completed."""
-    long = [leg for leg in story.legs if leg.length_m * room.scale > 0.8 * LETTER * len(leg.choice)]
+    long = [leg for leg in timeline.legs if leg.length_m * room.scale > 0.8 * LETTER * len(leg.choice)]
     for leg in long if len({leg.choice for leg in long}) > 1 else []:
-        room.note(leg.middle, leg.choice, story.hues[listed([leg.action])[0]])
-    for action, time in story.completed:
-        room.ring(story.where(time), story.hues.get(action, FAINT))
+        room.note(leg.middle, leg.choice, timeline.hues[listed([leg.action])[0]])
+    for action, time in timeline.completed:
+        room.ring(timeline.where(time), timeline.hues.get(action, FAINT))
 
 
 def _list(axes: Axes, planned: Events, adaptations: Events) -> None:
@@ -279,29 +283,29 @@ def _lines(one: Mapping[str, Any], full: bool, width: float) -> list[str]:
     return [part for text in texts for part in textwrap.wrap(brief(text, 500), int(width), subsequent_indent="    ")]
 
 
-def _timelines(figure: Figure, story: Story) -> float:
+def _timelines(figure: Figure, timeline: RunTimeline) -> float:
     """Draw everything over time, one row above the other; return where the rows begin [px from the top]."""
-    panels, lanes = panels_of(story), _lanes(story)
-    left, right = _margins(lanes, [label for name in panels for label in _labels(story, name)])
-    told = [one for one in story.disturbances if not any(one["what"].startswith(bare(name)) for name in panels)]
+    panels, lanes = panels_of(timeline), _lanes(timeline)
+    left, right = _margins(lanes, [label for name in panels for label in _labels(timeline, name)])
+    told = [one for one in timeline.disturbances if not any(one["what"].startswith(bare(name)) for name in panels)]
     rows: list[tuple[int, Callable[[Axes], None]]] = (
-        [_events(story, "disturbances", told, 8.4, right - left)] if told else []
+        [_events(timeline, "disturbances", told, 8.4, right - left)] if told else []
     )
     tall = min(150, PANELS // max(1, len(panels)))
-    rows += [(tall, partial(_panel, story=story, names=[name, *others])) for name, others in panels.items()]
-    rows += [_events(story, "adaptations", story.adaptations, 0, right - left)] if story.adaptations else []
+    rows += [(tall, partial(_panel, timeline=timeline, names=[name, *others])) for name, others in panels.items()]
+    rows += [_events(timeline, "adaptations", timeline.adaptations, 0, right - left)] if timeline.adaptations else []
     rows += [
-        (LANE * len(listed(column)) + 4, partial(_bars, story=story, title=title, column=column))
+        (LANE * len(listed(column)) + 4, partial(_bars, timeline=timeline, title=title, column=column))
         for title, column in lanes.items()
     ]
     start = top = HEIGHT - 46.0 - sum(height + GAP for height, _ in rows)
     for number, (height, show) in enumerate(rows, start=1):
         axes = _axes(figure, left, top, right - left, height)
-        axes.set_xlim(0, story.end)
+        axes.set_xlim(0, timeline.end)
         show(axes)
-        for one in story.adaptations:
+        for one in timeline.adaptations:
             axes.axvline(one["at_s"], color="#999999", linewidth=0.7, zorder=1.5)
-        for one in story.disturbances:
+        for one in timeline.disturbances:
             axes.axvline(one["at_s"], color=ALARM, linewidth=0.8, dashes=(4, 3), alpha=0.7, zorder=1.6)
         axes.tick_params(labelbottom=number == len(rows), bottom=number == len(rows))
         axes.set_xlabel("time [s]" if number == len(rows) else "")
@@ -309,8 +313,8 @@ def _timelines(figure: Figure, story: Story) -> float:
     return start
 
 
-def _lanes(story: Story) -> dict[str, list[str]]:
-    lanes = {"active action": story.actions, "design": story.designs, "configuration": story.configurations}
+def _lanes(timeline: RunTimeline) -> dict[str, list[str]]:
+    lanes = {"active action": timeline.actions, "design": timeline.designs, "configuration": timeline.configurations}
     return {title: column for title, column in lanes.items() if listed(column)}
 
 
@@ -321,16 +325,18 @@ def _margins(lanes: Mapping[str, Sequence[str]], labels: Sequence[str]) -> tuple
     return max(LEFT, 16.0 + LETTER * max(names, default=0)), min(RIGHT, WIDTH - beside)
 
 
-def _labels(story: Story, signal: str) -> list[str]:
+def _labels(timeline: RunTimeline, signal: str) -> list[str]:
     """Return what stands to the right of the panel of a signal."""
-    return [label for labels in story.limits.get(bare(signal), {}).values() for label in labels]
+    return [label for labels in timeline.limits.get(bare(signal), {}).values() for label in labels]
 
 
-def _events(story: Story, title: str, events: Events, letter: float, wide: float) -> tuple[int, Callable[[Axes], None]]:
+def _events(
+    timeline: RunTimeline, title: str, events: Events, letter: float, wide: float
+) -> tuple[int, Callable[[Axes], None]]:
     """Return the height [px] of a row of events, and what draws it.
 
     Args:
-        story: what is drawn.
+        timeline: what is drawn.
         title: of the row.
         events: what is in it.
         letter: width of a letter of their texts; 0 for numbers instead [px].
@@ -339,7 +345,7 @@ def _events(story: Story, title: str, events: Events, letter: float, wide: float
     ends: list[float] = []
     levels, sides = [], []
     for one in events:
-        x, width = one["at_s"] / story.end * wide, 26 + letter * len(one.get("what", ""))
+        x, width = one["at_s"] / timeline.end * wide, 26 + letter * len(one.get("what", ""))
         sides.append("right" if letter and x + width > wide else "left")
         start, end = (x, x + width) if sides[-1] == "left" else (x - width, x + 10)
         free = (level for level, taken in enumerate(ends) if taken <= start)
@@ -354,7 +360,7 @@ def _events(story: Story, title: str, events: Events, letter: float, wide: float
                 _badge(axes, axes.transData.transform((one["at_s"], level)), number, one["kind"])
                 continue
             axes.plot(one["at_s"], level, zorder=3, **DIAMOND)
-            gap = story.end * (0.007 if side == "left" else -0.007)
+            gap = timeline.end * (0.007 if side == "left" else -0.007)
             text = axes.text(one["at_s"] + gap, level, one["what"], color=ALARM, ha=side, va="center")
             text.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 0})
 
@@ -366,35 +372,37 @@ def _aside(axes: Axes, text: str, y: float, color: str = MUTED) -> None:
     axes.text(1.006, y, text, transform=axes.transAxes, va="center", color=color, fontsize=8)
 
 
-def _bars(axes: Axes, story: Story, title: str, column: Sequence[str]) -> None:
+def _bars(axes: Axes, timeline: RunTimeline, title: str, column: Sequence[str]) -> None:
     names = listed(column)
     axes.set(ylim=(len(names) - 0.45, -0.55))
     axes.set_yticks(range(len(names)), [brief(name) for name in names])
     axes.tick_params(left=False)
     _aside(axes, title, 0.5)
-    for name, start, end in story.spans(column):
-        hue = story.hues[name] if column is story.actions else "#7d8790"
+    for name, start, end in timeline.spans(column):
+        hue = timeline.hues[name] if column is timeline.actions else "#7d8790"
         axes.barh(names.index(name), end - start, left=start, height=0.76, color=hue, zorder=2)
 
 
-def _panel(axes: Axes, story: Story, names: list[str]) -> None:
+def _panel(axes: Axes, timeline: RunTimeline, names: list[str]) -> None:
     """Draw a signal and those that share its panel, the thresholds of the model, and the disturbances it shows."""
-    for name, start, end in story.spans(story.actions):
-        axes.axvspan(start, end, color=story.hues[name], alpha=0.09, linewidth=0, zorder=0.5)
+    for name, start, end in timeline.spans(timeline.actions):
+        axes.axvspan(start, end, color=timeline.hues[name], alpha=0.09, linewidth=0, zorder=0.5)
     for name, color, dashes in zip(names, (INK, "#7b3294", "#0f6b78"), ("-", "--", ":"), strict=False):
-        line = axes.plot(story.times, story.signals[name], dashes, color=color, linewidth=1.5, zorder=4)[0]
+        line = axes.plot(timeline.times, timeline.signals[name], dashes, color=color, linewidth=1.5, zorder=4)[0]
         line.set(label=bare(name), drawstyle="default" if name == names[0] else "steps-post")
-    limits = story.limits.get(bare(names[0]), {})
-    axes.hlines(list(limits), 0, story.end, color=LIMIT, linewidth=1, linestyle=":", zorder=3)
+    limits = timeline.limits.get(bare(names[0]), {})
+    axes.hlines(list(limits), 0, timeline.end, color=LIMIT, linewidth=1, linestyle=":", zorder=3)
     axes.margins(y=0.12)
     (low, high), height, half = axes.get_ylim(), 0.0, 8.5 / axes.bbox.height
     for value, labels in sorted(limits.items()):
         height = max(height + half * len(labels), (value - low) / (high - low))
         _aside(axes, "\n".join(labels), height, LIMIT)
         height += half * len(labels)
-    for one in story.disturbances:
+    for one in timeline.disturbances:
         if one["what"].startswith(bare(names[0])):
-            axes.plot(one["at_s"], np.interp(one["at_s"], story.times, story.signals[names[0]]), zorder=5, **DIAMOND)
+            axes.plot(
+                one["at_s"], np.interp(one["at_s"], timeline.times, timeline.signals[names[0]]), zorder=5, **DIAMOND
+            )
     axes.set_ylabel(names[0].replace(" ", "\n"), rotation=0, ha="right", va="center", labelpad=6)
     if len(names) > 1:
         axes.legend(loc="center left", bbox_to_anchor=(1, 0.5), fontsize=8)

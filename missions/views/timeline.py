@@ -1,4 +1,4 @@
-"""A finished run as a picture tells it: what was seen, done and chosen when, in samples over time."""
+"""The timeline of a finished run, for pictures: what was seen, done and chosen when, in samples over time."""
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from kb import Model
 from missions.engine.runner import MissionRun
 
-__all__ = ["Array", "Events", "Leg", "Story", "bare", "brief", "listed", "panels_of", "story_of"]
+__all__ = ["Array", "Events", "Leg", "RunTimeline", "bare", "brief", "listed", "panels_of", "timeline_of"]
 
 Array = NDArray[np.float64]
 Events = Sequence[Mapping[str, Any]]
@@ -57,7 +57,7 @@ class Leg:
 
 
 @dataclass(frozen=True)
-class Story:
+class RunTimeline:
     """A run as n samples.
 
     Attributes:
@@ -115,14 +115,14 @@ class Story:
         ]
 
 
-def story_of(run: MissionRun, data: Mapping[str, Any]) -> Story:
-    """Return what there is to tell of a finished run; data is what `report.summary` returned for it."""
+def timeline_of(run: MissionRun, data: Mapping[str, Any]) -> RunTimeline:
+    """Return what there is to tell of a finished run; data is what `views.output.summary` returned for it."""
     samples = [sample for sample, _, _ in run.trace.samples]
     actions = [action for _, action, _ in run.trace.samples]
     signals = dict.fromkeys(name for sample in samples for name in sample.signals)
     designs = run.trace.designs if len(run.trace.designs) == len(samples) else [""] * len(samples)
     model = run.kb.model
-    return Story(
+    return RunTimeline(
         max(float(data["duration_s"]), 1e-3),
         np.array([sample.time for sample in samples], dtype=float),
         np.array([sample.position[:2] for sample in samples], dtype=float).reshape(-1, 2),
@@ -162,12 +162,12 @@ def brief(text: str, most: int = 26) -> str:
     return short if len(short) <= most else f"{short[: most - 1]}…"
 
 
-def panels_of(story: Story) -> dict[str, list[str]]:
+def panels_of(timeline: RunTimeline) -> dict[str, list[str]]:
     """Return the signals worth a panel, each with those that share it since their names end with its name."""
     worth = [
         name
-        for name, values in story.signals.items()
-        if np.isfinite(values).any() and (np.nanmin(values) < np.nanmax(values) or bare(name) in story.limits)
+        for name, values in timeline.signals.items()
+        if np.isfinite(values).any() and (np.nanmin(values) < np.nanmax(values) or bare(name) in timeline.limits)
     ]
     hosts = {name: next((host for host in worth if name.endswith(f" {host}")), name) for name in worth}
     return {host: [name for name in worth if hosts[name] == host != name] for host in worth if hosts[host] == host}

@@ -6,9 +6,6 @@ from typing import Annotated
 
 import typer
 
-from missions.output import open_files
-from missions.report import as_json
-
 __all__ = ["effort"]
 
 
@@ -17,7 +14,7 @@ def effort(
         list[str] | None,
         typer.Argument(metavar="MISSION|FILE", help="A mission, module:NAME or model file; default: all missions."),
     ] = None,
-    json_file: Annotated[Path | None, typer.Option("--json", help="Write all that is counted.")] = None,
+    json: Annotated[Path | None, typer.Option(help="Write all that is counted.")] = None,
     plot: Annotated[Path | None, typer.Option(help="Draw the counts and the linear law: *.svg, else PNG.")] = None,
 ) -> None:
     """Count what it takes to write a model, beside the counts of the ROSA paper.
@@ -32,17 +29,15 @@ def effort(
     """
     from missions.experiments.effort import as_data, survey
     from missions.experiments.effort_views import print_survey
+    from missions.views.output import as_json, open_files
 
-    wanted = {"json": json_file, "plot": plot}
     with ExitStack() as stack:
-        files = open_files({name: path for name, path in wanted.items() if path is not None}, stack)
+        files = open_files({"json": json, "plot": plot}, stack)
         found = survey(models or ())
         print_survey(found)
         if "json" in files:
-            files["json"].write(as_json(as_data(found)))
-            files["json"].keep()
+            files["json"].finish(as_json(as_data(found)))
         if plot is not None:
             from missions.experiments.effort_views import draw
 
-            files["plot"].write(draw(found, "svg" if plot.suffix.lower() == ".svg" else "png"))
-            files["plot"].keep()
+            files["plot"].finish(draw(found, "svg" if plot.suffix.lower() == ".svg" else "png"))

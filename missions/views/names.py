@@ -11,14 +11,17 @@ from py_trees.behaviour import Behaviour
 from py_trees.trees import BehaviourTree
 
 from kb import KnowledgeBase, KnowledgeBaseError, Model
-from missions.engine.mission import MissionError
+from missions.engine.mission import Mission, MissionError
 from missions.engine.percepts import Percepts
+from missions.planning.declared import declarations_of
 from rosa_bt import IsActionFeasible, RosaAction
+from rosa_pddl import DeclaredProblem
+from rosa_pddl.domain import ACTION_TYPE
+from rosa_pddl.reading.declarations import declared_types
 from rosa_pddl.reading.syntax import Node, Source, read_source
 
-__all__ = ["Names", "names_in_pddl", "names_in_tree", "tree_builder"]
+__all__ = ["Names", "names_in_pddl", "names_in_tree", "planned_names", "tree_builder"]
 
-ACTION_TYPE: Final = "action"
 ACTION_SUFFIX: Final = "_action"
 
 
@@ -120,49 +123,47 @@ def names_in_pddl(paths: Iterable[Path]) -> Names:
         RosaPddlError: a file cannot be read; the message names file, line and column.
     """
     sources = [read_source(path) for path in paths]
-    parents = {node.lower: of for source in sources for node, of in _typed(_section(source, ":types"))}
-    objects = [
-        (source, node, of)
-        for source in sources
-        for section in (":constants", ":objects")
-        for node, of in _typed(_section(source, section))
-    ]
+    parents = {name.lower: of for source in sources for name, of in _typed(source, ":types")}
     places: dict[str, tuple[str, ...]] = {}
-    for source, node, of in objects:
-        if _is_action(of, parents):
-            places[str(node)] = (*places.get(str(node), ()), _place(source, node))
-    if not places:
-        for source in sources:
-            places |= dict(_by_predicate(source, parents))
-    return Names(places)
+    for source in sources:
+        for name, of in _typed(source, ":constants", ":objects"):
+            if _is_action(of, parents):
+                places[str(name)] = (*places.get(str(name), ()), _place(source, name))
+    return Names(places or {name: place for source in sources for name, place in _by_predicate(source, parents)})
+
+
+def planned_names(mission: Mission) -> Names | None:
+    """Return the ROSA actions that the planned task layer of a mission is about; None if it has none."""
+    declared = declarations_of(mission)
+    if declared is not None:
+        objects = [name for name, kind in declared.problem.objects.items() if kind == ACTION_TYPE]
+        place = f"the schemas of {mission.name}"
+        return Names(dict.fromkeys([*declared.rosa_actions, *objects], (place,)))
+    files = [path for path in (mission.domain, mission.problem) if path is not None]
+    paths = [path for path in files if not isinstance(path, DeclaredProblem)]
+    return names_in_pddl(paths) if paths else None
 
 
 def _by_predicate(source: Source, parents: Mapping[str, str]) -> Iterator[tuple[str, tuple[str, ...]]]:
-    for predicate in _section(source, ":predicates"):
-        name, *parameters = predicate.children
-        types = [of for _, of in _typed(parameters)]
+    for predicate in (one for section in _sections(source, ":predicates") for one in section.children[1:]):
+        name = predicate.children[0]
+        types = [_lower(of) for _, of in declared_types(predicate)]
         if name.lower.endswith(ACTION_SUFFIX) and len(types) == 1 and _is_action(types[0], parents):
             yield str(name)[: -len(ACTION_SUFFIX)], (_place(source, name),)
 
 
-def _section(source: Source, keyword: str) -> list[Node]:
-    return [child for node in source.root.children if node.head == keyword for child in node.children[1:]]
+def _sections(source: Source, *keywords: str) -> list[Node]:
+    return [node for node in source.root.children if node.head in keywords]
 
 
-def _typed(nodes: Iterable[Node]) -> list[tuple[Node, str]]:
-    """Read a typed list such as `a b - t c`; what has no type is an object."""
-    found: list[tuple[Node, str]] = []
-    waiting: list[Node] = []
-    expects_type = False
-    for node in nodes:
-        if expects_type:
-            found += [(one, node.lower) for one in waiting]
-            waiting, expects_type = [], False
-        elif node.word == "-":
-            expects_type = True
-        else:
-            waiting.append(node)
-    return found + [(one, "object") for one in waiting]
+def _typed(source: Source, *keywords: str) -> Iterator[tuple[Node, str]]:
+    """Yield what sections declare, each with its type in lower case; what has no type is an object."""
+    for section in _sections(source, *keywords):
+        yield from ((name, _lower(of)) for name, of in declared_types(section))
+
+
+def _lower(type_: Node | None) -> str:
+    return "object" if type_ is None else type_.lower
 
 
 def _is_action(name: str, parents: Mapping[str, str]) -> bool:

@@ -1,23 +1,17 @@
 """`rosa plan`: a plan asked for by hand: what to do in which order, why actions are out, and a tree that does it."""
 
-import json
 from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from missions.engine.mission import MissionError
-from missions.engine.registry import find_mission
-from missions.output import open_files
-from missions.planning.answer import Answer, answer
-from missions.planning.picture import svg_of_plan
-from missions.planning.question import ask, read_situation
+from missions.commands import FAILED
+
+if TYPE_CHECKING:
+    from missions.planning.answer import Answer
 
 __all__ = ["plan"]
-
-FAILED = 1
 
 
 def plan(
@@ -32,7 +26,7 @@ def plan(
         typer.Option(metavar="NAME=VALUE", help="Suppose battery_level=0.2, or a component: camera=failed."),
     ] = None,
     goal: Annotated[list[str] | None, typer.Option(help="Reach this, e.g. '(found it)', not the file's goal.")] = None,
-    json_file: Annotated[Path | None, typer.Option("--json", help="Write outcome, engine, cost and steps.")] = None,
+    json: Annotated[Path | None, typer.Option(help="Write outcome, engine, cost and steps.")] = None,
     svg: Annotated[Path | None, typer.Option(help="Draw the causal order of the steps.")] = None,
     tree: Annotated[
         Path | None, typer.Option(help="Write the plan as a tree: BehaviorTree.CPP's XML to *.xml, else text.")
@@ -40,37 +34,39 @@ def plan(
     timeout: Annotated[float, typer.Option(help="Seconds after which planning is given up.")] = 30.0,
 ) -> None:
     """Plan, say why actions are out and why there is no plan, and exit with 0 if there is one."""
+    from missions.engine.mission import MissionError
+    from missions.engine.registry import find_mission
+    from missions.planning.answer import answer
+    from missions.planning.question import ask, read_situation
+    from missions.views.output import open_files
+
     if len(files or []) > 2 or (mission and files):
         raise MissionError("give either a domain and a problem file, or a mission with --mission NAME")
-    supposed = read_situation(situation or [])
-    if feasible is not None:
-        supposed = replace(supposed, feasible=tuple(name for text in feasible for name in _names(text)))
+    supposed = read_situation(situation or [], feasible)
     question = ask(files or [], find_mission(mission) if mission else None, model or [], supposed, goal or [])
-    wanted = {"json": json_file, "svg": svg, "tree": tree}
+    paths = {"json": json, "svg": svg, "tree": tree}
     with ExitStack() as stack:
-        outputs = open_files({name: path for name, path in wanted.items() if path is not None}, stack)
+        outputs = open_files(paths, stack)
         found = answer(question, timeout)
         for line in found.lines():
             typer.echo(line)
         is_solved = found.result.outcome.is_solved
         for name, output in outputs.items():
             if is_solved or name == "json":
-                output.write(_text(name, found, wanted[name]))
-                output.keep()
+                output.finish(_written(name, found, paths[name]))
             else:
-                typer.echo(f"{wanted[name]} is not written, as there is no plan")
+                typer.echo(f"{paths[name]} is not written, as there is no plan")
     if not is_solved:
         raise typer.Exit(FAILED)
 
 
-def _text(name: str, found: Answer, path: Path | None) -> str:
+def _written(option: str, found: "Answer", path: Path | None) -> str:
     """Return what is written for an option."""
-    if name == "json":
-        return json.dumps(found.data, indent=2) + "\n"
-    if name == "svg":
+    from missions.views.output import as_json
+    from missions.views.plan import svg_of_plan
+
+    if option == "json":
+        return as_json(found.data)
+    if option == "svg":
         return svg_of_plan(found.order, f"plan of {found.question.domain.name}")
     return found.tree(xml=path is not None and path.suffix.lower() == ".xml")
-
-
-def _names(text: str) -> list[str]:
-    return [name.strip() for name in text.split(",") if name.strip()]

@@ -1,0 +1,32 @@
+"""The sub-commands of `rosa`, a file each; what a command works with is imported when it is called."""
+
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+__all__ = ["FAILED", "WRONG_USE", "complain", "open_console"]
+
+FAILED: Final = 1
+"""Exit status if it was done, but did not do what it was for."""
+WRONG_USE: Final = 2
+"""Exit status if it cannot be done as it was asked for."""
+
+
+def open_console() -> "Console":
+    """Return the console for tables and results; a pipe or a file, which has no width of its own, has 160 columns."""
+    from rich.console import Console
+
+    console = Console(emoji=False)
+    if not console.is_terminal:
+        console.width = 160
+    return console
+
+
+def complain(text: str) -> None:
+    """Print to standard error what went wrong."""
+    from rich.console import Console
+    from rich.markup import escape
+
+    console = Console(stderr=True, soft_wrap=True, emoji=False)
+    console.print(f"[bold red]rosa:[/] {escape(text)}", highlight=False)

@@ -1,0 +1,124 @@
+"""`rosa campaign`: many runs on all cores or on a cluster, gone on with after whatever stopped it; `rosa report`."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from missions.commands import FAILED
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rich.console import Console
+
+    from missions.experiments.campaign import Campaign
+    from missions.experiments.results import Store
+    from missions.experiments.workers import Workers
+
+__all__ = ["campaign", "report"]
+
+
+def campaign(
+    file: Annotated[Path | None, typer.Argument(metavar="FILE.toml", help="What to run.")] = None,
+    table: Annotated[bool, typer.Option("--paper-table", help="The table of the ROSA paper: 100 runs each.")] = False,
+    runs: Annotated[int | None, typer.Option(help="How many of each, whatever the file says.")] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes on this machine; default: all cores.")] = None,
+    cluster: Annotated[str | None, typer.Option(metavar="ADDRESS", help="Of the scheduler of a dask cluster.")] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with the campaign in DIR.")] = False,
+    retry: Annotated[bool, typer.Option("--retry", help="With --resume: also repeat runs that crashed.")] = False,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Where; default: campaigns/NAME.")] = None,
+) -> None:
+    """Run missions with many managers, settings and seeds, and exit with 0 if none of the runs crashed."""
+    import shlex
+
+    from rich.console import Console
+
+    from missions.engine.mission import MissionError
+    from missions.experiments.campaign import check_campaign
+    from missions.experiments.results import Store
+
+    asked = _asked(file, table, runs)
+    if workers is not None and cluster is not None:
+        raise MissionError("give --workers N for this machine or --cluster ADDRESS, not both")
+    if retry and not resume:
+        raise MissionError("--retry goes with --resume")
+    if asked is None and not (resume and out):
+        raise MissionError("say what to run: FILE.toml or --paper-table, or --resume --out DIR")
+    if asked is not None:
+        check_campaign(asked)
+    folder = out or Path("campaigns") / (asked.name if asked else "")
+    console = Console(emoji=False, soft_wrap=True)
+    with Store(folder, asked, resume=resume) as store:
+        resuming = f"rosa campaign --resume --out {shlex.quote(str(folder))}"
+        again = f"{resuming} --cluster {cluster}" if cluster else resuming
+        crashed = _conduct(console, store, folder, _workers(cluster, workers, store.campaign), retry, again)
+    if crashed:
+        raise typer.Exit(FAILED)
+
+
+def report(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Where the campaign is.")],
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Where to write; default: DIR/report.")] = None,
+) -> None:
+    """Say what came of a campaign, as report.md and report.html with pictures: published figures beside ours, tests."""
+    from missions.experiments.results import read_store
+
+    kept = read_store(folder)
+    from missions.experiments.report import write_report  # draws: imported only if there is something to report
+
+    for path in write_report(kept, out or folder / "report"):
+        if path.suffix in (".md", ".html"):
+            typer.echo(path)
+
+
+def _asked(file: Path | None, table: bool, runs: int | None) -> "Campaign | None":
+    from missions.engine.mission import MissionError
+    from missions.experiments.campaign import paper_table, read_campaign, with_runs
+
+    if file is not None and table:
+        raise MissionError("give either FILE.toml or --paper-table")
+    if file is None and not table:
+        if runs is not None:
+            raise MissionError("--runs goes with FILE.toml or --paper-table")
+        return None
+    return with_runs(paper_table() if file is None else read_campaign(file), runs)
+
+
+def _workers(cluster: str | None, count: int | None, asked: "Campaign") -> "Callable[[], Workers]":
+    from missions.experiments.workers import Cluster, Processes, modules_needed
+
+    return lambda: Processes(count) if cluster is None else Cluster(cluster, modules_needed(asked))
+
+
+def _conduct(
+    console: "Console", store: "Store", folder: Path, open_workers: "Callable[[], Workers]", retry: bool, again: str
+) -> int:
+    """Run the campaign, show how far it is, and return how many runs crashed."""
+    from contextlib import closing
+    from time import perf_counter
+
+    from rich.markup import escape
+
+    from missions.engine.mission import MissionError
+    from missions.experiments.workers import conduct
+    from missions.views.console import CampaignProgress
+
+    shown = CampaignProgress(console)
+    started = perf_counter()
+    try:
+        with closing(open_workers()) as workers, shown:
+            console.print(f"[bold]{escape(store.campaign.name)}[/] in {escape(str(folder))}, {workers.count} at a time")
+            written = conduct(store, folder, workers, retry=retry, teller=shown)
+    except (KeyboardInterrupt, SystemExit, MissionError):
+        console.print(f"{shown.count} of {shown.total} runs are done and kept; go on with\n  {escape(again)}")
+        raise
+    took = perf_counter() - started
+    console.print(
+        f"{shown.count} of {shown.total} runs done, {shown.new} of them now in {took:.1f} s"
+        f" ({shown.new / took:.2f} a second); {shown.crashed} crashed",
+        highlight=False,
+    )
+    console.print(f"written: {', '.join(escape(str(path)) for path in written)}", highlight=False)
+    console.print(f"`rosa report {escape(str(folder))}` says what came of it", highlight=False)
+    return shown.crashed

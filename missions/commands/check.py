@@ -1,0 +1,160 @@
+"""`rosa check`: a model, from files or of a mission, judged together with the trees and domains that use it."""
+
+import json
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from itertools import groupby
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from missions.commands import FAILED, complain, open_console
+
+if TYPE_CHECKING:
+    from kb import Model
+    from kb.judge.findings import Finding
+    from missions.engine.mission import Mission
+    from missions.views.names import Names
+
+__all__ = ["Judgement", "check", "judge"]
+
+COLOURS = {"error": "red", "warning": "yellow"}
+
+
+def check(
+    files: Annotated[list[Path] | None, typer.Argument(help="Files of a model, each may add to those before.")] = None,
+    mission: Annotated[str | None, typer.Option(help="Check with its tree and PDDL, or its own model.")] = None,
+    tree: Annotated[list[str] | None, typer.Option(metavar="MODULE:CALLABLE", help="A tree that uses it.")] = None,
+    pddl: Annotated[list[Path] | None, typer.Option(help="A PDDL domain or problem that uses it.")] = None,
+    strict: Annotated[bool, typer.Option("--strict", help="Exit with 1 for warnings too.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the findings as JSON.")] = False,
+    reason: Annotated[bool, typer.Option("--reason", help="Have HermiT look for contradictions; needs Java.")] = False,
+) -> None:
+    """Judge a model, say what to do about each finding, and exit with 0 if nothing in it can never work."""
+    from missions.engine.registry import find_mission
+
+    of = find_mission(mission) if mission else None
+    found = judge(files or [], of, tree or [], pddl or [])
+    contradictions = list(_contradictions(files or [], of)) if reason else []
+    for one in contradictions:
+        complain(one)
+    if as_json:
+        typer.echo(found.as_json())
+    else:
+        _print(found)
+        if reason and not contradictions:
+            typer.echo("HermiT finds no contradiction")
+    if found.of("error") or contradictions or (strict and found.findings):
+        raise typer.Exit(FAILED)
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """What was found about a model.
+
+    Attributes:
+        model: what the model is called.
+        findings: the errors first.
+    """
+
+    model: str
+    findings: "tuple[Finding, ...]"
+
+    def of(self, severity: str) -> "list[Finding]":
+        """Return the findings that are as bad as that: "error" or "warning"."""
+        return [one for one in self.findings if one.severity == severity]
+
+    def as_json(self) -> str:
+        """Return it as JSON text."""
+        counts = {f"{severity}s": len(self.of(severity)) for severity in COLOURS}
+        return json.dumps({"model": self.model, **counts, "findings": [asdict(one) for one in self.findings]}, indent=2)
+
+
+def judge(files: Sequence[Path], mission: "Mission | None", trees: Iterable[str], pddl: Sequence[Path]) -> Judgement:
+    """Judge a model.
+
+    Args:
+        files: what the model is read from, in order; without any it is the mission's.
+        mission: whose tree and PDDL files use the model.
+        trees: further trees that use it, each as module:callable.
+        pddl: further PDDL files that use it.
+
+    Raises:
+        MissionError, KnowledgeBaseError, RosaPddlError: something cannot be read or built; the message says where.
+    """
+    from missions.views.names import names_in_pddl, names_in_tree, planned_names, tree_builder
+
+    model = _model(files, mission)
+    used = [names_in_tree(tree_builder(tree), model, f"tree {tree}") for tree in trees]
+    if pddl:
+        used.append(names_in_pddl(pddl))
+    if mission is not None:
+        used.append(names_in_tree(mission.tree, model, f"the tree of {mission.name}"))
+        planned = planned_names(mission)
+        used += [] if planned is None else [planned]
+    if not used:
+        return Judgement(model.name, model.check())
+    names = used[0]
+    for more in used[1:]:
+        names |= more
+    return Judgement(model.name, tuple(_placed(model.check(names.places), names)))
+
+
+def _model(files: Sequence[Path], mission: "Mission | None") -> "Model":
+    from kb import Model
+    from missions.engine.mission import MissionError
+
+    if files:
+        return Model.load(files)
+    if mission is None:
+        raise MissionError("nothing to check; name the files of a model, or a mission with --mission NAME")
+    return mission.model()
+
+
+def _placed(findings: "Iterable[Finding]", names: "Names") -> "Iterator[Finding]":
+    """Yield the findings about names with their places; what a tree may be given later is no finding."""
+    for one in findings:
+        if one.code == "unknown-action":
+            first, *others = names.places[one.element]
+            more = f" and {len(others)} more" if others else ""
+            yield replace(one, place=f"{first}{more}")
+        elif one.code != "unmentioned-action" or names.complete:
+            yield one
+
+
+def _contradictions(files: Sequence[Path], mission: "Mission | None") -> Iterator[str]:
+    """Have a reasoner of OWL judge a model: OWL files as they stand, anything else as the ontology that it makes.
+
+    Raises:
+        KnowledgeBaseError: there is no Java for the reasoner; the message says so.
+    """
+    from kb.files import read_text
+    from kb.owl import inconsistency
+    from kb.rdfxml import owl_text
+
+    model = _model(files, mission)
+    texts = {str(file): read_text(file) for file in files if file.suffix.lower() == ".owl"}
+    for where, text in (texts or {model.name: owl_text(model)}).items():
+        what = inconsistency(text)
+        if what:
+            yield f"{where}: {what}"
+
+
+def _print(judgement: Judgement) -> None:
+    """Print the findings by severity and code, with what to do about each code."""
+    from rich.markup import escape
+
+    from kb.judge.findings import RULES
+
+    console = open_console()
+    for severity, colour in COLOURS.items():
+        findings = sorted(judgement.of(severity), key=lambda one: list(RULES).index(one.code))
+        for code, group in groupby(findings, key=lambda one: one.code):
+            console.print(f"[bold {colour}]{severity}[/] {code}", highlight=False)
+            for one in group:
+                console.print(f"  {escape(one.where_and_what)}", highlight=False, soft_wrap=True)
+            console.print(f"  -> {escape(RULES[code].advice)}", highlight=False, soft_wrap=True)
+    counts = [(len(judgement.of(severity)), severity) for severity in COLOURS]
+    shown = [f"{count} {severity}{'s' if count > 1 else ''}" for count, severity in counts if count]
+    console.print(f"model {escape(judgement.model)}: {' and '.join(shown) or 'nothing found'}", highlight=False)

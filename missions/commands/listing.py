@@ -1,0 +1,48 @@
+"""`rosa list` and `rosa settings`: which missions there are, and what can be set in them."""
+
+from typing import Annotated
+
+import typer
+
+from missions.commands import open_console
+
+__all__ = ["list_missions", "list_settings"]
+
+
+def list_missions() -> None:
+    """List the missions."""
+    from rich.table import Table
+
+    from missions.engine.registry import MISSIONS
+
+    table = Table(box=None, pad_edge=False)
+    table.add_column("mission", no_wrap=True)
+    table.add_column("what happens in it")
+    for mission in MISSIONS.values():
+        table.add_row(mission.name, mission.summary)
+    open_console().print(table)
+
+
+def list_settings(
+    mission: str,
+    manager: Annotated[str, typer.Option(help="List what is to be set of this manager, too.")] = "ours",
+) -> None:
+    """List what `rosa run MISSION --set NAME=VALUE` takes, with default, unit, what is allowed, and source."""
+    from rich.table import Table
+
+    from missions.baselines.registry import options_of
+    from missions.engine.registry import find_mission
+    from missions.engine.settings import describe
+
+    table = Table(box=None, pad_edge=False)
+    for column in ("name", "default", "unit", "allowed"):
+        table.add_column(column, no_wrap=True, justify="right" if column == "default" else "left")
+    table.add_column("meaning", ratio=1)
+    table.add_column("source of the default", ratio=1)
+    found = find_mission(mission)
+    for setting in (*options_of(manager), *describe(found)):
+        default = found.fixed.get(setting.name, setting.default)
+        shown = f"{default:g}" if isinstance(default, float) else str(default)
+        allowed = getattr(setting, "allowed", "")  # a world of one's own may not say it
+        table.add_row(setting.name, shown, setting.unit, allowed, setting.meaning, setting.source)
+    open_console().print(table)

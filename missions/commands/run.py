@@ -1,0 +1,96 @@
+"""`rosa run`: a mission to its end, with what happened and why, and the files that it leaves."""
+
+import time
+from contextlib import ExitStack, nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from missions.commands import FAILED, open_console
+
+if TYPE_CHECKING:
+    from missions.engine.mission import Verdict
+    from missions.engine.runner import Listener, MissionRun
+
+__all__ = ["run"]
+
+
+def run(
+    mission: str,
+    task: Annotated[str, typer.Option(help="Task layer of ours: bt (behaviour tree) or pddl (planned).")] = "bt",
+    manager: Annotated[
+        str, typer.Option(help="ours, none, random, bt, metacontrol, rosa, or one of your own: package:Class.")
+    ] = "ours",
+    rules: Annotated[str | None, typer.Option(help="Rules of SUAVE: 2024 (the ROSA paper) or 2025.")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of all chance in the run.")] = 0,
+    json: Annotated[Path | None, typer.Option(help="Write the result as JSON.")] = None,
+    plot: Annotated[Path | None, typer.Option(help="Draw the run as a PNG picture.")] = None,
+    timing: Annotated[Path | None, typer.Option(help="Write the compute times as JSON.")] = None,
+    record: Annotated[Path | None, typer.Option(help="Write the diagnostics, one message per line.")] = None,
+    settings: Annotated[list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Change a setting.")] = None,
+    realtime: Annotated[bool, typer.Option("--realtime", help="Run no faster than the wall clock.")] = False,
+    progress: Annotated[bool, typer.Option("--progress/--no-progress", help="Show what happens meanwhile.")] = True,
+) -> None:
+    """Run a mission, say what happened and why, and exit with 0 if it did what it was for."""
+    from missions.baselines import open_run
+    from missions.baselines.options import split_options
+    from missions.baselines.registry import options_of
+    from missions.engine.recording import header
+    from missions.engine.registry import find_mission
+    from missions.engine.settings import split_settings
+    from missions.views.console import Narrator, Pace, Recorder, print_result
+    from missions.views.output import as_json, open_files, summary, timing_of
+
+    found = find_mission(mission)
+    changed = _assignments(settings or []) | ({} if rules is None else {"rules": rules})
+    _, of_mission = split_options(options_of(manager), changed)
+    run_settings, _ = split_settings(found, of_mission)
+    console = open_console()
+    with ExitStack() as stack:
+        files = open_files({"json": json, "plot": plot, "timing": timing, "record": record}, stack)
+        narrator = Narrator(console, run_settings.duration_s)
+        listeners: list[Listener] = [Pace()] if realtime else []
+        listeners += [narrator] if progress else []
+        listeners += [Recorder(files["record"])] if "record" in files else []
+        opened = open_run(found, manager=manager, task=task, seed=seed, settings=changed, listeners=tuple(listeners))
+        if "record" in files:
+            listeners[-1].message(header(opened, seed))
+        with narrator if progress else nullcontext():
+            doing = f"task layer: {task}" if manager == "ours" else f"manager: {manager}"
+            console.print(f"[bold]{found.name}[/] ({doing}, seed {seed})")
+            start = time.perf_counter()
+            verdict = _end_of(opened)
+            wall_s = time.perf_counter() - start
+        print_result(console, opened, verdict, wall_s, with_adaptations=not progress)
+        data = summary(opened, verdict, seed, changed) | {"manager": manager}
+        texts = {"json": as_json(data), "timing": as_json(timing_of(opened, wall_s)), "record": ""}
+        for name in texts.keys() & files.keys():
+            files[name].finish(texts[name])
+        if "plot" in files:  # last, because it takes longest
+            from missions.views.picture import draw
+
+            files["plot"].finish(draw(opened, data))
+    if not verdict.success:
+        raise typer.Exit(FAILED)
+
+
+def _assignments(texts: list[str]) -> dict[str, str]:
+    from missions.engine.mission import MissionError
+
+    values = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not equals or not name:
+            raise MissionError(f"--set takes NAME=VALUE, not {text!r}")
+        values[name.strip()] = value.strip()
+    return values
+
+
+def _end_of(opened: "MissionRun") -> "Verdict":
+    from missions.engine.mission import Verdict
+
+    try:
+        return opened.run()
+    except KeyboardInterrupt:
+        return Verdict("aborted", f"stopped by hand after {opened.world.now:.1f} s")

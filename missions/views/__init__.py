@@ -1,0 +1,1 @@
+"""What people see of missions: lines on the console, results in files, pictures."""

@@ -1,0 +1,197 @@
+"""What a run shows on the console: what happens while it happens, and what came of it."""
+
+import time
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any, Self
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from kb import DiagnosticProblem
+from missions.engine.adaptations import Adaptation
+from missions.engine.mission import Message, Verdict
+from missions.engine.recording import line_of
+from missions.engine.runner import Listener, MissionRun
+from missions.views.output import OutputFile, figure_in_words
+
+if TYPE_CHECKING:
+    from rosa_pddl import PlanRecord
+
+__all__ = ["CampaignProgress", "Narrator", "Pace", "Recorder", "print_result"]
+
+COLOURS = {"parameter": "cyan", "structural": "yellow", "task": "magenta"}
+
+
+class Narrator(Listener):
+    """Prints what happens, above a bar that shows the time.
+
+    Args:
+        console: where to print.
+        duration_s: length of the bar [s].
+    """
+
+    def __init__(self, console: Console, duration_s: float) -> None:
+        self._console = console
+        self._known_problems: set[tuple[str, str]] = set()
+        columns = (
+            TextColumn("{task.completed:5.1f} s"),
+            BarColumn(),
+            TextColumn("{task.total:.0f} s  {task.description}"),
+        )
+        self._progress = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+        self._bar = self._progress.add_task("", total=duration_s)
+
+    def __enter__(self) -> Self:
+        self._progress.start()
+        return self
+
+    def __exit__(self, *reason: object) -> None:
+        self._progress.stop()
+
+    def action(self, text: str, time_s: float) -> None:
+        """Say what the mission begins or ends."""
+        self._say(time_s, escape(text))
+
+    def adaptation(self, adaptation: Adaptation) -> None:
+        """Say what was changed, why, and how soon."""
+        colour = COLOURS[adaptation.kind]
+        reaction = adaptation.reaction_s
+        soon = f"in force {reaction:.2f} s after the news" if reaction is not None else "not carried out"
+        self._say(adaptation.at_s, f"[bold {colour}]{adaptation.kind} adaptation[/]: {escape(adaptation.change)}")
+        self._console.print(f"{'':11}why: {escape(adaptation.why)}; {soon}", highlight=False)
+
+    def plan(self, plan: "PlanRecord", time_s: float) -> None:
+        """Say what is planned, and why it was planned anew."""
+        steps = ", then ".join(step.action or step.schema for step in plan.steps)
+        found = steps if plan.outcome.is_solved else f"none, {plan.outcome} ({plan.engine})"
+        self._say(time_s, f"[bold green]plan[/] ({escape(plan.reason)}): {escape(found)}")
+
+    def problem(self, problem: DiagnosticProblem, time_s: float) -> None:
+        """Say what could not be used, the first time."""
+        if (problem.key, problem.reason) not in self._known_problems:
+            self._known_problems.add((problem.key, problem.reason))
+            self._say(time_s, f"[bold red]diagnostics not used[/]: {escape(str(problem))}")
+
+    def tick(self, run: MissionRun) -> None:
+        """Move the bar, and show what is being done and seen."""
+        if self._progress.disable:
+            return
+        doing = ", ".join(required.action for required in run.kb.required_actions) or "deciding"
+        measured = ((name, view.value) for name, view in run.kb.attributes.items())
+        seen = ", ".join(f"{name} {value:.2f}" for name, value in measured if value is not None)
+        self._progress.update(self._bar, completed=run.world.now, description=f"{doing}  [dim]{seen}[/]")
+
+    def _say(self, time_s: float, text: str) -> None:
+        self._console.print(f"[dim]{time_s:7.1f} s[/]  {text}", highlight=False)
+
+
+class Recorder(Listener):
+    """Writes every message to a file, one per line."""
+
+    def __init__(self, output: OutputFile) -> None:
+        self._output = output
+
+    def message(self, message: Message) -> None:
+        """Write the message."""
+        self._output.write(line_of(message))
+
+
+class Pace(Listener):
+    """Holds a simulated run back to the pace of the wall clock."""
+
+    def __init__(self) -> None:
+        self._start = time.monotonic()
+
+    def tick(self, run: MissionRun) -> None:
+        """Wait until the wall clock has come as far as the simulated one."""
+        time.sleep(max(0.0, self._start + run.world.now - time.monotonic()))
+
+
+class CampaignProgress:
+    """Shows how far a campaign is, how fast it goes and how long it will take, and each run that crashes."""
+
+    def __init__(self, console: Console) -> None:
+        self.count = self.total = self.new = self.crashed = 0
+        self._console = console
+        self._shows = console.is_terminal
+        self._started = time.perf_counter()
+        self._progress = Progress(
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[rate]:.2f} a second,"),
+            TimeRemainingColumn(),
+            TextColumn("left  [dim]{task.description}[/]"),
+            console=console,
+            transient=True,
+        )
+        self._bar = self._progress.add_task("", total=None, rate=0.0)
+
+    def __enter__(self) -> Self:
+        if self._shows:
+            self._progress.start()
+        return self
+
+    def __exit__(self, *reason: object) -> None:
+        if self._shows:
+            self._progress.stop()
+
+    def begin(self, done: int, total: int) -> None:
+        """Start the clock."""
+        self._started = time.perf_counter()
+        self.count, self.total = done, total
+        self._progress.update(self._bar, completed=done, total=total)
+
+    def done(self, record: Mapping[str, Any]) -> None:
+        """Move the bar; without a terminal, print a line for each tenth of the campaign."""
+        self.count, self.new = self.count + 1, self.new + 1
+        if record["outcome"] == "crashed":
+            self.crashed += 1
+            self._print("bold red", f"{record['run']} crashed: {record['error']}; again: {record['rerun']}")
+        rate = self.new / max(time.perf_counter() - self._started, 1e-9)
+        self._progress.update(self._bar, completed=self.count, rate=rate, description=escape(record["run"]))
+        if not self._shows and self.count * 10 // self.total > (self.count - 1) * 10 // self.total:
+            left = (self.total - self.count) / rate
+            self._print("dim", f"{self.count}/{self.total} runs, {rate:.2f} a second, {left:.0f} s left")
+
+    def note(self, text: str) -> None:
+        """Say what keeps the runs from being done."""
+        self._print("yellow", text)
+
+    def _print(self, style: str, text: str) -> None:
+        self._console.print(text, style=style, highlight=False, markup=False)
+
+
+def print_result(console: Console, run: MissionRun, verdict: Verdict, wall_s: float, *, with_adaptations: bool) -> None:
+    """Print the figures of a run that has ended and how it ended, and perhaps a table of its adaptations."""
+    if run.adaptations and with_adaptations:
+        console.print(_table_of(run.adaptations))
+    figures = {**run.world.results(), "simulated_s": run.world.now, "computed in_s": wall_s}
+    shown = [*(figure_in_words(name, value) for name, value in figures.items())]
+    shown += [("times real time", "", f"{run.world.now / wall_s:.1f}")]
+    for words, unit, value in shown:
+        console.print(f"{words + (f' [{unit}]' if unit else ''):<32}{value:>8}", highlight=False, markup=False)
+    if run.problems:
+        _, first = run.problems[0]
+        text = f"{len(run.problems)} parts of diagnostics were not used, the first: {first}"
+        console.print(f"[yellow]{escape(text)}[/]", highlight=False)
+    colour = "green" if verdict.success else "red"
+    console.print(f"[bold {colour}]{verdict.outcome}[/]: {escape(verdict.reason)}", highlight=False)
+    if verdict.detail:
+        console.print(escape(verdict.detail), highlight=False)
+
+
+def _table_of(adaptations: Iterable[Adaptation]) -> Table:
+    table = Table(expand=True, box=SIMPLE_HEAD, pad_edge=False)
+    table.add_column(escape("at [s]"), justify="right", no_wrap=True)
+    table.add_column("kind", no_wrap=True)
+    table.add_column("what was changed", ratio=4)
+    table.add_column("why", ratio=4)
+    table.add_column(escape("reaction [s]"), justify="right", no_wrap=True)
+    for one in adaptations:
+        reaction = "-" if one.reaction_s is None else f"{one.reaction_s:.2f}"
+        why = one.reason if one.reason.startswith(one.trigger) else f"{one.trigger}: {one.reason}"
+        table.add_row(f"{one.at_s:.1f}", one.kind, escape(one.change), escape(why), reaction)
+    return table

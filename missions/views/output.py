@@ -1,0 +1,235 @@
+"""What a run leaves in files: its result as data that depends on nothing but mission, settings and seed, as JSON.
+
+A file is tried before the run, and complete or not there at all after it.
+"""
+
+import json
+import math
+import os
+import tempfile
+from collections.abc import Mapping
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from types import TracebackType
+from typing import Any, BinaryIO, Final, Self
+
+from missions.engine.mission import MissionError, Verdict
+from missions.engine.runner import MissionRun
+
+__all__ = ["OutputFile", "as_json", "figure_in_words", "open_files", "summary", "timing_of"]
+
+SIGNS: Final = {"j": "J", "w": "W", "percent": "%"}
+"""How units are written that a name has in small letters or in full."""
+
+
+class OutputFile:
+    """A file that appears under its name only when it is complete; used as a context.
+
+    Args:
+        path: where it shall be; a file of that name is replaced. A device such as /dev/stdout is written directly.
+
+    Raises:
+        MissionError: it cannot be written there, found out at once.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        try:
+            self._direct = path.exists() and not path.is_file()
+            # a link is followed, not replaced; that to a pipe leads to no path
+            self._target = path if self._direct else path.resolve()
+            if self._target.is_dir():
+                raise IsADirectoryError("it is a directory; name a file in it")
+            if self._target.is_file() and not os.access(self._target, os.W_OK):
+                raise PermissionError("the file there is read-only")
+            if self._direct:
+                self._file: BinaryIO = self._target.open("wb")
+                self._draft = self._target
+            else:
+                handle, draft = tempfile.mkstemp(prefix=".rosa-", dir=self._target.parent)
+                self._file, self._draft = os.fdopen(handle, "wb"), Path(draft)
+        except OSError as error:
+            raise self._failure(error) from error
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with suppress(OSError):  # what could not be written is told by keep
+            self._file.close()
+        if not self._direct:
+            self._draft.unlink(missing_ok=True)
+
+    def write(self, content: str | bytes) -> None:
+        """Append text or bytes.
+
+        Raises:
+            MissionError: there is no room for it.
+        """
+        try:
+            self._file.write(content.encode() if isinstance(content, str) else content)
+        except OSError as error:
+            raise self._failure(error) from error
+
+    def keep(self) -> None:
+        """Put the file, which is complete now, in its place.
+
+        Raises:
+            MissionError: that cannot be done.
+        """
+        try:
+            self._file.close()
+            if not self._direct:
+                self._draft.chmod(0o666 & ~_umask())
+                self._draft.replace(self._target)
+        except OSError as error:
+            raise self._failure(error) from error
+
+    def finish(self, content: str | bytes) -> None:
+        """Append the last text or bytes, and put the file in its place.
+
+        Raises:
+            MissionError: that cannot be done.
+        """
+        self.write(content)
+        self.keep()
+
+    def _failure(self, error: OSError) -> MissionError:
+        return MissionError(f"cannot write {self._path}: {error.strerror or error}")
+
+
+def open_files(paths: Mapping[str, Path | None], stack: ExitStack) -> dict[str, OutputFile]:
+    """Open every file that is asked for, so that one that cannot be written is found out before the work begins.
+
+    Args:
+        paths: where, by the name of the option; None for those that are not given.
+        stack: closes them.
+
+    Raises:
+        MissionError: one cannot be written, or two are the same.
+    """
+    places: dict[str, str] = {}
+    given = {name: path for name, path in paths.items() if path is not None}
+    for name, path in given.items():
+        other = places.setdefault(os.path.realpath(path), name)
+        if other != name and not (path.is_char_device() or path.is_fifo()):
+            raise MissionError(f"--{other} and --{name} name the same file, {path}; give each its own")
+    return {name: stack.enter_context(OutputFile(path)) for name, path in given.items()}
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+def summary(run: MissionRun, verdict: Verdict, seed: int, changed: Mapping[str, str]) -> dict[str, Any]:
+    """Return a finished run as plain data; times in [s], units in the names.
+
+    Args:
+        run: the run, ended.
+        verdict: how it ended.
+        seed: of all its chance.
+        changed: the settings that were given.
+    """
+    results = run.world.results()
+    return {
+        "mission": run.mission.name,
+        "task": run.task,
+        "manager": run.manager,
+        "seed": seed,
+        "settings": dict(sorted(changed.items())),
+        "outcome": verdict.outcome,
+        "outcome_reason": verdict.reason,
+        "duration_s": run.world.now,
+        **results,
+        "adaptations": [
+            {
+                "at_s": one.at_s,
+                "kind": one.kind,
+                "trigger": one.trigger,
+                "reason": one.reason,
+                "change": one.change,
+                "reaction_s": one.reaction_s,
+            }
+            for one in run.adaptations
+        ],
+        "actions": [
+            {
+                "name": one.action,
+                "start_s": one.start,
+                "end_s": one.end,
+                "result": one.result,
+                "reason": one.reason,
+            }
+            for one in run.kb.action_history
+        ],
+        "plans": [
+            {
+                "at_s": plan.at_s,
+                "reason": plan.reason,
+                "outcome": str(plan.outcome),
+                "engine": plan.engine,
+                "steps": [str(step) for step in plan.steps],
+            }
+            for plan in run.plans
+        ],
+        "reactions": [
+            {"uncertainty": one.uncertainty, "start_s": one.start_s, "delay_s": one.delay_s}
+            for one, _ in _reactions(run)
+        ],
+        "disturbances": [{"at_s": time, "what": text} for time, text in run.world.disturbances()],
+        "diagnostics_problems": [{"at_s": time, "problem": str(problem)} for time, problem in run.problems],
+    }
+
+
+def as_json(data: Mapping[str, Any]) -> str:
+    """Write data as JSON text; numbers to 6 decimals, so that no rounding of sums shows."""
+    return json.dumps(_rounded(data), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+
+
+def timing_of(run: MissionRun, wall_s: float) -> dict[str, Any]:
+    """Return how long a run took on this machine: whole, and the compute time of each part and each reaction [s]."""
+    return {
+        "simulated_s": run.world.now,
+        "wall_s": wall_s,
+        "simulated_s_per_wall_s": run.world.now / wall_s,
+        "compute_s": dict(run.compute_s),
+        "reactions": [
+            {"uncertainty": one.uncertainty, "start_s": one.start_s, "compute_s": computed_s}
+            for one, computed_s in _reactions(run)
+        ],
+    }
+
+
+def figure_in_words(name: str, value: float | None) -> tuple[str, str, str]:
+    """Return what a figure is of, its unit and its value: "energy_used_j" is "energy used", "J" and "3152.6".
+
+    The unit is empty if the name has none; a value that did not come about is "-".
+    """
+    words, _, unit = name.rpartition("_")
+    if value is None:
+        shown = "-"
+    elif float(value).is_integer() and (not words or len(unit) > 3):  # a count of something, not an amount of a unit
+        shown = f"{value:.0f}"
+    else:
+        shown = f"{value:.2f}" if abs(value) < 10 else f"{value:.1f}"
+    return (words.replace("_", " "), SIGNS.get(unit, unit), shown) if words else (name, "", shown)
+
+
+def _reactions(run: MissionRun) -> list[tuple[Any, float]]:
+    """Return each reaction of a run in the sea with the time of this machine that went into it [s]."""
+    sea: Any = run.world
+    return [(one, sea.compute_s(one)) for one in getattr(sea, "reactions", ())]
+
+
+def _rounded(value: object) -> object:
+    if isinstance(value, float):
+        return round(value, 6) if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {key: _rounded(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_rounded(item) for item in value]
+    return value
