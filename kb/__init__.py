@@ -4,21 +4,19 @@ from kb.diagnostics import DiagnosticProblem
 from kb.elements import AttributeKind, ComponentKind, EstimationKind, Expression, StalePolicy
 from kb.events import Event, EventKind, StatusChange
 from kb.exceptions import AmbiguousName, DuplicateName, InvalidValue, KnowledgeBaseError, ModelError, UnknownName
-from kb.execution.attempts import Attempt
-from kb.execution.condemned import Condemnation
 from kb.execution.executor import StagedExecutor
-from kb.execution.gate import VetoAnswer
+from kb.execution.safeguards import Quarantined
 from kb.explanation.choice import ChoiceExplanation
 from kb.explanation.reasons import Explanation
 from kb.files import ModelFileError
-from kb.history import Process
+from kb.history import Attempt, Process, VetoAnswer
 from kb.judge import Finding, Severity
 from kb.knowledge_base import KnowledgeBase
 from kb.log import Log
-from kb.managed import ManagedObject, ManagedObjects, ManagedSystem, Operation
+from kb.managed_system import ManagedObject, ManagedObjects, ManagedSystem, Operation
 from kb.manager import ConfigurationManager, Executor, Monitor, Planner, PriorityPlanner
 from kb.model import Model
-from kb.optimum.planner import OptimalPlanner
+from kb.planners.optimal import OptimalPlanner
 from kb.processes import ProcessComponents, Program
 from kb.reconfiguration import Obsolete, ReconfigurationPlan
 from kb.requests import Reply, RequiredAction
@@ -34,7 +32,6 @@ __all__ = [
     "Choice",
     "ChoiceExplanation",
     "ComponentKind",
-    "Condemnation",
     "ConfigurationManager",
     "Criterion",
     "DiagnosticProblem",
@@ -66,6 +63,7 @@ __all__ = [
     "Process",
     "ProcessComponents",
     "Program",
+    "Quarantined",
     "ReconfigurationPlan",
     "Reply",
     "RequiredAction",

@@ -35,6 +35,7 @@ _KINDS: Final[Mapping[str, EventKind]] = {
     "record_attempt": EventKind.RECORD,
     "finish_attempt": EventKind.RECORD,
     "record_answer": EventKind.RECORD,
+    "note_no_choice": EventKind.RECORD,
     "store": EventKind.RECORD,
 }
 """Any other verb is of monitoring data, but for a selection that makes a plan."""

@@ -5,16 +5,16 @@ your own monitor, planner or executor and the rest stays as it is.
 """
 
 from collections.abc import Iterable
-from typing import Protocol, cast
+from typing import Protocol
 
-from kb.execution.activity import Activity
+from kb.exceptions import InvalidValue
 from kb.execution.executor import StagedExecutor
-from kb.execution.gate import Gate, Veto
-from kb.execution.rehearsal import Rehearsal
+from kb.execution.safeguards import Veto, VetoGate
 from kb.knowledge_base import KnowledgeBase
-from kb.managed import ManagedSystem
+from kb.managed_system import ActivityMonitor, ManagedSystem, can_tell
+from kb.planners.priority import choice_by_priority
 from kb.reconfiguration import ReconfigurationPlan
-from kb.selection import first_by_priority
+from kb.selection import Choice
 
 __all__ = ["ConfigurationManager", "Executor", "Monitor", "Planner", "PriorityPlanner"]
 
@@ -27,7 +27,12 @@ class Monitor(Protocol):
 
 
 class Planner(Protocol):
-    """Decides which designs and configurations to select."""
+    """Decides which designs and configurations to select.
+
+    One that can be tried in a dry run has a method `choose(kb)` too: it returns the `Choice` that `plan` would select,
+    or None, and changes nothing, neither in the knowledge base nor in itself. One that looks for an answer in the
+    background has an attribute `is_waiting`: while it is true, `plan` is called at every update.
+    """
 
     def plan(self, kb: KnowledgeBase) -> ReconfigurationPlan | None:
         """Ask what is adaptable, choose, and return what `kb.select` answers, without waiting."""
@@ -43,21 +48,15 @@ class Executor(Protocol):
 class PriorityPlanner:
     """Chooses what is selectable with the lowest priority number; no priority comes last, ties go by name."""
 
-    def plan(self, kb: KnowledgeBase) -> ReconfigurationPlan | None:
+    def choose(self, kb: KnowledgeBase) -> Choice | None:
         """Choose for every adaptable function, then for every component that is adaptable given those choices."""
-        designs = {}
-        for function in kb.adaptable_functions():
-            choice = first_by_priority(kb.designs[name] for name in kb.selectable_designs(function))
-            if choice is not None:
-                designs[function] = choice
-        configurations = {}
-        for component in kb.adaptable_components(designs.values()):
-            choice = first_by_priority(kb.configurations[name] for name in kb.selectable_configurations(component))
-            if choice is not None:
-                configurations[component] = choice
-        if not designs and not configurations and not kb.obsolete():
-            return None
-        return kb.select(designs, configurations)
+        with kb.reading() as state:
+            return choice_by_priority(state)
+
+    def plan(self, kb: KnowledgeBase) -> ReconfigurationPlan | None:
+        """Select what is chosen."""
+        choice = self.choose(kb)
+        return None if choice is None else kb.select(*choice)
 
 
 class ConfigurationManager:
@@ -87,16 +86,22 @@ class ConfigurationManager:
         self._kb = kb
         self._planner = planner or PriorityPlanner()
         self._executor = executor or StagedExecutor(managed, budgets=getattr(self._planner, "budgets", None))
-        self._monitors = (*monitors, Activity(managed))
-        self._gate = None if veto is None else Gate(kb, veto)
+        self._monitors = (*monitors, ActivityMonitor(managed)) if can_tell(managed) else tuple(monitors)
+        self._gate = None if veto is None else VetoGate(kb, veto)
         self._planned_at = -1
 
     def dry_run(self) -> ReconfigurationPlan | None:
         """Return the plan that the planner would make now, None for none; nothing is selected, told or executed.
 
-        A planner that remembers what it was asked remembers this, too.
+        Raises:
+            InvalidValue: the planner has no method `choose`.
         """
-        return self._planner.plan(cast("KnowledgeBase", Rehearsal(self._kb)))
+        choose = getattr(self._planner, "choose", None)
+        if choose is None:
+            what = type(self._planner).__name__
+            raise InvalidValue(f"{what} cannot be tried: a dry run asks its method choose(kb), which it does not have")
+        choice = choose(self._kb)
+        return None if choice is None else self._kb.select(*choice, dry_run=True)
 
     def update(self) -> ReconfigurationPlan | None:
         """Take one turn of the loop, without waiting.
@@ -113,13 +118,14 @@ class ConfigurationManager:
             monitor.observe(kb)
         if gate is not None:  # somebody else may have made a plan
             gate.check()
-            gate.remember()
         plan = None
         revision = kb.revision
         if revision != self._planned_at and kb.pending_plan is None:
             plan = self._planner.plan(kb)
             is_vetoed = gate is not None and gate.check()
             self._planned_at = kb.revision if is_vetoed else revision
+            if getattr(self._planner, "is_waiting", False):
+                self._planned_at = -1
         self._executor.execute(kb)
         if gate is not None:
             gate.remember()

@@ -111,7 +111,7 @@ class Questions(ABC):
             if self._state.status[node.index] is Status.UNFEASIBLE:
                 return None
             if preference is not None:
-                from kb.optimum.solver import best_choice  # the solver takes a while to import
+                from kb.planners.solver import best_choice  # the solver takes a while to import
 
                 return best_choice(self._state, Criterion(summed_weights([preference])), node.parts).choice
             designs = {function: self._best(function) for function in node.parts}

@@ -27,15 +27,16 @@ class Candidate(Protocol):
         """Its name."""
 
     @property
-    def priority(self) -> int | None:
+    def priority(self) -> float | None:
         """Its priority; the lowest number is preferred."""
 
 
 class Choice(NamedTuple):
-    """A design for each function and a configuration for each component that has some, by name."""
+    """A design for each function and a configuration for each component that has some, by name; and why these."""
 
     designs: Mapping[str, str]
     configurations: Mapping[str, str]
+    reason: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +128,7 @@ def number(value: float) -> str:
     return f"{value:.12g}"
 
 
-def by_priority(candidate: Candidate) -> tuple[bool, int, str]:
+def by_priority(candidate: Candidate) -> tuple[bool, float, str]:
     """Return the key that sorts: the lowest priority number first, no priority last, ties by name."""
     priority = candidate.priority
     return priority is None, 0 if priority is None else priority, candidate.name

@@ -10,6 +10,7 @@ from kb.diagnostics import DiagnosticProblem, Measurement, read_diagnostics
 from kb.elements import Constraint, Element, finite_number
 from kb.events import Event
 from kb.exceptions import InvalidValue, KnowledgeBaseError
+from kb.explanation.choice import note_nothing
 from kb.explanation.reasons import shortest
 from kb.history import History
 from kb.inference.alarms import Alarms
@@ -199,13 +200,14 @@ class Telling(Recording):
         self._look_at_the_clock()
         return self._revision
 
-    def note_news(self) -> None:
-        """Have planners asked again at the next update, as if a fact had changed that can matter to them.
-
-        For what a planner waits for and the knowledge base cannot know, such as the end of a computation.
-        """
+    def note_no_choice(self, reason: str) -> None:
+        """Say why nothing can be selected for what is required, in words, for explanations; empty if something can."""
+        checked_text("the reason why nothing can be selected", reason)
         with self._lock:
-            self._revision += 1
+            self._check_open()
+            note_nothing(self._known, reason)
+            words = f"nothing can be selected because {reason}" if reason else "something can be selected again"
+            self._happened(self._clock(), "note_no_choice", (reason,), lambda: words)
 
     def subscribe(self, callback: Callable[[Event], None]) -> Callable[[], None]:
         """Have a function called with every event, in order; returns how to stop that.

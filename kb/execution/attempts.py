@@ -2,28 +2,25 @@
 
 import logging
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from types import MappingProxyType
+from dataclasses import dataclass
 from typing import Final
 
 from kb.elements import Parameters
 from kb.exceptions import InvalidValue
 from kb.history import Attempt
 from kb.knowledge_base import KnowledgeBase
-from kb.managed import Operation
+from kb.managed_system import ManagedSystem, Operation, is_active
 from kb.reconfiguration import ReconfigurationPlan
 
-__all__ = ["Attempt", "Command", "Patience", "Step"]
+__all__ = ["Command", "RetryPolicy"]
 
 _log = logging.getLogger(__name__)
 
-_NOTHING: Final[Parameters] = MappingProxyType({})
 _MOST_DOUBLINGS: Final = 60
 
 
 @dataclass(frozen=True, slots=True)
-class Patience:
+class RetryPolicy:
     """How often a command is given, and how long it may take.
 
     Attributes:
@@ -44,47 +41,38 @@ class Patience:
         if not _is_number(self.back_off) or not 0 <= self.back_off < math.inf:
             raise InvalidValue(f"a back-off is a finite number of seconds from 0, not {self.back_off!r}")
 
+    def pause(self, count: int) -> float:
+        """Return how long to wait after a number of failures [s]."""
+        return self.back_off * 2.0 ** min(count - 1, _MOST_DOUBLINGS)
 
-@dataclass(frozen=True, slots=True)
+
+@dataclass(slots=True, eq=False)
 class Command:
-    """What one component is to do.
+    """What one component is to do for a plan, on its way to an end.
 
     Attributes:
-        component: its name.
-        operation: "activate", "deactivate" or "configure".
-        give: gives the command; None if it is a matter of bookkeeping only.
-        is_reached: asks whether the component is as it was to be; None for "cannot be told".
-        configuration: name of what it is configured with, None for a switch.
-        parameters: what is set; empty for a switch.
-    """
-
-    component: str
-    operation: str
-    give: Callable[[], Operation | None] | None
-    is_reached: Callable[[], bool | None] = lambda: None
-    configuration: str | None = None
-    parameters: Parameters = field(default_factory=lambda: _NOTHING)
-
-
-class Step:
-    """A command of a plan on its way to an end.
-
-    Args:
         kb: has each attempt on record.
         plan: what it is part of.
-        command: what is to be done.
-        patience: how often it is tried, and how long.
+        policy: how often it is tried, and how long.
+        managed: what is commanded; None if it is a matter of bookkeeping only.
+        component: its name.
+        operation: "activate", "deactivate" or "configure".
+        configuration: name of what it is configured with, None for a switch.
+        parameters: what is set; None for a switch.
     """
 
-    def __init__(self, kb: KnowledgeBase, plan: ReconfigurationPlan, command: Command, patience: Patience) -> None:
-        self.command = command
-        self._kb = kb
-        self._plan = plan
-        self._patience = patience
-        self._count = 0
-        self._due = -math.inf
-        self._attempt: Attempt | None = None
-        self._operation: Operation | None = None
+    kb: KnowledgeBase
+    plan: ReconfigurationPlan
+    policy: RetryPolicy
+    managed: ManagedSystem | None
+    component: str
+    operation: str
+    configuration: str | None = None
+    parameters: Parameters | None = None
+    _count: int = 0
+    _due: float = -math.inf
+    _attempt: Attempt | None = None
+    _under_way: Operation | None = None
 
     @property
     def reason(self) -> str:
@@ -92,64 +80,61 @@ class Step:
         tried = {1: "once", 2: "twice"}.get(self._count, f"{self._count} times")
         return f"tried {tried}: {self._attempt.reason if self._attempt is not None else ''}"
 
-    @property
-    def is_void(self) -> bool:
-        """Whether what is commanded, or what it is configured with, is no longer in the model."""
-        component, configuration = self.command.component, self.command.configuration
-        known = self._kb.configurations
-        return component not in self._kb.components or (configuration is not None and configuration not in known)
-
     def begin(self, now: float) -> None:
         """Give the command if it is time for that and it is not under way."""
-        command = self.command
-        if command.give is None or now < self._due or (self._attempt is not None and self._attempt.end is None):
+        if self.managed is None or now < self._due or (self._attempt is not None and self._attempt.end is None):
             return
         self._count += 1
-        self._attempt = self._kb.record_attempt(
-            self._plan,
-            command.component,
-            command.operation,
-            configuration=command.configuration,
-            parameters=command.parameters,
+        self._attempt = self.kb.record_attempt(
+            self.plan,
+            self.component,
+            self.operation,
+            configuration=self.configuration,
+            parameters=self.parameters,
             number=self._count,
         )
         try:
-            self._operation = command.give()
+            self._under_way = self._give(self.managed)
         except Exception as error:
-            self._operation = _Refused(error)
+            self._under_way = _Refused(error)
 
     def advance(self, now: float) -> str | None:
-        """Return how the step has ended, "completed" or "failed", or None as long as it has not."""
-        if self.command.give is None:
+        """Return how it has ended, "completed" or "failed", or None as long as it has not."""
+        if self.managed is None:
             return "completed"
         while True:
             self.begin(now)
             if self._attempt is None or self._attempt.end is not None:
                 return None
-            verdict = self._verdict(now - self._attempt.start)
-            if verdict is None:
+            outcome = self._outcome(self.managed, now - self._attempt.start)
+            if outcome is None:
                 return None
-            result, reason = verdict
-            self._kb.finish_attempt(self._attempt, result, reason)
-            if result == "completed" or self._count >= self._patience.attempts:
+            result, reason = outcome
+            self.kb.finish_attempt(self._attempt, result, reason)
+            if result == "completed" or self._count >= self.policy.attempts:
                 return result
-            self._due = now + self._patience.back_off * 2.0 ** min(self._count - 1, _MOST_DOUBLINGS)
+            self._due = now + self.policy.pause(self._count)
 
     def abandon(self, reason: str) -> None:
         """Give it up without waiting for what is under way."""
         if self._attempt is not None and self._attempt.end is None:
-            _cancel(self._operation)
-            self._kb.finish_attempt(self._attempt, "abandoned", reason)
+            _cancel(self._under_way)
+            self.kb.finish_attempt(self._attempt, "abandoned", reason)
 
-    def _verdict(self, lasts: float) -> tuple[str, str] | None:
+    def _give(self, managed: ManagedSystem) -> Operation | None:
+        if self.parameters is not None:
+            return managed.set_parameters(self.component, self.parameters)
+        return (managed.activate if self.operation == "activate" else managed.deactivate)(self.component)
+
+    def _outcome(self, managed: ManagedSystem, lasts: float) -> tuple[str, str] | None:
         """Return result and reason of the attempt under way, None while there is neither."""
-        ended, error = _outcome(self._operation)
-        is_late = lasts >= self._patience.timeout
+        ended, error = _ended(self._under_way)
+        is_late = lasts >= self.policy.timeout
         if error is not None:
-            return "failed", _told(error)
+            return "failed", _words(error)
         if not ended and not is_late:
             return None
-        is_reached, doubt = self._look()
+        is_reached, doubt = self._look(managed)
         if ended and is_reached is not False:
             return "completed", ""
         if not is_late:
@@ -157,24 +142,27 @@ class Step:
         if is_reached:
             return "completed", "it never said so, but it is done"
         if ended:
-            return "failed", f"it was said to be done, but {doubt} within {self._patience.timeout:g} s"
-        _cancel(self._operation)
-        return "failed", f"it was not done within {self._patience.timeout:g} s"
+            return "failed", f"it was said to be done, but {doubt} within {self.policy.timeout:g} s"
+        _cancel(self._under_way)
+        return "failed", f"it was not done within {self.policy.timeout:g} s"
 
-    def _look(self) -> tuple[bool | None, str]:
-        """Return whether the component is as it was to be, and what speaks against it."""
+    def _look(self, managed: ManagedSystem) -> tuple[bool | None, str]:
+        """Return whether the component is as it was to be, None if nobody can tell, and what speaks against it."""
+        if self.operation == "configure":
+            return None, ""
         try:
-            is_reached = self.command.is_reached()
+            active = is_active(managed, self.component)
         except Exception as error:
-            return False, f"nobody could tell ({_told(error)})"
-        return is_reached, f"{self.command.component} was not found so"
+            return False, f"nobody could tell ({_words(error)})"
+        is_reached = None if active is None else active is (self.operation == "activate")
+        return is_reached, f"{self.component} was not found so"
 
 
 def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def _outcome(operation: Operation | None) -> tuple[bool, BaseException | None]:
+def _ended(operation: Operation | None) -> tuple[bool, BaseException | None]:
     """Return whether an operation has ended, and with which error; asking may raise, e.g. of a cancelled future."""
     if operation is None:
         return True, None
@@ -191,21 +179,21 @@ def _cancel(operation: Operation | None) -> None:
         try:
             cancel()
         except Exception as error:
-            _log.warning("an operation could not be cancelled: %s", _told(error))
+            _log.warning("an operation could not be cancelled: %s", _words(error))
 
 
-def _told(error: BaseException) -> str:
+def _words(error: BaseException) -> str:
     return str(error) or type(error).__name__
 
 
+@dataclass(frozen=True, slots=True)
 class _Refused:
     """A command that raised at once, as an operation that has ended."""
 
-    def __init__(self, error: Exception) -> None:
-        self._error = error
+    error: Exception
 
     def done(self) -> bool:
         return True
 
     def exception(self) -> Exception:
-        return self._error
+        return self.error

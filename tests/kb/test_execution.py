@@ -190,7 +190,7 @@ def ruled_out(hold=50.0, always_improve=True):
     kb.request_action("explore")
     turn(manager, clock, 3)
     assert kb.components["camera"].selected_configuration == "night"
-    (record,) = manager._executor.condemnations
+    (record,) = manager._executor.quarantined
     assert (record.configuration, record.component, record.start, record.end) == ("day", "camera", 100.0, None)
     assert record.until == 100.0 + hold
     assert (

@@ -200,7 +200,7 @@ def test_what_was_ruled_out_stays_so_until_its_time_after_the_knowledge_base_is_
     kb, _, _, manager = start(kb=opened(tmp_path / "store", clock))
     turn(manager, clock)
     assert [one.operation for one in kb.attempts][:3] == ["configure", "configure", "activate"]
-    (record,) = manager._executor.condemnations
+    (record,) = manager._executor.quarantined
     assert (record.configuration, record.start, record.until, record.end) == ("day", 100.0, 150.0, None)
     assert kb.explain(kb.configurations["day"]).reason == record.reason != ""
     clock.now = 149.9
@@ -224,7 +224,7 @@ def test_a_hold_that_ended_while_nobody_was_there_is_over(tmp_path):
     kb, _, _, manager = start(kb=opened(tmp_path / "store", clock))
     assert kb.configurations["day"].status is Status.FEASIBLE
     turn(manager, clock, 3)
-    assert manager._executor.condemnations == ()
+    assert manager._executor.quarantined == ()
     kb.close()
 
 

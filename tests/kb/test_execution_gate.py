@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from managed_stand_ins import Broken, Scripted, base, come_to_rest, rover, turn
 from models import Twins, events, models
 
-from kb import ConfigurationManager, KnowledgeBase, Model, Status, UnknownName
+from kb import Choice, ConfigurationManager, KnowledgeBase, Model, Status, UnknownName
 from kb.exceptions import InvalidValue
 
 
@@ -213,20 +213,22 @@ def test_a_dry_run_tells_the_plan_and_does_nothing():
     assert kb.revision == revision
 
 
-def test_a_dry_run_can_be_asked_for_while_a_plan_is_under_way_and_by_any_planner():
+def test_a_dry_run_can_be_asked_of_any_planner_that_has_a_choice():
     class Choosy:
-        def plan(self, kb):
+        def choose(self, kb):
             assert kb.required_actions[0].action == "explore"
-            assert kb.action_history == kb.required_actions
-            assert kb.plans == ()
-            assert kb.latest_plan is kb.pending_plan is None
-            assert kb.revision >= 0
-            assert kb.model.name == "rover"
-            return kb.select({"see": "by lidar"})
+            return Choice({"see": "by lidar"}, {}, "to spare the camera")
 
     kb, _, _, manager = start(planner=Choosy())
     kb.request_action("explore")
-    assert manager.dry_run().activate == ("lidar",)
+    plan = manager.dry_run()
+    assert plan.activate == ("lidar",)
+    assert plan.reason.endswith("to spare the camera")
+
+
+def test_a_planner_without_a_choice_cannot_be_tried():
+    with pytest.raises(InvalidValue, match="ShineOnly cannot be tried"):
+        start(planner=ShineOnly())[3].dry_run()
 
 
 @pytest.mark.parametrize(
@@ -239,6 +241,9 @@ def test_a_dry_run_can_be_asked_for_while_a_plan_is_under_way_and_by_any_planner
 )
 def test_a_planner_is_told_in_a_dry_run_of_the_mistakes_that_it_would_make(selected, error):
     class Mistaken:
+        def choose(self, kb):
+            return selected
+
         def plan(self, kb):
             return kb.select(*selected)
 

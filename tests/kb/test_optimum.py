@@ -10,9 +10,9 @@ from managed_stand_ins import Scripted
 from models import Clock, Twins, events, mostly_some, stories
 
 from kb import ConfigurationManager, InvalidValue, KnowledgeBase, Model, PriorityPlanner, UnknownName
-from kb.optimum.planner import OptimalPlanner
-from kb.optimum.posing import pose
-from kb.optimum.solver import best_choice, solve, verdicts
+from kb.planners.encoding import encode
+from kb.planners.optimal import OptimalPlanner
+from kb.planners.solver import best_choice, solve, verdicts
 from kb.selection import Criterion, summed_weights
 
 SLOW = settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
@@ -441,7 +441,7 @@ def test_every_rival_is_told_to_be_worth_less_or_later_or_not_to_fit(kb, criteri
     assume(best.choice and best.choice.designs)
     for name, chosen in best.choice.designs.items():
         possible = ranked(kb._state, kb._network.functions[name])
-        rivals = {part.name: pose(kb._state, criterion, forced=part) for part in possible if part.name != chosen}
+        rivals = {part.name: encode(kb._state, criterion, forced=part) for part in possible if part.name != chosen}
         said = verdicts(best, chosen, rivals)
         assert set(said) == {*rivals, chosen}
         for rival, problem in rivals.items():

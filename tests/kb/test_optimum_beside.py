@@ -9,8 +9,7 @@ from test_optimum import intricate
 from test_optimum_reasons import model
 
 from kb import ConfigurationManager, InvalidValue, KnowledgeBase
-from kb.optimum.beside import Beside
-from kb.optimum.planner import OptimalPlanner
+from kb.planners.optimal import BackgroundSolver, OptimalPlanner
 
 __all__ = ["model"]
 
@@ -105,7 +104,7 @@ def test_dry_run_is_answered_at_once_and_asks_nothing(model):
 
 
 def test_update_does_not_wait_for_an_answer_that_is_late():
-    problem = OptimalPlanner()._posed(intricate())
+    problem = OptimalPlanner()._encoded(intricate())
     free, answers = Event(), []
 
     def solve(problem):
@@ -113,7 +112,7 @@ def test_update_does_not_wait_for_an_answer_that_is_late():
         return answers[0]
 
     answers.append(OptimalPlanner()._solve(problem))
-    beside = Beside(solve, 0.2)
+    beside = BackgroundSolver(solve, 0.2)
     assert [beside.answer(problem, time) for time in (0.0, 0.1, 0.2, 0.3)] == [None] * 4
     free.set()
     beside.catch_up(0.3)
@@ -121,8 +120,8 @@ def test_update_does_not_wait_for_an_answer_that_is_late():
 
 
 def test_answer_that_is_not_due_is_not_waited_for():
-    beside, free = Beside(lambda problem: free.wait(30.0), 0.2), Event()
-    problem = OptimalPlanner()._posed(intricate())
+    beside, free = BackgroundSolver(lambda problem: free.wait(30.0), 0.2), Event()
+    problem = OptimalPlanner()._encoded(intricate())
     assert beside.answer(problem, 0.0) is None
     beside.catch_up(0.1)
     free.set()

@@ -104,9 +104,9 @@ def test_a_situation_follows_what_its_base_learns(story, data):
 def test_what_the_robot_can_do_in_a_situation_and_how_it_is_best_configured_for_it(kb):
     kb.measure("light", 0.8)
     dark = kb.situation(light=0.3)
-    assert kb.best_configuration("explore") == ({"see": "by camera"}, {"camera": "day"})
-    assert dark.best_configuration("explore") == ({"see": "by camera"}, {"camera": "night"})
-    assert dark.situation(failed=["camera"]).best_configuration("explore") == ({"see": "by lidar"}, {})
+    assert kb.best_configuration("explore")[:2] == ({"see": "by camera"}, {"camera": "day"})
+    assert dark.best_configuration("explore")[:2] == ({"see": "by camera"}, {"camera": "night"})
+    assert dark.situation(failed=["camera"]).best_configuration("explore")[:2] == ({"see": "by lidar"}, {})
     night = dark.situation({"energy left": 0.1}, light=0.0)
     assert night.selectable_actions() == ("rest",)
     assert night.best_configuration("explore") is None

@@ -7,15 +7,13 @@ is counted in work done instead of seconds make the answer the same on every mac
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from decimal import Decimal
-from itertools import chain
 from typing import Any, Final
 
 from ortools.sat.python import cp_model
 
 from kb.inference.network import Node
 from kb.inference.state import State
-from kb.optimum.posing import pose
-from kb.optimum.problem import ComponentOptions, Effect, Option, Picks, Problem
+from kb.planners.encoding import Effect, Picks, Problem, Slot, encode
 from kb.selection import Criterion, Optimum, number
 
 __all__ = ["EFFORT", "best_choice", "solve", "verdicts"]
@@ -43,8 +41,8 @@ Literals = Sequence[Any]
 def best_choice(
     state: State, criterion: Criterion, functions: Iterable[Node] | None = None, effort: float = EFFORT
 ) -> Optimum:
-    """Return the best choice for a state; see `pose` for the arguments, and `solve`."""
-    return solve(pose(state, criterion, functions), effort)
+    """Return the best choice for a state; see `encode` for the arguments, and `solve`."""
+    return solve(encode(state, criterion, functions), effort)
 
 
 def solve(problem: Problem, effort: float = EFFORT) -> Optimum:
@@ -69,10 +67,8 @@ def verdicts(optimum: Optimum, chosen: str, rivals: Mapping[str, Problem], effor
         rivals: the same problem with each of the others forced into the choice, by name.
         effort: how much work may be done for each of them.
     """
-    said = {chosen: optimum.reason}
-    for name, problem in rivals.items():
-        said[name] = _compared(solve(problem, effort), optimum)
-    return said
+    others = {name: _compared(solve(problem, effort), optimum) for name, problem in rivals.items()}
+    return {chosen: optimum.reason, **others}
 
 
 def _compared(rival: Optimum, best: Optimum) -> str:
@@ -87,23 +83,19 @@ def _compared(rival: Optimum, best: Optimum) -> str:
     return f"with it {known} is worth {rival.worth}, less than {number(best.value)}"
 
 
-class _Encoding:
-    """A problem in the solver's words, with a literal for each option.
+class _Program:
+    """A problem as a CP-SAT model, with a literal for each option.
 
     Attributes:
-        picks: the literals of the options of each function and then of each component; none if it does not matter
-            which of these is chosen.
+        picks: the literals of the options of each slot; none if it does not matter which of these is chosen.
     """
 
     def __init__(self, problem: Problem) -> None:
         self.model: Any = cp_model.CpModel()
         self._problem = problem
         self._effects: list[tuple[Any, Effect]] = [(1, problem.fixed)]
-        self._functions = [self._literals(one.options) for one in problem.functions]
-        for literals in self._functions:
-            self.model.add_exactly_one(literals)
-        self._components = [self._component(*one) for one in zip(problem.components, self._users(), strict=True)]
-        self.picks: list[Literals] = [*self._functions, *self._components]
+        users: list[list[Literals]] = [[] for _ in problem.slots]
+        self.picks = [self._slot(slot, users[place], users) for place, slot in enumerate(problem.slots)]
         self.gain = cp_model.LinearExpr.sum([*self._sum(lambda effect: effect.gain), *self._levels()])
 
     def load(self, place: int) -> Any:  # noqa: ANN401  # an expression of an untyped library
@@ -127,54 +119,45 @@ class _Encoding:
         """Say where a good choice may be found."""
         self.model.clear_hints()
         needed = self._problem.needed(picks)
-        is_chosen = [*(True for _ in picks.functions), *(place in needed for place in range(len(picks.components)))]
-        for literals, pick, chosen in zip(self.picks, chain(*picks), is_chosen, strict=True):
+        for slot, (literals, pick) in enumerate(zip(self.picks, picks, strict=True)):
             for place, literal in enumerate(literals):
-                self.model.add_hint(literal, chosen and place == pick)
+                self.model.add_hint(literal, slot in needed and place == pick)
 
     def read(self, solver: Any) -> Picks:  # noqa: ANN401  # of an untyped library
         """Return what the solver found."""
-        found = [
-            next((place for place, literal in enumerate(literals) if solver.value(literal)), 0)
-            for literals in self.picks
-        ]
-        count = len(self._functions)
-        return Picks(tuple(found[:count]), tuple(found[count:]))
+        found = ((place for place, one in enumerate(literals) if solver.value(one)) for literals in self.picks)
+        return tuple(next(places, 0) for places in found)
 
-    def _literals(self, options: Iterable[Option]) -> Literals:
-        literals = []
-        for option in options:
-            literals.append(self.model.new_bool_var(""))
-            self._effects.append((literals[-1], option.effect))
-        return literals
-
-    def _users(self) -> list[list[Literals]]:
-        """Return the literals that need each component, by function."""
-        users: list[list[Literals]] = [[] for _ in self._problem.components]
-        for one, literals in zip(self._problem.functions, self._functions, strict=True):
+    def _slot(self, slot: Slot, users: Sequence[Literals], all_users: Sequence[list[Literals]]) -> Literals:
+        """Encode that one option is chosen exactly if the slot is needed, and enter who needs which component."""
+        if slot.is_silent:
+            self._effects.append((1, slot.idle))
+            return ()
+        if slot.is_function:
+            literals = self._literals(slot)
+            self.model.add_exactly_one(literals)
             using: dict[int, list[Any]] = {}
-            for option, literal in zip(one.options, literals, strict=True):
+            for option, literal in zip(slot.options, literals, strict=True):
                 for place in option.needs:
                     using.setdefault(place, []).append(literal)
             for place, needing in using.items():
-                users[place].append(needing)
-        return users
-
-    def _component(self, component: ComponentOptions, users: Sequence[Literals]) -> Literals:
-        """Encode that one option is chosen exactly if the component is needed."""
-        if component.is_silent:
-            self._effects.append((1, component.idle))
-            return ()
+                all_users[place].append(needing)
+            return literals
         needed = self.model.new_bool_var("")
-        for literals in users:  # of one function at most one option is chosen
-            self.model.add(cp_model.LinearExpr.sum(literals) <= needed)
-        if component.is_needed:
+        for one in users:  # of one function at most one option is chosen
+            self.model.add(cp_model.LinearExpr.sum(one) <= needed)
+        if slot.is_needed:
             self.model.add(needed == 1)
         else:
-            self.model.add_bool_or([*chain(*users), ~needed])
-        literals = self._literals(component.options)
+            self.model.add_bool_or([*(literal for one in users for literal in one), ~needed])
+        literals = self._literals(slot)
         self.model.add(cp_model.LinearExpr.sum(literals) == needed)
-        self._effects.append((1 - needed, component.idle))
+        self._effects.append((1 - needed, slot.idle))
+        return literals
+
+    def _literals(self, slot: Slot) -> Literals:
+        literals = [self.model.new_bool_var("") for _ in slot.options]
+        self._effects += [(literal, one.effect) for literal, one in zip(literals, slot.options, strict=True)]
         return literals
 
     def _sum(self, amount: Callable[[Effect], Decimal]) -> list[Any]:
@@ -212,16 +195,16 @@ class _Search:
 
     def optimum(self) -> Optimum:
         """Return the best choice."""
-        encoding, problem = _Encoding(self._problem), self._problem
-        encoding.limit()
-        encoding.model.maximize(encoding.gain)
+        program, problem = _Program(self._problem), self._problem
+        program.limit()
+        program.model.maximize(program.gain)
         known = self._known()
-        status = self._run(encoding, known or problem.first)
+        status = self._run(program, known or problem.first)
         if status == cp_model.INFEASIBLE:
             return Optimum(None, None, None, None, 0.0, True, self._why_nothing_fits())
         bound, is_best = problem.bound, status == cp_model.OPTIMAL
         if is_best or status == cp_model.FEASIBLE:
-            found = encoding.read(self._solver)
+            found = program.read(self._solver)
             if known is None or is_best or problem.effect(found).gain > problem.effect(known).gain:
                 known = found
             bound = min(bound, Decimal(round(self._solver.best_objective_bound)))
@@ -232,10 +215,10 @@ class _Search:
         is_first = False
         if is_best:
             bound = value
-            known, is_first = self._first_of_the_best(encoding, known, value)
-        return self._told(known, value, bound, is_first)
+            known, is_first = self._first_of_the_best(program, known, value)
+        return self._found(known, value, bound, is_first)
 
-    def _told(self, picks: Picks, value: Decimal, bound: Decimal, is_proven: bool) -> Optimum:
+    def _found(self, picks: Picks, value: Decimal, bound: Decimal, is_proven: bool) -> Optimum:
         problem, cost = self._problem, self._problem.effect(picks).cost
         worth, switching, most = (float(amount * problem.unit) for amount in (value, cost, bound))
         found = Optimum(problem.choice(picks), worth, switching, most, problem.resolution, is_proven, "")
@@ -273,47 +256,43 @@ class _Search:
         fitting = [(effect.gain, picks) for effect, picks in known if self._problem.fits(effect)]
         return max(fitting, key=lambda one: one[0])[1] if fitting else None
 
-    def _run(self, encoding: _Encoding, hint: Picks | None = None) -> Any:  # noqa: ANN401  # of an untyped library
+    def _run(self, program: _Program, hint: Picks | None = None) -> Any:  # noqa: ANN401  # of an untyped library
         """Solve with the effort that is left."""
         if hint is not None:
-            encoding.hint(hint)
+            program.hint(hint)
         self._solver.parameters.max_deterministic_time = max(self._left, 0.0)
-        status = self._solver.solve(encoding.model)
+        status = self._solver.solve(program.model)
         self._left -= self._solver.response_proto.deterministic_time
         return status
 
-    def _first_of_the_best(self, encoding: _Encoding, picks: Picks, value: Decimal) -> tuple[Picks, bool]:
+    def _first_of_the_best(self, program: _Program, picks: Picks, value: Decimal) -> tuple[Picks, bool]:
         """Return the first choice of this value, and whether it is proven to be the first."""
-        encoding.model.add(encoding.gain >= int(value))
+        program.model.add(program.gain >= int(value))
         kept = done = 0
-        while True:
-            ranks = list(chain(*picks))
-            later = next((place for place in range(done, len(ranks)) if ranks[place]), None)
-            if later is None:
-                return picks, True
+        while (later := next((place for place in range(done, len(picks)) if picks[place]), None)) is not None:
             for place in range(kept, later):
-                encoding.model.add(encoding.rank([place]) == ranks[place])
-            kept, done = later, _chunk_end(encoding.picks, later)
-            encoding.model.clear_objective()
-            encoding.model.minimize(encoding.rank(range(kept, done)))
-            status = self._run(encoding, picks)
+                program.model.add(program.rank([place]) == picks[place])
+            kept, done = later, _chunk_end(program.picks, later)
+            program.model.clear_objective()
+            program.model.minimize(program.rank(range(kept, done)))
+            status = self._run(program, picks)
             if status in (cp_model.OPTIMAL, cp_model.FEASIBLE):
-                picks = encoding.read(self._solver)
+                picks = program.read(self._solver)
             if status != cp_model.OPTIMAL:
                 return picks, False
+        return picks, True
 
     def _why_nothing_fits(self) -> str:
         """Say which budget is too small for any choice, as far as the effort that is left allows."""
-        problem, encoding, told = self._problem, _Encoding(self._problem), []
-        for place, (name, limit) in enumerate(zip(problem.budgets, problem.limits, strict=True)):
-            encoding.model.minimize(encoding.load(place))
-            if self._run(encoding) != cp_model.OPTIMAL:
-                continue
-            unit, least = problem.load_units[place], round(self._solver.objective_value)
-            if least > limit:
-                least_told, limit_told = number(float(least * unit)), number(float(limit * unit))
-                told.append(f"{name} would be {least_told} at least, more than {limit_told}")
-        return " and ".join(told) or f"no choice keeps within {problem.within}"
+        problem, program, reasons = self._problem, _Program(self._problem), []
+        for name, limit, unit, place in zip(
+            problem.budgets, problem.limits, problem.load_units, range(len(problem.limits)), strict=True
+        ):
+            program.model.minimize(program.load(place))
+            if self._run(program) == cp_model.OPTIMAL and (least := round(self._solver.objective_value)) > limit:
+                least_said, limit_said = number(float(least * unit)), number(float(limit * unit))
+                reasons.append(f"{name} would be {least_said} at least, more than {limit_said}")
+        return " and ".join(reasons) or f"no choice keeps within {problem.within}"
 
 
 def _chunk_end(picks: Sequence[Literals], start: int) -> int:

@@ -1,0 +1,246 @@
+"""What keeps a plan, or a part of one, from being carried out: a veto, budgets, and the quarantine of what failed."""
+
+import logging
+import math
+from collections import deque
+from collections.abc import Callable, Collection, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from decimal import Decimal
+
+from kb.elements import Configuration, EstimationKind, finite_number
+from kb.exceptions import InvalidValue, UnknownName
+from kb.history import KEPT_RECORDS, VetoAnswer
+from kb.inference.network import Node
+from kb.inference.state import State
+from kb.knowledge_base import KnowledgeBase
+from kb.reconfiguration import ReconfigurationPlan
+from kb.status import Status
+
+__all__ = ["Budgets", "Quarantine", "Quarantined", "Veto", "VetoGate"]
+
+_log = logging.getLogger(__name__)
+
+Veto = Callable[[ReconfigurationPlan], bool | str | None]
+"""Is shown a plan, with its reason; answers None or True to let it pass, False or the reason to forbid it."""
+
+
+class VetoGate:
+    """Asks about every plan before it is executed, and takes back what a forbidden one had selected.
+
+    Args:
+        kb: whose plans are asked about.
+        veto: the function that is asked.
+    """
+
+    def __init__(self, kb: KnowledgeBase, veto: Veto) -> None:
+        if not callable(veto):
+            raise InvalidValue(f"a veto is a function that is called with each plan; {veto!r} cannot be called")
+        self._kb = kb
+        self._veto = veto
+        self._passed: list[ReconfigurationPlan] = []
+        self._seen: tuple[int, ReconfigurationPlan | None] = (-1, None)
+        self._selected: frozenset[Node] = frozenset()
+        self.remember()
+
+    def remember(self) -> None:
+        """Take note of what is selected, so that a plan that is forbidden can be taken back to this."""
+        now = (self._kb.revision, self._kb.latest_plan)
+        if now != self._seen:
+            self._seen, self._selected = now, self._selection()
+
+    def check(self) -> bool:
+        """Ask about the plans that were not asked about yet; a forbidden one ends as abandoned.
+
+        Returns:
+            Whether one was forbidden.
+        """
+        self._passed = [plan for plan in self._passed if plan.end is None]
+        objection = ""
+        while (plan := self._kb.pending_plan) is not None and plan not in self._passed:
+            answer = self._ask(plan)
+            if not answer.is_vetoed:
+                self._passed.append(plan)
+                break
+            _log.info("vetoed: %s, because %s", plan, answer.reason)
+            self._kb.finish_plan(plan, "abandoned")
+            objection = answer.reason
+        if objection:
+            self._take_back(f"vetoed: {objection}")
+        self.remember()
+        return bool(objection)
+
+    def _ask(self, plan: ReconfigurationPlan) -> VetoAnswer:
+        try:
+            answer: object = self._veto(plan)
+        except Exception as error:
+            answer = str(error) or type(error).__name__
+        reason = _objection(answer)
+        return self._kb.record_answer(plan, is_vetoed=bool(reason), reason=reason)
+
+    def _selection(self) -> frozenset[Node]:
+        with self._kb.reading() as state:
+            parts = (*state.network.designs.values(), *state.network.configurations.values())
+            return frozenset(node for node in parts if state.selected[node.index])
+
+    def _take_back(self, reason: str) -> None:
+        """Select again what was selected before, and nothing else: what is not executed is not in force."""
+        for node in sorted(self._selection() ^ self._selected, key=lambda node: (node.kind, node.name)):
+            is_selected = node in self._selected
+            with suppress(UnknownName):  # it has left the model
+                self._kb.assert_selected(node.element, is_selected, "" if is_selected else reason)
+
+
+def _objection(answer: object) -> str:
+    """Return why a plan is forbidden, in words; nothing if it may pass."""
+    if answer is None or answer is True:
+        return ""
+    if answer is False:
+        return "no reason was given"
+    if isinstance(answer, str):
+        return answer or "no reason was given"
+    return f"the veto function answered {answer!r}; it is to answer None or True to let a plan pass, else a reason"
+
+
+class Budgets:
+    """What all that is chosen and runs may be estimated to use while a plan is carried out, by name of attribute."""
+
+    def __init__(self, most: Mapping[str, float] | None) -> None:
+        if not isinstance(most, Mapping | None):
+            raise InvalidValue(f"budgets are given as the most by name of attribute, not as {most!r}")
+        self.most = {name: finite_number(limit) for name, limit in (most or {}).items()}
+
+    def allow(self, kb: KnowledgeBase, started: Collection[str], failed: Collection[str]) -> bool:
+        """Tell whether all that is selected keeps within the budgets once it is carried out.
+
+        Args:
+            kb: what is known.
+            started: names of the components that are to run beside those that do.
+            failed: names of those that are as they were, because a command failed.
+        """
+        loads = self._loads(kb, started, failed)
+        return all(load <= Decimal(repr(limit)) for load, limit in zip(loads, self.most.values(), strict=True))
+
+    def are_eased(self, kb: KnowledgeBase, component: str, failed: Collection[str]) -> bool:
+        """Tell whether a component that runs uses no more with its new parameters than with those that it has."""
+        after, before = self._loads(kb, (), failed), self._loads(kb, (), {*failed, component})
+        return all(new <= old for new, old in zip(after, before, strict=True))
+
+    def _loads(self, kb: KnowledgeBase, started: Collection[str], failed: Collection[str]) -> list[Decimal]:
+        loads = dict.fromkeys(self.most, Decimal())
+        with kb.reading() as state:
+            for estimation in state.network.model.estimations:
+                causer = state.network.find(estimation.causer)
+                if estimation.attribute in loads and _counts(kb, state, causer, started, failed):
+                    value = Decimal(repr(estimation.value))
+                    loads[estimation.attribute] += -value if estimation.kind is EstimationKind.NEGATIVE else value
+        return list(loads.values())
+
+
+def _counts(kb: KnowledgeBase, state: State, causer: Node, started: Collection[str], failed: Collection[str]) -> bool:
+    """Tell whether what an estimation is of is in force: a design is selected, a component runs, and with what."""
+    if causer.kind == "function design":
+        return state.selected[causer.index]
+    component = causer if causer.kind == "component" else causer.wholes[0]
+    if component.name not in started and not state.active[component.index]:
+        return False
+    if causer is component:
+        return True
+    if component.name in failed or not any(state.selected[one.index] for one in component.parts):
+        assert isinstance(causer.element, Configuration)
+        return dict(kb.components[component.name].parameters_in_force) == dict(causer.element.parameters)
+    return state.selected[causer.index]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Quarantined:
+    """A configuration that counts as unfeasible because its parameters could not be set; only its executor can end it.
+
+    Attributes:
+        configuration: its name.
+        component: name of what it is a configuration of.
+        reason: why, in words.
+        start: since when [s].
+        until: when it may be used again at the latest [s].
+        end: when it was released [s], None before that.
+    """
+
+    configuration: str
+    component: str
+    reason: str
+    start: float
+    until: float
+    end: float | None = None
+
+    def __str__(self) -> str:
+        return f"{self.configuration} is not used for {self.component} because {self.reason}"
+
+    def _finish(self, end: float) -> None:
+        object.__setattr__(self, "end", end)
+
+
+class Quarantine:
+    """The configurations that count as unfeasible, by an asserted status with a reason that lapses by itself.
+
+    Args:
+        hold: how long [s].
+    """
+
+    def __init__(self, hold: float) -> None:
+        if not isinstance(hold, int | float) or isinstance(hold, bool) or not hold >= 0:
+            raise InvalidValue(f"a configuration is held back for 0 s or longer, math.inf for ever, not {hold!r}")
+        self._hold = hold
+        self._records: deque[Quarantined] = deque(maxlen=KEPT_RECORDS)
+        self._open: list[Quarantined] = []
+        self._failed: set[str] = set()
+
+    @property
+    def records(self) -> tuple[Quarantined, ...]:
+        """The newest 10,000, in order, also those that have been released."""
+        return tuple(self._records)
+
+    def put(self, kb: KnowledgeBase, configuration: str, reason: str, now: float) -> None:
+        """Have a configuration count as unfeasible from now on, and no longer as selected: it is not in force."""
+        view, until = kb.configurations[configuration], now + self._hold
+        kb.assert_selected(view, False)
+        with suppress(InvalidValue):  # the hold is over already
+            kb.assert_status(view, Status.UNFEASIBLE, reason, until)
+        self._enter(Quarantined(configuration, view.component, reason, now, until))
+
+    def adopt(self, kb: KnowledgeBase) -> None:
+        """Take up what was in quarantine before the knowledge base was opened again."""
+        failed = {one.configuration: one for one in kb.attempts if one.configuration is not None}
+        with kb.reading() as state:
+            for name, attempt in failed.items():
+                if attempt.result == "failed" and attempt.end is not None and _stands(state, name):
+                    said = state.reason("asserted", state.network.configurations[name])
+                    until = math.inf if said.until is None else said.until
+                    self._enter(Quarantined(name, attempt.component, said.text, attempt.end, until))
+
+    def review(self, kb: KnowledgeBase, now: float) -> None:
+        """Release those whose component has recovered from a failure, and note which were released otherwise."""
+        if not self._open:
+            return
+        with kb.reading() as state:
+            components = state.network.components
+            concerned = {one.component for one in self._open if one.component in components}
+            failed = {name for name in concerned if state.status[components[name].index] is Status.FAILURE}
+            standing = [one for one in self._open if _stands(state, one.configuration)]
+        recovered, self._failed = self._failed - failed, failed
+        for one in self._open:
+            if one not in standing:
+                one._finish(min(now, one.until))
+            elif one.component in recovered:
+                kb.retract_status(kb.configurations[one.configuration])
+                one._finish(now)
+        self._open = [one for one in self._open if one.end is None]
+
+    def _enter(self, one: Quarantined) -> None:
+        self._open.append(one)
+        self._records.append(one)
+
+
+def _stands(state: State, configuration: str) -> bool:
+    """Tell whether a configuration is still asserted unfeasible."""
+    node = state.network.configurations.get(configuration)
+    return node is not None and state.asserted[node.index] is Status.UNFEASIBLE

@@ -1,0 +1,428 @@
+"""The joint choice of designs and configurations as numbers: what each possibility adds, and what it needs.
+
+What is left of a model is small: slots with options. A slot is a function, of which one design is chosen, or a
+component, of which one configuration is chosen if a chosen design needs it; the effects of what is chosen add up. All
+numbers are whole in the end, so that of two choices one is better or they are exactly as good.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN, Context, Decimal, localcontext
+from typing import Final, NamedTuple
+
+from kb.elements import Component, ComponentKind, EstimationKind
+from kb.exceptions import UnknownName
+from kb.inference.network import Network, Node
+from kb.inference.state import State
+from kb.planners.priority import ranked
+from kb.selection import Choice, Criterion
+
+__all__ = ["Effect", "Option", "Picks", "Problem", "Slot", "check_names", "encode"]
+
+DIGITS: Final = 12
+"""All effects of a kind together have no more digits than this as whole numbers; else they are rounded."""
+
+EXACTLY: Final = Context(prec=60)
+"""How decimal numbers are computed with before they are whole."""
+
+ZERO: Final = Decimal()
+
+Picks = tuple[int, ...]
+"""Position of what is chosen among the options of each slot."""
+
+
+class Effect(NamedTuple):
+    """What something adds.
+
+    Attributes:
+        gain: to the value of the choice.
+        loads: to what each budget limits.
+        levels: weighted absolute estimations by attribute; of all that are chosen only the worst counts.
+        cost: of switching; it is taken off the gain already.
+    """
+
+    gain: Decimal
+    loads: tuple[Decimal, ...]
+    levels: tuple[tuple[str, Decimal], ...] = ()
+    cost: Decimal = ZERO
+
+    def plus(self, other: "Effect") -> "Effect":
+        """Return both together."""
+        loads = tuple(mine + its for mine, its in zip(self.loads, other.loads, strict=True))
+        return Effect(self.gain + other.gain, loads, self.levels + other.levels, self.cost + other.cost)
+
+    def costing(self, cost: Decimal) -> "Effect":
+        """Return the same at a cost."""
+        return self._replace(gain=self.gain - cost, cost=self.cost + cost)
+
+    def is_no_worse_than(self, other: "Effect") -> bool:
+        """Tell whether this can stand in place of the other whatever else is chosen."""
+        lighter = all(mine <= its for mine, its in zip(self.loads, other.loads, strict=True))
+        return lighter and self.gain >= other.gain and self.levels == other.levels
+
+
+class Option(NamedTuple):
+    """One possibility.
+
+    Attributes:
+        node: the design or configuration; None for a component that has nothing to be chosen.
+        effect: what it adds if it is chosen; that of a configuration includes that its component runs.
+        is_now: it is selected now.
+        needs: positions of the slots of the components of a design, of those that make a difference.
+    """
+
+    node: Node | None
+    effect: Effect
+    is_now: bool = False
+    needs: frozenset[int] = frozenset()
+
+
+class Slot(NamedTuple):
+    """A function, or a component of some design.
+
+    Attributes:
+        node: the function or component.
+        options: one of these is chosen if it is needed; the first by priority first.
+        idle: what it adds if nothing needs it.
+        idle_node: the configuration to select even then, if any.
+        is_needed: it is needed whatever is chosen; a function always is.
+    """
+
+    node: Node
+    options: tuple[Option, ...]
+    idle: Effect
+    idle_node: Node | None = None
+    is_needed: bool = True
+
+    @property
+    def is_function(self) -> bool:
+        return self.node.kind == "function"
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether it makes no difference how a component runs, and if."""
+        return not self.is_function and all(option.effect == self.idle for option in self.options)
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """What is to be chosen.
+
+    Attributes:
+        slots: what there is to choose for, in order of declaration; functions before components.
+        fixed: what is added whatever is chosen.
+        budgets: the attributes that are limited.
+        limits: what the load of each must not exceed.
+        is_by_priority: nothing is estimated of what takes part, and nothing limited.
+        goal: what is preferred, in words.
+        within: the limits, in words.
+        unit: what a gain of 1 stands for.
+        load_units: what a load of 1 stands for, for each budget.
+        resolution: two choices that differ by no more than this can seem equally good; 0 if all numbers are exact.
+    """
+
+    slots: tuple[Slot, ...]
+    fixed: Effect
+    budgets: tuple[str, ...]
+    limits: tuple[Decimal, ...]
+    is_by_priority: bool
+    goal: str = ""
+    within: str = ""
+    unit: Decimal = Decimal(1)
+    load_units: tuple[Decimal, ...] = ()
+    resolution: float = 0.0
+
+    @property
+    def first(self) -> Picks:
+        """The first option of everything."""
+        return (0,) * len(self.slots)
+
+    @property
+    def now(self) -> Picks:
+        """What is selected now, and the first option of what has nothing selected."""
+        return tuple(
+            next((place for place, option in enumerate(slot.options) if option.is_now), 0) for slot in self.slots
+        )
+
+    @property
+    def kept(self) -> Picks | None:
+        """What is selected now, if that is something for everything."""
+        picks = self.now
+        chosen = [self.slots[place].options[picks[place]] for place in self.needed(picks)]
+        return picks if all(option.is_now or option.node is None for option in chosen) else None
+
+    @property
+    def bound(self) -> Decimal:
+        """What no choice gains more than, budgets or not."""
+        highest, levels = self.fixed.gain, dict[str, Decimal]()
+        for slot in self.slots:
+            gains = [option.effect.gain for option in slot.options]
+            highest += max(gains if slot.is_function else [*gains, slot.idle.gain])
+        for effect in self.effects():
+            for name, level in effect.levels:
+                levels[name] = max(level, levels.get(name, ZERO))
+        return sum(levels.values(), highest)
+
+    def needed(self, picks: Picks) -> set[int]:
+        """Return the positions of the slots that a choice needs, of those that make a difference."""
+        needed = {place for place, slot in enumerate(self.slots) if slot.is_needed}
+        return needed.union(*(slot.options[pick].needs for slot, pick in zip(self.slots, picks, strict=True)))
+
+    def effect(self, picks: Picks) -> Effect:
+        """Return what a choice adds in all, each attribute's worst level counted as gain."""
+        total, needed = self.fixed, self.needed(picks)
+        for place, (slot, pick) in enumerate(zip(self.slots, picks, strict=True)):
+            total = total.plus(slot.options[pick].effect if place in needed else slot.idle)
+        worst: dict[str, Decimal] = {}
+        for name, level in total.levels:
+            worst[name] = min(level, worst.get(name, level))
+        return Effect(sum(worst.values(), total.gain), total.loads, (), total.cost)
+
+    def effects(self) -> list[Effect]:
+        """Return all effects there are, chosen or not."""
+        idle = (slot.idle for slot in self.slots if not slot.is_function)
+        return [self.fixed, *idle, *(option.effect for slot in self.slots for option in slot.options)]
+
+    def fits(self, effect: Effect) -> bool:
+        """Tell whether no budget is exceeded."""
+        return all(load <= limit for load, limit in zip(effect.loads, self.limits, strict=True))
+
+    def choice(self, picks: Picks) -> Choice:
+        """Return a choice by name; configurations that use more of a budget than now come after the others."""
+        chosen = list(zip(self.slots, picks, strict=True))
+        designs = {
+            slot.node: design for slot, pick in chosen if slot.is_function and (design := slot.options[pick].node)
+        }
+        running = {part for design in designs.values() for part in design.parts}
+        configurations = {}
+        for slot, pick in sorted((one for one in chosen if not one[0].is_function), key=lambda one: _uses_more(*one)):
+            node = slot.options[pick].node if slot.is_needed or slot.node in running else slot.idle_node
+            if node is not None:
+                configurations[slot.node.name] = node.name
+        return Choice({node.name: design.name for node, design in designs.items()}, configurations)
+
+
+def encode(
+    state: State, criterion: Criterion, functions: Iterable[Node] | None = None, forced: Node | None = None
+) -> Problem:
+    """Return what is to be chosen in a state.
+
+    Args:
+        state: the facts and statuses.
+        criterion: what makes a choice better.
+        functions: to choose for these alone, as if nothing ran yet; by default for all that are required, from what
+            runs and is selected now.
+        forced: a design or configuration that must be in the choice.
+
+    Raises:
+        UnknownName: the criterion names an attribute or a component that the model does not have.
+    """
+    check_names(state.network, criterion)
+    with localcontext(EXACTLY):
+        return _whole(_Encoder(state, criterion, functions, forced).problem())
+
+
+def check_names(network: Network, criterion: Criterion) -> None:
+    """Raise `UnknownName` unless the model has all that a criterion names."""
+    costs = criterion.switching_cost
+    for kind, table, names in (
+        ("attribute", network.attributes, (*criterion.weights, *criterion.budgets)),
+        ("component", network.components, costs if isinstance(costs, Mapping) else ()),
+    ):
+        for name in names:
+            if name not in table:
+                raise UnknownName(kind, name, table)
+
+
+class _Encoder:
+    """Encodes one problem, in decimal numbers; for the arguments see `encode`."""
+
+    def __init__(
+        self, state: State, criterion: Criterion, functions: Iterable[Node] | None, forced: Node | None
+    ) -> None:
+        self._state = state
+        self._criterion = criterion
+        self._forced = forced
+        self._afresh = functions is not None
+        if functions is None:
+            functions = (node for node in state.network.functions.values() if state.required[node.index])
+        self._designs = {node: self._ranked(node) for node in functions}
+        stuck = [node for node, designs in self._designs.items() if not designs]
+        self._kept = [design for node in stuck for design in node.parts if self._is_selected(design)]
+        self._nothing = Effect(ZERO, (ZERO,) * len(criterion.budgets))
+        self._estimated: dict[Node, Effect] = {}
+        self._estimate()
+
+    def problem(self) -> Problem:
+        parts = dict.fromkeys(part for node in self._designs for design in node.parts for part in design.parts)
+        components = [self._component(node) for node in sorted(parts, key=lambda node: node.index)]
+        functions = {node: designs for node, designs in self._designs.items() if designs}
+        places = {one.node: place for place, one in enumerate(components, len(functions)) if not one.is_silent}
+        concerned = [*parts, *(part for node in parts for part in node.parts), *self._kept]
+        concerned += [design for designs in self._designs.values() for design in designs]
+        return Problem(
+            slots=(*(self._function(node, designs, places) for node, designs in functions.items()), *components),
+            fixed=self._fixed(),
+            budgets=tuple(self._criterion.budgets),
+            limits=tuple(map(_decimal, self._criterion.budgets.values())),
+            is_by_priority=not self._criterion.budgets and not any(node in self._estimated for node in concerned),
+            goal=self._criterion.goal,
+            within=self._criterion.limits,
+        )
+
+    def _estimate(self) -> None:
+        """Sum up what is estimated of each causer."""
+        weights = {name: _decimal(weight) for name, weight in self._criterion.weights.items() if weight}
+        budgets, network = self._criterion.budgets, self._state.network
+        for estimation in network.model.estimations:
+            name = estimation.attribute
+            if name not in weights and name not in budgets:
+                continue
+            value = _decimal(estimation.value)
+            if estimation.kind is EstimationKind.NEGATIVE:
+                value = -value
+            effect = Effect(weights.get(name, ZERO) * value, tuple(value if name == one else ZERO for one in budgets))
+            if estimation.kind is EstimationKind.ABSOLUTE and name in weights:
+                effect = effect._replace(gain=ZERO, levels=((name, effect.gain),))
+            causer = network.find(estimation.causer)
+            self._estimated[causer] = self._effect(causer).plus(effect)
+
+    def _effect(self, *nodes: Node) -> Effect:
+        """Return what is estimated of nodes together."""
+        effect = self._nothing
+        for node in nodes:
+            if node in self._estimated:
+                effect = effect.plus(self._estimated[node])
+        return effect
+
+    def _ranked(self, whole: Node) -> list[Node]:
+        return [self._forced] if self._forced in whole.parts else ranked(self._state, whole)
+
+    def _is_selected(self, node: Node) -> bool:
+        return not self._afresh and self._state.selected[node.index]
+
+    def _cost(self, component: Node) -> Decimal:
+        return ZERO if self._afresh else _decimal(self._criterion.cost_of(component.name))
+
+    def _cost_to_switch(self, component: Node) -> Decimal:
+        """Return what it costs to activate or deactivate a component; a plain one is only booked."""
+        assert isinstance(component.element, Component)
+        return ZERO if component.element.kind is ComponentKind.PLAIN else self._cost(component)
+
+    def _function(self, node: Node, designs: Iterable[Node], places: Mapping[Node, int]) -> Slot:
+        options = []
+        for one in designs:
+            needs = frozenset(places[part] for part in one.parts if part in places)
+            options.append(Option(one, self._effect(one), self._is_selected(one), needs))
+        return Slot(node, _undominated(options), self._nothing)
+
+    def _component(self, node: Node) -> Slot:
+        cost, to_switch, nodes = self._cost(node), self._cost_to_switch(node), self._ranked(node)
+        active = not self._afresh and self._state.active[node.index]
+        asserted = not self._afresh and self._state.asserted_required[node.index]
+        selected = [one for one in node.parts if self._is_selected(one)]
+        given_up = any(self._designs.get(design.wholes[0]) for design in self._state.users[node.index])
+        stays = active and not given_up  # even if nothing needs it: a plan stops what it replaces, and what is obsolete
+        running = self._effect(node) if active else self._effect(node).costing(to_switch)
+        options = [
+            Option(one, running.plus(self._effect(one).costing(ZERO if one in selected else cost)), one in selected)
+            for one in nodes
+        ]
+        idle, idle_node = self._nothing.costing(to_switch if active else ZERO), None
+        if stays:
+            idle = self._effect(node, *selected)
+        elif asserted and nodes:
+            idle_node = next((one for one in nodes if cost and one in selected), nodes[0])
+            idle = idle.costing(ZERO if idle_node in selected else cost)
+        is_kept = any(node in design.parts for design in self._kept)
+        return Slot(
+            node,
+            _undominated(options or [Option(None, running.plus(self._effect(*selected)))]),
+            idle,
+            idle_node,
+            is_kept or self._forced in nodes or (stays and asserted),
+        )
+
+    def _fixed(self) -> Effect:
+        """Return what stays selected without a choice, at the cost of stopping what is obsolete."""
+        obsolete = [] if self._afresh else self._state.obsolete.nodes()
+        costs = (self._cost_to_switch(node) for node in obsolete if node.kind == "component")
+        return self._effect(*self._kept).costing(sum(costs, ZERO))
+
+
+def _undominated(options: Sequence[Option]) -> tuple[Option, ...]:
+    """Leave out each option for which another is as good wherever they stand, and better or earlier.
+
+    What is selected now and what is first by priority stay, to be compared with.
+    """
+    return tuple(
+        option
+        for place, option in enumerate(options)
+        if option.is_now
+        or place == 0
+        or not any(
+            rival.needs == option.needs
+            and rival.effect.is_no_worse_than(option.effect)
+            and (rival.effect.gain > option.effect.gain or number < place)
+            for number, rival in enumerate(options)
+        )
+    )
+
+
+def _uses_more(component: Slot, pick: int) -> bool:
+    now = next((option.effect.loads for option in component.options if option.is_now), None)
+    loads = component.options[pick].effect.loads
+    return any(loads) if now is None else any(new > old for new, old in zip(loads, now, strict=True))
+
+
+def _decimal(number: float) -> Decimal:
+    """Return a number as it is written in decimals."""
+    return Decimal(repr(float(number)))
+
+
+def _whole(problem: Problem) -> Problem:
+    """Return the same in whole numbers; loads are rounded up, so that rounding exceeds no budget."""
+    effects = problem.effects()
+    unit, is_exact = _unit(amount for e in effects for amount in (e.gain, e.cost, *(level for _, level in e.levels)))
+    units = [
+        _unit([limit, *(effect.loads[place] for effect in effects)])[0] for place, limit in enumerate(problem.limits)
+    ]
+
+    def rounded(effect: Effect) -> Effect:
+        return Effect(
+            _rounded(effect.gain, unit),
+            tuple(_rounded(load, one, ROUND_CEILING) for load, one in zip(effect.loads, units, strict=True)),
+            tuple((name, _rounded(level, unit)) for name, level in effect.levels),
+            _rounded(effect.cost, unit),
+        )
+
+    return replace(
+        problem,
+        slots=tuple(
+            slot._replace(
+                options=tuple(option._replace(effect=rounded(option.effect)) for option in slot.options),
+                idle=rounded(slot.idle),
+            )
+            for slot in problem.slots
+        ),
+        fixed=rounded(problem.fixed),
+        limits=tuple(_rounded(limit, one, ROUND_FLOOR) for limit, one in zip(problem.limits, units, strict=True)),
+        unit=unit,
+        load_units=tuple(units),
+        resolution=0.0 if is_exact else float(unit * len(effects)),
+    )
+
+
+def _unit(amounts: Iterable[Decimal]) -> tuple[Decimal, bool]:
+    """Return what 1 stands for when amounts are written as whole numbers, and whether they are exact so."""
+    decimals, total = 0, ZERO
+    for amount in amounts:
+        if amount:
+            decimals = max(decimals, -int(amount.normalize().as_tuple().exponent))
+            total += abs(amount)
+    most = DIGITS - 1 - total.adjusted() if total else decimals
+    return Decimal(1).scaleb(-min(decimals, most)), decimals <= most
+
+
+def _rounded(amount: Decimal, unit: Decimal, rounding: str = ROUND_HALF_EVEN) -> Decimal:
+    return (amount / unit).to_integral_value(rounding)

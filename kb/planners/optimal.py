@@ -1,0 +1,245 @@
+"""The planner that chooses for all that is required at once, by what is estimated and preferred."""
+
+import logging
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import NamedTuple
+from weakref import WeakKeyDictionary
+
+from kb.elements import Element, finite_number
+from kb.exceptions import InvalidValue
+from kb.explanation.choice import ChoiceExplanation, explain_choice
+from kb.knowledge_base import KnowledgeBase
+from kb.planners.encoding import Problem, check_names, encode
+from kb.planners.priority import choice_by_priority, ranked
+from kb.reconfiguration import ReconfigurationPlan
+from kb.selection import Choice, Criterion, Optimum, summed_weights
+from kb.views import ElementView
+
+__all__ = ["BackgroundSolver", "OptimalPlanner"]
+
+_log = logging.getLogger(__name__)
+
+_RESOLUTION = 1e-6
+"""Sums of steps of a clock miss a due time by rounding; no clock of ours tells less than this apart [s]."""
+
+
+class _Last(NamedTuple):
+    """What was decided last.
+
+    Attributes:
+        weights: what was preferred.
+        nothing: why nothing could be chosen; empty if something could.
+    """
+
+    weights: Mapping[str, float]
+    nothing: str
+
+
+class OptimalPlanner:
+    """Chooses the best joint configuration of all that is required, or says how far from the best it may be.
+
+    When something is adaptable, or something else is preferred than at the last choice, everything required is chosen
+    for again. Without a preference that an estimation bears on, and without budgets, it chooses as `PriorityPlanner`
+    does.
+
+    Args:
+        switching_cost: what it costs to activate or deactivate a component or to change its configuration, the same
+            for all or by name of the component; a gain smaller than that does not switch. To activate or deactivate a
+            plain component costs nothing, for nobody switches it.
+        budgets: the most that all estimations of what is chosen or active may sum up to, by name of attribute.
+        effort: how much work may be done at most for one choice, in CP-SAT's deterministic time; 0.3 is about a
+            second of a processor.
+        delay: how long after the question its answer is taken, in the time of the knowledge base's clock [s];
+            meanwhile it is looked for in the background, in a thread, and an update only asks the question. None to
+            look for it within the update. See `catch_up`.
+
+    Attributes:
+        latest: what was found last; None before, and when the choice was by priority.
+        is_waiting: an answer is looked for in the background, and is to be asked for at every update.
+    """
+
+    def __init__(
+        self,
+        *,
+        switching_cost: float | Mapping[str, float] = 0.0,
+        budgets: Mapping[str, float] | None = None,
+        effort: float = 0.3,
+        delay: float | None = None,
+    ) -> None:
+        import kb.planners.solver as solver  # it takes a while: not in a tick, nor for those without it
+
+        if finite_number(effort) <= 0.0:
+            raise InvalidValue(f"an effort is more than 0, not {effort!r}")
+        if not isinstance(budgets, Mapping | None):
+            raise InvalidValue(f"budgets are given as the most by name of attribute, not as {budgets!r}")
+        if delay is not None and finite_number(delay) < 0.0:
+            raise InvalidValue(f"a delay is 0 s or more, or None to choose within the update, not {delay!r}")
+        self._solver = solver
+        self._given = Criterion({}, switching_cost, dict(budgets or {}))
+        self._effort = effort
+        self._background = None if delay is None else BackgroundSolver(self._solve, delay)
+        self._last: WeakKeyDictionary[KnowledgeBase, _Last] = WeakKeyDictionary()
+        self.latest: Optimum | None = None
+        self.is_waiting = False
+
+    @property
+    def budgets(self) -> Mapping[str, float]:
+        """The most that all that is chosen or active may sum up to, by name of attribute."""
+        return self._given.budgets
+
+    def criterion(self, kb: KnowledgeBase) -> Criterion:
+        """Return what makes one choice better than another, given what is preferred now."""
+        weights = summed_weights(required.preference for required in kb.required_actions)
+        weights = {name: weight for name, weight in weights.items() if weight}
+        return Criterion(weights, self._given.switching_cost, self._given.budgets)
+
+    def choose(self, kb: KnowledgeBase) -> Choice | None:
+        """Return what `plan` would select if it had the answer now; None if there is nothing to be done."""
+        return _choice(kb, self.optimum(kb) if self._is_due(kb) else None)
+
+    def plan(self, kb: KnowledgeBase) -> ReconfigurationPlan | None:
+        """Choose for all that is required if something is adaptable or preferred anew; see `Planner`."""
+        if kb not in self._last:  # a name that is wrong is found at the first update
+            with kb.reading() as state:
+                check_names(state.network, self._given)
+        found, self.is_waiting = None, False
+        if self._is_due(kb):
+            problem = self._encoded(kb)
+            if not problem.is_by_priority:
+                found = self._background.answer(problem, kb.now) if self._background else self._solve(problem)
+                if found is None:
+                    self.is_waiting = True
+                    return None
+            self.latest = found
+        self._remember(kb, found)
+        choice = _choice(kb, found)
+        return None if choice is None else kb.select(*choice)
+
+    def catch_up(self, kb: KnowledgeBase) -> None:
+        """Wait for an answer that is due by now.
+
+        With a delay, call it when a simulated clock has moved on and before the update: then the update never waits,
+        and yet takes each answer at the same time in every run, however long it really took to find.
+        """
+        if self._background is not None:
+            self._background.catch_up(kb.now)
+
+    def optimum(self, kb: KnowledgeBase) -> Optimum | None:
+        """Return the best choice for a knowledge base as it is; None if it is to be chosen by priority."""
+        problem = self._encoded(kb)
+        return None if problem.is_by_priority else self._solve(problem)
+
+    def explain_choice(self, kb: KnowledgeBase, element: ElementView | Element | str) -> ChoiceExplanation:
+        """Say why a function or component has what it has, by this planner's criterion; see `kb.explain_choice`.
+
+        It finds the best choice again, and the best one with each alternative: not a question for a tick.
+        """
+        asked, optimum, criterion = kb.explain_choice(element), self.optimum(kb), self.criterion(kb)
+        choice = optimum.choice if optimum is not None else None
+        nothing = optimum.reason if optimum is not None and choice is None else ""
+        chosen = {} if choice is None else choice.designs if asked.kind == "function" else choice.configurations
+        preferred, said = chosen.get(asked.name), dict[str, str]()
+        with kb.reading() as state:  # to encode them is quick; others need not wait for the answers
+            node = (state.network.functions if asked.kind == "function" else state.network.components)[asked.name]
+            rivals = [] if preferred is None else [one for one in ranked(state, node) if one.name != preferred]
+            problems = {one.name: encode(state, criterion, forced=one) for one in rivals}
+        if optimum is not None and preferred is not None:
+            said = self._solver.verdicts(optimum, preferred, problems, self._effort)
+        with kb.reading() as state:
+            designs = None if choice is None else [state.network.designs[name] for name in choice.designs.values()]
+            return explain_choice(state, node, kb.now, preferred, said, designs, nothing)
+
+    def _is_due(self, kb: KnowledgeBase) -> bool:
+        """Tell whether there is something to choose for, or to choose anew because of what is preferred."""
+        if kb.adaptable_functions() or kb.adaptable_components():
+            return True
+        return kb in self._last and self._last[kb].weights != self.criterion(kb).weights
+
+    def _encoded(self, kb: KnowledgeBase) -> Problem:
+        criterion = self.criterion(kb)
+        with kb.reading() as state:
+            return encode(state, criterion)
+
+    def _solve(self, problem: Problem) -> Optimum:
+        return self._solver.solve(problem, self._effort)
+
+    def _remember(self, kb: KnowledgeBase, found: Optimum | None) -> None:
+        """Remember what was decided, and let the knowledge base explain it if nothing can be chosen."""
+        if self._background is not None:
+            self._background.forget()
+        nothing = found.reason if found is not None and found.choice is None else ""
+        before = self._last[kb].nothing if kb in self._last else ""
+        self._last[kb] = _Last(self.criterion(kb).weights, nothing)
+        if nothing != before:
+            kb.note_no_choice(nothing)
+            if nothing:
+                _log.warning("nothing can be selected: %s", nothing)
+
+
+@dataclass(frozen=True, slots=True)
+class _Question:
+    problem: Problem
+    due: float
+    answer: "Future[Optimum]"
+
+    def is_due(self, now: float) -> bool:
+        return now >= self.due - _RESOLUTION
+
+
+class BackgroundSolver:
+    """Answers one question at a time, in a thread, each some time after it was asked.
+
+    Args:
+        solve: finds the answer; called in the thread.
+        delay: how long after it was asked a question is answered [s].
+    """
+
+    def __init__(self, solve: Callable[[Problem], Optimum], delay: float) -> None:
+        self._solve = solve
+        self._delay = delay
+        self._thread: ThreadPoolExecutor | None = None
+        self._question: _Question | None = None
+
+    def answer(self, problem: Problem, now: float) -> Optimum | None:
+        """Return the answer, without waiting; None while there is none yet.
+
+        Args:
+            problem: as it is now. If it is another than the last time, that question is dropped.
+            now: the present time [s].
+        """
+        question = self._question
+        if question is None or question.problem != problem:
+            self.forget()
+            self._thread = self._thread or ThreadPoolExecutor(1, "best configuration")
+            self._question = _Question(problem, now + self._delay, self._thread.submit(self._solve, problem))
+            return None
+        return question.answer.result() if question.is_due(now) and question.answer.done() else None
+
+    def catch_up(self, now: float) -> None:
+        """Wait for an answer that is due by now."""
+        if self._question is not None and self._question.is_due(now):
+            self._question.answer.exception()
+
+    def forget(self) -> None:
+        """Drop the question."""
+        if self._question is not None:
+            self._question.answer.cancel()
+            self._question = None
+
+
+def _choice(kb: KnowledgeBase, found: Optimum | None) -> Choice | None:
+    """Return what is to be selected; what nothing needs any more is given up even if nothing can be chosen."""
+    with kb.reading() as state:
+        if found is None:
+            return choice_by_priority(state)
+        choice = found.choice
+        if choice is None or not (choice.designs or choice.configurations):
+            return Choice({}, {}) if state.obsolete else None
+        network = state.network
+        chosen = [network.designs[name] for name in choice.designs.values()]
+        chosen += [network.configurations[name] for name in choice.configurations.values()]
+        if all(state.selected[node.index] for node in chosen):
+            return Choice({}, {})  # why something has to be done all the same, the knowledge base knows
+        return choice._replace(reason=found.reason)
