@@ -2,17 +2,18 @@
 
 import logging
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from typing import Any, Final
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 from py_trees.ports import PortInformation, PortsMixin
 
-from kb import KnowledgeBase
-from kb.status import OPERATORS
-from rosa_bt.elements import StatusView, find_element, status_of_kind
-from rosa_bt.endings import told
-from rosa_bt.requests import RESULTS, ActionRequest, Patience, Progress, Reason
+from kb import AmbiguousName, InvalidValue, KnowledgeBase, UnknownName
+from kb.status import OPERATORS, STATUSES
+from kb.views import ActionView, ComponentView, ConfigurationView, DesignView, FunctionView
+from rosa_bt.exceptions import in_words
+from rosa_bt.requests import ActionRequest, Readiness, saved_progress, why
 
 __all__ = [
     "ActionBehaviour",
@@ -21,16 +22,51 @@ __all__ = [
     "KbBehaviour",
     "Measurement",
     "RosaAction",
+    "StatusView",
     "WaitForArchitecture",
+    "halt",
 ]
 
 _log = logging.getLogger(__name__)
+
+StatusView = ActionView | FunctionView | ComponentView | DesignView | ConfigurationView
+"""The view of an element that has a status and a name."""
+
+_KINDS: Final[Mapping[type, str]] = {
+    ActionView: "an action",
+    FunctionView: "a function",
+    ComponentView: "a component",
+    DesignView: "a function design",
+    ConfigurationView: "a configuration",
+}
+
+
+def halt(root: Behaviour) -> None:
+    """Stop every running behaviour of a subtree, children first; what one raises is its feedback and stops no other."""
+    for behaviour in list(root.iterate()):
+        if behaviour.status is not Status.RUNNING:
+            continue
+        try:
+            behaviour.stop(Status.INVALID)
+        except Exception as error:
+            behaviour.feedback_message = f"in terminate: {in_words(error)}"
+        behaviour.status = Status.INVALID
 
 
 class KbBehaviour(PortsMixin, Behaviour):
     """A leaf that knows a knowledge base; what its constructor is not given, its ports carry.
 
     An exception in it is its FAILURE, with the text as feedback.
+
+    Args:
+        name: what the behaviour is called in pictures of the tree.
+        kb: the knowledge base to ask.
+        behaviour_class_name: as in py_trees.
+        port_arguments: what the constructor was given of the ports; None where the port carries the value.
+
+    Attributes:
+        kb: the knowledge base.
+        port_arguments: as given.
     """
 
     INPUT_PORTS: dict[str, PortInformation] = {}  # noqa: RUF012  # py_trees declares it so
@@ -40,16 +76,33 @@ class KbBehaviour(PortsMixin, Behaviour):
         """Leave py_trees' process-wide registry of tags alone unless asked: names of classes need not be unique."""
         super().__init_subclass__(tag=tag, register=register)
 
-    def __init__(self, name: str, kb: KnowledgeBase, *, behaviour_class_name: str | None = None) -> None:
+    def __init__(
+        self,
+        name: str,
+        kb: KnowledgeBase,
+        *,
+        behaviour_class_name: str | None = None,
+        port_arguments: Mapping[str, Any] | None = None,
+    ) -> None:
         super().__init__(name, behaviour_class_name=behaviour_class_name)
         self.kb = kb
+        self.port_arguments = dict(port_arguments or {})
+        self.check_ports({port: value for port, value in self.port_arguments.items() if value is not None})
+
+    def check_ports(self, given: Mapping[str, Any]) -> None:
+        """Raise if what ports are given is nothing that the knowledge base has: before the mission, not in it."""
+
+    def argument(self, port: str) -> Any:  # noqa: ANN401  # of the type that the port declares
+        """Return what the constructor was given, or else what the port of that name carries."""
+        value = self.port_arguments[port]
+        return self.get_input(port) if value is None else value
 
     def tick(self) -> Iterator[Behaviour]:
         """Do what py_trees does at a tick; an exception is a failure."""
         try:
             new_status = self._advance()
         except Exception as error:
-            self.feedback_message = told(error)
+            self.feedback_message = in_words(error)
             _log.debug("%s failed", self.name, exc_info=True)
             new_status = Status.FAILURE
         if new_status is Status.RUNNING:
@@ -63,7 +116,7 @@ class KbBehaviour(PortsMixin, Behaviour):
         try:
             self.terminate(new_status)
         except Exception as error:
-            self.feedback_message = f"{told(error)} (at the end)"
+            self.feedback_message = f"{in_words(error)} (at the end)"
             new_status = Status.FAILURE if new_status is Status.SUCCESS else new_status
         self.status = new_status
         self.iterator = self.tick()
@@ -90,17 +143,17 @@ class ActionBehaviour(KbBehaviour):
     def __init__(
         self, name: str, kb: KnowledgeBase, action: str | None = None, *, behaviour_class_name: str | None = None
     ) -> None:
-        super().__init__(name, kb, behaviour_class_name=behaviour_class_name)
-        self._action = action
-        if action is not None:
-            kb.is_feasible(action)  # an unknown action is found here, not in the middle of a mission
+        super().__init__(name, kb, behaviour_class_name=behaviour_class_name, port_arguments={"action": action})
+
+    def check_ports(self, given: Mapping[str, Any]) -> None:
+        if "action" in given:
+            self.kb.is_feasible(given["action"])
 
     @property
     def action(self) -> str:
         """Name of the ROSA action: as constructed, or else what the port `action` carries."""
-        if self._action is None:
-            return str(self.get_input("action"))
-        return self._action
+        action: str | None = self.port_arguments["action"]
+        return str(self.get_input("action")) if action is None else action
 
 
 class IsActionFeasible(ActionBehaviour):
@@ -115,19 +168,12 @@ class IsActionFeasible(ActionBehaviour):
         kb.UnknownName: no such action; the message lists the nearest ones.
     """
 
-    def __init__(
-        self, name: str, kb: KnowledgeBase, action: str | None = None, *, behaviour_class_name: str | None = None
-    ) -> None:
-        super().__init__(name, kb, action, behaviour_class_name=behaviour_class_name)
-        self._reason = Reason(kb)
-
     def update(self) -> Status:
-        """Ask the knowledge base."""
         action = self.action
         if self.kb.is_feasible(action):
             self.feedback_message = ""
             return Status.SUCCESS
-        self.feedback_message = self._reason.why(action)
+        self.feedback_message = why(self.kb, action)
         return Status.FAILURE
 
 
@@ -162,21 +208,48 @@ class HasStatus(KbBehaviour):
         *,
         behaviour_class_name: str | None = None,
     ) -> None:
-        super().__init__(name, kb, behaviour_class_name=behaviour_class_name)
-        self._element = None if element is None else find_element(kb, element)
-        self._status = status
-        if self._element is not None and status is not None:
-            status_of_kind(self._element, status)
+        given = {"element": None if element is None else _find(kb, element), "status": status}
+        super().__init__(name, kb, behaviour_class_name=behaviour_class_name, port_arguments=given)
+
+    def check_ports(self, given: Mapping[str, Any]) -> None:
+        if "element" in given:
+            element = _find(self.kb, given["element"])
+            if "status" in given:
+                _check_status(element, given["status"])
 
     def update(self) -> Status:
-        """Ask the knowledge base."""
-        element = self._element or find_element(self.kb, str(self.get_input("element")))
-        wanted = status_of_kind(element, self._status or str(self.get_input("status")))
-        if element.status is wanted:
+        element, wanted = _find(self.kb, self.argument("element")), str(self.argument("status"))
+        _check_status(element, wanted)
+        status = element.status
+        if status == wanted:
             self.feedback_message = ""
             return Status.SUCCESS
-        self.feedback_message = f"{element.name} is not {wanted} but {element.status}"
+        self.feedback_message = f"{element.name} is not {wanted} but {status}"
         return Status.FAILURE
+
+
+def _find(kb: KnowledgeBase, element: str | StatusView) -> StatusView:
+    """Return the view of the one element of that name, whatever its kind; a view is returned as it is."""
+    if not isinstance(element, str):
+        return element
+    tables: tuple[Mapping[str, StatusView], ...]
+    tables = (kb.actions, kb.functions, kb.components, kb.designs, kb.configurations)
+    found = [table[element] for table in tables if element in table]
+    if not found:
+        raise UnknownName("element", element, [name for table in tables for name in table])
+    if len(found) > 1:
+        kinds = " and ".join(_KINDS[type(view)] for view in found)
+        raise AmbiguousName(f"{element!r} names {kinds}; pass the view that is meant, e.g. kb.actions[{element!r}]")
+    return found[0]
+
+
+def _check_status(element: StatusView, status: str) -> None:
+    """Raise unless an element of this kind can have that status."""
+    kind = _KINDS[type(element)]
+    possible = STATUSES[kind.partition(" ")[2]]
+    if status not in possible:
+        known = ", ".join(repr(str(one)) for one in possible)
+        raise InvalidValue(f"{kind} is never {status!r}; it can be {known}")
 
 
 class Measurement(KbBehaviour):
@@ -212,17 +285,22 @@ class Measurement(KbBehaviour):
         unknown: Status = Status.FAILURE,
         behaviour_class_name: str | None = None,
     ) -> None:
-        super().__init__(name, kb, behaviour_class_name=behaviour_class_name)
-        self._attribute = None if attribute is None else kb.attributes[attribute]
-        self._operator = None if operator is None else _operator(operator)
-        self._value = value
+        given = {"attribute": attribute, "operator": operator, "value": value}
+        super().__init__(name, kb, behaviour_class_name=behaviour_class_name, port_arguments=given)
+        self._view = None if attribute is None else kb.attributes[attribute]
         self._unknown = unknown
 
+    def check_ports(self, given: Mapping[str, Any]) -> None:
+        if "attribute" in given:
+            self.kb.attributes[given["attribute"]]
+        if given.get("operator", ">=") not in OPERATORS:
+            known = ", ".join(OPERATORS)
+            raise ValueError(f"{given['operator']!r} compares nothing; an operator is one of {known}")
+
     def update(self) -> Status:
-        """Ask the knowledge base."""
-        attribute = self._attribute or self.kb.attributes[str(self.get_input("attribute"))]
-        sign = self._operator or _operator(str(self.get_input("operator")))
-        threshold = float(self.get_input("value")) if self._value is None else self._value
+        attribute = self._view or self.kb.attributes[str(self.get_input("attribute"))]
+        sign, threshold = str(self.argument("operator")), float(self.argument("value"))
+        self.check_ports({"operator": sign})
         measured = attribute.value
         if measured is None or attribute.is_stale:
             self.feedback_message = f"{attribute.name} is not measured{'' if measured is None else ' any more'}"
@@ -261,15 +339,13 @@ class WaitForArchitecture(ActionBehaviour):
         behaviour_class_name: str | None = None,
     ) -> None:
         super().__init__(name, kb, action, behaviour_class_name=behaviour_class_name)
-        self._patience = Patience(kb, timeout)
+        self._readiness = Readiness(kb, timeout)
 
     def initialise(self) -> None:
-        """Begin to wait."""
-        self._patience.begin()
+        self._readiness.begin()
 
     def update(self) -> Status:
-        """Ask the knowledge base."""
-        status, self.feedback_message = self._patience.look(self.action)
+        status, self.feedback_message = self._readiness.look(self.action)
         return status
 
 
@@ -315,17 +391,23 @@ class RosaAction(ActionBehaviour):
     ) -> None:
         super().__init__(name, kb, action, behaviour_class_name=behaviour_class_name)
         self._preference = preference
-        self._request = ActionRequest(kb)
-        self._progress = Progress(kb, name)
-        self._patience = Patience(kb, timeout) if wait else None
+        self._request = ActionRequest(kb, wait=wait, timeout=timeout)
         self._has_begun = False
 
     @property
     def preference(self) -> str | None:
         """Name of the attribute to favour: as constructed, or else what the port `preference` carries, if anything."""
-        if self._preference is None and self._blackboard_client is not None:
+        if self._preference is not None:
+            return self._preference
+        try:
             return str(self.get_input("preference")) or None
-        return self._preference
+        except RuntimeError:  # this leaf is not connected to a blackboard
+            return None
+
+    @property
+    def waits(self) -> bool:
+        """Whether it waits until the robot is configured for the action."""
+        return self._request.waits
 
     def save_progress(self) -> object | None:
         """Return where the action is, or None (the default) if it starts afresh next time.
@@ -340,18 +422,20 @@ class RosaAction(ActionBehaviour):
         """Go on from what `save_progress` returned; called after `initialise`, and only if something was saved."""
 
     def forget_progress(self) -> None:
-        """Drop what was saved: the next start is at the beginning."""
-        self._progress.forget()
+        """Drop what was saved, of whichever action: the next start is at the beginning."""
+        saved = saved_progress(self.kb)
+        for key in [key for key in saved if key[1] == self.name]:
+            del saved[key]
 
     def stop(self, new_status: Status) -> None:
         """Save progress, terminate the round and release the request, also when the subclass raises."""
         has_begun, self._has_begun = self._has_begun, False
         if has_begun:
-            self._keep(new_status)
+            self._save(new_status)
             super().stop(new_status)
         else:
             self.status = new_status
-        self._request.close(RESULTS[self.status], self.feedback_message if self.status is Status.FAILURE else "")
+        self._request.close(self.status, self.feedback_message)
 
     def shutdown(self) -> None:
         """Stop if still running; called when the tree is shut down."""
@@ -360,38 +444,32 @@ class RosaAction(ActionBehaviour):
 
     def _advance(self) -> Status:
         """Request the action when a round begins, wait if asked to, then work."""
-        if self.status is not Status.RUNNING and not self._ask():
-            return Status.FAILURE
+        if self.status is not Status.RUNNING:
+            reply = self._request.open(self.action, self.preference)
+            if not reply:
+                self.feedback_message = reply.reason
+                return Status.FAILURE
         if not self._has_begun:
-            if self._patience is not None:
-                status, self.feedback_message = self._patience.look(self.action)
-                if status is not Status.SUCCESS:
-                    return status
+            status, self.feedback_message = self._request.look(self.action)
+            if status is not Status.SUCCESS:
+                return status
             self._begin()
         return self._updated()
-
-    def _ask(self) -> bool:
-        reply = self._request.open(self.action, self.preference)
-        self.feedback_message = "" if reply else reply.reason
-        if self._patience is not None:
-            self._patience.begin()
-        return bool(reply)
 
     def _begin(self) -> None:
         self._has_begun = True
         self.initialise()
-        saved = self._progress.saved(self.action)
+        saved = saved_progress(self.kb).get((self.action, self.name))
         if saved is not None:
             self.restore_progress(saved)
 
-    def _keep(self, new_status: Status) -> None:
+    def _save(self, new_status: Status) -> None:
+        saved = saved_progress(self.kb)
         try:
-            self._progress.save(self.action, None if new_status is Status.SUCCESS else self.save_progress())
+            key = (self.action, self.name)
+            progress = None if new_status is Status.SUCCESS else self.save_progress()
+            saved.pop(key, None)
+            if progress is not None:
+                saved[key] = progress
         except Exception as error:
-            self.feedback_message = f"{told(error)} (progress is not saved)"
-
-
-def _operator(sign: str) -> str:
-    if sign not in OPERATORS:
-        raise ValueError(f"{sign!r} compares nothing; an operator is one of {', '.join(OPERATORS)}")
-    return sign
+            self.feedback_message = f"{in_words(error)} (progress is not saved)"

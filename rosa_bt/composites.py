@@ -1,7 +1,6 @@
 """Composites that py_trees has no namesake for: giving way to something else, and switching safely."""
 
 from collections.abc import Iterator, Mapping
-from typing import Final
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
@@ -20,10 +19,8 @@ def gave_way(task: Behaviour) -> bool:
     return any(one.action not in one.kb.actions or not one.kb.is_feasible(one.action) for one in asking)
 
 
-class _Fixed(Composite):
-    """A composite whose children have parts to play: they can be replaced, but none is added or taken away."""
-
-    has_fixed_children: Final = True
+class _Parts(Composite):
+    """A composite whose children have different parts to play."""
 
     def _begin(self) -> None:
         for child in self.children:
@@ -38,7 +35,7 @@ class _Fixed(Composite):
             self.stop(new_status)
 
 
-class DoUntilUnfeasible(_Fixed):
+class DoUntilUnfeasible(_Parts):
     """Does a task; while that is unfeasible, does something else; then goes on with the task.
 
     In the tick in which the task fails because an action in it is unfeasible, the other begins, and in the tick in
@@ -113,7 +110,7 @@ class Posture:
         self.after: str | None = None
 
 
-class SafeSwitch(_Fixed):
+class SafeSwitch(_Parts):
     """Does an action; before that, what has to be done if another one was done last.
 
     The transition runs to its end before the action is requested. If it fails, so does this, and the action is not

@@ -8,8 +8,9 @@ from py_trees.common import Status
 from py_trees.decorators import Decorator
 
 from kb import KnowledgeBase
-from rosa_bt.endings import halt, told
-from rosa_bt.requests import RESULTS, ActionRequest, Patience, Reason
+from rosa_bt.behaviours import halt
+from rosa_bt.exceptions import in_words
+from rosa_bt.requests import ActionRequest, why
 
 __all__ = ["ForAction", "UntilSuccess"]
 
@@ -51,9 +52,7 @@ class ForAction(Decorator):
         self.kb = kb
         self.action = action
         self.preference = preference
-        self._request = ActionRequest(kb)
-        self._reason = Reason(kb)
-        self._patience = Patience(kb, timeout) if wait else None
+        self._request = ActionRequest(kb, wait=wait, timeout=timeout)
         self._is_ready = False
 
     def tick(self) -> Iterator[Behaviour]:
@@ -64,7 +63,7 @@ class ForAction(Decorator):
                 yield from self.decorated.tick()
                 new_status = self.update()
         except Exception as error:
-            self.feedback_message = told(error)
+            self.feedback_message = in_words(error)
             new_status = Status.FAILURE
         if new_status is not Status.RUNNING:
             self.stop(new_status)
@@ -81,11 +80,11 @@ class ForAction(Decorator):
         try:
             super().stop(new_status)
         except Exception as error:
-            self.feedback_message = f"{told(error)} (at the end)"
+            self.feedback_message = f"{in_words(error)} (at the end)"
             halt(self.decorated)
             self.status = new_status
         finally:
-            self._request.close(RESULTS[new_status], self.feedback_message if new_status is Status.FAILURE else "")
+            self._request.close(new_status, self.feedback_message)
 
     def shutdown(self) -> None:
         """Stop if still running; called when the tree is shut down."""
@@ -95,29 +94,19 @@ class ForAction(Decorator):
     def _admit(self) -> Status:
         """Return SUCCESS if the child may be ticked, what to return otherwise."""
         if not self.kb.is_feasible(self.action):
-            self.feedback_message = self._reason.why(self.action)
-            self._interrupt()
+            self.feedback_message = why(self.kb, self.action)
+            halt(self.decorated)
+            self._request.close(Status.INVALID, "")  # it has not failed, it cannot be done now
             return Status.FAILURE
         if self.status is not Status.RUNNING:
-            self._begin()
-        if not self._is_ready and self._patience is not None:
-            status, self.feedback_message = self._patience.look(self.action)
+            self._is_ready = False
+            self._request.open(self.action, self.preference)
+        if not self._is_ready:
+            status, self.feedback_message = self._request.look(self.action)
             if status is not Status.SUCCESS:
                 return status
-        self._is_ready = True
+            self._is_ready = True
         return Status.SUCCESS
-
-    def _begin(self) -> None:
-        self._is_ready = False
-        self._request.open(self.action, self.preference)
-        self.feedback_message = ""
-        if self._patience is not None:
-            self._patience.begin()
-
-    def _interrupt(self) -> None:
-        """Give the action up: it has not failed, it cannot be done now."""
-        halt(self.decorated)
-        self._request.close(RESULTS[Status.INVALID], self.feedback_message)
 
 
 class UntilSuccess(Decorator):

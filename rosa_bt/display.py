@@ -17,7 +17,7 @@ from py_trees.decorators import Decorator
 from rosa_bt.behaviours import ActionBehaviour
 from rosa_bt.composites import DoUntilUnfeasible, SafeSwitch
 from rosa_bt.decorators import ForAction
-from rosa_bt.endings import told
+from rosa_bt.exceptions import in_words
 
 __all__ = ["ascii_tree", "dot_tree", "svg_tree"]
 
@@ -125,7 +125,7 @@ def _feasibility(behaviour: Behaviour) -> str:
         kb, action = behaviour.kb, behaviour.action
         return "feasible" if kb.is_feasible(action) else kb.why(kb.actions[action])
     except Exception as error:  # a port that nobody has written yet, or that carries no action's name
-        return f"action not known yet: {_plain(told(error))}"
+        return f"action not known yet: {_plain(in_words(error))}"
 
 
 def _kind(behaviour: Behaviour) -> str:

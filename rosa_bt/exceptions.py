@@ -1,6 +1,18 @@
 """What can go wrong in the layer of trees; each message says what was given, what exists and what to do."""
 
-__all__ = ["RosaBtError", "TraceError", "TreeChangeError"]
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+__all__ = [
+    "ExportError",
+    "RegistryError",
+    "RosaBtError",
+    "TraceError",
+    "TreeChangeError",
+    "XmlError",
+    "hint",
+    "in_words",
+]
 
 
 class RosaBtError(Exception):
@@ -8,8 +20,44 @@ class RosaBtError(Exception):
 
 
 class TreeChangeError(RosaBtError):
-    """A tree cannot be changed like that, or not now."""
+    """A tree cannot be changed like that."""
 
 
 class TraceError(RosaBtError):
-    """A file is no trace, or cannot be fed again."""
+    """A file is no trace, or cannot be replayed."""
+
+
+class XmlError(RosaBtError, ValueError):
+    """A tree in XML cannot be read, or not be made.
+
+    Args:
+        where: file and line.
+        problem: what is wrong, and what to do.
+    """
+
+    def __init__(self, where: str, problem: str) -> None:
+        super().__init__(f"{where}: {problem}")
+
+
+class RegistryError(RosaBtError, ValueError):
+    """A behaviour cannot be registered like that."""
+
+
+class ExportError(RosaBtError, ValueError):
+    """A behaviour has no exact counterpart in BehaviorTree.CPP."""
+
+
+def hint(name: str, known: Iterable[str], what: str) -> str:
+    """Return the end of a message about an unknown name: what is near it, and what there is."""
+    names = sorted(known)
+    if not names:
+        return f"there are no {what}"
+    near = get_close_matches(name, names, n=3)
+    shown = ", ".join(names[:20]) + (", ..." if len(names) > 20 else "")
+    guess = f"did you mean {' or '.join(repr(one) for one in near)}? " if near else ""
+    return f"{guess}{what}: {shown}"
+
+
+def in_words(error: Exception) -> str:
+    """Return an exception as the feedback of the behaviour that raised it."""
+    return f"{type(error).__name__}: {error}"

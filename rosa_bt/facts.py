@@ -7,7 +7,7 @@ from kb import Event, KnowledgeBase, ReconfigurationPlan, Status
 from kb.elements import Constraint, Element
 from kb.facts import PlanFact
 from kb.views import FunctionView
-from rosa_bt.elements import StatusView
+from rosa_bt.behaviours import StatusView
 from rosa_bt.exceptions import TraceError
 
 __all__ = ["Decision", "Fact", "Listener", "tell"]

@@ -4,14 +4,13 @@ from collections.abc import Mapping, Sequence
 
 from py_trees import composites
 from py_trees.behaviour import Behaviour
-from py_trees.behaviours import Dummy
+from py_trees.decorators import Decorator
 
 from kb import UnknownName
 from rosa_bt.behaviours import IsActionFeasible, RosaAction
 from rosa_bt.composites import DoUntilUnfeasible, Posture, SafeSwitch
 from rosa_bt.decorators import ForAction
 from rosa_bt.exceptions import TreeChangeError
-from rosa_bt.structure import replace
 
 __all__ = ["do_until_unfeasible", "feasible_then_act", "first_feasible", "switch_safely"]
 
@@ -89,8 +88,16 @@ def switch_safely(root: Behaviour, transitions: Mapping[tuple[str, str], Behavio
 def _switched(
     root: Behaviour, task: RosaAction | ForAction, needed: Mapping[str, Behaviour], posture: Posture
 ) -> Behaviour:
-    """Put an action and its transitions in the place of the action."""
-    name = f"switch to {task.action}" if needed else f"note {task.action}"
-    place = Dummy("place")
-    root = replace(root, task, place)
-    return replace(root, place, SafeSwitch(name, task, needed, posture))
+    """Put an action and its transitions in the place of the action; return the root."""
+    parent = task.parent
+    if parent is not None and not isinstance(parent, composites.Composite | Decorator):
+        raise TreeChangeError(f"{parent.name!r} is neither a composite nor a decorator; its children are its own")
+    task.parent = None
+    switch = SafeSwitch(f"switch to {task.action}" if needed else f"note {task.action}", task, needed, posture)
+    if parent is None:
+        return switch
+    parent.children[parent.children.index(task)] = switch
+    switch.parent = parent
+    if isinstance(parent, Decorator):
+        parent.decorated = switch
+    return root

@@ -1,34 +1,34 @@
 """Running a tree in somebody else's time: the clock of a simulator, a recording or the wall."""
 
-import logging
-from collections import deque
-from collections.abc import Callable
-from concurrent.futures import Future
+from collections.abc import Callable, Iterator
+from typing import Final
 
 from py_trees.behaviour import Behaviour
+from py_trees.behaviours import Failure, Running, Success
 from py_trees.common import Status
-from py_trees.composites import Composite
-from py_trees.decorators import Decorator
+from py_trees.composites import Selector, Sequence
 from py_trees.trees import BehaviourTree
 
-from rosa_bt.behaviours import RosaAction
-from rosa_bt.endings import halt, halt_orphans
-from rosa_bt.exceptions import TreeChangeError
-from rosa_bt.guards import Children, Lock, guard, is_trusted, put_back
-from rosa_bt.structure import insert, prune, replace
+from rosa_bt.behaviours import KbBehaviour, RosaAction, halt
+from rosa_bt.decorators import ForAction
+from rosa_bt.exceptions import in_words
 
 __all__ = ["GuardedTree", "TreeRunner"]
 
-_log = logging.getLogger(__name__)
 Handler = Callable[[BehaviourTree], None]
+
+_HARMLESS: Final = frozenset({Failure, Running, Selector, Sequence, Success})
+"""What raises nothing of its own; a subclass may."""
+_CAREFUL: Final = (KbBehaviour, RosaAction, ForAction)
+"""What deals with exceptions itself, also below a plain tree; unless a subclass ticks in another way."""
 
 
 class GuardedTree(BehaviourTree):
-    """A py_trees tree that goes on when a behaviour raises, and that nobody changes in the middle of a tick.
+    """A py_trees tree that goes on when a behaviour raises.
 
     An exception of a behaviour, also of a plain py_trees one, wherever it is raised (`initialise`, `update`,
-    `terminate`, `tick`), is that behaviour's FAILURE with the text as feedback; its parent takes it from there. The
-    children of a behaviour cannot be changed during a tick: whoever tries fails, and so does the tick, when it is over.
+    `terminate`, `tick`), is that behaviour's FAILURE with the text as feedback; its parent takes it from there. What is
+    taken out of the tree is stopped before the next tick at the latest.
 
     Args:
         root: the tree.
@@ -36,97 +36,152 @@ class GuardedTree(BehaviourTree):
 
     def __init__(self, root: Behaviour) -> None:
         super().__init__(root)
-        self._lock = Lock()
         self._guarded: dict[Behaviour, Callable[[], None]] = {}
-        self._families: dict[Behaviour, Children] = {}
-        self._guard()
+        self._guard_all()
 
     def tick(self, pre_tick_handler: Handler | None = None, post_tick_handler: Handler | None = None) -> None:
-        """Tick once; handlers and visitors as in py_trees.
+        """Tick once; handlers and visitors as in py_trees, but visitors of ticked behaviours cost nobody else.
 
         Raises:
-            TreeChangeError: a behaviour tried to change the tree; the tick is over, and the tree as it was.
             Exception: of a handler or visitor.
         """
         for handler in [pre_tick_handler, *self.pre_tick_handlers]:
             if handler is not None:
                 handler(self)
-        self._guard()
+        self._guard_all()
         for visitor in self.visitors:
             visitor.initialise()
-        self._tick()
+        passing = [visitor for visitor in self.visitors if not visitor.full]
+        full = [visitor for visitor in self.visitors if visitor.full]
+        for node in self.root.tick():
+            for visitor in passing:
+                node.visit(visitor)
+        for node in self.root.iterate() if full else ():
+            for visitor in full:
+                node.visit(visitor)
         for visitor in self.visitors:
             visitor.finalise()
         for handler in [*self.post_tick_handlers, post_tick_handler]:
             if handler is not None:
                 handler(self)
         self.count += 1
-        self._tell_refused()
 
-    def release(self) -> None:
-        """Take the guards away; the next tick puts them back."""
+    def shutdown(self) -> None:
+        """Stop what is running, take the guards away, and shut every behaviour down.
+
+        Raises:
+            Exception: the first that the `shutdown` of a behaviour raised, when all were shut down.
+        """
+        self._guard_all()
+        halt(self.root)
         for behaviour in list(self._guarded):
-            self._let_go(behaviour)
+            self._guarded.pop(behaviour)()
+        errors = []
+        for behaviour in list(self.root.iterate()):
+            try:
+                behaviour.shutdown()
+            except Exception as error:  # the others have to be shut down all the same
+                errors.append(error)
+        if errors:
+            raise errors[0]
 
-    def _tick(self) -> None:
-        passing = [visitor for visitor in self.visitors if not visitor.full]
-        full = [visitor for visitor in self.visitors if visitor.full]
-        self._lock.is_closed = True
-        try:
-            for node in self.root.tick():
-                for visitor in passing:
-                    node.visit(visitor)
-            for node in self.root.iterate() if full else ():
-                for visitor in full:
-                    node.visit(visitor)
-        finally:
-            self._lock.is_closed = False
-            if [parent for parent, children in self._families.items() if put_back(parent, children)]:
-                halt_orphans(self.root)
-
-    def _guard(self) -> None:
+    def _guard_all(self) -> None:
         """Guard what is new in the tree, and let go of what is not in it any more."""
         guarded, found = self._guarded, 0
         pending = [self.root]
         while pending:
             behaviour = pending.pop()
             found += 1
-            children, is_new = behaviour.children, behaviour not in guarded
-            if is_new:
-                is_free = behaviour is not self.root and is_trusted(behaviour)
-                guarded[behaviour] = _do_nothing if is_free else guard(behaviour)
-            if is_new or type(children) is not Children:
-                behaviour.children = family = Children(children, behaviour, self._lock)
-                if isinstance(behaviour, Composite | Decorator):  # those of another kind are its own
-                    self._families[behaviour] = family
-            if children:
-                pending += children
+            if behaviour not in guarded:
+                is_free = behaviour is not self.root and _is_trusted(behaviour)
+                guarded[behaviour] = _do_nothing if is_free else _guard(behaviour)
+            if behaviour.children:
+                pending += behaviour.children
         if found != len(guarded):
-            present = set(self.root.iterate())
-            for behaviour in [one for one in guarded if one not in present]:
-                self._let_go(behaviour)
+            self._let_go()
 
-    def _let_go(self, behaviour: Behaviour) -> None:
-        self._guarded.pop(behaviour)()
-        self._families.pop(behaviour, None)
-        behaviour.children = list(behaviour.children)
+    def _let_go(self) -> None:
+        """Stop what was taken out of the tree, and those that have lost the child they had got to: they begin anew."""
+        present = dict.fromkeys(self.root.iterate())
+        for behaviour in [one for one in self._guarded if one not in present]:
+            halt(behaviour)
+            self._guarded.pop(behaviour)()
+        for behaviour in present:
+            if isinstance(behaviour, Selector | Sequence) and behaviour.current_child not in behaviour.children:
+                halt(behaviour)
 
-    def _tell_refused(self) -> None:
-        refused, self._lock.refused = self._lock.refused, []
-        if not refused:
-            return
-        for behaviour in self._guarded:  # what removes a child stops it first, and forgets that it had got to it
-            if isinstance(behaviour, Composite) and behaviour.status is Status.RUNNING and behaviour.children:
-                behaviour.current_child = behaviour.current_child or behaviour.children[0]
-        raise refused[0]
+
+def _is_trusted(behaviour: Behaviour) -> bool:
+    """Tell whether a behaviour needs no guard, which costs a little of each tick."""
+    kind = type(behaviour)
+    if kind in _HARMLESS:
+        return True
+    return any(
+        isinstance(behaviour, careful) and kind.tick is careful.tick and kind.stop is careful.stop
+        for careful in _CAREFUL
+    )
+
+
+class _EndedBadly(Exception):
+    """A behaviour raised when it was stopped after success or failure; it has been dealt with."""
+
+
+def _guard(behaviour: Behaviour) -> Callable[[], None]:
+    """Turn what a behaviour raises into its FAILURE, with the text as feedback, and stop what runs below it.
+
+    What it raises on being interrupted is its feedback only; the interruption goes on.
+
+    Returns:
+        What takes the guard away again.
+    """
+    own = {name: method for name, method in vars(behaviour).items() if name in ("tick", "stop")}
+    tick, stop = behaviour.tick, behaviour.stop
+
+    def guarded_tick() -> Iterator[Behaviour]:
+        try:
+            yield from tick()
+        except Exception as error:
+            _fail(behaviour, stop, error)
+            yield behaviour
+
+    def guarded_stop(new_status: Status = Status.INVALID) -> None:
+        try:
+            stop(new_status)
+        except Exception as error:
+            for child in behaviour.children:
+                halt(child)
+            behaviour.feedback_message = f"{in_words(error)} (at the end)"
+            behaviour.status = Status.INVALID if new_status is Status.INVALID else Status.FAILURE
+            if new_status is not Status.INVALID:
+                raise _EndedBadly from error
+
+    def release() -> None:
+        if vars(behaviour).get("tick") is guarded_tick:  # else another tree has taken the behaviour over
+            del vars(behaviour)["tick"], vars(behaviour)["stop"]
+            vars(behaviour).update(own)
+
+    vars(behaviour).update(tick=guarded_tick, stop=guarded_stop)
+    return release
+
+
+def _fail(behaviour: Behaviour, stop: Callable[[Status], None], error: Exception) -> None:
+    if not isinstance(error, _EndedBadly):
+        behaviour.feedback_message = in_words(error)
+        for child in behaviour.children:
+            halt(child)
+        try:
+            stop(Status.FAILURE)
+        except Exception as another:
+            behaviour.feedback_message += f"; then {in_words(another)} (at the end)"
+    behaviour.status = Status.FAILURE
+
+
+def _do_nothing() -> None:
+    """Release what was not guarded."""
 
 
 class TreeRunner:
     """Ticks a tree at a fixed period of a clock that is handed in.
-
-    The tree is changed while it runs by asking the runner, at any time and from any thread: `insert`, `replace` and
-    `prune` are carried out before the next tick, in the order in which they were asked for. Each returns a future,
-    whose exception is the reason why a change was not possible.
 
     A mission begins when a runner takes its tree over, and ends when the root succeeds or the runner is shut down; what
     interrupted actions saved is forgotten then.
@@ -137,7 +192,8 @@ class TreeRunner:
         period: from one tick to the next [s].
 
     Attributes:
-        tree: the py_trees tree, for visitors and handlers.
+        tree: the py_trees tree, for visitors and handlers, and to be changed between ticks (`insert_subtree` and the
+            like).
         due: when the next tick is due [s].
     """
 
@@ -149,7 +205,6 @@ class TreeRunner:
         self._period = period
         self._start = clock()
         self._ticks = 0
-        self._changes: deque[tuple[Callable[[], None], Future[None]]] = deque()
         self._forget_progress()
 
     @property
@@ -172,45 +227,19 @@ class TreeRunner:
         return True
 
     def tick(self) -> None:
-        """Carry out the changes asked for, then tick once.
+        """Tick once.
 
         Raises:
-            TreeChangeError: a behaviour tried to change the tree itself; the tick is over, and the tree goes on.
             Exception: what a handler or visitor raised, or whatever interrupted the tick, after every running behaviour
                 was stopped, so that nothing stays open.
         """
-        self._change()
         try:
             self.tree.tick()
-        except TreeChangeError:
-            raise
         except BaseException:
             halt(self.tree.root)
             raise
         if self.status is Status.SUCCESS:
             self._forget_progress()
-
-    def insert(self, child: Behaviour, parent: Behaviour, index: int | None = None) -> Future[None]:
-        """Add a subtree to the children of a composite before the next tick.
-
-        Args:
-            child: the subtree; it has no parent yet, and is set up if it needs to be.
-            parent: the composite.
-            index: before which child; None for after the last.
-        """
-        return self._ask(lambda: insert(self.tree.root, child, parent, index))
-
-    def replace(self, old: Behaviour, new: Behaviour) -> Future[None]:
-        """Put a subtree, or another root, in the place of one before the next tick; the old one is stopped."""
-
-        def change() -> None:
-            self.tree.root = replace(self.tree.root, old, new)
-
-        return self._ask(change)
-
-    def prune(self, subtree: Behaviour) -> Future[None]:
-        """Take a subtree out of the tree before the next tick, and stop it."""
-        return self._ask(lambda: prune(self.tree.root, subtree))
 
     def shutdown(self) -> None:
         """Stop what is running, so that every request is released, and shut the tree down.
@@ -218,44 +247,12 @@ class TreeRunner:
         Raises:
             Exception: the first that the `shutdown` of a behaviour raised, when all were shut down.
         """
-        for _, answer in self._changes:
-            answer.cancel()
-        self._changes.clear()
-        halt(self.tree.root)
-        self._forget_progress()
-        self.tree.release()
-        errors = []
-        for behaviour in list(self.tree.root.iterate()):
-            try:
-                behaviour.shutdown()
-            except Exception as error:  # the others have to be shut down all the same
-                errors.append(error)
-        if errors:
-            raise errors[0]
-
-    def _ask(self, change: Callable[[], None]) -> Future[None]:
-        answer: Future[None] = Future()
-        self._changes.append((change, answer))
-        return answer
-
-    def _change(self) -> None:
-        while self._changes:
-            change, answer = self._changes.popleft()
-            if not answer.set_running_or_notify_cancel():
-                continue
-            try:
-                change()
-            except Exception as error:
-                _log.warning("the tree was not changed: %s", error)
-                answer.set_exception(error)
-            else:
-                answer.set_result(None)
+        try:
+            self.tree.shutdown()
+        finally:
+            self._forget_progress()
 
     def _forget_progress(self) -> None:
         for behaviour in self.tree.root.iterate():
             if isinstance(behaviour, RosaAction):
                 behaviour.forget_progress()
-
-
-def _do_nothing() -> None:
-    """Release what was not guarded."""

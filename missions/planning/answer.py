@@ -10,8 +10,8 @@ from missions.planning.causes import CausalOrder, causal_order
 from missions.planning.diagnosis import why_unsolvable
 from missions.planning.question import Question
 from missions.planning.tree import plan_tree
+from rosa_bt import export_xml
 from rosa_bt.display import ascii_tree
-from rosa_bt.parsers import export_xml
 from rosa_pddl import Outcome, Planner, PlanningResult
 
 __all__ = ["Answer", "answer"]

@@ -14,8 +14,7 @@ from kb import KnowledgeBase
 from missions.engine.mission import MissionError
 from missions.planning.formulas import written_condition, written_effects
 from missions.planning.leaves import Assume, Holds
-from rosa_bt.exceptions import RosaBtError
-from rosa_bt.parsers import BehaviourRegistry, load_xml
+from rosa_bt import BehaviourRegistry, RosaBtError, load_xml
 from rosa_pddl import Domain, MissingBehaviourError, Schema, Step
 from rosa_pddl.belief import Belief
 from rosa_pddl.domain import ACTION_TYPE, FEASIBLE, UpThing

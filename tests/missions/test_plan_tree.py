@@ -11,8 +11,7 @@ from py_trees.common import Status
 
 from missions.engine.mission import MissionError
 from missions.planning.tree import plan_registry, plan_tree, plan_xml
-from rosa_bt import TreeRunner
-from rosa_bt.parsers import export_xml, load_xml
+from rosa_bt import TreeRunner, export_xml, load_xml
 from rosa_pddl import MissingBehaviourError, Outcome, PddlError, PlanExecutor, PlanningResult, UnknownNameError
 from rosa_pddl.validate import ended, holds, missing_at_end, missing_meanwhile, missing_of, started
 

@@ -487,7 +487,7 @@ def test_progress_is_dropped_when_the_action_completes_and_when_the_mission_begi
     elif how == "forgotten":
         forget_progress(kb)
     else:
-        runner.replace(task, Success("else"))
+        runner.tree.replace_subtree(task.id, Success("else"))
         runner.tick()
         TreeRunner(task, clock=lambda: 0.0)
     task.tick_once()

@@ -166,7 +166,7 @@ def test_tree_that_has_changed_is_written_again():
     visitor = TraceVisitor(kb)
     runner.tree.add_visitor(visitor)
     runner.tick()
-    runner.insert(Running("b"), root)
+    runner.tree.insert_subtree(Running("b"), root.id, 1)
     runner.tick()
     before, after = visitor.trace.ticks
     assert [node.name for node in before.tree] == ["root", "a"]

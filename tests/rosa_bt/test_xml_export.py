@@ -7,8 +7,7 @@ from py_trees.common import Status
 from xml_leaves import registry_of, trace, wrapped
 
 from kb import KnowledgeBase, Model
-from rosa_bt import BehaviourRegistry, IsActionFeasible, RosaAction, TreeRunner, export_xml, load_xml
-from rosa_bt.parsers import ExportError
+from rosa_bt import BehaviourRegistry, ExportError, IsActionFeasible, RosaAction, TreeRunner, export_xml, load_xml
 
 LEAVES = {"a": ("A", "RS"), "b": ("A", "SF"), "c": ("C", "SSF")}
 
@@ -150,9 +149,9 @@ def test_tree_that_was_changed_while_it_ran_is_written_as_it_is_now():
     runner = TreeRunner(tree, clock=lambda: 0.0)
     runner.tick()
     second = tree.child.node.children[1].child.node
-    runner.replace(second.children[0], registry["d"].make("d", {}, []))
-    runner.insert(behaviours.Success("yes"), second, 1)
-    runner.prune(second.children[1])
+    runner.tree.replace_subtree(second.children[0].id, registry["d"].make("d", {}, [], tree.blackboard))
+    runner.tree.insert_subtree(behaviours.Success("yes"), second.id, 1)
+    runner.tree.prune_subtree(second.children[2].id)
     runner.tick()
     text = export_xml(tree, registry)
     assert '<SubTree ID="Sub_2" />' in text
@@ -176,6 +175,6 @@ def test_tree_that_changes_goes_on_where_it_was():
     runner = TreeRunner(tree, clock=lambda: 0.0)
     sequence = tree.child.node
     runner.tick()
-    runner.insert(registry["d"].make("d", {}, []), sequence, 0)
-    runner.insert(registry["d"].make("d", {}, []), sequence, 3)
+    for place in (0, 3):
+        runner.tree.insert_subtree(registry["d"].make("d", {}, [], tree.blackboard), sequence.id, place)
     assert trace(runner.tick, tree, said, 1) == ["0| a:r:S d:s:S b:s:F => FAILURE"]

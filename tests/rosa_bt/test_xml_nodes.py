@@ -10,10 +10,10 @@ from py_trees.common import Status
 from xml_leaves import Action, Condition, registry_of, trace, wrapped
 
 from rosa_bt import RosaBtError, TreeRunner, load_xml
-from rosa_bt.parsers.controls import CONTROLS
-from rosa_bt.parsers.leaves import LEAVES
-from rosa_bt.parsers.nav2 import NAV2
-from rosa_bt.parsers.wrappers import DECORATORS
+from rosa_bt.xml.controls import CONTROLS
+from rosa_bt.xml.decorators import DECORATORS
+from rosa_bt.xml.leaves import LEAVES
+from rosa_bt.xml.nav2 import NAV2
 
 PAGE = Path(__file__).parents[2] / "docs" / "trees_in_xml.md"
 

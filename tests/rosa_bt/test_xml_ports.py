@@ -13,8 +13,17 @@ from py_trees.ports import PortInformation, PortsMixin
 from xml_leaves import Action, Condition, registry_of, trace, wrapped
 
 from kb import KnowledgeBase, Model
-from rosa_bt import BehaviourRegistry, IsActionFeasible, Measurement, RosaAction, TreeRunner, XmlError, load_xml
-from rosa_bt.parsers import Port, RegistryError
+from rosa_bt import (
+    BehaviourRegistry,
+    IsActionFeasible,
+    Measurement,
+    RegistryError,
+    RosaAction,
+    TreeRunner,
+    XmlError,
+    load_xml,
+)
+from rosa_bt.xml import Port
 
 
 class Add(PortsMixin, Behaviour, register=False):

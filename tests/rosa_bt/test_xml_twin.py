@@ -11,7 +11,7 @@ from test_xml_traces import RANDOM
 from xml_leaves import registry_of, wrapped
 
 from rosa_bt import load_xml
-from rosa_bt.parsers.nodes import NodeError
+from rosa_bt.xml.nodes import NodeError
 
 TICKS = 20
 MANY = ("Sequence", "AsyncSequence", "SequenceWithMemory", "ReactiveSequence", "Fallback", "AsyncFallback")

@@ -17,13 +17,35 @@ from py_trees.decorators import Decorator
 
 from rosa_bt.behaviours import RosaAction
 from rosa_bt.exceptions import RosaBtError
-from rosa_bt.parsers.blackboard import Blackboard
-from rosa_bt.parsers.ports import Declared, Ports
-from rosa_bt.parsers.scripts import Script, truth
+from rosa_bt.xml.ports import Blackboard, Declared, Ports
+from rosa_bt.xml.scripts import Script, truth
 
-__all__ = ["Branch", "Control", "DONE", "NodeError", "OneChild", "Rules", "Slot", "Source", "Ticking", "XmlNode"]
+__all__ = [
+    "DONE",
+    "FAILURE",
+    "MAX_NODES",
+    "RUNNING",
+    "SKIPPED",
+    "SUCCESS",
+    "Branch",
+    "Control",
+    "NodeError",
+    "OneChild",
+    "Rules",
+    "Slot",
+    "Source",
+    "Ticking",
+    "XmlNode",
+    "is_plain",
+]
 
-DONE: Final = (Status.SUCCESS, Status.FAILURE)
+SUCCESS: Final = Status.SUCCESS
+FAILURE: Final = Status.FAILURE
+RUNNING: Final = Status.RUNNING
+SKIPPED: Final = Status.INVALID
+DONE: Final = (SUCCESS, FAILURE)
+MAX_NODES: Final = 10_000
+"""Nodes in one tree with all its subtrees, at most; and so children of a node."""
 
 Ticking = Generator[Behaviour, None, Status]
 """Yields what is visited on the way, as py_trees' `tick` does, and returns the outcome."""
@@ -53,26 +75,17 @@ class Rules:
     blackboard: Blackboard
     scripts: Mapping[str, Script]
 
-    NAMES: ClassVar = (
-        "_failureIf",
-        "_successIf",
-        "_skipIf",
-        "_while",
-        "_onHalted",
-        "_onFailure",
-        "_onSuccess",
-        "_post",
-    )
-    _IF: ClassVar = {"_failureIf": Status.FAILURE, "_successIf": Status.SUCCESS, "_skipIf": Status.INVALID}
+    INSTEAD: ClassVar = {"_failureIf": FAILURE, "_successIf": SUCCESS, "_skipIf": SKIPPED}
+    NAMES: ClassVar = (*INSTEAD, "_while", "_onHalted", "_onFailure", "_onSuccess", "_post")
 
-    def judge(self, status: Status) -> Status | None:
-        """Return what a pre-condition says instead of the node; None if the node is to be ticked."""
-        if status is Status.INVALID:
-            for name, verdict in self._IF.items():
+    def outcome(self, status: Status) -> Status | None:
+        """Return what a pre-condition says instead of the node of that status; None if the node is to be ticked."""
+        if status is SKIPPED:
+            for name, verdict in self.INSTEAD.items():
                 if name in self.scripts and truth(self.scripts[name](self.blackboard)):
                     return verdict
-        if status in (Status.INVALID, Status.RUNNING) and "_while" in self.scripts:
-            return None if truth(self.scripts["_while"](self.blackboard)) else Status.INVALID
+        if status in (SKIPPED, RUNNING) and "_while" in self.scripts:
+            return None if truth(self.scripts["_while"](self.blackboard)) else SKIPPED
         return None
 
     def follow(self, *names: str) -> None:
@@ -103,19 +116,19 @@ class Slot:
     def tick(self) -> Ticking:
         """Tick the child; INVALID if it was skipped."""
         node = self.node
-        verdict = self.rules.judge(self.status) if self.rules else None
+        verdict = self.rules.outcome(self.status) if self.rules else None
         if verdict is not None:
             self.reset()
             node.status = self.status = verdict
             yield node
         elif isinstance(node, XmlNode):
-            if self.status is Status.INVALID:
+            if self.status is SKIPPED:
                 node.initialise()
             if node.runs:
-                self.status = Status.RUNNING
+                self.status = RUNNING
             yield from node.tick()
             verdict = node.status
-            if verdict is not Status.INVALID:  # one that was skipped stays as it is until it is reset
+            if verdict is not SKIPPED:  # one that was skipped stays as it is until it is reset
                 self.status = verdict
         elif self.is_condition or self.status not in DONE:
             yield from node.tick()
@@ -123,21 +136,21 @@ class Slot:
         else:
             verdict = self.status
         if self.rules and verdict in DONE:
-            self.rules.follow("_onSuccess" if verdict is Status.SUCCESS else "_onFailure", "_post")
+            self.rules.follow("_onSuccess" if verdict is SUCCESS else "_onFailure", "_post")
         return verdict
 
     def reset(self) -> None:
         """Make the child idle; halt it if it is running."""
-        if self.status is Status.RUNNING:
-            if self.node.status is Status.RUNNING or isinstance(self.node, XmlNode):
+        if self.status is RUNNING:
+            if self.node.status is RUNNING or isinstance(self.node, XmlNode):
                 self.node.stop(Status.INVALID)
             if self.rules:
                 self.rules.follow("_onHalted")
-        self.status = Status.INVALID
+        self.status = SKIPPED
 
     def wipe(self) -> None:
         """Take away what a child that was reset did before that: pictures show it until the next tick."""
-        if self.status is Status.INVALID and self.node.status in DONE:
+        if self.status is SKIPPED and self.node.status in DONE:
             self.node.status = Status.INVALID
 
 
@@ -147,13 +160,11 @@ class XmlNode(Behaviour):
     Attributes:
         PORTS: what can be said in its attributes.
         CHILDREN: how many it takes, at least and at most.
-        has_fixed_children: its children have parts to play: none is added or taken away.
         runs: whether a tick makes it RUNNING before it does anything else, so that it has to be reset if skipped.
     """
 
     PORTS: ClassVar[Declared] = {}
-    CHILDREN: ClassVar[tuple[int, int]] = (1, 10_000)
-    has_fixed_children: ClassVar = False
+    CHILDREN: ClassVar[tuple[int, int]] = (1, MAX_NODES)
     runs = True
 
     ports: Ports
@@ -162,7 +173,7 @@ class XmlNode(Behaviour):
 
     @property
     def slots(self) -> list[Slot]:
-        """Return the places of the children; a behaviour that came later gets one of its own."""
+        """The places of the children; a behaviour that came later gets one of its own."""
         if self._seen != self.children:
             known = {slot.node: slot for slot in self._slots}
             self._slots = [known.get(child) or Slot(child, is_condition=is_plain(child)) for child in self.children]
@@ -180,10 +191,9 @@ class XmlNode(Behaviour):
         """Do what is to be done after each tick."""
 
     def tick(self) -> Iterator[Behaviour]:
-        """Tick once."""
         for slot in self.slots:
             slot.wipe()
-        self.status = Status.RUNNING
+        self.status = RUNNING
         verdict = yield from self.decide()
         self.settle()
         self.status = verdict
@@ -195,15 +205,24 @@ class XmlNode(Behaviour):
 
     def stop(self, new_status: Status = Status.INVALID) -> None:
         """Halt: the children that are running, and they only; then forget."""
+        self.status = self.end(new_status)
+        self.iterator = self.tick()
+
+    def end(self, verdict: Status) -> Status:
+        """Forget, make every child idle, halt those that are running, and return the outcome."""
         self.forget()
         self.reset_children()
-        self.status = new_status
-        self.iterator = self.tick()
+        return verdict
 
     def reset_children(self) -> None:
         """Make every child idle; halt those that are running."""
         for slot in self.slots:
             slot.reset()
+
+    def _take(self, slots: Sequence[Slot], ports: Ports) -> None:
+        self._slots = list(slots)
+        self._seen = list(self.children)
+        self.ports = ports
 
 
 class Control(XmlNode, Composite):
@@ -217,9 +236,7 @@ class Control(XmlNode, Composite):
 
     def __init__(self, name: str, slots: Sequence[Slot], ports: Ports) -> None:
         Composite.__init__(self, name, [slot.node for slot in slots])
-        self._slots = list(slots)
-        self._seen = list(self.children)
-        self.ports = ports
+        self._take(slots, ports)
 
 
 class OneChild(XmlNode, Decorator):
@@ -235,9 +252,7 @@ class OneChild(XmlNode, Decorator):
 
     def __init__(self, name: str, slots: Sequence[Slot], ports: Ports) -> None:
         Decorator.__init__(self, name, slots[0].node)
-        self._slots = list(slots)
-        self._seen = list(self.children)
-        self.ports = ports
+        self._take(slots, ports)
 
     @property
     def child(self) -> Slot:
@@ -246,26 +261,14 @@ class OneChild(XmlNode, Decorator):
 
     def settle(self) -> None:
         """A child that has finished is idle again, whatever the decorator does."""
-        child = self.child
-        if child.status in DONE:
-            child.reset()
+        if self.child.status in DONE:
+            self.child.reset()
 
 
 class Branch(OneChild):
-    """Its child, for somebody who is not of this kind: the caller of a whole tree, or a decorator of the user's.
-
-    Args:
-        name: what the branch is called.
-        slot: the place of its child.
-        blackboard: what its nodes read and write.
-    """
-
-    def __init__(self, name: str, slot: Slot, blackboard: Blackboard) -> None:
-        super().__init__(name, [slot], Ports({}, {}, blackboard))
-        self.blackboard = blackboard
+    """Its child, for somebody who is not of this kind: the caller of a whole tree, or a decorator of the user's."""
 
     def decide(self) -> Ticking:
-        """Tick the child."""
         return (yield from self.child.tick())
 
 

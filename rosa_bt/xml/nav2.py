@@ -2,18 +2,12 @@
 
 from typing import ClassVar, Final
 
-from py_trees.common import Status
 from py_trees.ports import PortInformation
 
-from rosa_bt.parsers.nodes import DONE, Control, OneChild, Ticking
-from rosa_bt.parsers.wrappers import Timed
+from rosa_bt.xml.decorators import Timed
+from rosa_bt.xml.nodes import DONE, FAILURE, RUNNING, SKIPPED, SUCCESS, Control, OneChild, Ticking
 
 __all__ = ["NAV2"]
-
-SUCCESS: Final = Status.SUCCESS
-FAILURE: Final = Status.FAILURE
-RUNNING: Final = Status.RUNNING
-SKIPPED: Final = Status.INVALID
 
 
 class RecoveryNode(Control):
@@ -21,7 +15,6 @@ class RecoveryNode(Control):
 
     CHILDREN = (2, 2)
     PORTS: ClassVar = {"number_of_retries": PortInformation(int, default_value=1)}
-    has_fixed_children = True
     _retries = 0
     _is_recovering = False
 
@@ -48,12 +41,8 @@ class RecoveryNode(Control):
                 self._is_recovering = False
                 return FAILURE
             else:
-                self.forget()
-                self.reset_children()
-                return verdict
-        self.forget()
-        self.reset_children()
-        return FAILURE
+                return self.end(verdict)
+        return self.end(FAILURE)
 
 
 class PipelineSequence(Control):
@@ -73,13 +62,8 @@ class PipelineSequence(Control):
                 self._furthest = index
                 return RUNNING
             if verdict is FAILURE:
-                return self._end(FAILURE)
-        return self._end(SKIPPED if skipped == len(self.children) else SUCCESS)
-
-    def _end(self, verdict: Status) -> Status:
-        self.forget()
-        self.reset_children()
-        return verdict
+                return self.end(FAILURE)
+        return self.end(SKIPPED if skipped == len(self.children) else SUCCESS)
 
 
 class RoundRobin(Control):
@@ -105,9 +89,7 @@ class RoundRobin(Control):
                 return SUCCESS
             skipped += verdict is SKIPPED
             self._failed += verdict is FAILURE
-        self.forget()
-        self.reset_children()
-        return SKIPPED if skipped == len(slots) else FAILURE
+        return self.end(SKIPPED if skipped == len(slots) else FAILURE)
 
 
 class RateController(Timed):
@@ -118,22 +100,19 @@ class RateController(Timed):
     _is_first = True
 
     def initialise(self) -> None:
-        """Tick the child at once."""
-        self._is_first, self._since = True, self.clock()
+        self._is_first, self._since = True, self.ports.clock()
 
     def is_over(self) -> bool:
-        """Tell whether a period has passed."""
         frequency: float = self.ports.get("hz")
-        return self._since is not None and (self.clock() - self._since) * frequency >= 1 - 1e-9
+        return self._since is not None and (self.ports.clock() - self._since) * frequency >= 1 - 1e-9
 
     def decide(self) -> Ticking:
-        """Tick the child if it is its turn."""
         if not (self._is_first or self.child.status is RUNNING or self.is_over()):
             return RUNNING
         self._is_first = False
         verdict = yield from self.child.tick()
         if verdict is SUCCESS:
-            self._since = self.clock()
+            self._since = self.ports.clock()
         return verdict
 
 
@@ -143,11 +122,9 @@ class SingleTrigger(OneChild):
     _is_first = True
 
     def initialise(self) -> None:
-        """Let the child be ticked."""
         self._is_first = True
 
     def decide(self) -> Ticking:
-        """Tick the child unless it has finished."""
         if not self._is_first:
             return FAILURE
         verdict = yield from self.child.tick()
@@ -163,11 +140,9 @@ class GoalUpdatedController(OneChild):
     _is_due = True
 
     def initialise(self) -> None:
-        """Tick the child at once."""
         self._is_due, self._known_goals = True, self._goals()
 
     def decide(self) -> Ticking:
-        """Tick the child if it is its turn."""
         goals = self._goals()
         if goals != self._known_goals:
             self._is_due, self._known_goals = True, goals

@@ -12,12 +12,11 @@ from py_trees.decorators import FailureIsSuccess, Inverter, SuccessIsFailure
 from py_trees.ports import PortsMixin
 
 from rosa_bt.behaviours import ActionBehaviour, RosaAction
-from rosa_bt.parsers.exceptions import ExportError, XmlError
-from rosa_bt.parsers.nodes import Branch, Slot, XmlNode
-from rosa_bt.parsers.reading import Element as Read
-from rosa_bt.parsers.reading import read_document
-from rosa_bt.parsers.registry import BUILT_IN, BehaviourRegistry
-from rosa_bt.parsers.wrappers import SubTree
+from rosa_bt.exceptions import ExportError, XmlError
+from rosa_bt.xml.nodes import Branch, Slot, XmlNode
+from rosa_bt.xml.reader import Element as Read
+from rosa_bt.xml.reader import SubTree, read_document
+from rosa_bt.xml.registry import BUILT_IN, BehaviourRegistry
 
 __all__ = ["export_xml"]
 
@@ -137,7 +136,7 @@ class _Writer:
             self._check_arguments(leaf)
         element = Element(tag, name=leaf.name)
         if isinstance(leaf, ActionBehaviour):
-            if leaf._action is None:
+            if leaf.port_arguments["action"] is None:
                 raise ExportError(f"{leaf.name!r} names no action; make it with one")
             element.set("action", leaf.action)
             if isinstance(leaf, RosaAction) and leaf.preference:
@@ -148,7 +147,7 @@ class _Writer:
         bound = {"kb"} if self._registry is None else set(self._registry.bound)
         known = {"name", "self", "behaviour_class_name", *bound}
         if isinstance(leaf, ActionBehaviour):
-            waits = isinstance(leaf, RosaAction) and leaf._patience is not None
+            waits = isinstance(leaf, RosaAction) and leaf.waits
             known |= {"action", "preference"} if waits else {"action", "preference", "wait", "timeout"}
         elif isinstance(leaf, PortsMixin) and {**leaf.input_ports(), **leaf.output_ports()}:
             raise ExportError(f"{leaf.name!r} has ports on py_trees' own blackboard, which cannot be written")

@@ -6,12 +6,10 @@ from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 from py_trees.ports import PortInformation
 
-from rosa_bt.parsers.blackboard import Blackboard
-from rosa_bt.parsers.ports import Declared, Ports
-from rosa_bt.parsers.scripts import Script, truth
-from rosa_bt.parsers.wrappers import Clock
+from rosa_bt.xml.ports import Declared, Ports
+from rosa_bt.xml.scripts import parse_script, truth
 
-__all__ = ["LEAVES", "Scripted", "Sleep", "XmlLeaf"]
+__all__ = ["LEAVES", "XmlLeaf"]
 
 
 class XmlLeaf(Behaviour):
@@ -20,15 +18,13 @@ class XmlLeaf(Behaviour):
     Args:
         name: what it is called.
         ports: what is said in its attributes.
-        blackboard: of the SubTree that it is in.
     """
 
     PORTS: ClassVar[Declared] = {}
 
-    def __init__(self, name: str, ports: Ports, blackboard: Blackboard) -> None:
+    def __init__(self, name: str, ports: Ports) -> None:
         super().__init__(name)
         self.ports = ports
-        self.blackboard = blackboard
 
 
 class AlwaysSuccess(XmlLeaf):
@@ -45,30 +41,25 @@ class AlwaysFailure(XmlLeaf):
         return Status.FAILURE
 
 
-class Scripted(XmlLeaf):
-    """A leaf that runs a script.
-
-    Attributes:
-        script: what it runs.
-    """
-
-    PORTS: ClassVar = {"code": PortInformation(str)}
-    script: Script
-
-
-class RunScript(Scripted):
+class Script(XmlLeaf):
     """SUCCESS when the script has been run."""
 
+    PORTS: ClassVar = {"code": PortInformation(str)}
+
+    def __init__(self, name: str, ports: Ports) -> None:
+        super().__init__(name, ports)
+        self.script = parse_script(ports.get("code"))
+
     def update(self) -> Status:
-        self.script(self.blackboard)
+        self.script(self.ports.blackboard)
         return Status.SUCCESS
 
 
-class ScriptCondition(Scripted):
+class ScriptCondition(Script):
     """SUCCESS if the script is true, FAILURE if it is false."""
 
     def update(self) -> Status:
-        return Status.SUCCESS if truth(self.script(self.blackboard)) else Status.FAILURE
+        return Status.SUCCESS if truth(self.script(self.ports.blackboard)) else Status.FAILURE
 
 
 class SetBlackboard(XmlLeaf):
@@ -77,7 +68,7 @@ class SetBlackboard(XmlLeaf):
     PORTS: ClassVar = {"value": PortInformation(object), "output_key": PortInformation(object)}
 
     def update(self) -> Status:
-        self.blackboard[_key(self.ports, "output_key")] = self.ports.get("value")
+        self.ports.blackboard[_key(self.ports, "output_key")] = self.ports.get("value")
         return Status.SUCCESS
 
 
@@ -87,27 +78,20 @@ class UnsetBlackboard(XmlLeaf):
     PORTS: ClassVar = {"key": PortInformation(object)}
 
     def update(self) -> Status:
-        self.blackboard.pop(_key(self.ports, "key"), None)
+        self.ports.blackboard.pop(_key(self.ports, "key"), None)
         return Status.SUCCESS
 
 
 class Sleep(XmlLeaf):
-    """RUNNING until the time is over, then SUCCESS.
-
-    Attributes:
-        clock: gives the time [s].
-    """
+    """RUNNING until the time is over, then SUCCESS."""
 
     PORTS: ClassVar = {"msec": PortInformation(int)}
-    clock: Clock
 
     def initialise(self) -> None:
-        """Count the time from now."""
-        self._since = self.clock()
+        self._since = self.ports.clock()
 
     def update(self) -> Status:
-        """Tell whether the time is over."""
-        is_over = self.clock() - self._since >= self.ports.get("msec") / 1000 - 1e-9
+        is_over = self.ports.clock() - self._since >= self.ports.get("msec") / 1000 - 1e-9
         return Status.SUCCESS if is_over else Status.RUNNING
 
 
@@ -116,12 +100,6 @@ def _key(ports: Ports, port: str) -> str:
     return ports.key(port) or str(ports.get(port))
 
 
-LEAVES: Final[dict[str, type[XmlLeaf]]] = {
-    "AlwaysFailure": AlwaysFailure,
-    "AlwaysSuccess": AlwaysSuccess,
-    "Script": RunScript,
-    "ScriptCondition": ScriptCondition,
-    "SetBlackboard": SetBlackboard,
-    "Sleep": Sleep,
-    "UnsetBlackboard": UnsetBlackboard,
-}
+_KINDS: Final = (AlwaysFailure, AlwaysSuccess, Script, ScriptCondition, SetBlackboard, Sleep, UnsetBlackboard)
+LEAVES: Final[dict[str, type[XmlLeaf]]] = {kind.__name__: kind for kind in _KINDS}
+"""By tag."""

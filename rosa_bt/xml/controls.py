@@ -1,20 +1,15 @@
 """The control nodes, each with the semantics of BehaviorTree.CPP 4.10, not of py_trees' namesake."""
 
-from collections.abc import Iterable
+from collections.abc import Sequence as Listed
 from typing import ClassVar, Final
 
 from py_trees.common import Status
 from py_trees.ports import PortInformation
 
-from rosa_bt.parsers.nodes import Control, NodeError, Slot, Ticking
-from rosa_bt.parsers.ports import Ports
+from rosa_bt.xml.nodes import DONE, FAILURE, RUNNING, SKIPPED, SUCCESS, Control, NodeError, Slot, Ticking
+from rosa_bt.xml.ports import Ports
 
 __all__ = ["CONTROLS"]
-
-SUCCESS: Final = Status.SUCCESS
-FAILURE: Final = Status.FAILURE
-RUNNING: Final = Status.RUNNING
-SKIPPED: Final = Status.INVALID
 
 
 class _InOrder(Control):
@@ -138,24 +133,32 @@ class _Together(Control):
 
     _ended: dict[Slot, Status]
 
-    def __init__(self, name: str, slots: Iterable[Slot], ports: Ports) -> None:
-        super().__init__(name, list(slots), ports)
+    def __init__(self, name: str, slots: Listed[Slot], ports: Ports) -> None:
+        super().__init__(name, slots, ports)
         self._ended = {}
 
     def forget(self) -> None:
         self._ended = {}
 
-    def count(self, threshold: int) -> int:
-        """Return a number of children; a negative one counts from all of them: -1 is all."""
-        return threshold if threshold >= 0 else max(len(self.children) + threshold + 1, 0)
+    def _number(self, port: str) -> int:
+        """Return the number of children that a port says; a negative one counts from all of them: -1 is all."""
+        said: int = self.ports.get(port)
+        number = said if said >= 0 else max(len(self.children) + said + 1, 0)
+        if number > len(self.children):
+            raise NodeError(f"{self.name!r} has {len(self.children)} children; {port} cannot be more")
+        return number
 
-    def ended(self, verdict: Status) -> int:
-        return sum(self._ended.get(slot) is verdict for slot in self.slots)
-
-    def end(self, verdict: Status) -> Status:
-        self.forget()
-        self.reset_children()
+    def _go_on(self, slot: Slot) -> Ticking:
+        """Tick a child unless it has finished."""
+        if slot in self._ended:
+            return self._ended[slot]
+        verdict = yield from slot.tick()
+        if verdict in DONE:
+            self._ended[slot] = verdict
         return verdict
+
+    def _ended_with(self, verdict: Status) -> int:
+        return sum(self._ended.get(slot) is verdict for slot in self.slots)
 
 
 class Parallel(_Together):
@@ -167,19 +170,13 @@ class Parallel(_Together):
     }
 
     def decide(self) -> Ticking:
-        enough = self.ports.get("success_count")
-        successes, failures = self.count(enough), self.count(self.ports.get("failure_count"))
-        if max(successes, failures) > len(self.children):
-            raise NodeError(f"{self.name!r} has {len(self.children)} children; neither count can be more")
+        successes, failures = self._number("success_count"), self._number("failure_count")
+        counts_skipped = self.ports.get("success_count") < 0
         skipped = 0
         for slot in self.slots:
-            if slot not in self._ended:
-                verdict = yield from slot.tick()
-                skipped += verdict is SKIPPED
-                if verdict in (SUCCESS, FAILURE):
-                    self._ended[slot] = verdict
-            succeeded, failed = self.ended(SUCCESS), self.ended(FAILURE)
-            if succeeded >= successes or (enough < 0 and succeeded + skipped >= successes):
+            skipped += (yield from self._go_on(slot)) is SKIPPED
+            succeeded, failed = self._ended_with(SUCCESS), self._ended_with(FAILURE)
+            if succeeded >= successes or (counts_skipped and succeeded + skipped >= successes):
                 return self.end(SUCCESS)
             if len(self.children) - failed < successes or failed == failures:
                 return self.end(FAILURE)
@@ -192,28 +189,21 @@ class ParallelAll(_Together):
     PORTS: ClassVar = {"max_failures": PortInformation(int, default_value=1)}
 
     def decide(self) -> Ticking:
-        failures = self.count(self.ports.get("max_failures"))
-        if failures > len(self.children):
-            raise NodeError(f"{self.name!r} has {len(self.children)} children; max_failures cannot be more")
+        failures = self._number("max_failures")
         skipped = 0
         for slot in self.slots:
-            if slot not in self._ended:
-                verdict = yield from slot.tick()
-                skipped += verdict is SKIPPED
-                if verdict in (SUCCESS, FAILURE):
-                    self._ended[slot] = verdict
+            skipped += (yield from self._go_on(slot)) is SKIPPED
         if skipped == len(self.children):
             return SKIPPED
-        if skipped + self.ended(SUCCESS) + self.ended(FAILURE) < len(self.children):
+        if skipped + self._ended_with(SUCCESS) + self._ended_with(FAILURE) < len(self.children):
             return RUNNING
-        return self.end(FAILURE if self.ended(FAILURE) >= failures else SUCCESS)
+        return self.end(FAILURE if self._ended_with(FAILURE) >= failures else SUCCESS)
 
 
 class IfThenElse(Control):
     """The condition once, then the second child or the third to its end."""
 
     CHILDREN = (2, 3)
-    has_fixed_children = True
     _chosen = 0
 
     def forget(self) -> None:
@@ -231,17 +221,13 @@ class IfThenElse(Control):
                 return FAILURE  # the condition stays finished: an action is not started again
             self._chosen = 1 if verdict is SUCCESS else 2
         verdict = yield from slots[self._chosen].tick()
-        if verdict is not RUNNING:
-            self.reset_children()
-            self.forget()
-        return verdict
+        return verdict if verdict is RUNNING else self.end(verdict)
 
 
 class WhileDoElse(Control):
     """The condition at each tick; the second child while it succeeds, the third while it fails."""
 
     CHILDREN = (2, 3)
-    has_fixed_children = True
 
     def decide(self) -> Ticking:
         condition, *rest = self.slots
@@ -256,15 +242,12 @@ class WhileDoElse(Control):
                 other.reset()
         if chosen < len(rest):
             verdict = yield from rest[chosen].tick()
-        if verdict is not RUNNING:
-            self.reset_children()
-        return verdict
+        return verdict if verdict is RUNNING else self.end(verdict)
 
 
 class Switch(Control):
     """The child whose case equals the variable, or else the last; a subclass says how many cases there are."""
 
-    has_fixed_children = True
     runs = False
     _running: Slot | None = None
 
@@ -307,11 +290,11 @@ def _switch(cases: int) -> type[Switch]:
     return type(f"Switch{cases}", (Switch,), {"PORTS": ports, "CHILDREN": (cases + 1, cases + 1)})
 
 
-_BASIC: Final[tuple[type[Control], ...]] = (
+_KINDS: Final[tuple[type[Control], ...]] = (
     *(Sequence, AsyncSequence, SequenceWithMemory, ReactiveSequence),
     *(Fallback, AsyncFallback, ReactiveFallback),
-    *(IfThenElse, WhileDoElse),
+    *(Parallel, ParallelAll, IfThenElse, WhileDoElse),
+    *map(_switch, range(2, 7)),
 )
-_COUNTING: Final[tuple[type[Control], ...]] = (Parallel, ParallelAll, *map(_switch, range(2, 7)))
-CONTROLS: Final[dict[str, type[Control]]] = {kind.__name__: kind for kind in (*_BASIC, *_COUNTING)}
+CONTROLS: Final[dict[str, type[Control]]] = {kind.__name__: kind for kind in _KINDS}
 """By tag."""

@@ -1,26 +1,17 @@
 """The decorators, each with the semantics of BehaviorTree.CPP 4.10, not of py_trees' namesake."""
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from enum import Enum
 from typing import ClassVar, Final
 
 from py_trees.common import Status
 from py_trees.ports import PortInformation
 
-from rosa_bt.parsers.blackboard import Blackboard
-from rosa_bt.parsers.nodes import DONE, Branch, OneChild, Slot, Ticking
-from rosa_bt.parsers.reading import Element
-from rosa_bt.parsers.scripts import Script, truth
+from rosa_bt.xml.nodes import DONE, FAILURE, RUNNING, SKIPPED, SUCCESS, OneChild, Slot, Ticking
+from rosa_bt.xml.ports import Ports
+from rosa_bt.xml.scripts import parse_script, truth
 
-__all__ = ["Clock", "DECORATORS", "Precondition", "SubTree", "Timed"]
-
-SUCCESS: Final = Status.SUCCESS
-FAILURE: Final = Status.FAILURE
-RUNNING: Final = Status.RUNNING
-SKIPPED: Final = Status.INVALID
-
-Clock = Callable[[], float]
-"""Gives the time [s]."""
+__all__ = ["DECORATORS", "Timed"]
 
 
 class _Translated(OneChild):
@@ -115,7 +106,6 @@ class RunOnce(OneChild):
         return self._outcome is SKIPPED
 
     def decide(self) -> Ticking:
-        """Tick the child unless it has finished."""
         if not self.runs:
             return SKIPPED if self.ports.get("then_skip") else self._outcome
         verdict = yield from self.child.tick()
@@ -125,23 +115,17 @@ class RunOnce(OneChild):
 
 
 class Timed(OneChild):
-    """A decorator that has a clock; the time counts from the tick in which it begins.
-
-    Attributes:
-        clock: gives the time [s].
-    """
+    """A decorator that looks at the clock; the time counts from the tick in which it begins."""
 
     port: ClassVar[str]
-    clock: Clock
     _since: float | None = None
 
     def forget(self) -> None:
-        """Count the time anew at the next start."""
         self._since = None
 
     def is_over(self) -> bool:
         """Begin if need be, and tell whether the time is over."""
-        now = self.clock()
+        now = self.ports.clock()
         if self._since is None:
             self._since = now
         milliseconds: int = self.ports.get(self.port)
@@ -155,7 +139,6 @@ class Delay(Timed):
     PORTS: ClassVar = {"delay_msec": PortInformation(int)}
 
     def decide(self) -> Ticking:
-        """Tick the child if the time is over."""
         if not self.is_over():
             return RUNNING
         verdict = yield from self.child.tick()
@@ -172,11 +155,9 @@ class Timeout(Timed):
     _is_spent = False
 
     def forget(self) -> None:
-        """Count the time anew at the next start."""
         self._since, self._is_spent = None, False
 
     def decide(self) -> Ticking:
-        """Halt the child if the time is over, or else tick it."""
         if self.is_over() and not self._is_spent and self.ports.get("msec") > 0:
             self._is_spent = True
             if self.child.status is RUNNING:
@@ -199,52 +180,30 @@ class Otherwise(Enum):
 
 
 class Precondition(OneChild):
-    """The child if a script says so when it begins; otherwise what `else` says.
-
-    Attributes:
-        condition: the script.
-        blackboard: that the script speaks of.
-    """
+    """The child if a script says so when it begins; otherwise what `else` says."""
 
     PORTS: ClassVar = {
         "if": PortInformation(str),
         "else": PortInformation(Otherwise, default_value=Otherwise.FAILURE),
     }
     runs = False
-    condition: Script
-    blackboard: Blackboard
     _is_begun = False
 
+    def __init__(self, name: str, slots: Sequence[Slot], ports: Ports) -> None:
+        super().__init__(name, slots, ports)
+        self._condition = parse_script(ports.get("if"))
+
     def forget(self) -> None:
-        """Ask the script at the next tick."""
         self._is_begun = False
 
     def decide(self) -> Ticking:
-        """Ask the script unless the child is running, and tick the child."""
-        self._is_begun = self._is_begun or truth(self.condition(self.blackboard))
+        self._is_begun = self._is_begun or truth(self._condition(self.ports.blackboard))
         if not self._is_begun:
             otherwise: Otherwise = self.ports.get("else")
             return otherwise.value
         verdict = yield from self.child.tick()
         self._is_begun = verdict is RUNNING
         return verdict
-
-
-class SubTree(Branch):
-    """A tree in its place: below another one, or as the whole that is ticked.
-
-    Attributes:
-        tree: its ID.
-        blackboard: what its nodes read and write; a mapping.
-        models: of the file that it was read from.
-    """
-
-    def __init__(
-        self, name: str, slot: Slot, blackboard: Blackboard, tree: str, models: tuple[Element, ...] = ()
-    ) -> None:
-        super().__init__(name, slot, blackboard)
-        self.tree = tree
-        self.models = models
 
 
 DECORATORS: Final[dict[str, type[OneChild]]] = {
@@ -254,3 +213,4 @@ DECORATORS: Final[dict[str, type[OneChild]]] = {
         *(Delay, Timeout, Precondition),
     )
 }
+"""By tag."""

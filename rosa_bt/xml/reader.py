@@ -1,0 +1,451 @@
+"""From XML text to elements that know their file and line, and from elements to behaviours."""
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Final, Protocol, cast
+
+from py_trees.behaviour import Behaviour
+
+from rosa_bt.exceptions import RosaBtError, XmlError, hint, in_words
+from rosa_bt.xml.controls import CONTROLS
+from rosa_bt.xml.decorators import DECORATORS
+from rosa_bt.xml.leaves import LEAVES, XmlLeaf
+from rosa_bt.xml.nav2 import NAV2
+from rosa_bt.xml.nodes import MAX_NODES, Branch, Control, OneChild, Rules, Slot, Source, is_plain
+from rosa_bt.xml.ports import Blackboard, Clock, Ports, key_of
+from rosa_bt.xml.registry import BehaviourRegistry, Entry
+from rosa_bt.xml.scripts import parse_script
+
+__all__ = ["Document", "Element", "MAX_DEPTH", "MAX_SIZE", "SubTree", "load_xml", "read_document"]
+
+MAX_SIZE: Final = 1_000_000
+"""Of one file or text [bytes]."""
+MAX_DEPTH: Final = 100
+"""Levels of elements in a file, and of nodes in a tree with all its subtrees."""
+
+_MODELS: Final = ("Action", "Condition", "Control", "Decorator", "SubTree")
+
+
+@dataclass(frozen=True)
+class Element:
+    """One element of a file.
+
+    Attributes:
+        tag: e.g. `Sequence`.
+        attributes: as written.
+        children: the elements in it; text is passed over, as BehaviorTree.CPP does.
+        file: where it was read; `<text>` for a text that was handed in.
+        line: of its start.
+    """
+
+    tag: str
+    attributes: Mapping[str, str]
+    children: tuple["Element", ...]
+    file: str
+    line: int
+
+    @property
+    def where(self) -> str:
+        """File and line, for messages."""
+        return f"{self.file}:{self.line}"
+
+    def get(self, attribute: str) -> str:
+        """Return an attribute that has to be there."""
+        if not self.attributes.get(attribute):
+            raise XmlError(self.where, f"<{self.tag}> has no {attribute}; write {attribute}=... in it")
+        return self.attributes[attribute]
+
+
+@dataclass
+class Document:
+    """What a file and those that it includes define.
+
+    Attributes:
+        root: the outermost element of the file itself.
+        trees: by ID.
+        models: elements of the TreeNodesModels, by ID.
+    """
+
+    root: Element
+    trees: dict[str, Element] = field(default_factory=dict)
+    models: dict[str, Element] = field(default_factory=dict)
+
+    def main(self, wanted: str | None) -> str:
+        """Return the ID of the tree to make: the one that is asked for, the file's main tree, or the only one."""
+        chosen = wanted or self.root.attributes.get("main_tree_to_execute")
+        if chosen is not None:
+            self.tree(chosen, self.root)
+            return chosen
+        if len(self.trees) != 1:
+            known = ", ".join(self.trees) or "none"
+            raise XmlError(
+                self.root.where,
+                f"which tree? There are: {known}; say load_xml(..., tree=...) or write main_tree_to_execute in <root>",
+            )
+        return next(iter(self.trees))
+
+    def tree(self, name: str, asked_by: Element) -> Element:
+        """Return a tree by its ID."""
+        if name not in self.trees:
+            raise XmlError(asked_by.where, f"no tree has the ID {name!r}; {hint(name, self.trees, 'trees')}")
+        return self.trees[name]
+
+
+def read_document(text_or_path: str | Path) -> Document:
+    """Read a text, or a file with what it includes.
+
+    Raises:
+        XmlError: it is no file of BehaviorTree.CPP 4, or a limit is exceeded.
+    """
+    if isinstance(text_or_path, str) and text_or_path.lstrip("\ufeff \t\r\n").startswith("<"):
+        document = Document(_parse(text_or_path.lstrip("\ufeff \t\r\n"), "<text>"))
+        _collect(document, document.root, Path.cwd(), [], set())
+        return document
+    if isinstance(text_or_path, str) and not text_or_path.strip("\ufeff \t\r\n"):
+        raise XmlError("<text>", "the text is empty; give the XML itself, or the path of a file")
+    path = Path(text_or_path)
+    document = Document(_read(path, str(path)))
+    _collect(document, document.root, path.parent, [path.resolve()], {path.resolve()})
+    return document
+
+
+def _read(path: Path, where: str) -> Element:
+    if not path.is_file():
+        raise XmlError(where, f"there is no file {str(path)!r}; give the path of one, or the XML itself as text")
+    if path.stat().st_size > MAX_SIZE:
+        raise XmlError(where, f"{path} has more than {MAX_SIZE} bytes; divide it and include the parts")
+    return _parse(path.read_bytes(), str(path))
+
+
+def _collect(document: Document, root: Element, folder: Path, chain: list[Path], seen: set[Path]) -> None:
+    _check_root(root)
+    unnamed = [one for one in root.children if one.tag == "BehaviorTree" and "ID" not in one.attributes]
+    for element in root.children:
+        if element.tag == "BehaviorTree":
+            alone = element in unnamed and sum(one.tag == "BehaviorTree" for one in root.children) == 1
+            _add(document.trees, "BehaviorTree" if alone else element.get("ID"), element)
+        elif element.tag == "TreeNodesModel":
+            for model in element.children:
+                if model.tag not in _MODELS:
+                    raise XmlError(model.where, f"a model is one of {', '.join(_MODELS)}, not <{model.tag}>")
+                _add(document.models, model.get("ID"), model)
+        elif element.tag == "include":
+            _include(document, element, folder, chain, seen)
+        else:
+            known = ["BehaviorTree", "TreeNodesModel", "include"]
+            raise XmlError(
+                element.where, f"<{element.tag}> cannot stand in <root>; {hint(element.tag, known, 'known')}"
+            )
+
+
+def _add(table: dict[str, Element], name: str, element: Element) -> None:
+    if name in table:
+        first = table[name].where
+        raise XmlError(element.where, f"{name!r} is defined twice, first in {first}; give one of them another ID")
+    table[name] = element
+
+
+def _include(document: Document, element: Element, folder: Path, chain: list[Path], seen: set[Path]) -> None:
+    if "ros_pkg" in element.attributes:
+        raise XmlError(element.where, "ros_pkg needs a ROS installation, which is not asked for; write the path alone")
+    written = Path(element.get("path"))
+    path = (folder / written).resolve()
+    if path in chain:
+        circle = " -> ".join(one.name for one in [*chain[chain.index(path) :], path])
+        raise XmlError(element.where, f"files include each other: {circle}")
+    if path in seen:
+        return
+    if len(chain) > MAX_DEPTH:
+        raise XmlError(element.where, f"more than {MAX_DEPTH} files include each other in a row")
+    seen.add(path)
+    root = _read(path, element.where)
+    _collect(document, root, path.parent, [*chain, path], seen)
+
+
+def _check_root(root: Element) -> None:
+    if root.tag != "root":
+        raise XmlError(root.where, f"the outermost element is <root>, not <{root.tag}>")
+    version = root.attributes.get("BTCPP_format", "4")
+    if version == "3":
+        advice = "convert the file with convert_v3_to_v4.py, which comes with BehaviorTree.CPP"
+        raise XmlError(root.where, f'BTCPP_format="3" gives some names another meaning; {advice}')
+    if version != "4":
+        raise XmlError(root.where, f'BTCPP_format={version!r} is not known; this reads BTCPP_format="4"')
+
+
+class _Expat(Protocol):
+    CurrentLineNumber: int
+
+
+class _Target:
+    """Takes what the parser finds; makes elements of it."""
+
+    def __init__(self, file: str) -> None:
+        self.file = file
+        self.expat: _Expat | None = None
+        self._open: list[tuple[str, dict[str, str], int, list[Element]]] = []
+        self._root: list[Element] = []
+
+    @property
+    def line(self) -> int:
+        return self.expat.CurrentLineNumber if self.expat else 1
+
+    def start(self, tag: str, attributes: Mapping[str, str]) -> None:
+        if len(self._open) >= MAX_DEPTH + 3:  # the root, the tree and what a model has in it are not nodes
+            raise XmlError(f"{self.file}:{self.line}", f"more than {MAX_DEPTH} elements in each other; use SubTree")
+        self._open.append((tag, dict(attributes), self.line, []))
+
+    def end(self, tag: str) -> None:
+        _, attributes, line, children = self._open.pop()
+        element = Element(tag, attributes, tuple(children), self.file, line)
+        (self._open[-1][3] if self._open else self._root).append(element)
+
+    def data(self, text: str) -> None:
+        pass
+
+    def close(self) -> Element:
+        return self._root[0]
+
+
+def _parse(text: str | bytes, file: str) -> Element:
+    from defusedxml.common import DefusedXmlException
+    from defusedxml.ElementTree import ParseError, XMLParser
+
+    if len(text) > MAX_SIZE:
+        raise XmlError(file, f"it has more than {MAX_SIZE} bytes; divide it and include the parts")
+    target = _Target(file)
+    parser = XMLParser(target=target, forbid_dtd=True)
+    target.expat = cast(_Expat, parser.parser)
+    try:
+        parser.feed(text)
+        return cast(Element, parser.close())
+    except DefusedXmlException:
+        raise XmlError(f"{file}:{target.line}", "a document type or entity is not read; write values out") from None
+    except ParseError as error:
+        raise XmlError(f"{file}:{error.position[0]}", f"it is no XML: {error}") from None
+    except (ValueError, LookupError) as error:
+        if isinstance(error, XmlError):
+            raise
+        raise XmlError(f"{file}:{target.line}", f"it cannot be decoded: {error}") from None
+
+
+_NODES: Final[Mapping[str, type[Control] | type[OneChild]]] = {**CONTROLS, **NAV2, **DECORATORS}
+_EXPLICIT: Final = ("Action", "Condition", "Control", "Decorator")
+_OWN: Final = "it is BehaviorTree.CPP's, but not read here; register a behaviour of your own under another name"
+_NOT_READ: Final = {
+    "SubTreePlus": 'version 4 writes <SubTree ID="..." _autoremap="true"/> instead',
+    **dict.fromkeys(("ConsumeQueue", "EntryUpdated", "LoopBool", "LoopDouble", "LoopInt", "LoopString"), _OWN),
+    **dict.fromkeys(("ManualSelector", "SkipUnlessUpdated", "TestNode", "WaitValueUpdate", "WasEntryUpdated"), _OWN),
+}
+_ELSEWHERE: Final = ("_autoremap", "_description")
+"""Attributes with an underscore that are no rules; editors write others, which mean nothing."""
+
+
+class SubTree(Branch):
+    """A tree in its place: below another one, or as the whole that is ticked.
+
+    Attributes:
+        blackboard: what its nodes read and write; a mapping.
+        tree: its ID.
+        models: of the file that it was read from.
+    """
+
+    def __init__(self, name: str, slot: Slot, ports: Ports, tree: str, models: tuple[Element, ...]) -> None:
+        super().__init__(name, [slot], ports)
+        self.blackboard = ports.blackboard
+        self.tree = tree
+        self.models = models
+
+
+def load_xml(
+    text_or_path: str | Path,
+    registry: BehaviourRegistry,
+    tree: str | None = None,
+    *,
+    clock: Clock | None = None,
+) -> SubTree:
+    """Make a tree that is written in the XML of BehaviorTree.CPP 4, with its semantics.
+
+    Args:
+        text_or_path: the XML itself, or the file that it is in.
+        registry: the behaviours that the leaves are.
+        tree: ID of the tree to make; without it, the file's `main_tree_to_execute`, or its only one.
+        clock: gives the time [s] to Delay, Timeout and Sleep; without it, the clock of the knowledge base that the
+            registry is bound to, or else the monotonic one of this computer.
+
+    Returns:
+        A py_trees behaviour, to be ticked like any other. INVALID after a tick means that it was skipped.
+
+    Raises:
+        XmlError: the file cannot be read, or a tree not be made of it; the message begins with file and line.
+    """
+    document = read_document(text_or_path)
+    builder = _Builder(document, registry)
+    return builder.tree(document.main(tree), document.root, None, _Place(Blackboard(clock or _clock_of(registry))))
+
+
+def _clock_of(registry: BehaviourRegistry) -> Clock:
+    kb = registry.bound.get("kb")
+    return time.monotonic if kb is None else lambda: float(kb.now)
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Where a node is: what it reads and writes, in which trees, and how deep."""
+
+    board: Blackboard
+    trees: tuple[str, ...] = ()
+    depth: int = 0
+
+
+class _Builder:
+    def __init__(self, document: Document, registry: BehaviourRegistry) -> None:
+        self._document = document
+        self._registry = registry
+        self._count = 0
+
+    def tree(self, tree: str, asked_by: Element, name: str | None, place: _Place) -> SubTree:
+        """Make a tree with all that is in it."""
+        if tree in place.trees:
+            raise XmlError(asked_by.where, f"a tree is in itself: {' -> '.join([*place.trees, tree])}")
+        element = self._document.tree(tree, asked_by)
+        if len(element.children) != 1:
+            raise XmlError(element.where, f"a tree has one child, not {len(element.children)}; put a Sequence around")
+        slot = self._slot(element.children[0], replace(place, trees=(*place.trees, tree)))
+        return SubTree(name or tree, slot, Ports({}, {}, place.board), tree, tuple(self._document.models.values()))
+
+    def _slot(self, element: Element, place: _Place) -> Slot:
+        self._count += 1
+        if self._count > MAX_NODES:
+            raise XmlError(element.where, f"the tree has more than {MAX_NODES} nodes, subtrees included")
+        if place.depth >= MAX_DEPTH:
+            raise XmlError(element.where, f"the tree is more than {MAX_DEPTH} levels deep, subtrees included")
+        try:
+            rules = _rules(element, place.board)
+            node, is_condition = self._node(element, replace(place, depth=place.depth + 1))
+        except XmlError:
+            raise
+        except Exception as error:  # whatever behaviours of the user raise when they are made
+            problem = str(error) if isinstance(error, RosaBtError) else in_words(error)
+            raise XmlError(element.where, f"<{_tag(element)}> cannot be made: {problem}") from error
+        return Slot(node, is_condition, Source(element.tag, element.attributes), rules)
+
+    def _node(self, element: Element, place: _Place) -> tuple[Behaviour, bool]:
+        """Return the node, and whether it is a condition."""
+        tag, written = _tag(element), _written(element)
+        name = element.attributes.get("name") or tag
+        if tag == "SubTree":
+            return self._subtree(element, written, place), False
+        if tag in self._registry:
+            return self._registered(element, tag, name, place)
+        if tag in LEAVES:
+            _check_children(element, 0, 0)
+            leaf = LEAVES[tag](name, _ports(LEAVES[tag], written, place))
+            return leaf, is_plain(leaf)
+        kind = _NODES.get(tag)
+        if kind is None:
+            raise XmlError(element.where, self._unknown(tag))
+        _check_children(element, *kind.CHILDREN)
+        _check_reactive(element, tag)
+        ports = _ports(kind, written, place)
+        return kind(name, [self._slot(child, place) for child in element.children], ports), False
+
+    def _registered(self, element: Element, tag: str, name: str, place: _Place) -> tuple[Behaviour, bool]:
+        entry = self._registry[tag]
+        _check_children(element, *entry.children())
+        slots = [self._slot(child, place) for child in element.children]
+        branches = [Branch(slot.node.name, [slot], Ports({}, {}, place.board)) for slot in slots]
+        node = entry.make(name, _written(element), branches, place.board)
+        return node, not slots and self._is_condition(entry, element, tag, node)
+
+    def _is_condition(self, entry: Entry, element: Element, tag: str, leaf: Behaviour) -> bool:
+        if entry.kind is not None:
+            return entry.kind == "condition"
+        model = self._document.models.get(tag)
+        said = element.tag if element.tag in _EXPLICIT else model.tag if model is not None else ""
+        return said == "Condition" or (said != "Action" and is_plain(leaf))
+
+    def _subtree(self, element: Element, written: dict[str, str], place: _Place) -> SubTree:
+        tree = element.get("ID")
+        _check_children(element, 0, 0)
+        autoremap = element.attributes.get("_autoremap", "false").lower()
+        if autoremap not in ("true", "false", "1", "0"):
+            raise XmlError(element.where, f"_autoremap is true or false, not {autoremap!r}")
+        written = {**self._defaults(element, tree, written), **written}
+        keys = {name: key for name, text in written.items() if (key := key_of(text, name)) is not None}
+        constants = {name: text for name, text in written.items() if name not in keys}
+        board = Blackboard(place.board.clock, place.board, keys, constants, autoremap=autoremap in ("true", "1"))
+        return self.tree(tree, element, element.attributes.get("name"), replace(place, board=board))
+
+    def _defaults(self, element: Element, tree: str, written: Mapping[str, str]) -> dict[str, str]:
+        """Return what the model of a tree says of ports that are not written."""
+        model = self._document.models.get(tree)
+        found = {}
+        for port in model.children if model is not None and model.tag == "SubTree" else ():
+            if port.tag not in ("input_port", "output_port", "inout_port"):  # editors write other things, too
+                continue
+            name = port.get("name")
+            if "default" in port.attributes:
+                found[name] = port.attributes["default"]
+            elif name not in written:
+                raise XmlError(element.where, f"the tree {tree!r} needs {name}=..., its model ({port.where}) says")
+        return found
+
+    def _unknown(self, tag: str) -> str:
+        if tag in _NOT_READ:
+            return f"<{tag}> is not read: {_NOT_READ[tag]}"
+        if tag in self._document.trees:
+            return f'<{tag}> is a tree; write <SubTree ID="{tag}"/>'
+        own = hint(tag, [*_NODES, *LEAVES, "SubTree"], "nodes")
+        guess = f"did you mean the node {own.split('?')[0].removeprefix('did you mean ')}? " if "?" in own else ""
+        return f"<{tag}> is unknown; {guess}{hint(tag, self._registry, 'registered behaviours')}"
+
+
+def _tag(element: Element) -> str:
+    return element.get("ID") if element.tag in _EXPLICIT else element.tag
+
+
+def _written(element: Element) -> dict[str, str]:
+    """Return the attributes that are ports."""
+    own = ("name", "ID")
+    return {key: text for key, text in element.attributes.items() if key not in own and not key.startswith("_")}
+
+
+def _ports(kind: type[Control] | type[OneChild] | type[XmlLeaf], written: Mapping[str, str], place: _Place) -> Ports:
+    ports = Ports(kind.PORTS, written, place.board)
+    ports.check_required()
+    return ports
+
+
+def _rules(element: Element, board: Blackboard) -> Rules | None:
+    scripts = {}
+    for name, text in element.attributes.items():
+        if name in Rules.NAMES:
+            scripts[name] = parse_script(text)
+        elif name == "__shared_blackboard":
+            raise XmlError(element.where, f"{name} is of version 3; write _autoremap in the SubTree")
+        elif name.startswith("_") and name not in _ELSEWHERE:
+            guess = hint(name, (*Rules.NAMES, *_ELSEWHERE), "known")
+            if guess.startswith("did you mean"):
+                raise XmlError(element.where, f"<{element.tag}> has an attribute {name!r}; {guess}")
+    return Rules(board, scripts) if scripts else None
+
+
+def _check_children(element: Element, least: int, most: int) -> None:
+    count = len(element.children)
+    if least <= count <= most:
+        return
+    wanted = f"{least}" if least == most else f"at least {least}" if most >= MAX_NODES else f"{least} to {most}"
+    advice = "; put a Sequence around them" if most == 1 and count > 1 else ""
+    raise XmlError(
+        element.where,
+        f"<{_tag(element)}> has {count} {'child' if count == 1 else 'children'}; it takes {wanted}{advice}",
+    )
+
+
+def _check_reactive(element: Element, tag: str) -> None:
+    several = [child for child in element.children if _tag(child) == "AsyncSequence"]
+    if tag == "ReactiveSequence" and len(several) > 1:
+        raise XmlError(several[1].where, "a ReactiveSequence has at most one asynchronous child; use Sequence in it")

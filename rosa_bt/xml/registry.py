@@ -1,0 +1,275 @@
+"""Which behaviour stands behind which name in a file, and making it: arguments and ports from attributes."""
+
+import inspect
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import Any, Final, Literal, TypeVar, get_type_hints, overload
+
+from py_trees.behaviour import Behaviour
+from py_trees.ports import PortInformation, PortsMixin
+
+from rosa_bt.behaviours import HasStatus, IsActionFeasible, KbBehaviour, Measurement, WaitForArchitecture
+from rosa_bt.exceptions import RegistryError
+from rosa_bt.xml.controls import CONTROLS
+from rosa_bt.xml.decorators import DECORATORS
+from rosa_bt.xml.leaves import LEAVES
+from rosa_bt.xml.nodes import MAX_NODES, Branch
+from rosa_bt.xml.ports import Blackboard, Declared, Port, PortError, Ports, key_of
+
+__all__ = ["BUILT_IN", "BehaviourRegistry", "Entry", "Kind"]
+
+Factory = Callable[..., Behaviour]
+F = TypeVar("F", bound=Factory)
+Kind = Literal["action", "condition"]
+
+_FORMS: Final = ("Action", "BehaviorTree", "Condition", "Control", "Decorator", "SubTree", "root")
+BUILT_IN: Final = frozenset({*CONTROLS, *DECORATORS, *LEAVES, *_FORMS})
+"""Names that have their meaning already."""
+_OUR_LEAVES: Final = (HasStatus, IsActionFeasible, Measurement, WaitForArchitecture)
+_ROLES: Final = frozenset({"name", "child", "children", "behaviour_class_name"})
+"""Parameters that no attribute is meant for."""
+_VARIOUS: Final = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+_FREE: Final = PortInformation(object, required=False)
+
+
+@dataclass(frozen=True)
+class Entry:
+    """What is registered under a name.
+
+    Attributes:
+        factory: makes the behaviour.
+        kind: what was said of it; None for nothing.
+        bound: arguments that every factory is given that has a parameter of that name.
+    """
+
+    factory: Factory
+    kind: Kind | None
+    bound: Mapping[str, Any]
+
+    def children(self) -> tuple[int, int]:
+        """Return how many children it takes, at least and at most."""
+        if "children" in self._parameters:
+            return 1, MAX_NODES
+        return (1, 1) if "child" in self._parameters else (0, 0)
+
+    def make(self, name: str, written: Mapping[str, str], branches: Sequence[Branch], board: Blackboard) -> Behaviour:
+        """Make the behaviour.
+
+        Args:
+            name: what it is called.
+            written: its attributes.
+            branches: its children.
+            board: what it reads and writes.
+
+        Raises:
+            PortError: an attribute has no meaning for it, is missing, or is of another type.
+        """
+        ports = self._class_ports or {}
+        declared: dict[str, PortInformation] = {}
+        if self._takes_more and self._class_ports is None:
+            declared.update(dict.fromkeys(written, _FREE))
+        declared.update({key: _both(port, ports.get(key)) for key, port in self._arguments.items()})
+        mine = {key: text for key, text in written.items() if key in declared}
+        for key in ports:  # what has a key is read from the port, unless the constructor cannot do without it
+            if key in mine and not declared[key].required and key_of(mine[key], key) is not None:
+                del mine[key]
+        rest = {key: text for key, text in written.items() if key not in declared or key in ports}
+        taken = Ports(declared, mine, board)
+        for key, port in declared.items():
+            if port.required and key not in mine:
+                raise PortError(f"{key!r} is missing; write {key}=... in the element, or hand it to BehaviourRegistry")
+        given = {key: _argument(key, declared[key], taken) for key in mine}
+        behaviour = self.factory(**self._offered(name, branches), **given)
+        if not isinstance(behaviour, PortsMixin):
+            Ports(declared, rest, board)  # raises if there is any, and says which ports there are
+            return behaviour
+        known = {**behaviour.input_ports(), **behaviour.output_ports()}
+        if not rest.keys() <= known.keys():
+            Ports({**declared, **known}, rest, board)  # says which there are, those of the constructor, too
+        connected = Ports(known, rest, board)
+        connected.check_required(frozenset(behaviour.output_ports()) | mine.keys())
+        connected.connect(behaviour)
+        if isinstance(behaviour, KbBehaviour):
+            _check_leaf(behaviour, rest, mine, connected)
+        return behaviour
+
+    @cached_property
+    def _maker(self) -> Factory:
+        """The class or function that a partial one calls."""
+        maker = self.factory
+        while isinstance(maker, partial):
+            maker = maker.func
+        return maker
+
+    @cached_property
+    def _parameters(self) -> Mapping[str, inspect.Parameter]:
+        return inspect.signature(self.factory).parameters
+
+    @cached_property
+    def _takes_more(self) -> bool:
+        return any(one.kind is one.VAR_KEYWORD for one in self._parameters.values())
+
+    @cached_property
+    def _class_ports(self) -> Declared | None:
+        """The ports that py_trees knows of, if the factory is a class that declares them."""
+        maker = self._maker
+        if isinstance(maker, type) and issubclass(maker, PortsMixin):
+            return {**maker.input_ports(), **maker.output_ports()}
+        return None
+
+    @cached_property
+    def _name_parameter(self) -> str:
+        """The parameter that takes the name: `name`, or else the first one that a function needs."""
+        parameters = self._parameters.values()
+        if "name" in self._parameters or isinstance(self._maker, type):
+            return "name"
+        needed = [one.name for one in parameters if one.default is one.empty and one.kind not in _VARIOUS]
+        return next((name for name in needed if name not in self.bound and name not in _ROLES), "name")
+
+    @cached_property
+    def _arguments(self) -> Declared:
+        """The parameters that can be written as attributes, as ports."""
+        maker = self._maker
+        try:
+            hints = get_type_hints(getattr(maker, "__init__") if isinstance(maker, type) else maker)  # noqa: B009  # of the class that it is
+        except (NameError, TypeError):
+            hints = {}
+        taken = {*self.bound, *_ROLES, self._name_parameter}
+        return {
+            name: PortInformation(hints.get(name, object), required=one.default is one.empty)
+            for name, one in self._parameters.items()
+            if one.kind not in _VARIOUS and name not in taken
+        }
+
+    def _offered(self, name: str, branches: Sequence[Branch]) -> dict[str, Any]:
+        """Return the arguments that are no attributes."""
+        offered: dict[str, Any] = {**self.bound, self._name_parameter: name, "children": list(branches)}
+        if branches:
+            offered["child"] = branches[0]
+        return {
+            key: value
+            for key, value in offered.items()
+            if key in self._parameters or (key == "name" and self._takes_more)
+        }
+
+
+def _both(parameter: PortInformation, port: PortInformation | None) -> PortInformation:
+    """Return a parameter of the constructor; one that is a port of the class, too, has the type of the port."""
+    if port is None or parameter.data_type is Port:
+        return parameter
+    return PortInformation(port.data_type, required=parameter.required)
+
+
+def _argument(name: str, port: PortInformation, ports: Ports) -> Any:  # noqa: ANN401  # of the type that is declared
+    key = ports.key(name)
+    if port.data_type is Port or (key is not None and port.data_type in (object, Any)):
+        return Port(ports, name)
+    if key is not None:
+        raise PortError(
+            f"{name!r} is needed when the tree is made, but {{{key}}} is known when it is ticked; annotate the "
+            "parameter as Port, or declare it in INPUT_PORTS (py_trees.ports) and let the constructor do without it"
+        )
+    return ports.get(name)
+
+
+def _check_leaf(leaf: KbBehaviour, rest: Mapping[str, str], mine: Mapping[str, str], ports: Ports) -> None:
+    """Find here, not in the middle of a mission, what is missing, said twice, or not in the knowledge base."""
+    known = {}
+    for name, value in leaf.port_arguments.items():
+        said = getattr(value, "name", value)  # a leaf may hold the view of what was named
+        if said is None and name not in rest:
+            raise PortError(f"{name!r} is missing; write {name}=... in the element")
+        if said is None and ports.is_literal(name):
+            known[name] = ports.get(name)
+        elif said is not None and name not in mine and rest.get(name, str(said)) != str(said):
+            raise PortError(
+                f"the constructor says already that {name!r} is {said!r}, so {rest[name]!r} would never be read; "
+                f"leave {name}=... out, or let the constructor do without it"
+            )
+    leaf.check_ports(known)
+
+
+class BehaviourRegistry:
+    """Behaviours by the names that files call them.
+
+    Args:
+        bound: arguments for every factory that has a parameter of that name, e.g. `kb=kb`. With a `kb`,
+            IsActionFeasible, HasStatus, Measurement and WaitForArchitecture are there already, and the clock of the
+            knowledge base is that of the trees.
+
+    Example:
+        ```
+        registry = BehaviourRegistry(kb=kb)
+
+        @registry.register("search")
+        class Search(RosaAction): ...
+        ```
+    """
+
+    def __init__(self, **bound: Any) -> None:  # noqa: ANN401  # whatever the user's behaviours need
+        self.bound: Final = dict(bound)
+        own = _OUR_LEAVES if "kb" in bound else ()
+        self._entries = {leaf.__name__: Entry(leaf, None, self.bound) for leaf in own}
+        self._given: set[str] = set()
+
+    @overload
+    def register(self, name: F) -> F: ...
+
+    @overload
+    def register(self, name: str, *, kind: Kind | None = None) -> Callable[[F], F]: ...
+
+    @overload
+    def register(self, name: str, factory: F, *, kind: Kind | None = None) -> F: ...
+
+    def register(self, name: str | Factory, factory: Factory | None = None, *, kind: Kind | None = None) -> object:
+        """Register a class of behaviours, or a function that makes one; also as a decorator.
+
+        Parameters that are called `name`, `child` and `children` get what the file says; every other parameter, and
+        every port that py_trees knows of, is an attribute, read as the type it declares.
+
+        Args:
+            name: the tag or ID in the file; a bare `@registry.register` takes the name of the class or function.
+            factory: the class or function; without one, a decorator is returned.
+            kind: "condition" for a leaf that is to be asked again when it has finished and was not reset, "action" for
+                one that is not. Without it, what the file says (`<Condition ID=...>` or its TreeNodesModel), and else:
+                a class that overrides neither `initialise` nor `terminate` makes conditions.
+
+        Returns:
+            The factory, unchanged.
+
+        Raises:
+            RegistryError: the name is taken.
+        """
+        if callable(name):
+            return self.register(name.__name__, name)
+        if factory is None:
+            return lambda given: self.register(name, given, kind=kind)
+        if name in BUILT_IN:
+            raise RegistryError(f"{name!r} is a node of BehaviorTree.CPP itself; choose another name")
+        if name in self._given:
+            raise RegistryError(f"{name!r} is registered already; choose another name, or make another registry")
+        if not callable(factory):
+            raise RegistryError(f"{name!r} is a class of behaviours or a function that makes one, not {factory!r}")
+        if kind not in (None, "action", "condition"):
+            raise RegistryError(f"a leaf is an 'action' or a 'condition', not {kind!r}")
+        self._given.add(name)
+        self._entries[name] = Entry(factory, kind, self.bound)
+        return factory
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._entries
+
+    def __getitem__(self, name: str) -> Entry:
+        return self._entries[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._entries)
+
+    def name_of(self, behaviour: Behaviour) -> str | None:
+        """Return the name under which the class of a behaviour is registered, or its own if a function has that."""
+        for name, entry in self._entries.items():
+            if entry.factory is type(behaviour):
+                return name
+        own = self._entries.get(behaviour.name)
+        return behaviour.name if own is not None and not isinstance(own.factory, type) else None
