@@ -1,23 +1,35 @@
-"""The four nodes that can be managed: spiral search, follow pipeline, recover thrusters, recharge.
+"""The four nodes that can be switched: spiral search, follow pipeline, recover thrusters, recharge.
 
 Each has a free-running timer and acts only while active. Their rules are those of the nodes of kas-lab/suave v1.3.0.
 """
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from typing import ClassVar
 
 from suave_env.agenda import Agenda
-from suave_env.autopilot import Autopilot
-from suave_env.guidance import Vector
-from suave_env.messages import COMPONENT_STATUS, MISSION_STATUS, Outbox
-from suave_env.monitors import thruster_words
+from suave_env.autopilot import Autopilot, Vector
+from suave_env.exceptions import SuaveEnvError, unknown_name
+from suave_env.monitors import COMPONENT_STATUS, MISSION_STATUS, Outbox, thruster_words
 from suave_env.pipeline import SEABED_Z_M
 from suave_env.settings import Settings
 from suave_env.thrusters import COUNT
 
-__all__ = ["Component", "FollowPipeline", "Recharge", "RecoverThrusters", "SpiralSearch"]
+__all__ = [
+    "Change",
+    "Component",
+    "Components",
+    "FollowPipeline",
+    "HIGHEST_ALTITUDE_M",
+    "Recharge",
+    "RecoverThrusters",
+    "SpiralSearch",
+]
+
+HIGHEST_ALTITUDE_M = 19.0
+"""Altitude above the seabed [m] that a parameter may command at most: 1 m below the surface."""
 
 
 class Component:
@@ -310,3 +322,136 @@ class Recharge(Component):
         x, y, _ = self._autopilot.position
         if max(abs(x - station[0]), abs(y - station[1])) <= settings.recharge_tolerance_m:
             self._recharge(time)
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """A component that was activated, deactivated or given other parameters.
+
+    Attributes:
+        time: When [s].
+        component: Its name.
+        active: Whether it is active from then on.
+        parameters: Its parameters from then on.
+    """
+
+    time: float
+    component: str
+    active: bool
+    parameters: Mapping[str, float]
+
+    def __str__(self) -> str:
+        values = "".join(f", {name} = {value:g}" for name, value in self.parameters.items())
+        return f"{self.component} is {'active' if self.active else 'inactive'}{values}"
+
+
+class Components:
+    """The components by name; what they are told has its effect at once, for switching takes the time of whoever asks.
+
+    Args:
+        components: What there is.
+        clock: Returns the time [s].
+        hold: Called with the time [s] when the last component that moves the vehicle was deactivated.
+        switched: Called with each change that changed something.
+
+    Attributes:
+        history: Every change so far that changed something, in order of time.
+
+    Every method that takes a name raises `SuaveEnvError` if there is no such component.
+    """
+
+    def __init__(
+        self,
+        components: Iterable[Component],
+        clock: Callable[[], float],
+        hold: Callable[[float], None],
+        switched: Callable[[Change], None],
+    ) -> None:
+        self.history: list[Change] = []
+        self._components = {component.name: component for component in components}
+        self._clock, self._hold, self._switched = clock, hold, switched
+        self._is_closed = False
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the components."""
+        return tuple(self._components)
+
+    @property
+    def active(self) -> tuple[str, ...]:
+        """The names of the components that are active."""
+        return tuple(name for name, component in self._components.items() if component.active)
+
+    def is_active(self, name: str) -> bool:
+        return self._component(name).active
+
+    def parameters(self, name: str) -> dict[str, float]:
+        """Return a copy of the parameters of a component."""
+        return dict(self._component(name).parameters)
+
+    def check(self, name: str, values: Mapping[str, object]) -> None:
+        """Raise `SuaveEnvError` if a component cannot be switched or given these values by parameter name."""
+        component = self._component(name)
+        if self._is_closed:
+            raise SuaveEnvError(f"component {name} cannot be changed: the environment is closed")
+        _taken(component, values)
+
+    def activate(self, name: str) -> None:
+        """Make a component active; one that is active already stays as it is."""
+        self.check(name, {})
+        component, time = self._component(name), self._clock()
+        if not component.active:
+            component.active = True
+            component.activated(time)
+            self._note(time, component)
+
+    def deactivate(self, name: str) -> None:
+        """Make a component inactive; one that is inactive already stays as it is."""
+        self.check(name, {})
+        component, time = self._component(name), self._clock()
+        if component.active:
+            component.active = False
+            component.deactivated(time)
+            if component.moves and not any(other.active and other.moves for other in self._components.values()):
+                self._hold(time)
+            self._note(time, component)
+
+    def set_parameters(self, name: str, values: Mapping[str, object]) -> None:
+        """Set parameters of a component by name, all at the same time.
+
+        Raises:
+            SuaveEnvError: There is no such parameter, or a value is not allowed.
+        """
+        self.check(name, values)
+        component = self._component(name)
+        taken = {**component.parameters, **_taken(component, values)}
+        if taken != component.parameters:
+            component.parameters = taken
+            self._note(self._clock(), component)
+
+    def close(self) -> None:
+        """Refuse further changes."""
+        self._is_closed = True
+
+    def _component(self, name: str) -> Component:
+        if name not in self._components:
+            raise unknown_name("component", name, self._components)
+        return self._components[name]
+
+    def _note(self, time: float, component: Component) -> None:
+        change = Change(time, component.name, component.active, dict(component.parameters))
+        self.history.append(change)
+        self._switched(change)
+
+
+def _taken(component: Component, values: Mapping[str, object]) -> dict[str, float]:
+    """Return values as a component takes them, or raise."""
+    taken = {}
+    for key, value in values.items():
+        if key not in component.parameters:
+            raise unknown_name(f"parameter of {component.name}", key, component.parameters)
+        taken[key] = float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
+        if not 0 < taken[key] <= HIGHEST_ALTITUDE_M:
+            allowed = f"a number above 0 and up to {HIGHEST_ALTITUDE_M:g} [m]"
+            raise SuaveEnvError(f"parameter {key} of {component.name} cannot be {value!r}; allowed is {allowed}")
+    return taken

@@ -7,15 +7,12 @@ from functools import partial
 import numpy as np
 
 from suave_env.agenda import Agenda
-from suave_env.autopilot import Autopilot
+from suave_env.autopilot import Autopilot, Vector
 from suave_env.battery import LOW_LEVEL, Battery
-from suave_env.components import FollowPipeline, Recharge, RecoverThrusters, SpiralSearch
+from suave_env.components import Change, Components, FollowPipeline, Recharge, RecoverThrusters, SpiralSearch
 from suave_env.exceptions import SuaveEnvError
-from suave_env.guidance import Vector
-from suave_env.managed import ManagedSystem
-from suave_env.messages import MISSION_STATUS, Message, Outbox
 from suave_env.metrics import Disturbance, Metrics, Violations
-from suave_env.monitors import BatteryMonitor, ThrusterMonitor, VisibilityMonitor
+from suave_env.monitors import MISSION_STATUS, BatteryMonitor, Message, Outbox, ThrusterMonitor, VisibilityMonitor
 from suave_env.pipeline import SEABED_Z_M, Pipeline
 from suave_env.settings import Settings, ThrusterEvent, parse_thruster_events
 from suave_env.thrusters import Thrusters
@@ -74,7 +71,7 @@ class SuaveEnv:
         rng: The only source of chance: start position, vertical bias and the phases of the free-running timers.
 
     Attributes:
-        managed: The components, to be activated, deactivated and given parameters.
+        components: The nodes, to be activated, deactivated and given parameters.
         pipeline: The pipeline; its `points` are for plots.
         station: Position of the recharge station [m], world frame ENU, z up.
     """
@@ -108,10 +105,8 @@ class SuaveEnv:
         settings, agenda = self._settings, self._agenda
         recover = RecoverThrusters(settings, self._restored, agenda, self._outbox)
         recharge = Recharge(settings, self._autopilot, self._recharge)
-        components = (self._spiral, self._follower, recover, recharge)
-        self.managed = ManagedSystem(
-            settings, components, agenda, lambda: self._now, self._autopilot.hold, self._switched
-        )
+        nodes = (self._spiral, self._follower, recover, recharge)
+        self.components = Components(nodes, lambda: self._now, self._autopilot.hold, self._switched)
         agenda.every(settings.spiral_period_s, phases[0] * settings.spiral_period_s, self._spiral.tick)
         agenda.every(settings.follow_period_s, phases[1] * settings.follow_period_s, self._follower.tick)
         agenda.every(settings.recharge_period_s, phases[2] * settings.recharge_period_s, recharge.tick)
@@ -158,7 +153,7 @@ class SuaveEnv:
             found_s=found,
             violation_s=self._violations.seconds(self._now),
             uncorrected=self._violations.uncorrected,
-            switches=len(self.managed.history),
+            switches=len(self.components.history),
             energy_j=self._thrusters.energy_j,
         )
 
@@ -172,7 +167,7 @@ class SuaveEnv:
 
         Args:
             until: Time since GUIDED [s], not before now.
-            pause: Stop as soon as something was published or a change of a component has ended.
+            pause: Stop as soon as something was published.
 
         Returns:
             What was published in `(now, until]`, in order of time.
@@ -184,12 +179,12 @@ class SuaveEnv:
             raise SuaveEnvError("the environment is closed and cannot advance")
         if not self._now <= until < math.inf:
             raise SuaveEnvError(f"cannot advance to {until!r} s; allowed is a finite time from now, {self._now} s, on")
-        agenda, changes = self._agenda, self.managed.changes
+        agenda = self._agenda
         while agenda.next_time <= until:
             self._autopilot.fly(agenda.next_time)
             self._now = agenda.next_time
             agenda.happen()
-            if pause and (self._outbox.is_waiting or self.managed.changes > changes):
+            if pause and self._outbox.is_waiting:
                 return self._outbox.fetch()
         self._autopilot.fly(until)
         self._now = float(until)
@@ -209,7 +204,7 @@ class SuaveEnv:
             water_visibility=self._water.visibility(self._now),
             battery_level=self._battery.level,
             thrusters_failed=self._thrusters.failed,
-            active=self.managed.active,
+            active=self.components.active,
             spiral_altitude=self._spiral.parameters["spiral_altitude"],
             pipeline_found=self._search_time is not None,
             recharged=self._battery.recharges,
@@ -217,9 +212,9 @@ class SuaveEnv:
         )
 
     def close(self) -> None:
-        """End the simulation; changes under way fail, and time stands still."""
+        """End the simulation; time stands still."""
         self._closed = True
-        self.managed.close()
+        self.components.close()
 
     def _look(self, time: float) -> None:
         """Look for the pipeline, whichever component is active, and again a period later until it is found."""
@@ -268,8 +263,8 @@ class SuaveEnv:
 
         self._agenda.at(due, cross)
 
-    def _switched(self, time: float) -> None:
-        self._judge(time, corrected=self._spiral.active)
+    def _switched(self, change: Change) -> None:
+        self._judge(change.time, corrected=self._spiral.active)
 
     def _restored(self, thruster: int, time: float) -> None:
         self._thrusters.recover(thruster)
@@ -282,7 +277,7 @@ class SuaveEnv:
         wrong = spiral.active and spiral.parameters["spiral_altitude"] != expected
         note(time, "visibility", wrong, corrected)
         note(time, "thruster", bool(self._thrusters.failed), corrected)
-        low = self._battery.level < LOW_LEVEL and not self.managed.is_active(Recharge.name)
+        low = self._battery.level < LOW_LEVEL and not self.components.is_active(Recharge.name)
         note(time, "battery", low, corrected=True)
 
     def _disturb(self, time: float, kind: str, text: str) -> None:

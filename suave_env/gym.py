@@ -12,7 +12,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from suave_env.env import SuaveEnv
-from suave_env.messages import Message
+from suave_env.monitors import Message
 from suave_env.settings import Settings
 from suave_env.thrusters import COUNT
 
@@ -101,10 +101,10 @@ class SuaveGym(gymnasium.Env[NDArray[np.float32], NDArray[np.int64]]):
         *wanted, altitude = action
         if ALTITUDES_M[altitude] != self._altitude_m:
             self._altitude_m = ALTITUDES_M[altitude]
-            env.managed.set_parameters("spiral_search", {"spiral_altitude": self._altitude_m})
+            env.components.set_parameters("spiral_search", {"spiral_altitude": self._altitude_m})
         for name, before, after in zip(COMPONENTS, self._wanted, wanted, strict=True):
             if before != after:
-                (env.managed.activate if after else env.managed.deactivate)(name)
+                (env.components.activate if after else env.components.deactivate)(name)
         self._wanted = tuple(wanted)
 
     def _hear(self, messages: list[Message]) -> None:

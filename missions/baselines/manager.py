@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from numpy.random import Generator
 
 from missions.baselines.options import Option
+from missions.engine.components import SimulatedComponents
 from missions.engine.mission import Message, Mission, MissionError
 
 if TYPE_CHECKING:
-    from suave_env import ManagedSystem, Settings
+    from suave_env import Settings
 
 __all__ = ["Manager", "Robot", "Task"]
 
@@ -67,7 +68,7 @@ class Robot:
     def __init__(
         self,
         mission: Mission,
-        managed: "ManagedSystem",
+        managed: SimulatedComponents,
         settings: "Settings",
         rng: Generator,
         clock: Callable[[], float],
@@ -112,7 +113,7 @@ class Robot:
         """Return whether a component is active by now."""
         return self._managed.is_active(component)
 
-    def parameters(self, component: str) -> dict[str, float]:
+    def parameters(self, component: str) -> Mapping[str, Any]:
         """Return the parameters in force of a component."""
         return self._managed.parameters(component)
 

@@ -220,7 +220,7 @@ class ManagedRun:
 
     def _tell(self) -> None:
         """Tell the listeners what has been done since they were told last."""
-        tasks, changes = self.robot.tasks, self.world.managed.history
+        tasks, changes = self.robot.tasks, self.world.history
         said = [(task.start, f"{task.action} is begun") for task in tasks[self._tasks_told :]]
         said += [(change.time, str(change)) for change in changes[self._changes_told :]]
         self._tasks_told, self._changes_told = len(tasks), len(changes)

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any, cast
 from kb import DiagnosticProblem
 from missions.baselines.reactions import Reaction, find_reactions, mean_reactions, news_in
 from missions.engine.adaptations import Adaptation
+from missions.engine.components import SimulatedComponents
 from missions.engine.mission import Message
 from missions.engine.runner import Listener, MissionRun
 from missions.suave.world import Sea
 
 if TYPE_CHECKING:
     from rosa_pddl import PlanRecord
-    from suave_env import ManagedSystem
 
 __all__ = ["Aside", "WatchedSea"]
 
@@ -42,10 +42,10 @@ class WatchedSea(Sea):
         self._charged_s = 0.0
 
     @property
-    def managed(self) -> "ManagedSystem":
+    def managed(self) -> SimulatedComponents:
         """The nodes of the vehicle."""
         nodes = super().managed
-        return cast("ManagedSystem", _Charging(nodes, self._think)) if self._charges else nodes
+        return cast(SimulatedComponents, _Charging(nodes, self._think)) if self._charges else nodes
 
     @property
     def reactions(self) -> tuple[Reaction, ...]:
@@ -53,7 +53,7 @@ class WatchedSea(Sea):
         from suave_env.water import expected_altitude
 
         news = [one for message in self._heard for one in news_in(message)]
-        return find_reactions(news, super().managed.history, self.settings.spiral_altitude_m, expected_altitude)
+        return find_reactions(news, self.history, self.settings.spiral_altitude_m, expected_altitude)
 
     def compute_s(self, reaction: Reaction) -> float:
         """Return the time of this machine that was spent on thinking during a reaction [s]."""
@@ -100,7 +100,7 @@ class WatchedSea(Sea):
 class _Charging:
     """The nodes, for which time goes on before they are told anything."""
 
-    def __init__(self, nodes: "ManagedSystem", think: Callable[[], None]) -> None:
+    def __init__(self, nodes: SimulatedComponents, think: Callable[[], None]) -> None:
         self._nodes = nodes
         self._think = think
 
@@ -115,7 +115,7 @@ class _Charging:
         self._think()
         return self._nodes.deactivate(name)
 
-    def set_parameters(self, name: str, values: Mapping[str, object]) -> object:
+    def set_parameters(self, name: str, values: Mapping[str, Any]) -> object:
         self._think()
         return self._nodes.set_parameters(name, values)
 

@@ -1,17 +1,19 @@
-"""A managed system that does as it is scripted: at once, slowly, wrongly, not at all, or not as it says."""
+"""Components that switch in simulated time: each command takes as long as is said, and may be scripted to go wrong."""
 
+import heapq
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from typing import Final, NamedTuple, Self
+from dataclasses import dataclass
+from typing import Final, NamedTuple, Protocol, Self
 
 from kb.elements import Parameters
-from missions.testing.clock import FakeClock
 
-__all__ = ["Command", "CommandFailed", "ScriptedManaged", "VERBS"]
+__all__ = ["Command", "CommandFailed", "Components", "Operation", "SimulatedComponents", "VERBS"]
 
 VERBS: Final = ("activate", "deactivate", "set_parameters")
+
+_AT_ONCE_S: Final = 1e-9  # a clock that counts periods misses a time by rounding
 
 
 class CommandFailed(Exception):
@@ -34,6 +36,31 @@ class Command(NamedTuple):
     parameters: Parameters
 
 
+class Components(Protocol):
+    """The components of a world: what a command does to them, at once, when its time has come.
+
+    What raises has not happened; the command has then failed.
+    """
+
+    def check(self, component: str, parameters: Parameters, /) -> None:
+        """Raise if there is no such component, or it cannot take these parameters; asked when a command is given."""
+
+    def activate(self, component: str, /) -> object:
+        """Make a component run."""
+
+    def deactivate(self, component: str, /) -> object:
+        """Make a component stop."""
+
+    def set_parameters(self, component: str, parameters: Parameters, /) -> object:
+        """Give a component its parameters."""
+
+    def is_active(self, component: str, /) -> bool:
+        """Tell whether a component runs."""
+
+    def parameters(self, component: str, /) -> Parameters:
+        """Return the parameters in force of a component."""
+
+
 @dataclass(frozen=True, slots=True)
 class _Script:
     """How a component takes one kind of command; `takes` None is as the system's other components."""
@@ -48,58 +75,73 @@ class _Script:
 _AS_TOLD: Final = _Script()
 
 
-@dataclass(slots=True)
-class _Operation:
-    """A command that is under way."""
+class Operation:
+    """A command under way, like `concurrent.futures.Future` but finished by simulated time.
 
-    clock: FakeClock
-    end: float
-    effect: Callable[[float], None] | None
-    error: CommandFailed | None = None
-
-    def done(self) -> bool:
-        if self.clock.now < self.end:
-            return False
-        effect, self.effect = self.effect, None
-        if effect is not None:
-            effect(self.end)
-        return True
-
-    def exception(self) -> CommandFailed | None:
-        return self.error
-
-    def cancel(self) -> None:
-        self.effect = None
-
-
-@dataclass(slots=True)
-class _State:
-    """What is true of a component."""
-
-    is_active: bool = False
-    crashes_at: float = math.inf
-    busy_until: float = 0.0
-    parameters: Parameters = field(default_factory=dict)
-    under_way: list[_Operation] = field(default_factory=list)
-
-
-class ScriptedManaged:
-    """A managed system without a robot; every component does what it is told unless a script says otherwise.
-
-    Commands to one component are carried out one after the other.
-
-    Args:
-        clock: gives the time, and is moved by the test, or by the replay.
-        takes: how long a command takes [s], or that by its verb; None: no time, in a replay as long as recorded.
+    Attributes:
+        end: when it ends [s].
     """
 
-    def __init__(self, clock: FakeClock, takes: float | Mapping[str, float] | None = None) -> None:
-        self.clock = clock
-        self._takes = None if takes is None else _by_verb(takes)
+    def __init__(self, end: float, effect: Callable[[float], object], catch_up: Callable[[], object]) -> None:
+        self.end = end
+        self._effect, self._catch_up = effect, catch_up
+        self._is_done = False
+        self._error: Exception | None = None
+
+    def done(self) -> bool:
+        self._catch_up()
+        return self._is_done
+
+    def exception(self) -> Exception | None:
+        self._catch_up()
+        return self._error
+
+    def cancel(self) -> None:
+        """Let the command have no effect, unless it has had it."""
+        self._effect = _nothing
+
+    def finish(self) -> None:
+        """Carry the command out."""
+        try:
+            self._effect(self.end)
+        except Exception as error:
+            self._error = error
+        self._is_done = True
+
+
+class SimulatedComponents:
+    """A managed system in simulated time: every component does what it is told unless a script says otherwise.
+
+    Commands to one component are carried out one after the other. See `kb.ManagedSystem` for what they are.
+
+    Args:
+        clock: gives the time [s].
+        components: what the commands have an effect on.
+        takes: how long a command takes [s], by its verb; what is not named takes no time.
+    """
+
+    def __init__(
+        self, clock: Callable[[], float], components: Components, takes: Mapping[str, float] | None = None
+    ) -> None:
+        self._clock, self._components = clock, components
+        self.takes = checked_times(takes or {})
+        self._busy_until: dict[str, float] = {}
+        self._under_way: list[tuple[float, int, Operation]] = []
+        self._entered = 0
         self._scripts: dict[tuple[str, str], _Script] = {}
         self._given: Counter[tuple[str, str]] = Counter()
-        self._states: dict[str, _State] = {}
         self._commands: list[Command] = []
+        self._crash: dict[str, Operation] = {}
+
+    @property
+    def commands(self) -> tuple[Command, ...]:
+        """Every command that was given, in order."""
+        return tuple(self._commands)
+
+    @property
+    def scripted(self) -> tuple[str, ...]:
+        """The names of the components that there are scripts for."""
+        return tuple(dict.fromkeys(component for _, component in self._scripts))
 
     def script(
         self,
@@ -138,113 +180,113 @@ class ScriptedManaged:
             self._scripts[verb, component] = _Script(takes, fail_first, hangs, lies, crash_after)
         return self
 
-    def take(self, takes: float | Mapping[str, float]) -> None:
-        """Say how long commands take that no script is about [s], unless that was said before."""
-        if self._takes is None:
-            self._takes = _by_verb(takes)
-
-    @property
-    def commands(self) -> tuple[Command, ...]:
-        """Every command that was given, in order."""
-        return tuple(self._commands)
-
-    @property
-    def active(self) -> frozenset[str]:
-        """The components that truly run now."""
-        return frozenset(name for name in self._states if self.is_active(name))
-
-    def parameters(self, component: str) -> Parameters:
-        """Return the parameters that a component truly has; empty if it never got any."""
-        return dict(self._now(component).parameters) if component in self._states else {}
-
-    def scripted(self) -> tuple[str, ...]:
-        """Return the names of the components that there are scripts for."""
-        return tuple(dict.fromkeys(component for _, component in self._scripts))
-
-    def next_event(self) -> float:
-        """When a command that is under way ends next, or a component crashes [s]; infinity for never."""
-        ahead = math.inf
-        for name in self._states:
-            state = self._now(name)
-            ends = [operation.end for operation in state.under_way if operation.effect or operation.error]
-            ahead = min([ahead, state.crashes_at, *ends])
-        return ahead
-
-    def activate(self, component: str) -> _Operation:
+    def activate(self, component: str, /) -> Operation:
         """Start a component."""
         crash_after = self._script("activate", component).crash_after
 
-        def start(state: _State, time: float) -> None:
-            if not state.is_active or state.crashes_at <= time:
-                state.is_active, state.crashes_at = True, time + crash_after
+        def start(time: float) -> None:
+            was_active = self._components.is_active(component)
+            self._components.activate(component)
+            if not was_active and crash_after < math.inf:
+                self._crash[component] = self._enter(time + crash_after, stop)
+
+        def stop(time: float) -> None:
+            self._components.deactivate(component)
 
         return self._command("activate", component, {}, start)
 
-    def deactivate(self, component: str) -> _Operation:
+    def deactivate(self, component: str, /) -> Operation:
         """Stop a component."""
 
-        def stop(state: _State, time: float) -> None:
-            state.is_active, state.crashes_at = False, math.inf
+        def stop(time: float) -> None:
+            self._components.deactivate(component)
+            if component in self._crash:
+                self._withdraw(self._crash.pop(component))
 
         return self._command("deactivate", component, {}, stop)
 
-    def set_parameters(self, component: str, parameters: Parameters) -> _Operation:
+    def set_parameters(self, component: str, parameters: Parameters, /) -> Operation:
         """Give a component its parameters."""
+        taken = dict(parameters)
+        return self._command(
+            "set_parameters", component, taken, lambda time: self._components.set_parameters(component, taken)
+        )
 
-        def take(state: _State, time: float) -> None:
-            state.parameters = dict(parameters)
+    def is_active(self, component: str, /) -> bool:
+        """Tell whether a component truly runs; one whose activation is under way does not yet."""
+        self.catch_up()
+        return self._components.is_active(component)
 
-        return self._command("set_parameters", component, parameters, take)
+    def parameters(self, component: str, /) -> Parameters:
+        """Return the parameters that a component truly has."""
+        self.catch_up()
+        return self._components.parameters(component)
 
-    def is_active(self, component: str) -> bool:
-        """Tell the truth, also of one that lies; what was never told anything does not run."""
-        return component in self._states and self._now(component).is_active
+    def next_event(self) -> float:
+        """When a command that is under way ends next, or a component crashes [s]; infinity for never."""
+        self.catch_up()
+        return self._under_way[0][0] if self._under_way else math.inf
+
+    def catch_up(self) -> bool:
+        """Carry out what is due by now, in order of time; return whether anything was."""
+        now, is_any = self._clock() + _AT_ONCE_S, False
+        while self._under_way and self._under_way[0][0] <= now:
+            heapq.heappop(self._under_way)[2].finish()
+            is_any = True
+        return is_any
 
     def _command(
-        self, verb: str, component: str, parameters: Parameters, effect: Callable[[_State, float], None]
-    ) -> _Operation:
-        now = self.clock.now
-        self._commands.append(Command(now, verb, component, dict(parameters)))
-        state = self._states.setdefault(component, _State())
+        self, verb: str, component: str, parameters: Parameters, effect: Callable[[float], object]
+    ) -> Operation:
+        self._components.check(component, parameters)
+        now = self._clock()
+        self._commands.append(Command(now, verb, component, parameters))
         script = self._script(verb, component)
         self._given[verb, component] += 1
         given = self._given[verb, component]
-        takes = script.takes if script.takes is not None else (self._takes or {}).get(verb, 0.0)
         if script.hangs:
-            return _Operation(self.clock, math.inf, None)
-        state.busy_until = max(now, state.busy_until) + takes
+            return Operation(math.inf, effect, self.catch_up)
+        takes = script.takes if script.takes is not None else self.takes.get(verb, 0.0)
+        end = self._busy_until[component] = max(now, self._busy_until.get(component, 0.0)) + takes
         if given <= script.fail_first:
-            error = CommandFailed(f"{verb} {component} fails by its script, time {given}")
-            operation = _Operation(self.clock, state.busy_until, None, error)
-        elif script.lies:
-            operation = _Operation(self.clock, state.busy_until, lambda time: None)
-        else:
-            operation = _Operation(self.clock, state.busy_until, lambda time: effect(state, time))
-        state.under_way.append(operation)
+            return self._enter(end, lambda time: _fail(f"{verb} {component} fails by its script, time {given}"))
+        return self._enter(end, _nothing if script.lies else effect)
+
+    def _enter(self, end: float, effect: Callable[[float], object]) -> Operation:
+        operation = Operation(end, effect, self.catch_up)
+        heapq.heappush(self._under_way, (end, self._entered, operation))
+        self._entered += 1
         return operation
+
+    def _withdraw(self, operation: Operation) -> None:
+        self._under_way = [one for one in self._under_way if one[2] is not operation]
+        heapq.heapify(self._under_way)
 
     def _script(self, verb: str, component: str) -> _Script:
         return self._scripts.get((verb, component), _AS_TOLD)
 
-    def _now(self, component: str) -> _State:
-        """Return what is true of a component by now: what has ended has had its effect."""
-        state = self._states[component]
-        if state.under_way:
-            state.under_way = [operation for operation in state.under_way if not operation.done()]
-        if self.clock.now >= state.crashes_at:
-            state.is_active, state.crashes_at = False, math.inf
-        return state
 
+def checked_times(takes: Mapping[str, float]) -> Mapping[str, float]:
+    """Return how long commands take by verb [s].
 
-def _by_verb(takes: float | Mapping[str, float]) -> Mapping[str, float]:
-    by_verb = dict(takes) if isinstance(takes, Mapping) else dict.fromkeys(VERBS, takes)
-    for verb, seconds in by_verb.items():
+    Raises:
+        ValueError: no such command, or a number below 0.
+    """
+    for verb, seconds in takes.items():
         _check_verb(verb)
         if not seconds >= 0:
             raise ValueError(f"{verb} takes {seconds!r}; allowed is a number of seconds from 0")
-    return by_verb
+    return takes
 
 
 def _check_verb(verb: str) -> None:
     if verb not in VERBS:
         raise ValueError(f"{verb!r} is no command; commands are {', '.join(VERBS)}")
+
+
+def _nothing(time: float) -> None:
+    """Have no effect."""
+
+
+def _fail(text: str) -> None:
+    raise CommandFailed(text)

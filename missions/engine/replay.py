@@ -23,7 +23,7 @@ from py_trees.behaviour import Behaviour
 
 from kb import DiagnosticProblem, KnowledgeBase, Model, UnknownName
 from kb.diagnostics import Measurement, read_diagnostics
-from missions.engine.components import VERBS, ScriptedManaged
+from missions.engine.components import VERBS
 from missions.engine.mission import Message, Mission, MissionError, Verdict, World, WorldKind
 from missions.engine.percepts import Percepts
 from missions.engine.recording import read_recording
@@ -32,6 +32,7 @@ from missions.engine.runner import MissionRun
 from missions.engine.settings import RunSettings
 from missions.testing.clock import FakeClock
 from missions.testing.decisions import Decisions
+from missions.testing.managed import ScriptedManaged
 from missions.testing.timeline import Moment, seconds, timeline
 from missions.testing.witness import Witness
 from rosa_bt import TraceVisitor
@@ -230,7 +231,7 @@ def _unknown(kb: KnowledgeBase, message: Message) -> Iterator[DiagnosticProblem]
 
 def _decide(mission: Mission, task: str, world: Recording, limits: RunSettings) -> Decisions:
     run = MissionRun(mission, task, world, limits)
-    for component in world.managed.scripted():
+    for component in world.managed.scripted:
         _ = run.kb.components[component]  # a script for nobody is a slip
     witness = Witness(run.kb)
     with TraceVisitor(run.kb) as visitor:

@@ -1,17 +1,18 @@
 """The simulated sea as a world of missions; the simulator is imported when a mission is run in it, not before."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from numpy.random import Generator
 
 from kb import KnowledgeBase
+from missions.engine.components import SimulatedComponents
 from missions.engine.mission import Message, MissionError, Sample, Setting, Verdict, World, WorldKind
 from missions.engine.percepts import Percepts
 
 if TYPE_CHECKING:
-    from suave_env import ManagedSystem, Settings, SuaveEnv
+    from suave_env import Change, Settings, SuaveEnv
 
 __all__ = ["SEA", "Sea"]
 
@@ -24,6 +25,7 @@ class Sea(World):
 
         self._env = env
         self._trouble = SuaveEnvError
+        self._nodes = SimulatedComponents(lambda: env.now, env.components, self.switching_s())
 
     @property
     def now(self) -> float:
@@ -31,9 +33,14 @@ class Sea(World):
         return self._env.now
 
     @property
-    def managed(self) -> "ManagedSystem":
+    def managed(self) -> SimulatedComponents:
         """The nodes of the vehicle."""
-        return self._env.managed
+        return self._nodes
+
+    @property
+    def history(self) -> Sequence["Change"]:
+        """What was switched and set so far."""
+        return self._env.components.history
 
     @property
     def settings(self) -> "Settings":
@@ -42,8 +49,12 @@ class Sea(World):
 
     def advance(self, until: float) -> list[Message]:
         """Simulate until something is published or switched, at most to the time `until` [s]."""
+        env, nodes = self._env, self._nodes
         try:
-            return list(self._env.advance(until, pause=True))
+            while True:
+                messages = env.advance(min(until, max(env.now, nodes.next_event())), pause=True)
+                if nodes.catch_up() or messages or env.now >= until:
+                    return list(messages)
         except self._trouble as error:
             raise MissionError(str(error)) from error
 

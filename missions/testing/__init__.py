@@ -7,12 +7,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from missions.engine.components import CommandFailed, ScriptedManaged
+    from missions.engine.components import CommandFailed
     from missions.engine.replay import replay
     from missions.testing.clock import FakeClock
     from missions.testing.decisions import Decisions
     from missions.testing.golden import check_golden
     from missions.testing.leaves import LeafMock, mock_leaf
+    from missions.testing.managed import ScriptedManaged
 
 __all__ = [
     "CommandFailed",
@@ -30,7 +31,7 @@ _HOMES = {
     "Decisions": "missions.testing.decisions",
     "FakeClock": "missions.testing.clock",
     "LeafMock": "missions.testing.leaves",
-    "ScriptedManaged": "missions.engine.components",
+    "ScriptedManaged": "missions.testing.managed",
     "check_golden": "missions.testing.golden",
     "mock_leaf": "missions.testing.leaves",
     "replay": "missions.engine.replay",

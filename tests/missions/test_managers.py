@@ -87,7 +87,7 @@ def test_managers_meet_the_same_world():
 
 def test_without_adaptation_the_altitude_stays_and_no_thruster_recovers():
     run, _ = managed("none", seed=1, duration_s=120)
-    history = run.world.managed.history
+    history = run.world.history
     assert {change.component for change in history} <= {"spiral_search", "follow_pipeline"}
     assert {change.parameters["spiral_altitude"] for change in history if change.component == "spiral_search"} == {1.0}
     assert run.world.results()["uncorrected"] > 0
@@ -97,7 +97,7 @@ def test_the_tree_follows_the_visibility_and_recovers_the_thruster():
     run, _, messages = extended("bt")
     altitudes = [
         change.parameters["spiral_altitude"]
-        for change in run.world.managed.history
+        for change in run.world.history
         if change.component == "spiral_search" and change.active
     ]
     assert set(altitudes) == {1.0, 2.0, 3.0}
@@ -126,7 +126,7 @@ def test_the_tree_misses_the_first_low_level_because_it_compares_single_precisio
         if "battery_level" in status["values"]
     ]
     low_s = next(time for time, level in levels if level < 0.25)
-    begun_s = next(change.time for change in run.world.managed.history if change.component == "recharge")
+    begun_s = next(change.time for change in run.world.history if change.component == "recharge")
     assert 1.0 < begun_s - low_s < 1.2
 
 
@@ -169,9 +169,9 @@ def test_manager_of_ones_own_is_run_by_its_name(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     run, verdict = managed("cautious:Cautious", seed=1)
     assert verdict.success
-    altitudes = {c.parameters["spiral_altitude"] for c in run.world.managed.history if c.component == "spiral_search"}
+    altitudes = {c.parameters["spiral_altitude"] for c in run.world.history if c.component == "spiral_search"}
     assert len(altitudes) > 10
-    assert any(change.component == "recover_thrusters" for change in run.world.managed.history)
+    assert any(change.component == "recover_thrusters" for change in run.world.history)
 
 
 @pytest.mark.parametrize(

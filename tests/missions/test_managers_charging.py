@@ -42,7 +42,7 @@ class Slow(Manager):
 def slow(**arguments):
     run = open_run(SUAVE, manager=f"{__name__}:Slow", settings={"duration_s": "10"}, **arguments)
     run.run()
-    (change,) = run.world.managed.history
+    (change,) = run.world.history
     return run, change.time - run.robot.tasks[0].start
 
 
@@ -97,7 +97,7 @@ def test_ours_is_charged_too_and_says_so(task):
     run.run()
     assert run.settings.planning_delay_s == 0
     assert 0 < run.world.results()["compute_charged_s"] < 40
-    assert {change.component for change in run.world.managed.history} == {"spiral_search", "recover_thrusters"}
+    assert {change.component for change in run.world.history} == {"spiral_search", "recover_thrusters"}
 
 
 def test_each_reaction_knows_the_compute_time_that_went_into_it():
@@ -149,9 +149,9 @@ def test_random_picks_every_mode_at_the_period_of_the_rules():
         for seed in range(8):
             run = open_run(SUAVE, manager="random", seed=seed, settings={"rules": rules, "start_y": "9"})
             run.run()
-            seen |= {(one.active, one.parameters["spiral_altitude"]) for one in run.world.managed.history}
-            first = run.world.managed.history[0].time
-            times += [(one.time - first) % period_s for one in run.world.managed.history]
+            seen |= {(one.active, one.parameters["spiral_altitude"]) for one in run.world.history}
+            first = run.world.history[0].time
+            times += [(one.time - first) % period_s for one in run.world.history]
         assert {altitude for active, altitude in seen if active} == {1.0, 2.0, 3.0}
         assert any(not active for active, _ in seen)
         assert all(min(time, period_s - time) < 0.1 for time in times)

@@ -121,7 +121,7 @@ def test_objective_stands_as_the_first_line_that_holds_says(situation, expected)
 
 
 def changes_of(component, run):
-    return [change for change in run.world.managed.history if change.component == component]
+    return [change for change in run.world.history if change.component == component]
 
 
 def test_reasoner_sees_a_failure_in_one_pass_acts_in_the_next_and_returns_to_all_thrusters():

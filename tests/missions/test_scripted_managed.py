@@ -60,7 +60,7 @@ def test_script_holds_from_now_on_and_until_the_next_one():
     managed.script("camera", "activate", fail_first=2)
     failed += [managed.activate("camera").exception() is not None for _ in range(3)]
     assert failed == [True, False, True, True, False]
-    assert managed.scripted() == ("camera",)
+    assert managed.scripted == ("camera",)
 
 
 def test_one_that_hangs_never_ends_and_one_that_lies_has_done_nothing():

@@ -51,21 +51,21 @@ class Script:
 
     def _do(self, name):
         if self.active is not None:
-            self.env.managed.deactivate(self.active)
-        self.env.managed.activate(name)
+            self.env.components.deactivate(self.active)
+        self.env.components.activate(name)
         self.active = name
 
     def _hear(self, key, value):
         if key == "water_visibility" and self.adaptive and altitude_for(float(value)) != self._altitude:
             self._altitude = altitude_for(float(value))
-            self.env.managed.set_parameters("spiral_search", {"spiral_altitude": self._altitude})
+            self.env.components.set_parameters("spiral_search", {"spiral_altitude": self._altitude})
         elif key == "pipeline_found":
             self.found = True
             self._do("follow_pipeline")
         elif value == "FALSE":
-            self.env.managed.activate("recover_thrusters")
+            self.env.components.activate("recover_thrusters")
         elif key == "c_thruster_6" and value == "RECOVERED":
-            self.env.managed.deactivate("recover_thrusters")
+            self.env.components.deactivate("recover_thrusters")
         elif key == "battery_level" and float(value) < 0.25 and self.active != "recharge":
             self._do("recharge")
         elif key == "battery_recharged":

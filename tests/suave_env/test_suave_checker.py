@@ -109,16 +109,14 @@ class CountsItsCalls(SuaveEnv):
 class Disobeys(SuaveEnv):
     def __init__(self, settings, rng):
         super().__init__(settings, rng)
-        self.managed.activate = lambda name: (
-            self.managed.deactivate(name) if name in self.managed.names else self.managed.is_active(name)
-        )
+        self.components.activate = self.components.deactivate
 
 
 class KnowsEveryComponent(SuaveEnv):
     def __init__(self, settings, rng):
         super().__init__(settings, rng)
-        known = self.managed.is_active
-        self.managed.is_active = lambda name: name in self.managed.names and known(name)
+        known = self.components.is_active
+        self.components.is_active = lambda name: name in self.components.names and known(name)
 
 
 class NeverEnds(SuaveEnv):
@@ -141,7 +139,7 @@ BROKEN = {
     RollsItsOwnDice: "the same seed gives the same run",
     KnowsNoChance: "another seed gives another run",
     CountsItsCalls: "how time is sliced",
-    Disobeys: "spiral_search is active when that was carried out",
+    Disobeys: "spiral_search is active when it was told so",
     KnowsEveryComponent: "an unknown component is refused",
     NeverEnds: "a closed environment refuses to advance",
 }

@@ -6,7 +6,7 @@ from suave_stand_ins import Pilot, values_of
 from suave_env import Settings
 from suave_env.agenda import Agenda
 from suave_env.components import FollowPipeline, Recharge, RecoverThrusters, SpiralSearch
-from suave_env.messages import Outbox
+from suave_env.monitors import Outbox
 from suave_env.thrusters import Thrusters
 
 PROMPT = Settings().replace(start_delay_s=0)

@@ -6,8 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from suave_env import Settings, SuaveEnvError
-from suave_env.guidance import Guidance
-from suave_env.scurve import SCurve
+from suave_env.autopilot import Guidance, SCurve
 from suave_env.thrusters import Thrusters
 from suave_env.vehicle import Vehicle
 
