@@ -1,5 +1,6 @@
 """What a robot knows: which actions are feasible now, why, and how it has to be configured for what it does."""
 
+from kb.checks.findings import Finding, Severity
 from kb.diagnostics import DiagnosticProblem
 from kb.elements import AttributeKind, ComponentKind, EstimationKind, Expression, StalePolicy
 from kb.events import Event, EventKind, StatusChange
@@ -10,7 +11,6 @@ from kb.explanation.choice import ChoiceExplanation
 from kb.explanation.reasons import Explanation
 from kb.files import ModelFileError
 from kb.history import Attempt, Process, VetoAnswer
-from kb.judge import Finding, Severity
 from kb.knowledge_base import KnowledgeBase
 from kb.log import Log
 from kb.managed_system import ManagedObject, ManagedObjects, ManagedSystem, Operation

@@ -1,34 +1,47 @@
-"""What is accepted in the declaration of a model; anything else is refused before it changes anything."""
+"""What can be given for a field of an element: each check returns it as it is kept, or says what would be right."""
 
 import math
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from enum import StrEnum
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, NamedTuple, TypeGuard, TypeVar
 
-from kb.elements import Attribute, Element, Expression, Parameter, Parameters
 from kb.exceptions import InvalidValue, ModelError, UnknownName
 
-if TYPE_CHECKING:
-    from kb.model import Model
-
 __all__ = [
+    "Field",
+    "Parameter",
+    "Parameters",
     "age",
+    "agreement",
     "choice",
-    "expressions",
+    "finite_number",
     "flag",
     "identifier",
     "listed",
     "parameters",
+    "pid",
     "priority",
-    "reference",
+    "span",
     "text",
 ]
 
-_FAR = sys.float_info.max
+Parameter = bool | int | float | str | list[bool] | list[int] | list[float] | list[str]
+Parameters = Mapping[str, Parameter]
 ChoiceT = TypeVar("ChoiceT", bound=StrEnum)
-ElementT = TypeVar("ElementT", bound=Element)
+
+
+class Field(NamedTuple):
+    """How a field of an element is given; stands in its annotation.
+
+    Attributes:
+        check: takes the field's name, the element's name and what is given; returns it as it is kept.
+        can_change: `Model.change` may give it anew.
+    """
+
+    check: Callable[[str, str, Any], object]
+    can_change: bool = True
 
 
 def identifier(kind: str, name: object) -> str:
@@ -40,52 +53,67 @@ def identifier(kind: str, name: object) -> str:
 
 
 def text(what: str, value: object) -> str:
-    """Return a text."""
     if not isinstance(value, str):
         raise ModelError(f"{what} is a text, not {value!r}")
     return value
 
 
 def flag(what: str, value: object) -> bool:
-    """Return a yes or no."""
     if not isinstance(value, bool):
         raise ModelError(f"{what} is True or False, not {value!r}")
     return value
 
 
-def priority(name: str, value: object) -> int | None:
-    """Return a priority."""
-    if value is None or (isinstance(value, int) and not isinstance(value, bool)):
+def finite_number(value: object) -> float:
+    """Return the value as a float; text, booleans, NaN and infinities are refused."""
+    if isinstance(value, bool | str) or not hasattr(value, "__float__"):
+        raise InvalidValue(f"a number is needed, not {value!r}")
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
+    except (TypeError, ValueError) as error:
+        raise InvalidValue(f"a number is needed, not {value!r}: {error}") from None
+    if not math.isfinite(number):
+        raise InvalidValue(f"a finite number is needed, not {value!r:.60}")
+    return number
+
+
+def priority(field: str, name: str, value: object) -> float | None:
+    """Return a priority: any finite real number, or None."""
+    if value is None or (_is_number(value) and (isinstance(value, int) or math.isfinite(value))):
         return value
-    raise ModelError(f"the priority of {name!r} is a whole number or None, not {value!r}")
+    raise ModelError(f"the {field} of {name!r} is a finite number or None, not {value!r}")
 
 
-def age(name: str, value: object) -> float:
+def age(field: str, name: str, value: object) -> float:
     """Return a maximum age [s]."""
-    if isinstance(value, int | float) and not isinstance(value, bool) and 0 < value <= _FAR:
+    if _is_number(value) and (0 < value <= sys.float_info.max or value == math.inf):
         return float(value)
-    if value == math.inf:
-        return math.inf
-    raise ModelError(f"max_age of {name!r} is a time in seconds above 0, not {value!r}")
+    raise ModelError(f"{field} of {name!r} is a time in seconds above 0, not {value!r}")
 
 
-def agreement(name: str, value: object) -> tuple[int, int]:
+def span(field: str, name: str, value: object) -> float:
+    """Return a hysteresis or dwell."""
+    if _is_number(value) and 0 <= value <= sys.float_info.max:
+        return float(value)
+    raise ModelError(f"the {field} of {name!r} is a number from 0, not {value!r}")
+
+
+def _is_number(value: object) -> TypeGuard[int | float]:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def agreement(field: str, name: str, value: object) -> tuple[int, int]:
     """Return how many of the last measurements have to agree."""
     if isinstance(value, tuple | list) and len(value) == 2:
         enough, last = value
         if type(enough) is int and type(last) is int and 0 < enough <= last < 2 * enough:
             return enough, last
     raise ModelError(
-        f"agreement of {name!r} is two whole numbers (n, k), n of the last k measurements and more than half of them, "
+        f"{field} of {name!r} is two whole numbers (n, k), n of the last k measurements and more than half of them, "
         f"e.g. (2, 3); not {value!r}"
     )
-
-
-def span(name: str, value: object) -> float:
-    """Return a hysteresis or dwell."""
-    if isinstance(value, int | float) and not isinstance(value, bool) and 0 <= value <= _FAR:
-        return float(value)
-    raise ModelError(f"a hysteresis or dwell of {name!r} is a number from 0, not {value!r}")
 
 
 def pid(value: object) -> int:
@@ -105,51 +133,22 @@ def choice(what: str, options: type[ChoiceT], given: object) -> ChoiceT:
 
 def listed(what: str, values: object) -> tuple[Any, ...]:
     """Return the items of a list; one text by itself is not taken for its letters."""
-    if isinstance(values, str | bytes | Element | Expression) or not isinstance(values, Iterable):
+    if isinstance(values, str | bytes) or not isinstance(values, Iterable):
         raise ModelError(f"{what} are given as a list, not as {values!r}")
     return tuple(values)
-
-
-def reference(kind: str, table: Mapping[str, ElementT], given: object, model: "Model") -> str:
-    """Return the name of an element that is referred to by itself or by its name."""
-    if not isinstance(given, Element):
-        if isinstance(given, str) and given in table:
-            return given
-        raise UnknownName(kind, given, table)
-    if given.model is not model:
-        raise ModelError(f"{kind} {given.name!r} belongs to model {given.model.name!r}, not to {model.name!r}")
-    found = table.get(given.name)
-    if found is None or found is not given:
-        raise ModelError(f"a {kind} is needed here, not the {type(given).__name__} {given.name!r}")
-    return given.name
-
-
-def expressions(model: "Model", attributes: Mapping[str, Attribute], values: object) -> tuple[Expression, ...]:
-    """Return the constraints of an element, all of which can be added."""
-    wanted = listed("constraints", values)
-    for expression in wanted:
-        if not isinstance(expression, Expression):
-            raise ModelError(f"a constraint is a comparison such as `light >= 0.5`, not {expression!r}")
-        if expression.model is not None and expression.model is not model:
-            raise ModelError(f"{expression} compares an attribute of {expression.model.name!r}, not of {model.name!r}")
-        reference("attribute", attributes, expression.attribute, model)
-    return wanted
 
 
 def parameters(configuration: str, values: object) -> Parameters:
     """Return the parameters of a configuration, a copy that cannot be changed."""
     if not isinstance(values, Mapping):
         raise ModelError(f"the parameters of {configuration!r} are given as values by name, not as {values!r}")
-    return MappingProxyType({_key(configuration, key): _value(configuration, key, values[key]) for key in values})
+    for key in values:
+        if not isinstance(key, str):
+            raise ModelError(f"the name of a parameter of {configuration!r} is a text, not {key!r}")
+    return MappingProxyType({key: _parameter(configuration, key, value) for key, value in values.items()})
 
 
-def _key(configuration: str, key: object) -> str:
-    if not isinstance(key, str):
-        raise ModelError(f"the name of a parameter of {configuration!r} is a text, not {key!r}")
-    return key
-
-
-def _value(configuration: str, key: str, value: object) -> Parameter:
+def _parameter(configuration: str, key: str, value: object) -> Parameter:
     if _is_scalar(value):
         return value  # type: ignore[return-value]  # a scalar: checked on the line above
     if isinstance(value, list | tuple) and all(_is_scalar(item) for item in value):

@@ -1,46 +1,35 @@
 """From individuals to a model again: the way back from `individuals`."""
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import MISSING, fields
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
-from kb.amendments import Changeable
-from kb.declarations import choice
+from kb.contents import Contents
+from kb.declarations import choice, finite_number
 from kb.elements import (
-    Action,
+    REFERENCES,
     Attribute,
+    Changeable,
     Component,
-    ComponentKind,
     Configuration,
     Constraint,
+    Element,
     Estimation,
     Expression,
-    Function,
-    FunctionDesign,
-    finite_number,
 )
 from kb.exceptions import InvalidValue, KnowledgeBaseError, ModelError, UnknownName
 from kb.facts import StatusFact
-from kb.individuals import CLASSES, GENERAL, NAMED, Individual, Ref, Value, parameter_values, property_of
+from kb.individuals import CLASSES, GENERAL, SPECIAL, Individual, Ref, Value, parameter_values, property_of
 from kb.status import Status
 
-if TYPE_CHECKING:
-    from kb.model import Model
+__all__ = ["Declarer"]
 
-__all__ = ["Declarer", "class_of"]
-
-_KINDS: Final[Mapping[str, type]] = {kind: cls for cls, kind in CLASSES.items()}
+_CLASSES: Final[Mapping[str, Any]] = {kind: cls for cls, kind in CLASSES.items()}
 _RANKS: Final = {kind: rank for rank, kind in enumerate(CLASSES.values())}
 _LISTS: Final = frozenset({"functions", "components", "constrained", "activate", "deactivate", "parameters"})
 _UNSAID: Final = frozenset({"position", "prefersNothing"})
-_COMPONENTS: Final = {"ProcessComponent": ComponentKind.PROCESS, "LifecycleComponent": ComponentKind.LIFECYCLE}
-
-
-def class_of(kind: str) -> type | None:
-    """Return the class of the elements or facts of a kind; None if that is nested, or the model."""
-    return _KINDS.get(GENERAL.get(kind, kind))
 
 
 class Declarer:
@@ -51,7 +40,7 @@ class Declarer:
         known: its elements by id, as far as individuals may refer to them.
     """
 
-    def __init__(self, model: "Model", known: Mapping[str, Changeable] | None = None) -> None:
+    def __init__(self, model: Contents, known: Mapping[str, Changeable] | None = None) -> None:
         self.model = model
         self.known: dict[str, Changeable] = dict(known or {})
         self.nested: dict[str, Individual] = {}
@@ -64,13 +53,7 @@ class Declarer:
         """
         listed = list(given)
         self.nested = {one.id: one for one in listed}
-        own = [one for one in listed if class_of(one.kind)]
-        elements = [one for one in own if self._rank(one) <= _RANKS["Estimation"]]
-        facts = [one for one in own if self._rank(one) > _RANKS["Estimation"]]
-        for one in (
-            *sorted(elements, key=lambda each: (self._rank(each), _position(each))),
-            *sorted(facts, key=_position),
-        ):
+        for one in sorted((one for one in listed if GENERAL.get(one.kind, one.kind) in _CLASSES), key=_order):
             with _blamed(one.id):
                 made = self._make(one)
                 if made is not None:
@@ -94,16 +77,14 @@ class Declarer:
             found["preference"] = {}
         return found
 
-    def _rank(self, one: Individual) -> int:
-        return _RANKS[GENERAL.get(one.kind, one.kind)]
-
-    def _value(self, cls: type, field: str, given: tuple[Value, ...]) -> Any:  # noqa: ANN401  # what the field holds
+    def _value(self, cls: type, field: str, given: tuple[Value, ...]) -> object:
         if cls is Configuration and field == "parameters":
-            return _read(lambda: parameter_values(self._inner(one) for one in given))
+            with _well_written():
+                return parameter_values(self._inner(one) for one in given)
         if field == "preference":
             return dict(self._weight(self._inner(one)) for one in given)
-        if field in NAMED:
-            names = tuple(self._element(one, NAMED[field]).name for one in given)
+        if field in REFERENCES:
+            names = tuple(self._element(one, REFERENCES[field]).name for one in given)
             return names if field in _LISTS else _single(field, names)
         if field in ("constrained", "causer", "element"):
             elements = tuple(self._element(one, object) for one in given)
@@ -112,7 +93,8 @@ class Declarer:
         if isinstance(value, Ref):
             raise ModelError(f"{field} is a value, not {value.id}")
         if field == "agreement":
-            return _read(lambda: tuple(json.loads(str(value))))
+            with _well_written():
+                return tuple(json.loads(str(value)))
         return value
 
     def _inner(self, value: Value) -> Individual:
@@ -127,49 +109,32 @@ class Declarer:
     def _element(self, value: Value, cls: type) -> Any:  # noqa: ANN401  # an element of the class
         found = self.known.get(value.id) if isinstance(value, Ref) else None
         if found is None or not isinstance(found, cls):
-            kind = CLASSES.get(cls, "individual")
             known = [one for one, element in self.known.items() if isinstance(element, cls)]
-            raise UnknownName(kind, _shown(value), known)
+            raise UnknownName(CLASSES.get(cls, "individual"), _shown(value), known)
         return found
 
     def _make(self, one: Individual) -> Changeable | None:
-        cls = _KINDS[GENERAL.get(one.kind, one.kind)]
+        cls = _CLASSES[GENERAL.get(one.kind, one.kind)]
         values = self.values(cls, one)
-        maker = _MAKERS.get(cls)
-        if maker is None:
-            if cls is StatusFact:
-                values["status"] = choice("status", Status, values["status"])
-            self.model.add_fact(cls(**values))
-            return None
-        made: Changeable = maker(self.model, one.kind, values)
-        return made
+        if cls is Estimation:
+            return self.model.add_estimation(**values)
+        if cls is Constraint:
+            constrained, value = values.pop("constrained"), finite_number(values.pop("value"))
+            return self.model.constrain(constrained, Expression(**values, value=value))
+        if issubclass(cls, Element):
+            return self._declared(cls, one.kind, **values)
+        if cls is StatusFact:
+            values["status"] = choice("status", Status, values["status"])
+        self.model.add_fact(cls(**values))
+        return None
 
-
-def _attribute(model: "Model", kind: str, values: dict[str, Any]) -> Attribute:
-    makers = {"QualityAttribute": model.quality_attribute, "EnvironmentalAttribute": model.environmental_attribute}
-    if kind not in makers:
-        raise ModelError(f"an attribute is a {' or an '.join(makers)}; say which")
-    return makers[kind](**values)
-
-
-def _component(model: "Model", kind: str, values: dict[str, Any]) -> Component:
-    return model.component(kind=_COMPONENTS.get(kind, ComponentKind.PLAIN), **values)
-
-
-def _constraint(model: "Model", _: str, values: dict[str, Any]) -> Constraint:
-    return model.constrain(values.pop("constrained"), Expression(**{**values, "value": finite_number(values["value"])}))
-
-
-_MAKERS: Final[Mapping[type, Callable[["Model", str, dict[str, Any]], Any]]] = {
-    Attribute: _attribute,
-    Component: _component,
-    Configuration: lambda model, _, values: model.add_configuration(**values),
-    Function: lambda model, _, values: model.function(**values),
-    FunctionDesign: lambda model, _, values: model.add_design(**values),
-    Action: lambda model, _, values: model.action(values["name"], requires=values["functions"]),
-    Constraint: _constraint,
-    Estimation: lambda model, _, values: model.add_estimation(**values),
-}
+    def _declared(self, cls: type[Element], kind: str, name: str, **values: object) -> Element:
+        if cls in (Attribute, Component):
+            special = {other: one for (of, one), other in SPECIAL.items() if of is cls}
+            if cls is Attribute and kind not in special:
+                raise ModelError(f"an attribute is a {' or an '.join(special)}; say which")
+            values |= {"kind": special[kind]} if kind in special else {}
+        return self.model.declare(cls, name, **values)
 
 
 @contextmanager
@@ -180,9 +145,10 @@ def _blamed(individual: str) -> Iterator[None]:
         raise ModelError(f"{individual}: {error}") from None
 
 
-def _read(reader: Callable[[], Any]) -> Any:  # noqa: ANN401  # what is read is checked by the model
+@contextmanager
+def _well_written() -> Iterator[None]:
     try:
-        return reader()
+        yield
     except (ValueError, TypeError, LookupError) as error:
         raise InvalidValue(f"it is not written as it should be: {error}") from None
 
@@ -198,6 +164,8 @@ def _shown(value: Value) -> str:
     return value.id if isinstance(value, Ref) else repr(value)
 
 
-def _position(one: Individual) -> tuple[int, str]:
+def _order(one: Individual) -> tuple[int, int, str]:
+    """Return the key that sorts: elements by class and position, then facts by position."""
+    rank = _RANKS[GENERAL.get(one.kind, one.kind)]
     (position, *_) = (*one.values.get("position", ()), 0)
-    return (position if isinstance(position, int) else 0), one.id
+    return min(rank, _RANKS["Estimation"] + 1), (position if isinstance(position, int) else 0), one.id

@@ -1,24 +1,38 @@
-"""What a robot is made of and can do, in ROSA's words; `model` is their builder, and alone may change one.
+"""What a robot is made of and can do, in ROSA's words; `Model` is their builder, and alone may change one.
 
-An element is one thing in one model: it equals nothing but itself.
+An element is one thing in one model: it equals nothing but itself. How a field is checked, and whether it may change
+once it is declared, stands in its annotation.
 """
 
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import TYPE_CHECKING
+from typing import Annotated, Final, Protocol, TypeVar, get_type_hints
 
-from kb.exceptions import InvalidValue, ModelError
+from kb.declarations import (
+    Field,
+    Parameter,
+    Parameters,
+    age,
+    agreement,
+    choice,
+    finite_number,
+    flag,
+    parameters,
+    priority,
+    span,
+    text,
+)
+from kb.exceptions import ModelError
 from kb.status import OPERATORS
-
-if TYPE_CHECKING:
-    from kb.model import Model
 
 __all__ = [
     "Action",
     "Attribute",
     "AttributeKind",
+    "CHECKS",
+    "Changeable",
     "Component",
     "ComponentKind",
     "Configuration",
@@ -31,15 +45,18 @@ __all__ = [
     "Expression",
     "Function",
     "FunctionDesign",
+    "KINDS",
+    "Owner",
     "Parameter",
     "Parameters",
+    "REFERENCES",
     "StalePolicy",
+    "called",
     "exact",
     "finite_number",
 ]
 
-Parameter = bool | int | float | str | list[bool] | list[int] | list[float] | list[str]
-Parameters = Mapping[str, Parameter]
+ElementT = TypeVar("ElementT", bound="Element")
 
 
 class AttributeKind(StrEnum):
@@ -76,6 +93,36 @@ class EstimationKind(StrEnum):
     ABSOLUTE = "absolute"
 
 
+_FLAG: Final = Field(lambda field, name, value: flag(f"{field} of {name!r}", value))
+_TEXT: Final = Field(lambda field, name, value: text(f"the {field} of {name!r}", value), can_change=False)
+_NUMBER: Final = Field(lambda _, __, value: finite_number(value))
+_PRIORITY: Final = Field(priority)
+_SPAN: Final = Field(span)
+_AGE: Final = Field(age)
+_AGREEMENT: Final = Field(agreement)
+_PARAMETERS: Final = Field(lambda _, name, value: parameters(name, value))
+
+
+def _one_of(what: str, options: type[StrEnum], *, can_change: bool = True) -> Field:
+    return Field(lambda _, __, value: choice(what, options, value), can_change)
+
+
+class Owner(Protocol):
+    """What elements ask of the model that they are in."""
+
+    name: str
+
+    def declare(
+        self, cls: type[ElementT], name: str, constraints: Iterable["Expression"] = (), /, **given: object
+    ) -> ElementT: ...
+    def constrain_all(
+        self, element: "Constrainable", constraints: Iterable["Expression"]
+    ) -> tuple["Constraint", ...]: ...
+    def add_estimation(
+        self, causer: "Estimable", attribute: "Attribute | str", value: float, kind: EstimationKind | str = "positive"
+    ) -> "Estimation": ...
+
+
 @dataclass(frozen=True, slots=True)
 class Expression:
     """A comparison of an attribute with a number, e.g. `light >= 0.5`; becomes a constraint of what is given it."""
@@ -83,7 +130,7 @@ class Expression:
     attribute: str
     operator: str
     value: float
-    model: "Model | None" = field(default=None, repr=False, compare=False)
+    model: Owner | None = field(default=None, repr=False, compare=False)
     hysteresis: float = 0.0
     dwell: float = 0.0
 
@@ -120,10 +167,10 @@ class Constraint:
 
     attribute: str
     operator: str
-    value: float
+    value: Annotated[float, _NUMBER]
     constrained: tuple["Constrainable", ...]
-    hysteresis: float = 0.0
-    dwell: float = 0.0
+    hysteresis: Annotated[float, _SPAN] = 0.0
+    dwell: Annotated[float, _SPAN] = 0.0
 
     def __str__(self) -> str:
         return f"{self.attribute} {self.operator} {exact(self.value)}"
@@ -134,8 +181,8 @@ class Estimation:
     """What choosing the causer (a design, a component or a configuration) is expected to do to an attribute."""
 
     attribute: str
-    value: float
-    kind: EstimationKind
+    value: Annotated[float, _NUMBER]
+    kind: Annotated[EstimationKind, _one_of("estimation kind", EstimationKind)]
     causer: "Estimable"
 
 
@@ -144,7 +191,7 @@ class Element:
     """Something with a name in a model."""
 
     name: str
-    model: "Model" = field(repr=False, compare=False)
+    model: Owner = field(repr=False, compare=False)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -178,10 +225,12 @@ class Attribute(Element):
         agreement: n of the last k measurements have to say so before a constraint on it changes, as (n, k).
     """
 
-    kind: AttributeKind = AttributeKind.QUALITY
-    max_age: float = math.inf
-    when_stale: StalePolicy = StalePolicy.NOT_EVALUATED
-    agreement: tuple[int, int] = (1, 1)
+    kind: Annotated[AttributeKind, _one_of("attribute kind", AttributeKind, can_change=False)] = AttributeKind.QUALITY
+    max_age: Annotated[float, _AGE] = math.inf
+    when_stale: Annotated[StalePolicy, _one_of("policy for stale measurements", StalePolicy)] = (
+        StalePolicy.NOT_EVALUATED
+    )
+    agreement: Annotated[tuple[int, int], _AGREEMENT] = (1, 1)
 
     def __ge__(self, value: float) -> Expression:
         return Expression(self.name, ">=", finite_number(value), self.model)
@@ -201,8 +250,8 @@ class Configuration(_Estimable):
     """One set of values for the parameters of a component."""
 
     component: str
-    parameters: Parameters = field(hash=False)
-    priority: int | None = None
+    parameters: Annotated[Parameters, _PARAMETERS]
+    priority: Annotated[float | None, _PRIORITY] = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -217,22 +266,23 @@ class Component(_Estimable):
         executable: the program's name there.
     """
 
-    kind: ComponentKind = ComponentKind.PLAIN
-    always_improve: bool = False
-    stops_to_configure: bool = False
-    package: str = ""
-    executable: str = ""
+    kind: Annotated[ComponentKind, _one_of("component kind", ComponentKind, can_change=False)] = ComponentKind.PLAIN
+    always_improve: Annotated[bool, _FLAG] = False
+    stops_to_configure: Annotated[bool, _FLAG] = False
+    package: Annotated[str, _TEXT] = ""
+    executable: Annotated[str, _TEXT] = ""
 
     def configuration(
         self,
         name: str,
         parameters: Parameters | None = None,
         *,
-        priority: int | None = None,
+        priority: float | None = None,
         constraints: Iterable[Expression] = (),
     ) -> Configuration:
         """Declare one way to set this component's parameters; the lowest priority number is tried first."""
-        return self.model.add_configuration(name, self, parameters or {}, priority, constraints)
+        given = {"component": self, "parameters": parameters or {}, "priority": priority}
+        return self.model.declare(Configuration, name, constraints, **given)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -241,25 +291,26 @@ class FunctionDesign(_Estimable):
 
     function: str
     components: tuple[str, ...]
-    priority: int | None = None
+    priority: Annotated[float | None, _PRIORITY] = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Function(Element):
     """Something the robot can do as a means, e.g. localise; realised by one of its designs."""
 
-    always_improve: bool = False
+    always_improve: Annotated[bool, _FLAG] = False
 
     def design(
         self,
         name: str,
         components: Iterable[Component | str],
         *,
-        priority: int | None = None,
+        priority: float | None = None,
         constraints: Iterable[Expression] = (),
     ) -> FunctionDesign:
         """Declare one set of components that realises this function; the lowest priority number is tried first."""
-        return self.model.add_design(name, self, components, priority, constraints)
+        given = {"function": self, "components": components, "priority": priority}
+        return self.model.declare(FunctionDesign, name, constraints, **given)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -271,21 +322,47 @@ class Action(_Constrainable):
 
 Constrainable = Action | FunctionDesign | Component | Configuration
 Estimable = FunctionDesign | Component | Configuration
+Changeable = Element | Constraint | Estimation
+
+KINDS: Final[Mapping[type, str]] = {
+    Attribute: "attribute",
+    Component: "component",
+    Configuration: "configuration",
+    Function: "function",
+    FunctionDesign: "function design",
+    Action: "action",
+    Constraint: "constraint",
+    Estimation: "estimation",
+}
+"""What each class of element is called; in an order in which each refers to those before it only."""
+
+REFERENCES: Final[Mapping[str, type[Element]]] = {
+    "functions": Function,
+    "function": Function,
+    "components": Component,
+    "component": Component,
+    "attribute": Attribute,
+    "action": Action,
+    "activate": Component,
+    "deactivate": Component,
+    "parameters": Configuration,
+}
+"""The fields of elements and facts that name other elements, and of which class; parameters are those of a plan."""
 
 
-def finite_number(value: object) -> float:
-    """Return the value as a float; text, booleans, NaN and infinities are refused."""
-    if isinstance(value, bool | str) or not hasattr(value, "__float__"):
-        raise InvalidValue(f"a number is needed, not {value!r}")
-    try:
-        number = float(value)
-    except OverflowError:
-        number = math.inf
-    except (TypeError, ValueError) as error:
-        raise InvalidValue(f"a number is needed, not {value!r}: {error}") from None
-    if not math.isfinite(number):
-        raise InvalidValue(f"a finite number is needed, not {value!r:.60}")
-    return number
+def _checks(cls: type) -> Mapping[str, Field]:
+    hints = get_type_hints(cls, include_extras=True)
+    given = {name: getattr(hint, "__metadata__", ()) for name, hint in hints.items()}
+    return {name: extra[0] for name, extra in given.items() if extra}
+
+
+CHECKS: Final[Mapping[type, Mapping[str, Field]]] = {cls: _checks(cls) for cls in KINDS}
+"""How the fields of each class of elements are checked, but for those that name other elements."""
+
+
+def called(element: Changeable) -> str:
+    """Return the name of an element; a constraint or estimation is called by its attribute."""
+    return element.name if isinstance(element, Element) else element.attribute
 
 
 def exact(value: float) -> str:

@@ -11,13 +11,15 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import fields
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 from urllib.parse import quote, unquote
 
-from kb.amendments import Changeable, tables_of
+from kb.contents import Contents, tables_of
 from kb.elements import (
+    REFERENCES,
     Action,
     Attribute,
+    Changeable,
     Component,
     Configuration,
     Constraint,
@@ -38,18 +40,15 @@ from kb.facts import (
     StatusFact,
 )
 
-if TYPE_CHECKING:
-    from kb.model import Model
-
 __all__ = [
     "CLASSES",
     "GENERAL",
     "Individual",
     "MODEL",
-    "NAMED",
     "PARAMETER",
     "PREFERENCE",
     "Ref",
+    "SPECIAL",
     "STATED",
     "Serials",
     "Value",
@@ -120,12 +119,13 @@ GENERAL: Final[Mapping[str, str]] = {
 }
 """The kind of which another is a special one."""
 
-_SPECIAL: Final[Mapping[tuple[type, str], str]] = {
+SPECIAL: Final[Mapping[tuple[type, str], str]] = {
     (Attribute, "quality"): "QualityAttribute",
     (Attribute, "environmental"): "EnvironmentalAttribute",
     (Component, "process"): "ProcessComponent",
     (Component, "lifecycle"): "LifecycleComponent",
 }
+"""The special kind of elements of a class by their own `kind`, where they have one."""
 
 _PROPERTIES: Final[Mapping[tuple[type, str], str]] = {
     (Action, "functions"): "requires",
@@ -152,19 +152,6 @@ _PROPERTIES: Final[Mapping[tuple[type, str], str]] = {
 }
 """What a field is called, where that is not its own name."""
 
-NAMED: Final[Mapping[str, type]] = {
-    "functions": Function,
-    "function": Function,
-    "components": Component,
-    "component": Component,
-    "attribute": Attribute,
-    "action": Action,
-    "activate": Component,
-    "deactivate": Component,
-    "parameters": Configuration,
-}
-"""The fields that name an element, and of which class that is."""
-
 _NUMBERS: Final = frozenset({"value", "time", "start", "end", "max_age", "hysteresis", "dwell"})
 _UNSAFE: Final = re.compile(r"[^A-Za-z0-9_-]")
 
@@ -181,13 +168,13 @@ def property_of(cls: type, field: str) -> str:
 def kind_of(one: Changeable | Fact) -> str:
     """Return the most special kind of an element or fact."""
     kind = CLASSES[type(one)]
-    return _SPECIAL.get((type(one), str(getattr(one, "kind", ""))), kind)
+    return SPECIAL.get((type(one), str(getattr(one, "kind", ""))), kind)
 
 
 class Serials:
     """Numbers for what has no name; one that was given stays, whatever else is removed from the model."""
 
-    def __init__(self, model: "Model") -> None:
+    def __init__(self, model: Contents) -> None:
         self._given: dict[Changeable, int] = {}
         self._next = 0
         listed: tuple[Constraint | Estimation, ...] = (*model.constraints, *model.estimations)
@@ -217,11 +204,11 @@ def name_of(own: str) -> str:
     return unquote(own.partition(".")[2], errors="surrogatepass")
 
 
-def individuals(model: "Model", serials: Serials | None = None) -> Iterator[Individual]:
+def individuals(model: Contents, serials: Serials | None = None) -> Iterator[Individual]:
     """Yield all that a model says, in an order in which it can be declared; what it states to be so comes last."""
     serials = serials or Serials(model)
     yield Individual(MODEL, f"{MODEL}.{_escaped(model.name)}", {"name": (model.name,)})
-    tables = [table.values() for table in tables_of(model)]
+    tables = [table.values() for table in tables_of(model).values()]
     kinds: list[Iterable[Changeable]] = [*tables, model.constraints, model.estimations]
     for elements in kinds:
         for position, element in enumerate(elements):
@@ -311,8 +298,8 @@ def _plain(cls: type, field: str, value: object, serials: Serials) -> Iterator[V
     elif isinstance(value, tuple):
         for one in value:
             yield from _plain(cls, field, one, serials)
-    elif isinstance(value, str) and field in NAMED:
-        yield Ref(named_id(NAMED[field], value))
+    elif isinstance(value, str) and field in REFERENCES:
+        yield Ref(named_id(REFERENCES[field], value))
     elif isinstance(value, StrEnum):
         yield str(value)
     elif isinstance(value, str | bool | int | float):

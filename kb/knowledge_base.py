@@ -8,10 +8,9 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
-from kb.amendments import Changeable
 from kb.beginning import past_plan, past_process, past_request, stated
 from kb.declarations import text
-from kb.elements import Action, Attribute, Component, Constraint, Element, Estimation, finite_number
+from kb.elements import Action, Attribute, Changeable, Component, Constraint, Element, Estimation, finite_number
 from kb.events import Event
 from kb.exceptions import InvalidValue, KnowledgeBaseError
 from kb.explanation.reasons import why, why_selected

@@ -16,28 +16,21 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import UnionType
-from typing import TYPE_CHECKING, Any, TypeVar, get_args
+from typing import Any, Self, TypeVar, get_args
 from weakref import ref
 
-from kb.amendments import (
-    Changeable,
-    Elements,
-    Observer,
-    checked_changes,
-    checked_fact,
-    concerns,
-    description,
-    named,
-    removal,
-)
-from kb.declarations import age, choice, expressions, flag, identifier, listed, reference, text
-from kb.declarations import agreement as checked_agreement
-from kb.declarations import parameters as checked_parameters
-from kb.declarations import priority as checked_priority
+from kb.checks.findings import Finding
+from kb.checks.model import check_model
+from kb.contents import Elements, Observer, checked_fact, concerns, description, named, users_of
+from kb.declarations import choice, finite_number, identifier, listed
 from kb.elements import (
+    CHECKS,
+    KINDS,
+    REFERENCES,
     Action,
     Attribute,
     AttributeKind,
+    Changeable,
     Component,
     ComponentKind,
     Configuration,
@@ -50,19 +43,16 @@ from kb.elements import (
     Expression,
     Function,
     FunctionDesign,
-    Parameters,
     StalePolicy,
-    finite_number,
+    called,
 )
-from kb.exceptions import DuplicateName, ModelError
+from kb.exceptions import DuplicateName, ModelError, UnknownName
 from kb.facts import Fact, RequiredFact, SelectedFact, StatusFact
-
-if TYPE_CHECKING:
-    from kb.judge.findings import Finding
+from kb.files import SUFFIXES, ModelFileError, write_text
 
 __all__ = ["Model"]
 
-NamedT = TypeVar("NamedT", bound=Element)
+ElementT = TypeVar("ElementT", bound=Element)
 
 
 class Model:
@@ -74,38 +64,25 @@ class Model:
     Each mapping below is by name, in order of declaration, and read-only.
 
     Attributes:
-        notes: what a file said that has no meaning in a model, and what was made of it; for the judge.
+        notes: what a file said that has no meaning in a model, and what was made of it; `check` reports it.
         places: where the elements that come from files stand there, as file:line:column.
     """
 
     def __init__(self, name: str) -> None:
         self.name = identifier("model", name)
-        self._attributes: dict[str, Attribute] = {}
-        self._components: dict[str, Component] = {}
-        self._configurations: dict[str, Configuration] = {}
-        self._functions: dict[str, Function] = {}
-        self._designs: dict[str, FunctionDesign] = {}
-        self._actions: dict[str, Action] = {}
-        self._tables: dict[type[Element], dict[str, Any]] = {
-            Attribute: self._attributes,
-            Component: self._components,
-            Configuration: self._configurations,
-            Function: self._functions,
-            FunctionDesign: self._designs,
-            Action: self._actions,
-        }
+        self._tables: dict[type[Element], dict[str, Any]] = {cls: {} for cls in KINDS if issubclass(cls, Element)}
         self._constraints: dict[Constraint, None] = {}
         self._estimations: dict[Estimation, None] = {}
         self._facts: list[Fact] = []
+        self._observers: list[ref[Observer]] = []
         self.notes: list[str] = []
         self.places: dict[Element | Constraint, str] = {}
-        self._observers: list[ref[Observer]] = []
-        self.attributes: Mapping[str, Attribute] = Elements("attribute", self._attributes)
-        self.components: Mapping[str, Component] = Elements("component", self._components)
-        self.configurations: Mapping[str, Configuration] = Elements("configuration", self._configurations)
-        self.functions: Mapping[str, Function] = Elements("function", self._functions)
-        self.designs: Mapping[str, FunctionDesign] = Elements("function design", self._designs)
-        self.actions: Mapping[str, Action] = Elements("action", self._actions)
+        self.attributes: Mapping[str, Attribute] = self._elements(Attribute)
+        self.components: Mapping[str, Component] = self._elements(Component)
+        self.configurations: Mapping[str, Configuration] = self._elements(Configuration)
+        self.functions: Mapping[str, Function] = self._elements(Function)
+        self.designs: Mapping[str, FunctionDesign] = self._elements(FunctionDesign)
+        self.actions: Mapping[str, Action] = self._elements(Action)
 
     @property
     def constraints(self) -> tuple[Constraint, ...]:
@@ -163,62 +140,47 @@ class Model:
         constraints: Iterable[Expression] = (),
     ) -> Component:
         """Declare a part of the robot; a part that the manager shall switch is a "process" or a "lifecycle" one."""
-        component = Component(
+        return self.declare(
+            Component,
             name,
-            self,
-            choice("component kind", ComponentKind, kind),
-            flag(f"always_improve of {name!r}", always_improve),
-            flag(f"stops_to_configure of {name!r}", stops_to_configure),
-            text(f"the package of {name!r}", package),
-            text(f"the executable of {name!r}", executable),
+            constraints,
+            kind=kind,
+            always_improve=always_improve,
+            stops_to_configure=stops_to_configure,
+            package=package,
+            executable=executable,
         )
-        return self._added("component", self._components, component, constraints)
 
     def function(self, name: str, *, always_improve: bool = False) -> Function:
         """Declare something the robot can do as a means; `always_improve` chooses again even while it is solved."""
-        improve = flag(f"always_improve of {name!r}", always_improve)
-        return self._added("function", self._functions, Function(name, self, improve))
+        return self.declare(Function, name, always_improve=always_improve)
 
     def action(
         self, name: str, *, requires: Iterable[Function | str] = (), constraints: Iterable[Expression] = ()
     ) -> Action:
         """Declare something a mission does, and the functions (or their names) that it requires."""
-        wanted = listed("the functions of an action", requires)
-        functions = tuple(reference("function", self._functions, function, self) for function in wanted)
-        return self._added("action", self._actions, Action(name, self, functions), constraints)
+        return self.declare(Action, name, constraints, functions=requires)
 
-    def add_design(
-        self,
-        name: str,
-        function: Function | str,
-        components: Iterable[Component | str],
-        priority: int | None = None,
-        constraints: Iterable[Expression] = (),
-    ) -> FunctionDesign:
-        """Declare a function design; see `Function.design`."""
-        of = reference("function", self._functions, function, self)
-        wanted = listed("the components of a design", components)
-        parts = dict.fromkeys(reference("component", self._components, component, self) for component in wanted)
-        design = FunctionDesign(name, self, of, tuple(parts), checked_priority(name, priority))
-        return self._added("function design", self._designs, design, constraints)
+    def declare(
+        self, cls: type[ElementT], name: str, constraints: Iterable[Expression] = (), /, **given: object
+    ) -> ElementT:
+        """Declare an element of a class with its constraints, or nothing if one of its fields or these is refused.
 
-    def add_configuration(
-        self,
-        name: str,
-        component: Component | str,
-        parameters: Parameters,
-        priority: int | None = None,
-        constraints: Iterable[Expression] = (),
-    ) -> Configuration:
-        """Declare a component configuration; see `Component.configuration`."""
-        of = reference("component", self._components, component, self)
-        values = checked_parameters(name, parameters)
-        configuration = Configuration(name, self, of, values, checked_priority(name, priority))
-        return self._added("configuration", self._configurations, configuration, constraints)
+        What each class is made of is said by its fields; other elements are given by themselves or by their names.
+        """
+        kind, table = KINDS[cls], self._tables[cls]
+        name = identifier(kind, name)
+        element = cls(name, self, **{field: self._checked(cls, name, field, value) for field, value in given.items()})
+        wanted = self._expressions(constraints)
+        if name in table:
+            raise DuplicateName(f"{kind} {name!r} is declared already; names are unique within a kind")
+        table[name] = element
+        self._grew([element, *(self._constrained((element,), one) for one in wanted)])  # type: ignore[arg-type]  # constrainable, if any
+        return element
 
     def constrain(self, elements: Iterable[Constrainable], expression: Expression) -> Constraint:
         """Add one constraint that all of the elements share."""
-        (checked,) = expressions(self, self._attributes, [expression])
+        (checked,) = self._expressions([expression])
         targets = listed("constrained elements", elements)
         if not targets:
             raise ModelError(f"{checked} constrains nothing; name at least one element")
@@ -231,8 +193,7 @@ class Model:
     def constrain_all(self, element: Constrainable, constraints: Iterable[Expression]) -> tuple[Constraint, ...]:
         """Add each constraint to an element, or none if one of them is refused."""
         self._owned("constrained", element, Constrainable)
-        wanted = expressions(self, self._attributes, constraints)
-        added = tuple(self._constrained((element,), one) for one in wanted)
+        added = tuple(self._constrained((element,), one) for one in self._expressions(constraints))
         self._grew(added)
         return added
 
@@ -241,21 +202,20 @@ class Model:
     ) -> Estimation:
         """State what choosing the causer does to an attribute; see `Component.estimate`."""
         self._owned("the causer of an estimation", causer, Estimable)
-        affected = reference("attribute", self._attributes, attribute, self)
-        sense = choice("estimation kind", EstimationKind, kind)
-        estimation = Estimation(affected, finite_number(value), sense, causer)
+        affected = self._reference(Attribute, attribute)
+        estimation = Estimation(affected, finite_number(value), choice("estimation kind", EstimationKind, kind), causer)
         self._estimations[estimation] = None
         self._grew([estimation])
         return estimation
 
     def add_fact(self, fact: Fact) -> None:
-        """State what is so from the start; see `kb.facts`. A knowledge base that is already at work is not told."""
+        """State what is so from the start; see `kb.facts`. A knowledge base that is already at work does not get it."""
         if isinstance(fact, StatusFact | RequiredFact | SelectedFact):
             self._owned("what a fact is about", fact.element, Changeable)
         self._facts.append(checked_fact(self, fact))
 
     def watch(self, observer: Observer) -> None:
-        """Have something told of every change from now on, for as long as anybody else holds it."""
+        """Inform an observer of every change from now on, for as long as anybody else holds it."""
         if not isinstance(observer, Observer):
             raise ModelError(
                 f"an observer of a model has model_grew, model_changed and model_shrank; {observer!r} has not"
@@ -263,7 +223,7 @@ class Model:
         self._observers.append(ref(observer, self._observers.remove))
 
     @classmethod
-    def load(cls, paths: str | Path | Iterable[str | Path], name: str | None = None) -> "Model":
+    def load(cls, paths: str | Path | Iterable[str | Path], name: str | None = None) -> Self:
         """Read a model from one file or several, each of which may add to those before it.
 
         Args:
@@ -273,24 +233,36 @@ class Model:
         Raises:
             ModelError: the message names the file, line and column, what stands there and what was expected.
         """
-        from kb.files import load_model
+        files = [Path(paths)] if isinstance(paths, str | Path) else [Path(path) for path in paths]
+        if not files:
+            raise ModelError("no file is given to load a model from; give one path or several, in order")
+        owl = [file for file in files if not _is_folder(file) and _suffix(file) == ".owl"]
+        if owl and len(owl) < len(files):
+            others = ", ".join(str(file) for file in files if file not in owl)
+            raise ModelFileError(f"files of one model are all in one format; {others} is in another", str(owl[0]))
+        if owl:
+            from kb.owl import load_owl
 
-        return load_model(cls, paths, name)
+            return load_owl(cls, files, name)
+        from kb.typeql.reading import load_typeql
+
+        return load_typeql(cls, files, name)
 
     def save(self, path: str | Path) -> None:
         """Write the model to a file (`.tql`, `.owl`) that `load` reads back as it is; nothing half-written stays."""
-        from kb.files import save_model
+        file = Path(path)
+        if _suffix(file) == ".owl":
+            from kb.rdfxml import owl_text as written
+        else:
+            from kb.typeql.writing import typeql_text as written
+        write_text(file, written(self))
 
-        save_model(self, path)
-
-    def check(self, names: Iterable[str] | None = None) -> tuple["Finding", ...]:
-        """Judge the model: what can never work, contradicts itself or is likely a slip, and what to do about it.
+    def check(self, names: Iterable[str] | None = None) -> tuple[Finding, ...]:
+        """Find what can never work, contradicts itself or is likely a slip, and what to do about it.
 
         Args:
             names: the action names that a mission's tree or PDDL domain uses; those that do not match are found too.
         """
-        from kb.judge import check_model
-
         return check_model(self, names)
 
     def change(self, element: Changeable | str, **fields: object) -> None:
@@ -304,19 +276,39 @@ class Model:
                 `value` and `kind`.
         """
         element = self._meant("what is changed", element)
-        for name, value in checked_changes(element, fields).items():
-            object.__setattr__(element, name, value)
+        checks = {field: one.check for field, one in CHECKS[type(element)].items() if one.can_change}
+        for field in fields:
+            if field not in checks:
+                allowed = ", ".join(checks) or "nothing"
+                kind = KINDS[type(element)]
+                raise ModelError(f"{field!r} of {kind} {called(element)!r} cannot change; what can: {allowed}")
+        values = {field: checks[field](field, called(element), value) for field, value in fields.items()}
+        for field, new in values.items():
+            object.__setattr__(element, field, new)
         for observer in self._watching():
             observer.model_changed(element)
 
     def remove(self, element: Changeable | str) -> None:
         """Take an element, or the only one that has a name, out of the model, with what constrains or estimates it.
 
+        A constraint on other elements too is only loosened from this one.
+
         Raises:
             ModelError: something else in the model is made of it; the message names what.
         """
         element = self._meant("what is removed", element)
-        removed = removal(self, element)
+        users = users_of(self, element) if isinstance(element, Element) else []
+        if users:
+            raise ModelError(f"{called(element)!r} is needed by {', '.join(users)}; remove that first")
+        removed: list[Changeable] = [element]
+        for constraint in self.constraints:
+            if element in constraint.constrained:
+                rest = tuple(one for one in constraint.constrained if one is not element)
+                if rest:
+                    object.__setattr__(constraint, "constrained", rest)
+                else:
+                    removed.append(constraint)
+        removed += [one for one in self.estimations if one.causer is element]
         for one in removed:
             if isinstance(one, Constraint):
                 del self._constraints[one]
@@ -338,36 +330,52 @@ class Model:
     def __repr__(self) -> str:
         return f"<Model {self.name!r}>"
 
-    def _attribute(
-        self,
-        name: str,
-        kind: AttributeKind,
-        max_age: float,
-        when_stale: StalePolicy | str,
-        agreement: tuple[int, int],
-    ) -> Attribute:
-        policy = choice("policy for stale measurements", StalePolicy, when_stale)
-        agreed = checked_agreement(name, agreement)
-        attribute = Attribute(name, self, kind, age(name, max_age), policy, agreed)
-        return self._added("attribute", self._attributes, attribute)
+    def _elements(self, cls: type[ElementT]) -> Elements[ElementT]:
+        return Elements(KINDS[cls], self._tables[cls])
 
-    def _added(
-        self, kind: str, table: dict[str, NamedT], element: NamedT, constraints: Iterable[Expression] = ()
-    ) -> NamedT:
-        """Add an element with its constraints, or nothing if one of them is refused."""
-        wanted = expressions(self, self._attributes, constraints)
-        name = identifier(kind, element.name)
-        if name in table:
-            raise DuplicateName(f"{kind} {name!r} is declared already; names are unique within a kind")
-        table[name] = element
-        own = [self._constrained((element,), one) for one in wanted]  # type: ignore[arg-type]  # constrainable, if any
-        self._grew([element, *own])
-        return element
+    def _attribute(self, name: str, kind: AttributeKind, *given: object) -> Attribute:
+        max_age, when_stale, agreement = given
+        return self.declare(Attribute, name, kind=kind, max_age=max_age, when_stale=when_stale, agreement=agreement)
 
-    def _constrained(self, targets: tuple[Constrainable, ...], checked: Expression) -> Constraint:
-        constraint = Constraint(
-            checked.attribute, checked.operator, checked.value, targets, checked.hysteresis, checked.dwell
-        )
+    def _checked(self, cls: type[Element], name: str, field: str, value: object) -> object:
+        found = CHECKS[cls].get(field)
+        if found is not None:
+            return found.check(field, name, value)
+        if field not in REFERENCES:
+            raise UnknownName(f"field of {KINDS[cls]}", field, CHECKS[cls])
+        if field not in ("functions", "components"):
+            return self._reference(REFERENCES[field], value)
+        given = listed(f"the {field} of {name!r}", value)
+        return tuple(dict.fromkeys(self._reference(REFERENCES[field], one) for one in given))
+
+    def _reference(self, cls: type[Element], given: object) -> str:
+        """Return the name of an element that is referred to by itself or by its name."""
+        kind, table = KINDS[cls], self._tables[cls]
+        if not isinstance(given, Element):
+            if isinstance(given, str) and given in table:
+                return given
+            raise UnknownName(kind, given, table)
+        if given.model is not self:
+            raise ModelError(f"{kind} {given.name!r} belongs to model {given.model.name!r}, not to {self.name!r}")
+        name = given.name
+        if table.get(name) is not given:
+            raise ModelError(f"a {kind} is needed here, not the {type(given).__name__} {name!r}")
+        return name
+
+    def _expressions(self, values: object) -> tuple[Expression, ...]:
+        """Return the constraints of an element, all of which can be added."""
+        wanted = listed("constraints", values)
+        for expression in wanted:
+            if not isinstance(expression, Expression):
+                raise ModelError(f"a constraint is a comparison such as `light >= 0.5`, not {expression!r}")
+            of = expression.model
+            if of is not None and of is not self:
+                raise ModelError(f"{expression} compares an attribute of {of.name!r}, not of {self.name!r}")
+            self._reference(Attribute, expression.attribute)
+        return wanted
+
+    def _constrained(self, targets: tuple[Constrainable, ...], one: Expression) -> Constraint:
+        constraint = Constraint(one.attribute, one.operator, one.value, targets, one.hysteresis, one.dwell)
         self._constraints[constraint] = None
         return constraint
 
@@ -398,3 +406,18 @@ class Model:
             found, name = self._tables[type(element)].get(element.name) is element, repr(element.name)
         if not found:
             raise ModelError(f"{name} is not in model {self.name!r}, or no longer")
+
+
+def _is_folder(file: Path) -> bool:
+    try:
+        return file.is_dir()
+    except (OSError, ValueError):
+        return False
+
+
+def _suffix(file: Path) -> str:
+    suffix = file.suffix.lower()
+    if suffix not in SUFFIXES:
+        given = f"the suffix {file.suffix!r}" if file.suffix else "no suffix"
+        raise ModelFileError(f"{given} says no format of models; there are {', '.join(SUFFIXES)}", str(file))
+    return suffix

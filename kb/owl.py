@@ -4,24 +4,22 @@ import re
 import shutil
 import sqlite3
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeVar
 
 import owlready2
 from owlready2 import rdfxml_2_ntriples
 from owlready2.sparql.main import Translator
 
+from kb.contents import Contents
 from kb.declaring import Declarer
 from kb.exceptions import KnowledgeBaseError, ModelError, UnknownName
 from kb.files import ModelFileError, read_text
 from kb.individuals import CLASSES, GENERAL, MODEL, PARAMETER, PREFERENCE, STATED, Individual, Ref, Value
 from kb.rdfxml import ROSA, order, plain_text
 from kb.store.queries import FUNCTIONS, Question, complaint, read_question
-
-if TYPE_CHECKING:
-    from kb.model import Model
 
 __all__ = ["Answer", "Book", "database", "inconsistency", "load_owl"]
 
@@ -36,6 +34,7 @@ _AT_ONCE: Final = 200
 _WHERE: Final = re.compile(r"line (\d+), column (\d+)")
 
 
+ModelT = TypeVar("ModelT", bound=Contents)
 Answer = str | bool | int | float | None
 
 
@@ -45,7 +44,7 @@ class _Triple(NamedTuple):
     value: Value
 
 
-def load_owl(cls: "type[Model]", paths: Sequence[Path], name: str | None) -> "Model":
+def load_owl(cls: Callable[[str], ModelT], paths: Sequence[Path], name: str | None) -> ModelT:
     """Read a model from OWL files in RDF/XML, as they are taken together; see `Model.load`."""
     told: dict[str, dict[str, list[Value]]] = {}
     for path in paths:

@@ -7,13 +7,11 @@ import json
 import re
 from collections.abc import Iterator, Mapping
 from importlib.resources import files
-from typing import TYPE_CHECKING, Final
+from typing import Final
 from xml.sax.saxutils import escape
 
+from kb.contents import Contents
 from kb.individuals import GENERAL, Individual, Ref, Value, individuals
-
-if TYPE_CHECKING:
-    from kb.model import Model
 
 __all__ = ["BASE", "ROSA", "iri_of", "metamodel", "order", "owl_text", "plain_text", "xml_text"]
 
@@ -34,7 +32,7 @@ def metamodel() -> str:
     return files("kb").joinpath("ontologies/rosa.owl").read_text(encoding="utf-8")
 
 
-def owl_text(model: "Model") -> str:
+def owl_text(model: Contents) -> str:
     """Write a model as an ontology; see `Model.save`."""
     own, *others = individuals(model)
     base = f"{BASE}{own.id}"

@@ -222,7 +222,7 @@ class _SelectableView(_ConstrainedView):
         return state.reason("selected", self._node).text if state.selected[self._node.index] else ""
 
     @property
-    def priority(self) -> int | None:
+    def priority(self) -> float | None:
         """The lowest number is preferred; None comes last."""
         assert isinstance(self._node.element, FunctionDesign | Configuration)
         return self._node.element.priority

@@ -33,7 +33,7 @@ class Alternative:
 
     name: str
     status: Status
-    priority: int | None
+    priority: float | None
     reason: str
 
 
@@ -242,5 +242,5 @@ def _element(part: Node) -> FunctionDesign | Configuration:
     return part.element
 
 
-def _told(priority: int | None) -> str:
+def _told(priority: float | None) -> str:
     return "no priority number" if priority is None else f"priority number {priority}"

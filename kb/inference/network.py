@@ -4,14 +4,21 @@ import math
 from bisect import bisect_right, insort
 from collections.abc import Iterable
 from operator import itemgetter
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
-from kb.amendments import KINDS
-from kb.elements import Action, Attribute, Component, Configuration, Constraint, Element, Function, FunctionDesign
+from kb.contents import Contents
+from kb.elements import (
+    KINDS,
+    Action,
+    Attribute,
+    Component,
+    Configuration,
+    Constraint,
+    Element,
+    Function,
+    FunctionDesign,
+)
 from kb.exceptions import UnknownName
-
-if TYPE_CHECKING:
-    from kb.model import Model
 
 __all__ = ["LEVELS", "Network", "Node", "Thresholds", "is_steady"]
 
@@ -131,7 +138,7 @@ class Network:
         revision: grows with every node that is added or removed.
     """
 
-    def __init__(self, model: "Model") -> None:
+    def __init__(self, model: Contents) -> None:
         self.model = model
         self.revision = 0
         self.nodes: list[Node] = []

@@ -12,8 +12,7 @@ from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from kb.amendments import Changeable
-from kb.elements import Action, Component, Configuration, Parameters
+from kb.elements import Action, Changeable, Component, Configuration, Parameters
 from kb.exceptions import UnknownName
 from kb.history import Attempt, Process, VetoAnswer
 from kb.individuals import (
@@ -36,7 +35,7 @@ from kb.reconfiguration import ReconfigurationPlan
 from kb.requests import RequiredAction
 
 if TYPE_CHECKING:
-    from kb.model import Model
+    from kb.contents import Contents
 
 __all__ = ["COLUMNS", "Group", "Journal", "Measured", "Record"]
 
@@ -117,7 +116,7 @@ class Journal:
         heard: called when there is something new.
     """
 
-    def __init__(self, model: "Model", *, keeps_measurements: bool = False, most: int | None = None) -> None:
+    def __init__(self, model: "Contents", *, keeps_measurements: bool = False, most: int | None = None) -> None:
         self.serials = Serials(model)
         self.told = 0
         self.keeps_measurements = keeps_measurements

@@ -7,9 +7,9 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from kb.amendments import Changeable, tables_of
+from kb.contents import Contents, tables_of
 from kb.declaring import Declarer
-from kb.elements import Constraint, Estimation
+from kb.elements import Changeable, Constraint, Estimation
 from kb.exceptions import InvalidValue
 from kb.history import Attempt, Process, VetoAnswer
 from kb.individuals import (
@@ -56,7 +56,7 @@ class Past(NamedTuple):
     serials: Serials
 
 
-def base_of(model: Model) -> str:
+def base_of(model: Contents) -> str:
     """Return the IRI of a model."""
     return f"{BASE}{next(individuals(model)).id}"
 
@@ -312,7 +312,7 @@ def _plain(value: object) -> object:
 
 
 def _everything(model: Model) -> Iterator[Changeable]:
-    for table in tables_of(model):
+    for table in tables_of(model).values():
         yield from table.values()
     yield from model.constraints
     yield from model.estimations

@@ -3,14 +3,21 @@
 import re
 from collections.abc import Callable, Container
 from itertools import count
-from typing import TYPE_CHECKING, Final
+from typing import Final, TypeVar
 
+from kb.contents import Contents
 from kb.elements import (
+    Action,
+    Attribute,
     AttributeKind,
+    Component,
     ComponentKind,
+    Configuration,
     Constraint,
     Element,
     Expression,
+    Function,
+    FunctionDesign,
     Parameter,
     StalePolicy,
 )
@@ -19,15 +26,14 @@ from kb.typeql.store import Store, Thing
 from kb.typeql.values import parameter
 from kb.typeql.words import ROLES, SLIPS, Kind
 
-if TYPE_CHECKING:
-    from kb.model import Model
+__all__ = ["ModelT", "build"]
 
-__all__ = ["build"]
+ModelT = TypeVar("ModelT", bound=Contents)
 
 _COMPONENT_KINDS: Final = {"LifeCycleNode": ComponentKind.LIFECYCLE, "ROSNode": ComponentKind.PROCESS}
 
 
-def build(cls: "type[Model]", store: Store, name: str | None, stem: str) -> "Model":
+def build(cls: Callable[[str], ModelT], store: Store, name: str | None, stem: str) -> ModelT:
     """Make a model of all that was told, or raise.
 
     Args:
@@ -60,7 +66,7 @@ def _stated(thing: Thing) -> bool:
 class _Building:
     """A model in the making."""
 
-    def __init__(self, model: "Model", store: Store) -> None:
+    def __init__(self, model: Contents, store: Store) -> None:
         self.model, self.store = model, store
         self.elements: Elements = {}
 
@@ -94,13 +100,11 @@ class _Building:
     def _attribute(self, thing: Thing) -> Element:
         environmental = any(one.label == "EnvironmentalAttribute" for one in thing.type.lineage())
         kind = AttributeKind.ENVIRONMENTAL if environmental else AttributeKind.QUALITY
-        declare = {
-            AttributeKind.ENVIRONMENTAL: self.model.environmental_attribute,
-            AttributeKind.QUALITY: self.model.quality_attribute,
-        }[kind]
         policy = thing.value("when_stale")
-        return declare(
+        return self.model.declare(
+            Attribute,
             thing.name,
+            kind=kind,
             max_age=_number(thing, "max_age", float("inf")),
             when_stale=StalePolicy.NOT_EVALUATED if policy is None else str(policy),
             agreement=_agreement(thing),
@@ -108,7 +112,8 @@ class _Building:
 
     def _component(self, thing: Thing) -> Element:
         kinds = (_COMPONENT_KINDS[one.label] for one in thing.type.lineage() if one.label in _COMPONENT_KINDS)
-        return self.model.component(
+        return self.model.declare(
+            Component,
             thing.name,
             kind=next(kinds, ComponentKind.PLAIN),
             always_improve=bool(thing.value("always_improve")),
@@ -125,17 +130,22 @@ class _Building:
             if key in values and values[key] != value:
                 raise one.place.error(f"parameter {key!r} has two values in one configuration")
             values[key] = value
-        return self.model.add_configuration(thing.name, component, values, _priority(thing))
+        return self.model.declare(
+            Configuration, thing.name, component=component, parameters=values, priority=_priority(thing)
+        )
 
     def _function(self, thing: Thing) -> Element:
-        return self.model.function(thing.name, always_improve=bool(thing.value("always_improve")))
+        return self.model.declare(Function, thing.name, always_improve=bool(thing.value("always_improve")))
 
     def _design(self, thing: Thing) -> Element:
         (function,) = _names(thing, "function")
-        return self.model.add_design(thing.name, function, _names(thing, "required-component"), _priority(thing))
+        parts = _names(thing, "required-component")
+        return self.model.declare(
+            FunctionDesign, thing.name, function=function, components=parts, priority=_priority(thing)
+        )
 
     def _action(self, thing: Thing) -> Element:
-        return self.model.action(thing.name, requires=self.required.get(thing, ()))
+        return self.model.declare(Action, thing.name, functions=self.required.get(thing, ()))
 
     def _requirements(self) -> dict[Thing, list[str]]:
         """Return the functions of each action; an action may stand in several requirements."""
@@ -165,7 +175,7 @@ class _Building:
         name = _unused("unnamed attribute", self.store.named[Kind.ATTRIBUTE])
         self.store.note(thing.place, f"this constraint has a status and no attribute; it is given {name!r}")
         self.store.named[Kind.ATTRIBUTE][name] = thing
-        return self.model.quality_attribute(name).name
+        return self.model.declare(Attribute, name).name
 
     def _estimate(self, thing: Thing) -> None:
         value, kind = _number(thing, "value"), thing.own("type")
@@ -200,9 +210,9 @@ def _agreement(thing: Thing) -> tuple[int, int]:
     return int(found[1]), int(found[2])
 
 
-def _priority(thing: Thing) -> int | None:
+def _priority(thing: Thing) -> float | None:
     value = thing.value("priority")
-    return value if isinstance(value, int) else None
+    return value if isinstance(value, int | float) else None
 
 
 def _parameter(thing: Thing) -> tuple[str, Parameter]:

@@ -1,17 +1,17 @@
 """From the text of a TypeQL file to what stands there, by the grammar in `grammar.lark`, and on to a model."""
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NoReturn
+from typing import Any, Final, NoReturn
 
 from lark import Lark, Token, Transformer, v_args
 from lark.exceptions import UnexpectedCharacters, UnexpectedToken
 from lark.lark import PostLex
 
 from kb.files import ModelFileError, Place, read_text
-from kb.typeql.building import build
+from kb.typeql.building import ModelT, build
 from kb.typeql.schema import Schema
 from kb.typeql.store import Store
 from kb.typeql.syntax import (
@@ -31,9 +31,6 @@ from kb.typeql.syntax import (
     Unsupported,
 )
 from kb.typeql.words import SLIPS
-
-if TYPE_CHECKING:
-    from kb.model import Model
 
 __all__ = ["load_typeql", "parse"]
 
@@ -80,7 +77,7 @@ _EXPECTED: Final = {
 """What each terminal is called in messages; one that is missing here is not suggested."""
 
 
-def load_typeql(cls: "type[Model]", files: Sequence[Path], name: str | None) -> "Model":
+def load_typeql(cls: Callable[[str], ModelT], files: Sequence[Path], name: str | None) -> ModelT:
     """Read a model from files, each of which may add to those before it."""
     parsed = [(str(file), parse(read_text(file), str(file))) for file in files]
     schema = Schema()

@@ -256,7 +256,7 @@ _STATUS: Final = Field("status", Value.TEXT, ("status",))
 _REQUIRED: Final = Field("required", Value.FLAG, ("is-required", "required"))
 _SELECTED: Final = Field("selected", Value.FLAG, ("is-selected", "selected"))
 _IMPROVE: Final = Field("always_improve", Value.FLAG, ("always-improve", "improve"))
-_PRIORITY: Final = Field("priority", Value.WHOLE, ("priority",))
+_PRIORITY: Final = Field("priority", Value.NUMBER, ("priority",))
 _VALUE: Final = Field("value", Value.NUMBER, ("value",))
 _PERIOD: Final = (
     Field("start", Value.TIME, ("start-time", "start", "time", "started", "timestamp", "begin")),

@@ -3,8 +3,9 @@
 import json
 import re
 from collections.abc import Iterable, Iterator
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
+from kb.contents import Contents
 from kb.elements import AttributeKind, ComponentKind, Constraint, Element, StalePolicy
 from kb.exceptions import ModelError
 from kb.facts import (
@@ -19,9 +20,6 @@ from kb.facts import (
     StatusFact,
 )
 from kb.typeql.values import quoted, written_parameter, written_time
-
-if TYPE_CHECKING:
-    from kb.model import Model
 
 __all__ = ["typeql_text"]
 
@@ -48,7 +46,7 @@ _COMPONENTS: Final = {
 }
 
 
-def typeql_text(model: "Model") -> str:
+def typeql_text(model: Contents) -> str:
     """Write a model so that it is read back as it is; see `Model.save`."""
     told = "\n".join(_Writer(model).lines())
     own = [f"{label} sub attribute, value {rest};" for label, rest in _OWN.items() if f"has {label} " in told]
@@ -58,7 +56,7 @@ def typeql_text(model: "Model") -> str:
 class _Writer:
     """The statements of a model; each element has a variable by which later ones speak of it."""
 
-    def __init__(self, model: "Model") -> None:
+    def __init__(self, model: Contents) -> None:
         self.model = model
         self.variables: dict[Element | Constraint, str] = {}
         self.taken: dict[str, int] = {}
@@ -120,7 +118,7 @@ class _Writer:
             yield _statement(
                 f"{self._variable('configuration', one)} {_players(players)} isa component-configuration",
                 ("component-configuration-name", quoted(one.name)),
-                ("priority", None if one.priority is None else str(one.priority)),
+                ("priority", None if one.priority is None else repr(one.priority)),
             )
 
     def _functions(self) -> Iterator[str]:
@@ -138,7 +136,7 @@ class _Writer:
             yield _statement(
                 f"{self._variable('design', one)} {_players(players)} isa function-design",
                 ("function-design-name", quoted(one.name)),
-                ("priority", None if one.priority is None else str(one.priority)),
+                ("priority", None if one.priority is None else repr(one.priority)),
             )
 
     def _actions(self) -> Iterator[str]:

@@ -13,7 +13,7 @@ from missions.commands import FAILED, complain, open_console
 
 if TYPE_CHECKING:
     from kb import Model
-    from kb.judge.findings import Finding
+    from kb.checks.findings import Finding
     from missions.engine.mission import Mission
     from missions.views.names import Names
 
@@ -145,7 +145,7 @@ def _print(judgement: Judgement) -> None:
     """Print the findings by severity and code, with what to do about each code."""
     from rich.markup import escape
 
-    from kb.judge.findings import RULES
+    from kb.checks.findings import RULES
 
     console = open_console()
     for severity, colour in COLOURS.items():

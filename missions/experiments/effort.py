@@ -155,15 +155,17 @@ def generated_model(structural: int, parameter: int, actions: int = 1) -> Model:
     quality = model.quality_attribute("quality")
     for one in range(1, actions + 1):
         function = model.function(f"function_{one}")
-        first, *_ = [_design(function, quality, f"{one}_{number}", number) for number in range(1, structural + 2)]
+        first, *_ = [
+            _design(model, function, quality, f"{one}_{number}", number) for number in range(1, structural + 2)
+        ]
         for number in range(2, parameter + 2):
             _configuration(first, quality, number)
         model.action(f"action_{one}", requires=[function])
     return model
 
 
-def _design(function: Function, quality: Attribute, name: str, number: int) -> Component:
-    component = function.model.component(f"node_{name}", kind="process", package="nodes", executable=f"node_{name}")
+def _design(model: Model, function: Function, quality: Attribute, name: str, number: int) -> Component:
+    component = model.component(f"node_{name}", kind="process", package="nodes", executable=f"node_{name}")
     _configuration(component, quality, 1)
     function.design(f"design_{name}", [component], priority=number, constraints=[quality >= 1 / number])
     return component

@@ -271,8 +271,8 @@ def test_a_shared_constraint_holds_on_for_the_others_when_one_is_removed(kb):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"priority": "high"}, "the priority of 'day' is a whole number"),
-        ({"component": "lidar"}, "'component' of configuration 'day' cannot change; what can: priority, parameters"),
+        ({"priority": "high"}, "the priority of 'day' is a finite number"),
+        ({"component": "lidar"}, "'component' of configuration 'day' cannot change; what can: parameters, priority"),
         ({"priority": 3, "parameters": {"exposure": object()}}, "allowed are a boolean"),
     ],
 )

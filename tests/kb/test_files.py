@@ -29,7 +29,7 @@ FLOATS = st.floats(allow_nan=False, allow_infinity=False)
 TIMES = st.none() | st.floats(-1e10, 1e10) | st.integers(0, 2 * 10**12).map(lambda ms: ms / 1000)
 SCALARS = (st.booleans(), st.integers(), FLOATS, TEXTS)
 PARAMETERS = st.one_of(*SCALARS, *(st.lists(one, max_size=3) for one in SCALARS))
-PRIORITIES = st.none() | st.integers()
+PRIORITIES = st.none() | st.integers() | st.floats(allow_nan=False, allow_infinity=False)
 RESULTS = st.sampled_from((None, "completed", "failed", "abandoned"))
 
 
@@ -66,12 +66,13 @@ def odd_models(draw):
     for name in unique(draw) if model.components else []:
         values = draw(st.dictionaries(TEXTS, PARAMETERS, max_size=3))
         (component,) = some(draw, model.components, min_size=1, max_size=1)
-        model.add_configuration(name, component, values, draw(PRIORITIES))
+        model.components[component].configuration(name, values, priority=draw(PRIORITIES))
     for name in unique(draw):
         model.function(name, always_improve=draw(st.booleans()))
     for name in unique(draw) if model.functions else []:
         (function,) = some(draw, model.functions, min_size=1, max_size=1)
-        model.add_design(name, function, some(draw, model.components, max_size=3), draw(PRIORITIES))
+        parts = some(draw, model.components, max_size=3)
+        model.functions[function].design(name, parts, priority=draw(PRIORITIES))
     for name in unique(draw):
         model.action(name, requires=some(draw, model.functions, max_size=3))
     relate(draw, model)

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from models import OPERATORS, compare, models
 
 from kb import KnowledgeBase, Model, ModelError, Status
-from kb.amendments import KINDS
+from kb.checks.findings import RULES, Severity, listing
+from kb.elements import KINDS
 from kb.facts import (
     ActiveFact,
     MeasurementFact,
@@ -18,7 +19,6 @@ from kb.facts import (
     SelectedFact,
     StatusFact,
 )
-from kb.judge.findings import RULES, Severity, listing
 from kb.selection import first_by_priority
 
 VALUES = (-0.5, 0.0, 0.25, 0.5, 0.75, 1.0, 1.5)

@@ -23,6 +23,7 @@ from kb import (
     Status,
     UnknownName,
 )
+from kb.elements import Configuration, FunctionDesign
 
 
 def rover(name="rover"):
@@ -133,8 +134,8 @@ def test_a_name_is_shared_across_kinds_and_each_is_its_own_element(model):
     [
         (lambda model: model.action("a", requires=["sea"]), "function", "see"),
         (lambda model: model.functions["see"].design("d", ["camra"]), "component", "camera"),
-        (lambda model: model.add_design("d", "se", ["camera"]), "function", "see"),
-        (lambda model: model.add_configuration("c", "camer", {}), "component", "camera"),
+        (lambda model: model.declare(FunctionDesign, "d", function="se", components=["camera"]), "function", "see"),
+        (lambda model: model.declare(Configuration, "c", component="camer", parameters={}), "component", "camera"),
         (lambda model: model.components["camera"].estimate("ligth", 1.0), "attribute", "light"),
         (lambda model: model.component("c", constraints=[Expression("lihgt", ">=", 1.0)]), "attribute", "light"),
         (lambda model: model.actions["explore"].constrain(Expression("lite", ">=", 1.0)), "attribute", "light"),
@@ -163,8 +164,8 @@ def test_an_unknown_name_far_from_all_lists_what_there_is(model):
     [
         lambda model, other: model.action("a", requires=[other.functions["see"]]),
         lambda model, other: model.functions["see"].design("d", [other.components["camera"]]),
-        lambda model, other: model.add_design("d", other.functions["see"], ["camera"]),
-        lambda model, other: model.add_configuration("c", other.components["camera"], {}),
+        lambda model, other: model.declare(FunctionDesign, "d", function=other.functions["see"], components=["camera"]),
+        lambda model, other: model.declare(Configuration, "c", component=other.components["camera"], parameters={}),
         lambda model, other: model.constrain([other.actions["explore"]], model.attributes["light"] >= 1),
         lambda model, other: model.add_estimation(model.components["camera"], other.attributes["light"], 1.0),
         lambda model, other: model.add_estimation(other.components["camera"], "light", 1.0),
@@ -291,14 +292,14 @@ def test_shared_constraints_are_one_constraint(model):
         assert [one.status for one in view.constraints] == [Status.VIOLATED]
 
 
-@pytest.mark.parametrize("priority", [1.0, "1", True, False, [1], math.nan])
-def test_a_priority_is_a_whole_number_or_none(model, priority):
+@pytest.mark.parametrize("priority", ["1", True, False, [1], math.nan, math.inf])
+def test_a_priority_is_a_finite_number_or_none(model, priority):
     for kind in ("configuration", "function design"):
-        refuses(model, lambda kind=kind: declare(model, kind, "new", priority=priority), match="whole number or None")
+        refuses(model, lambda kind=kind: declare(model, kind, "new", priority=priority), match="finite number or None")
 
 
-@pytest.mark.parametrize("priority", [None, 0, -5, 10**30])
-def test_any_whole_number_is_a_priority(model, priority):
+@pytest.mark.parametrize("priority", [None, 0, -5, 10**30, 10**400, 1.5, -0.25, 1e300])
+def test_any_finite_number_is_a_priority(model, priority):
     assert declare(model, "configuration", "new", priority=priority).priority == priority
     assert declare(model, "function design", "new", priority=priority).priority == priority
 

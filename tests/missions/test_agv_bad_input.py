@@ -263,7 +263,7 @@ def test_component_that_the_simulated_vehicle_lacks_has_failed_and_it_drives_wit
     tmp_path, monkeypatch, capsys, caplog
 ):
     gps = "made.component('gps', kind='lifecycle')"
-    line = f"'gps' in made.components or made.add_design('by_gps', 'navigate', [{gps}, 'base'])"
+    line = f"'gps' in made.components or made.functions['navigate'].design('by_gps', [{gps}, 'base'])"
     code, said = run_hall(tmp_path, monkeypatch, capsys, {}, line)
     assert (code, said[-26:]) == (0, "arrived: the robot is at b")
     assert "activate gps failed, tried 3 times: the simulated vehicle has no component gps" in caplog.text

@@ -10,7 +10,7 @@ import pytest
 from running import called
 
 from kb import Model
-from kb.judge.findings import RULES
+from kb.checks.findings import RULES
 from missions.commands.check import judge
 from missions.engine import registry
 from missions.engine.mission import MissionError

@@ -3,17 +3,15 @@
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import groupby, pairwise
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
+from kb.checks.contradictions import bounds
+from kb.checks.findings import Finding, found, listing
+from kb.contents import Contents
 from kb.elements import Attribute, Configuration, Element, FunctionDesign, StalePolicy
 from kb.explanation.requirements import Interval
 from kb.facts import RequiredActionFact
 from kb.inference.settling import Network, Node
-from kb.judge.contradictions import bounds
-from kb.judge.findings import Finding, found, listing
-
-if TYPE_CHECKING:
-    from kb.model import Model
 
 __all__ = ["doubtful_choices"]
 
@@ -23,7 +21,7 @@ PREFERRED: Final = 32
 Bounds = Mapping[str, Interval]
 
 
-def doubtful_choices(model: "Model", network: Network) -> Iterator[Finding]:
+def doubtful_choices(model: Contents, network: Network) -> Iterator[Finding]:
     """Yield what is doubtful about the choices that a model leaves."""
     estimated = _Estimated(model)
     for whole in (*network.functions.values(), *network.components.values()):
@@ -165,7 +163,7 @@ def _leave_no_gap(intervals: Iterable[Interval], wanted: Interval) -> bool:
 class _Estimated:
     """Which attributes are estimated for which elements."""
 
-    def __init__(self, model: "Model") -> None:
+    def __init__(self, model: Contents) -> None:
         self._direct: dict[Element, dict[str, None]] = {}
         for one in model.estimations:
             self._direct.setdefault(one.causer, {})[one.attribute] = None
@@ -199,7 +197,7 @@ def _unevenly_estimated(whole: Node, estimated: _Estimated) -> Iterator[Finding]
             yield found("missing-estimation", what, message)
 
 
-def _preferences(model: "Model", network: Network, estimated: _Estimated) -> Iterator[Finding]:
+def _preferences(model: Contents, network: Network, estimated: _Estimated) -> Iterator[Finding]:
     wanted = {
         (fact.action, attribute): None
         for fact in model.facts

@@ -4,7 +4,7 @@
 `premises` (facts that the model states). `findings` lists all there is to find.
 """
 
-from kb.judge.findings import Finding, Severity
-from kb.judge.verdict import check_model
+from kb.checks.findings import Finding, Severity
+from kb.checks.model import check_model
 
 __all__ = ["Finding", "Severity", "check_model"]

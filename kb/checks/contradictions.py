@@ -8,10 +8,10 @@ from collections.abc import Iterable, Iterator
 from itertools import combinations
 from typing import Final, NamedTuple
 
+from kb.checks.findings import Finding, found, listing
 from kb.elements import Constraint
 from kb.explanation.requirements import Alternatives, Box, Interval, Requirements
 from kb.inference.settling import Network, Node
-from kb.judge.findings import Finding, found, listing
 
 __all__ = ["bounds", "contradictions"]
 

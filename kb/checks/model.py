@@ -2,26 +2,22 @@
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
-from kb.amendments import KINDS
+from kb.checks.choices import doubtful_choices
+from kb.checks.contradictions import contradictions
+from kb.checks.facts import doubtful_facts
+from kb.checks.findings import Finding, Severity, found
+from kb.contents import Contents
 from kb.declarations import listed, text
-from kb.elements import Constraint, Element
+from kb.elements import KINDS, Constraint, Element
 from kb.exceptions import UnknownName
 from kb.facts import RequiredActionFact
 from kb.inference.settling import Network, Node
-from kb.judge.contradictions import contradictions
-from kb.judge.findings import Finding, Severity, found
-from kb.judge.premises import doubtful_facts
-from kb.judge.rivals import doubtful_choices
-
-if TYPE_CHECKING:
-    from kb.model import Model
 
 __all__ = ["check_model"]
 
 
-def check_model(model: "Model", names: Iterable[str] | None = None) -> tuple[Finding, ...]:
+def check_model(model: Contents, names: Iterable[str] | None = None) -> tuple[Finding, ...]:
     """Judge a model; see `Model.check`. Errors come first, and each rule goes through a model in order."""
     network = Network(model)
     findings = [
@@ -63,7 +59,7 @@ def _incomplete(network: Network) -> Iterator[Finding]:
             yield found("design-without-components", what, f"{what} of function {node.wholes[0].name} has no component")
 
 
-def _unused(model: "Model", network: Network) -> Iterator[Finding]:
+def _unused(model: Contents, network: Network) -> Iterator[Finding]:
     used = {one.attribute for one in model.estimations}
     for fact in model.facts:
         if isinstance(fact, RequiredActionFact):

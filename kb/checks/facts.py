@@ -1,21 +1,18 @@
 """The facts that a model states from the start, judged: do they go together, and do they hide anything?"""
 
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, TypeGuard
+from typing import TypeGuard
 
-from kb.amendments import KINDS
-from kb.elements import Action, Component, Constraint, Element, Function, FunctionDesign
+from kb.checks.findings import Finding, found, listing
+from kb.contents import Contents
+from kb.elements import KINDS, Action, Component, Constraint, Element, Function, FunctionDesign
 from kb.facts import ActiveFact, MeasurementFact, RequiredActionFact, RequiredFact, SelectedFact, StatusFact
-from kb.judge.findings import Finding, found, listing
 from kb.status import Status
-
-if TYPE_CHECKING:
-    from kb.model import Model
 
 __all__ = ["doubtful_facts"]
 
 
-def doubtful_facts(model: "Model") -> Iterator[Finding]:
+def doubtful_facts(model: Contents) -> Iterator[Finding]:
     """Yield what is doubtful about the facts of a model."""
     yield from _hidden(model)
     yield from _measured_twice(model)
@@ -23,7 +20,7 @@ def doubtful_facts(model: "Model") -> Iterator[Finding]:
     yield from _obsolete(model)
 
 
-def _hidden(model: "Model") -> Iterator[Finding]:
+def _hidden(model: Contents) -> Iterator[Finding]:
     for fact in model.facts:
         if isinstance(fact, StatusFact) and fact.status is not Status.FAILURE:  # a failure is not inferred but told
             what = _called(fact.element)
@@ -36,7 +33,7 @@ def _called(element: Element | Constraint) -> str:
     return f"constraint {element} of {listing(one.name for one in element.constrained)}"
 
 
-def _measured_twice(model: "Model") -> Iterator[Finding]:
+def _measured_twice(model: Contents) -> Iterator[Finding]:
     latest: dict[str, int] = {}
     for fact in model.facts:
         if isinstance(fact, MeasurementFact) and fact.latest:
@@ -47,7 +44,7 @@ def _measured_twice(model: "Model") -> Iterator[Finding]:
             yield found("contradictory-facts", f"attribute {name}", message)
 
 
-def _selections(model: "Model") -> Iterator[Finding]:
+def _selections(model: Contents) -> Iterator[Finding]:
     designs: dict[str, list[str]] = {}
     configurations: dict[str, list[str]] = {}
     wanted = {fact.element.name for fact in model.facts if _is_required(fact, Component)}
@@ -85,7 +82,7 @@ def _is_required(fact: object, kind: type[Element]) -> TypeGuard[RequiredFact]:
     return isinstance(fact, RequiredFact) and isinstance(fact.element, kind)
 
 
-def _obsolete(model: "Model") -> Iterator[Finding]:
+def _obsolete(model: Contents) -> Iterator[Finding]:
     """Yield what is active although other things are required; a robot of which nothing is required may just idle."""
     functions = {fact.element.name for fact in model.facts if _is_required(fact, Function)}
     actions = {fact.element.name for fact in model.facts if _is_required(fact, Action)}
