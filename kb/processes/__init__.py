@@ -1,6 +1,6 @@
-"""Operating-system processes as components: `programs` says what to run, `components` runs it, `guardian` tidies up."""
+"""Components as processes of the operating system: `components` manages them, each a `process`; `guardian` tidies up."""
 
 from kb.processes.components import ProcessComponents
-from kb.processes.programs import Program
+from kb.processes.process import Program
 
 __all__ = ["ProcessComponents", "Program"]

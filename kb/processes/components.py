@@ -8,18 +8,17 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from threading import RLock
 from types import MappingProxyType, TracebackType
-from typing import Final, TypeVar
+from typing import Final
 
 from kb.elements import Parameters
 from kb.exceptions import InvalidValue, KnowledgeBaseError, UnknownName
 from kb.knowledge_base import KnowledgeBase
 from kb.processes import guardian
-from kb.processes.proc import MARK, left_over, new_mark
-from kb.processes.programs import Program
-from kb.processes.run import News, Run
+from kb.processes.process import ProcessHandle, Program, Report
 
 __all__ = ["ProcessComponents"]
 
@@ -59,43 +58,43 @@ class ProcessComponents:
                 program.check()
             except InvalidValue as error:
                 raise InvalidValue(f"component {name!r} cannot be run: {error}") from None
-        self._mark = new_mark()
+        self._mark = guardian.new_mark()
         self._grace = max((program.grace for program in programs.values()), default=0.0)
-        self._news: deque[News] = deque()
-        self._runs = {name: Run(name, program, clock, self._news) for name, program in programs.items()}
+        self._reports: deque[Report] = deque()
+        self._handles = {name: ProcessHandle(name, one, clock, self._reports) for name, one in programs.items()}
         self._lock = RLock()
         self._guardian: subprocess.Popen[bytes] | None = None
         self._tidiers: dict[str, subprocess.Popen[bytes]] = {}
-        self._told: KnowledgeBase | None = None
+        self._observed: KnowledgeBase | None = None
         self._owner = os.getpid()
         self._is_open = True
         atexit.register(self.close)
 
-    def activate(self, component: str) -> "_Start":
+    def activate(self, component: str) -> "_Switch":
         """Start a component; one that is still ending, or ended by itself a moment ago, once somebody asks later."""
-        run = self._run(component)
+        handle = self._handle(component)
         with self._lock:
             if not self._is_open:
                 raise KnowledgeBaseError(f"{component!r} cannot be started: its processes are closed for good")
             self._have_guardian()
-            return _begun(_Start(run, self._mark, self._lock))
+            return _begun(_Switch(handle, self._lock, self._mark))
 
-    def deactivate(self, component: str) -> "_Stop":
+    def deactivate(self, component: str) -> "_Switch":
         """End a component: tell it to, and kill its process group after its grace."""
-        return _begun(_Stop(self._run(component), self._lock))
+        return _begun(_Switch(self._handle(component), self._lock))
 
     def set_parameters(self, component: str, parameters: Parameters) -> None:
         """Give a component its parameters, for its next start if it has no way to take them while it runs."""
-        run = self._run(component)
+        handle = self._handle(component)
         with self._lock:
-            run.set_parameters(MappingProxyType(dict(parameters)))
+            handle.set_parameters(MappingProxyType(dict(parameters)))
 
     def is_active(self, component: str) -> bool:
         """Tell whether the process of a component is there."""
-        run = self._run(component)
+        handle = self._handle(component)
         with self._lock:
-            run.look()
-            return run.process is not None
+            handle.look()
+            return handle.process is not None
 
     def observe(self, kb: KnowledgeBase) -> None:
         """Tell the knowledge base what started and ended since the last time.
@@ -106,10 +105,10 @@ class ProcessComponents:
         Raises:
             UnknownName: a program was given for a component that the model does not have; at the first time only.
         """
-        if kb is not self._told:
-            self._told = kb
-            for name in self._runs:
-                kb.components.node(name)
+        if kb is not self._observed:
+            self._observed = kb
+            for name in self._handles:
+                kb.components[name]
             self._meet(kb)
         self._tell(kb)
 
@@ -124,17 +123,17 @@ class ProcessComponents:
             self._is_open = False
             atexit.unregister(self.close)
             started = time.monotonic()
-            left = list(self._runs.values())
+            left = list(self._handles.values())
             while left and time.monotonic() < started + self._grace + _TO_DIE_S:
                 is_over = time.monotonic() >= started + self._grace
-                left = [run for run in left if not run.stop(kill=is_over)]
+                left = [handle for handle in left if not handle.stop(kill=is_over)]
                 if left:
                     time.sleep(_PERIOD_OF_CLOSING_S)
             for one in (self._guardian, *self._tidiers.values()):
                 if one is not None:
                     _dismiss(one, self._grace)
-        if self._told is not None:
-            self._tell_the_end(self._told)
+        if self._observed is not None:
+            self._tell_the_end(self._observed)
 
     def __enter__(self) -> "ProcessComponents":
         return self
@@ -144,50 +143,51 @@ class ProcessComponents:
     ) -> None:
         self.close()
 
-    def _run(self, component: str) -> Run:
-        if component not in self._runs:
-            raise UnknownName("process component", component, self._runs)
-        return self._runs[component]
+    def _handle(self, component: str) -> ProcessHandle:
+        if component not in self._handles:
+            raise UnknownName("process component", component, self._handles)
+        return self._handles[component]
 
     def _meet(self, kb: KnowledgeBase) -> None:
         """Tell a knowledge base what is true of what it believes to run."""
         with self._lock:
-            for run in self._runs.values():
-                run.look()
-            mine = {name: run.process.pid for name, run in self._runs.items() if run.process is not None}
-        for one in kb.processes:
-            if one.component in self._runs and one.end is None and mine.get(one.component) != one.pid:
-                self._tidy_up(one.component, one.pid)
-                kb.component_ended(one.component, one.pid)
-        for name in self._runs:
+            for handle in self._handles.values():
+                handle.look()
+            mine = {name: one.process.pid for name, one in self._handles.items() if one.process is not None}
+        for process in kb.processes:
+            name, pid = process.component, process.pid
+            if name in self._handles and process.end is None and mine.get(name) != pid:
+                self._tidy_up(name, pid)
+                kb.component_ended(name, pid)
+        for name in self._handles:
             kb.component_active(name, name in mine, "" if name in mine else f"the process of {name} is no more")
 
     def _tidy_up(self, component: str, pid: int) -> None:
         """Have what was started in another life ended, if it lives on, and nothing started in its place before that."""
-        mark = left_over(pid)
+        mark = guardian.left_over(pid)
         if mark is None:
             return
         with self._lock:
-            self._runs[component].wait_for(pid)
+            self._handles[component].wait_for(pid)
             if self._is_open and mark not in self._tidiers:
                 _log.warning("the process of %s, %d, was left over and is ended", component, pid)
                 self._tidiers[mark] = _guard(mark, self._grace, _NOBODY)
 
     def _tell(self, kb: KnowledgeBase) -> None:
         with self._lock:
-            for run in self._runs.values():
-                run.look()
-            news = tuple(self._news)
-            self._news.clear()
-        for one in news:
-            if one.component in kb.components:
-                _told(kb, one)
+            for handle in self._handles.values():
+                handle.look()
+            reports = tuple(self._reports)
+            self._reports.clear()
+        for verb, arguments in reports:
+            if arguments[0] in kb.components:
+                getattr(kb, verb)(*arguments)
 
     def _tell_the_end(self, kb: KnowledgeBase) -> None:
         """Tell what has become of everything; an end is never an error, also if it cannot be told any more."""
         try:
             self._tell(kb)
-            for name in self._runs:
+            for name in self._handles:
                 if name in kb.components:
                     kb.component_active(name, False, f"the process of {name} was ended with all others")
         except KnowledgeBaseError as error:
@@ -202,14 +202,45 @@ class ProcessComponents:
         self._guardian = _guard(self._mark, self._grace, os.getpid())
 
 
+@dataclass(slots=True)
+class _Switch:
+    """A component on its way to running, or without a mark to an end.
+
+    A start has failed if the process ends by itself while somebody still asks.
+    """
+
+    handle: ProcessHandle
+    lock: RLock
+    mark: str | None = None
+    pid: int | None = None
+
+    def done(self) -> bool:
+        with self.lock:
+            if self.mark is None:
+                return self.handle.stop()
+            self.pid = self.pid or self.handle.start(self.mark)
+            return self.pid is not None
+
+    def exception(self) -> KnowledgeBaseError | None:
+        with self.lock:
+            self.handle.look()
+            pid, text = self.handle.crash
+            return KnowledgeBaseError(text) if pid == self.pid else None
+
+
+def _begun(operation: _Switch) -> _Switch:
+    operation.done()
+    return operation
+
+
 def _guard(mark: str, grace: float, parent: int) -> subprocess.Popen[bytes]:
     """Start a guardian; see its module."""
     return subprocess.Popen(
-        [sys.executable, "-I", "-S", guardian.__file__, f"{MARK}={mark}", str(grace), str(parent)],
+        [sys.executable, "-I", "-S", guardian.__file__, f"{guardian.MARK}={mark}", str(grace), str(parent)],
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
-        env={name: value for name, value in os.environ.items() if name != MARK},
+        env={name: value for name, value in os.environ.items() if name != guardian.MARK},
         start_new_session=True,
     )
 
@@ -223,59 +254,3 @@ def _dismiss(one: subprocess.Popen[bytes], grace: float) -> None:
     except subprocess.TimeoutExpired:
         one.kill()
         one.wait()
-
-
-class _Start:
-    """A component on its way to running; failed if its process ends by itself while somebody still asks."""
-
-    def __init__(self, run: Run, mark: str, lock: RLock) -> None:
-        self._run = run
-        self._mark = mark
-        self._lock = lock
-        self._pid: int | None = None
-
-    def done(self) -> bool:
-        with self._lock:
-            if self._pid is None:
-                self._pid = self._run.start(self._mark)
-            return self._pid is not None
-
-    def exception(self) -> KnowledgeBaseError | None:
-        with self._lock:
-            self._run.look()
-            pid, text = self._run.crash
-            return KnowledgeBaseError(text) if pid == self._pid else None
-
-
-class _Stop:
-    """A component on its way to an end."""
-
-    def __init__(self, run: Run, lock: RLock) -> None:
-        self._run = run
-        self._lock = lock
-
-    def done(self) -> bool:
-        with self._lock:
-            return self._run.stop()
-
-    def exception(self) -> None:
-        return None
-
-
-_Begun = TypeVar("_Begun", _Start, _Stop)
-
-
-def _begun(operation: _Begun) -> _Begun:
-    operation.done()
-    return operation
-
-
-def _told(kb: KnowledgeBase, news: News) -> None:
-    if news.what == "started":
-        kb.component_started(news.component, news.pid)
-    elif news.what == "failed":
-        kb.component_failed(news.component, news.reason)
-    else:
-        kb.component_ended(news.component, news.pid)
-        if news.what == "crashed":
-            kb.component_active(news.component, False, news.reason)

@@ -1,9 +1,12 @@
-"""Ends the processes that another process has started, when that one is no more, however it ended.
+"""Processes by their mark: who carries it, and the program that ends those whose starter is no more.
 
-A program of its own, so that it outlives whom it watches; it imports nothing of ours and is run without site packages:
-`python guardian.py MARK GRACE PARENT`. MARK is an entry "NAME=value" of the environment by which the processes are
-known, wherever they have gone since; GRACE is how long they may take to end [s]; PARENT is the number of the process
-that is watched. The end of its standard input counts as the parent's end.
+The mark is in the environment of everything that a component starts: a random text, and the number and the start of the
+process that started it. A number alone says nothing, since it is given again to something else.
+
+The guardian is a program of its own, so that it outlives whom it watches; it imports nothing of ours and is run
+without site packages: `python guardian.py MARK GRACE PARENT`. MARK is the entry "NAME=value" of the environment; GRACE
+is how long its carriers may take to end [s]; PARENT is the number of the process that is watched. The end of its
+standard input counts as the parent's end.
 """
 
 import os
@@ -12,13 +15,47 @@ import signal
 import sys
 import time
 from pathlib import Path
+from typing import Final
 
-__all__ = ["main"]
+__all__ = ["MARK", "has_others", "left_over", "main", "new_mark", "started"]
 
+MARK: Final = "KB_STARTED_BY"
+"""The name of the variable that holds the mark."""
+
+_PROC: Final = Path("/proc")
+_STATE, _GROUP, _STARTED = 0, 2, 19
+_ENDED: Final = (b"Z", b"X")
 _PERIOD_S = 0.2
 _PERIOD_OF_ENDING_S = 0.02
 _SURE_S = 2.0
 """Who was killed may have been about to start something: how long nothing must have turned up to be sure."""
+
+
+def new_mark() -> str:
+    """Return a mark for what this process starts; it tells who is who, and decides nothing."""
+    return f"{os.urandom(16).hex()}.{os.getpid()}.{started(os.getpid())}"
+
+
+def started(pid: int) -> int | None:
+    """Return when a process was started [clock ticks since the system was], None if there is none or it has ended."""
+    fields = _fields(pid)
+    return None if not fields or fields[_STATE] in _ENDED else int(fields[_STARTED])
+
+
+def left_over(pid: int) -> str | None:
+    """Return the mark of a process whose starter is no more; None for any other one, which is not to be touched."""
+    begin = f"{MARK}=".encode()
+    marks = [entry.removeprefix(begin).decode() for entry in _environment(pid) if entry.startswith(begin)]
+    if not marks or marks[0].count(".") != 2:
+        return None
+    _, starter, began = marks[0].split(".")
+    return None if not starter.isdigit() or str(started(int(starter))) == began else marks[0]
+
+
+def has_others(leader: int) -> bool:
+    """Tell whether something else lives in the process group of a process."""
+    others = (_fields(pid) for pid in _pids() if pid != leader)
+    return any(one and int(one[_GROUP]) == leader and one[_STATE] not in _ENDED for one in others)
 
 
 def main(mark: str, grace: str, parent: str) -> None:
@@ -45,17 +82,7 @@ def _end(mark: bytes, grace: float, sure: float) -> None:
 
 
 def _carriers(mark: bytes) -> list[int]:
-    """Return the numbers of the processes that were started with an entry of the environment."""
-    found = []
-    for folder in Path("/proc").iterdir():
-        if folder.name.isdigit():
-            try:
-                entries = (folder / "environ").read_bytes().split(b"\0")
-            except OSError:  # it has ended, or is somebody else's
-                continue
-            if mark in entries:
-                found.append(int(folder.name))
-    return found
+    return [pid for pid in _pids() if mark in _environment(pid)]
 
 
 def _send(number: signal.Signals, processes: list[int]) -> None:
@@ -64,6 +91,26 @@ def _send(number: signal.Signals, processes: list[int]) -> None:
             os.kill(process, number)
         except OSError:
             continue
+
+
+def _pids() -> list[int]:
+    return [int(folder.name) for folder in _PROC.iterdir() if folder.name.isdigit()]
+
+
+def _environment(pid: int) -> list[bytes]:
+    """Return the entries of a process's environment; none if it has ended, or is somebody else's."""
+    try:
+        return (_PROC / str(pid) / "environ").read_bytes().split(b"\0")
+    except OSError:
+        return []
+
+
+def _fields(pid: int) -> list[bytes]:
+    """Return what the system tells of a process, from its state on; nothing if there is none."""
+    try:
+        return (_PROC / str(pid) / "stat").read_bytes().rpartition(b")")[2].split()
+    except OSError:
+        return []
 
 
 if __name__ == "__main__":
