@@ -1,4 +1,7 @@
-"""Components as processes of the operating system: `components` manages them, each a `process`; `guardian` tidies up."""
+"""Components as processes of the operating system.
+
+`components` manages them, each of which runs as a `process`; the `guardian` ends what is left over.
+"""
 
 from kb.processes.components import ProcessComponents
 from kb.processes.process import Program
