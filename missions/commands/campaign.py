@@ -86,9 +86,9 @@ def _asked(file: Path | None, table: bool, runs: int | None) -> "Campaign | None
 
 
 def _workers(cluster: str | None, count: int | None, asked: "Campaign") -> "Callable[[], Workers]":
-    from missions.experiments.workers import Cluster, Processes, modules_needed
+    from missions.experiments.workers import Cluster, Processes
 
-    return lambda: Processes(count) if cluster is None else Cluster(cluster, modules_needed(asked))
+    return lambda: Processes(count) if cluster is None else Cluster(cluster, asked.own_modules)
 
 
 def _conduct(

@@ -1,7 +1,7 @@
 """What a campaign is to run: read from a file, checked before it begins, unfolded into runs that each have a name."""
 
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import asdict, dataclass, field, fields, replace
 from difflib import get_close_matches
@@ -105,6 +105,12 @@ class Campaign:
             for mission, settings, (manager, task), seed in product(self.missions, self.variants, self.layers, seeds)
         )
 
+    @property
+    def own_modules(self) -> tuple[str, ...]:
+        """The modules of missions and managers of one's own."""
+        names = (name.partition(":") for name in (*self.missions, *self.managers))
+        return tuple(dict.fromkeys(module for module, colon, _ in names if colon))
+
     def as_data(self) -> dict[str, Any]:
         """Return it as plain data, from which `from_data` makes it again."""
         data = {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(self).items()}
@@ -141,26 +147,33 @@ def from_data(data: Mapping[str, Any], source: str) -> Campaign:
     Raises:
         MissionError: a key or value is not what is expected.
     """
-    known = [one.name for one in fields(Campaign)]
+    known = [*(one.name for one in fields(Campaign)), "rules"]
     for key in data:
-        if key not in (*known, "rules"):
-            near = get_close_matches(key, [*known, "rules"], n=1)
-            hint = f"did you mean {near[0]}?" if near else f"there are {', '.join([*known, 'rules'])}"
+        if key not in known:
+            near = get_close_matches(key, known, n=1)
+            hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(known)}"
             raise MissionError(f"{source}: unknown key {key!r}; {hint}")
     if "missions" not in data:
         raise MissionError(f'{source} says no missions; add, for example, missions = ["suave"]')
-    sweep = _table(data.get("sweep", {}), f"{source}: sweep")
-    rules = {"rules": data["rules"]} if "rules" in data else {}
+
+    def given(key: str, default: object, expected: str, holds: Callable[[Any], bool]) -> Any:  # noqa: ANN401  # plain data
+        value = data.get(key, default)
+        return _expected(value, f"{source}: {key}", expected, holds)
+
+    names = {"missions": (), "managers": (OURS,), "tasks": ("bt",)}
+    settings = dict(given("settings", {}, *_TABLE)) | ({"rules": data["rules"]} if "rules" in data else {})
+    sweep = {
+        name: _expected(values, f"{source}: sweep: {name}", "a list of one value or more", _is_filled)
+        for name, values in given("sweep", {}, *_TABLE).items()
+    }
     campaign = Campaign(
-        name=_name(data["name"], source),
-        missions=_words(data["missions"], f"{source}: missions"),
-        managers=_words(data.get("managers", [OURS]), f"{source}: managers"),
-        tasks=_words(data.get("tasks", ["bt"]), f"{source}: tasks"),
-        runs=_count(data.get("runs", 10), f"{source}: runs", 1),
-        first_seed=_count(data.get("first_seed", 0), f"{source}: first_seed", 0),
-        settings=_settings(_table(data.get("settings", {}), f"{source}: settings") | rules, f"{source}: settings"),
-        cases=tuple(_settings(one, f"{source}: cases") for one in _list(data.get("cases", []), f"{source}: cases")),
-        sweep={name: _values(values, f"{source}: sweep: {name}") for name, values in sweep.items()},
+        name=given("name", "", "a word that can be the name of a folder", _can_be_a_folder),
+        **{key: tuple(given(key, list(default), *_WORDS)) for key, default in names.items()},
+        runs=given("runs", 10, "a whole number from 1", lambda value: type(value) is int and value >= 1),
+        first_seed=given("first_seed", 0, "a whole number from 0", lambda value: type(value) is int and value >= 0),
+        settings=_settings(settings, f"{source}: settings"),
+        cases=tuple(_settings(one, f"{source}: cases") for one in given("cases", [], *_LIST)),
+        sweep={name: tuple(_text(one, f"{source}: sweep: {name}") for one in values) for name, values in sweep.items()},
     )
     _check_once(campaign, source)
     return campaign
@@ -215,46 +228,30 @@ def _lists(campaign: Campaign) -> Iterator[tuple[str, tuple[Any, ...]]]:
     yield from campaign.sweep.items()
 
 
-def _name(value: object, source: str) -> str:
-    if not isinstance(value, str) or not value or "/" in value or value.startswith("."):
-        raise MissionError(f"{source}: name is {value!r}; expected is a word that can be the name of a folder")
+def _is_filled(value: object) -> bool:
+    return isinstance(value, list) and bool(value)
+
+
+def _can_be_a_folder(value: object) -> bool:
+    return isinstance(value, str) and bool(value) and "/" not in value and not value.startswith(".")
+
+
+_TABLE = "a table of names and values", lambda value: isinstance(value, dict)
+_LIST = "a list", lambda value: isinstance(value, list)
+_WORDS = (
+    "a list of one name or more",
+    lambda value: _is_filled(value) and all(isinstance(word, str) and word for word in value),
+)
+
+
+def _expected(value: Any, where: str, expected: str, holds: Callable[[Any], bool]) -> Any:  # noqa: ANN401  # plain data
+    if not holds(value):
+        raise MissionError(f"{where} is {value!r}; expected is {expected}")
     return value
-
-
-def _count(value: object, where: str, least: int) -> int:
-    if not isinstance(value, int) or isinstance(value, bool) or value < least:
-        raise MissionError(f"{where} is {value!r}; expected is a whole number from {least}")
-    return value
-
-
-def _list(value: object, where: str) -> list[Any]:
-    if not isinstance(value, list):
-        raise MissionError(f"{where} is {value!r}; expected is a list")
-    return value
-
-
-def _table(value: object, where: str) -> dict[str, Any]:
-    if not isinstance(value, dict):
-        raise MissionError(f"{where} is {value!r}; expected is a table of names and values")
-    return value
-
-
-def _words(value: object, where: str) -> tuple[str, ...]:
-    words = _list(value, where)
-    if not words or not all(isinstance(word, str) and word for word in words):
-        raise MissionError(f"{where} is {value!r}; expected is a list of one name or more")
-    return tuple(words)
-
-
-def _values(value: object, where: str) -> tuple[str, ...]:
-    values = _list(value, where)
-    if not values:
-        raise MissionError(f"{where} is empty; give one value or more")
-    return tuple(_text(one, where) for one in values)
 
 
 def _settings(value: object, where: str) -> dict[str, str]:
-    return {name: _text(one, f"{where}: {name}") for name, one in _table(value, where).items()}
+    return {name: _text(one, f"{where}: {name}") for name, one in _expected(value, where, *_TABLE).items()}
 
 
 def _text(value: object, where: str) -> str:

@@ -3,6 +3,7 @@
 import os
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
@@ -10,46 +11,54 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from missions.engine.mission import MissionError
-from missions.experiments.campaign import Campaign, PlannedRun
+from missions.experiments.campaign import PlannedRun
 from missions.experiments.results import Store, read_store, write_tables
 from missions.experiments.work import CRASHED, Outcome, crash, do, provenance
 
-__all__ = ["Cluster", "Processes", "Teller", "Workers", "conduct", "modules_needed", "outcomes"]
+__all__ = ["Cluster", "Processes", "Teller", "Workers", "conduct", "outcomes"]
 
-PATIENCE_S = 10.0
+TIMEOUT_S = 10.0
 WATCH_S = 0.5
 
 
-class Workers(Protocol):
-    """Where runs are done."""
+class Workers(ABC):
+    """Where runs are done.
+
+    Attributes:
+        killed: what is raised for runs that were under way when a process died.
+    """
+
+    killed: tuple[type[Exception], ...]
 
     @property
+    @abstractmethod
     def count(self) -> int:
         """How many runs are done at once."""
 
-    @property
-    def killed(self) -> tuple[type[Exception], ...]:
-        """What is raised for runs that were under way when a process died."""
-
+    @abstractmethod
     def executor(self) -> Executor:
         """Return what runs are handed to."""
 
-    def renew(self) -> None:
+    def renew(self) -> None:  # noqa: B027  # a cluster's workers are started anew by whoever started them
         """Start what has died anew."""
 
     def look(self) -> str:
         """Return what is to be told of the workers while nothing is heard of them; empty if all is well."""
+        return ""
 
+    @abstractmethod
     def close(self) -> None:
         """Let the workers go."""
 
 
-class Processes:
-    """Processes of this machine.
+class Processes(Workers):
+    """Processes of this machine, each of which imports what it needs once.
 
     Args:
         count: how many; None for as many as this process may use processors.
     """
+
+    killed = (BrokenExecutor,)
 
     def __init__(self, count: int | None = None) -> None:
         from joblib import cpu_count
@@ -59,16 +68,9 @@ class Processes:
 
     @property
     def count(self) -> int:
-        """How many processes there are."""
         return self._count
 
-    @property
-    def killed(self) -> tuple[type[Exception], ...]:
-        """What is raised for all runs under way when one of the processes died."""
-        return (BrokenExecutor,)
-
     def executor(self) -> Executor:
-        """Start the processes, unless they are there; each imports what it needs once."""
         from joblib.externals.loky import ProcessPoolExecutor
 
         if self._executor is None:
@@ -77,12 +79,7 @@ class Processes:
         return started
 
     def renew(self) -> None:
-        """End the processes that are left; new ones are started when they are needed."""
         self.close()
-
-    def look(self) -> str:
-        """Return nothing: a process that dies is heard of."""
-        return ""
 
     def close(self) -> None:
         """End the processes, also in the middle of a run."""
@@ -91,8 +88,8 @@ class Processes:
             self._executor = None
 
 
-class Cluster:
-    """Workers of a dask cluster.
+class Cluster(Workers):
+    """Workers of a dask cluster; a run during which several workers died is given up, one death only repeats it.
 
     Args:
         address: of its scheduler, "host:port".
@@ -108,9 +105,9 @@ class Cluster:
         except ImportError as error:
             raise MissionError("--cluster needs the extra: pip install rosa-taca[cluster]") from error
         self._address = address
-        self._killed: type[Exception] = KilledWorker
+        self.killed = (KilledWorker,)
         try:
-            self._client = Client(address, timeout=PATIENCE_S, set_as_default=False)
+            self._client = Client(address, timeout=TIMEOUT_S, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
             raise MissionError(
                 f"there is no scheduler at {address}: {error}; start one with `dask scheduler`, and workers with "
@@ -124,16 +121,7 @@ class Cluster:
 
     @property
     def count(self) -> int:
-        """How many runs are done at once: as many as there are processes now."""
         return len(self._client.scheduler_info(n_workers=-1)["workers"])
-
-    @property
-    def killed(self) -> tuple[type[Exception], ...]:
-        """What is raised for a run that several workers died of, or beside; one death alone only repeats the run."""
-        return (self._killed,)
-
-    def renew(self) -> None:
-        """Do nothing: whoever started the workers starts them anew."""
 
     def executor(self) -> Executor:
         """Return the cluster as an executor, for which a run that is done again is another one."""
@@ -141,7 +129,6 @@ class Cluster:
         return executor
 
     def look(self) -> str:
-        """Say so if there is no worker left."""
         return "" if self.count else f"no worker is left at {self._address}; waiting for one to come"
 
     def close(self) -> None:
@@ -152,8 +139,8 @@ class Cluster:
         """Ask every worker for its versions: one that lacks the package would never answer to anything else."""
         if not self.count:
             raise MissionError(f"the scheduler at {self._address} has no workers; start some with `dask worker`")
-        told = self._client.run(_probe(tuple(needs)), on_error="return")
-        for worker, answer in sorted(told.items()):
+        answers = self._client.run(_probe(tuple(needs)), on_error="return")
+        for worker, answer in sorted(answers.items()):
             if isinstance(answer, Exception):
                 raise MissionError(f"worker {worker} cannot do missions: {type(answer).__name__}: {answer}")
             for name, here in provenance().items():
@@ -194,7 +181,7 @@ def _together(
     while under_way or (waiting and not suspects):
         if not suspects:
             _hand_out(waiting, under_way, workers)
-        done, _ = wait(under_way, timeout=PATIENCE_S, return_when=FIRST_COMPLETED)
+        done, _ = wait(under_way, timeout=TIMEOUT_S, return_when=FIRST_COMPLETED)
         if not done and (text := workers.look()):
             idle(text)
         for future in done:
@@ -290,9 +277,3 @@ def conduct(store: Store, folder: Path, workers: Workers, *, retry: bool, teller
         store.keep(outcome)
         teller.done(outcome.record)
     return write_tables(read_store(folder), folder)
-
-
-def modules_needed(campaign: Campaign) -> tuple[str, ...]:
-    """Return the modules of missions and managers of one's own."""
-    names = (name.partition(":") for name in (*campaign.missions, *campaign.managers))
-    return tuple(dict.fromkeys(module for module, colon, _ in names if colon))

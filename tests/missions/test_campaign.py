@@ -281,7 +281,7 @@ def test_run_that_crashes_is_recorded_and_the_others_go_on(rosa, tmp_path):
         ('missions = ["suave"]\nruns = true', "runs is True"),
         ('missions = ["suave"]\nfirst_seed = -1', "first_seed is -1; expected is a whole number from 0"),
         ('missions = ["suave", "suave"]', "missions has suave twice"),
-        ('missions = ["suave"]\n[sweep]\nbias = []', "bias is empty"),
+        ('missions = ["suave"]\n[sweep]\nbias = []', "bias is []"),
         ('missions = ["suave"]\n[sweep]\nbias = 1', "bias is 1; expected is a list"),
         ('missions = ["suave"]\n[sweep]\nbias = [[1]]', "bias is [1]; expected is a number"),
         ('missions = ["suave"]\n[settings]\nbais = 1', "unknown setting 'bais' of mission suave; did you mean bias"),

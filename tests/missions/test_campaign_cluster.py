@@ -166,6 +166,6 @@ def test_scheduler_that_is_not_there_is_told_with_what_starts_one(tmp_path, monk
     from missions.engine.mission import MissionError
     from missions.experiments import workers
 
-    monkeypatch.setattr(workers, "PATIENCE_S", 0.5)
+    monkeypatch.setattr(workers, "TIMEOUT_S", 0.5)
     with pytest.raises(MissionError, match=r"no scheduler at 127\.0\.0\.1:9: .*start one with `dask scheduler`"):
         workers.Cluster("127.0.0.1:9")
