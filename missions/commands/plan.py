@@ -9,7 +9,7 @@ import typer
 from missions.commands import FAILED
 
 if TYPE_CHECKING:
-    from missions.planning.answer import Answer
+    from missions.planning.question import Answer
 
 __all__ = ["plan"]
 
@@ -36,9 +36,9 @@ def plan(
     """Plan, say why actions are out and why there is no plan, and exit with 0 if there is one."""
     from missions.engine.mission import MissionError
     from missions.engine.registry import find_mission
-    from missions.planning.answer import answer
-    from missions.planning.question import ask, read_situation
+    from missions.planning.question import answer, ask, read_situation
     from missions.views.output import open_files
+    from missions.views.plan import lines_of
 
     if len(files or []) > 2 or (mission and files):
         raise MissionError("give either a domain and a problem file, or a mission with --mission NAME")
@@ -48,7 +48,7 @@ def plan(
     with ExitStack() as stack:
         outputs = open_files(paths, stack)
         found = answer(question, timeout)
-        for line in found.lines():
+        for line in lines_of(found):
             typer.echo(line)
         is_solved = found.result.outcome.is_solved
         for name, output in outputs.items():
@@ -63,10 +63,12 @@ def plan(
 def _written(option: str, found: "Answer", path: Path | None) -> str:
     """Return what is written for an option."""
     from missions.views.output import as_json
-    from missions.views.plan import svg_of_plan
+    from missions.views.plan import causes_of, svg_of, tree_of
 
-    if option == "json":
-        return as_json(found.data)
     if option == "svg":
-        return svg_of_plan(found.order, f"plan of {found.question.domain.name}")
-    return found.tree(xml=path is not None and path.suffix.lower() == ".xml")
+        return svg_of(causes_of(found), f"plan of {found.question.domain.name}")
+    if option == "tree":
+        return tree_of(found, xml=path is not None and path.suffix.lower() == ".xml")
+    result = found.result
+    steps = [{"action": step.schema, "arguments": list(step.arguments)} for step in result.steps]
+    return as_json({"outcome": str(result.outcome), "engine": result.engine, "cost": result.cost, "steps": steps})

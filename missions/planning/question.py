@@ -1,4 +1,4 @@
-"""What is to be planned, asked by hand: a domain, what is feasible in some situation, and a goal."""
+"""A plan asked for by hand: what is to be planned in some situation, the planner's answer, and why there is no plan."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -10,12 +10,12 @@ from kb import KnowledgeBase, Model
 from missions.engine.mission import Mission, MissionError
 from missions.engine.percepts import Percepts
 from missions.planning.declared import check_facts, mission_domain
-from rosa_pddl import Domain, Problem, State, feasible_atoms, initial_state, load_domain
+from rosa_pddl import Domain, Planner, PlanningResult, Problem, State, feasible_atoms, initial_state, load_domain
 from rosa_pddl.exceptions import nearest
 from rosa_pddl.formulas import Condition, conditions
 from rosa_pddl.problem import unlimited, without_feasibility
 
-__all__ = ["Question", "Supposed", "ask", "read_situation"]
+__all__ = ["Answer", "Question", "Supposed", "answer", "ask", "read_situation"]
 
 FAILED: Final = "failed"
 
@@ -31,7 +31,7 @@ class Supposed:
     """
 
     feasible: tuple[str, ...] | None = None
-    measured: Mapping[str, float] | None = None
+    measured: Mapping[str, float] = field(default_factory=dict)
     failed: tuple[str, ...] = ()
 
 
@@ -69,11 +69,6 @@ class Question:
         """The ROSA actions that cannot be done."""
         return tuple(action for action in self.domain.rosa_actions if not self.kb.is_feasible(action))
 
-    @property
-    def unlimited(self) -> "Question":
-        """The same without the limits of resources."""
-        return replace(self, domain=unlimited(self.domain))
-
     def supposing(self, unfeasible: Iterable[str], goals: Sequence[Condition] | None = None) -> Problem:
         """Return the problem in which just these ROSA actions are unfeasible, and perhaps something else is wanted."""
         left_out = set(unfeasible)
@@ -83,6 +78,21 @@ class Question:
             state |= {self.domain.feasible_atom(action) for action in kept}
         wanted = self.goals if goals is None else goals
         return Problem(self.domain, state, tuple(goal.expression for goal in wanted), self.numbers)
+
+
+@dataclass(frozen=True)
+class Answer:
+    """A plan, or why there is none.
+
+    Attributes:
+        question: what was asked.
+        result: what the planner answered.
+        obstacles: why there is no plan, in sentences.
+    """
+
+    question: Question
+    result: PlanningResult
+    obstacles: tuple[str, ...] = ()
 
 
 def ask(
@@ -102,26 +112,33 @@ def ask(
     Raises:
         MissionError, KnowledgeBaseError, RosaPddlError: something is missing, unknown or cannot be read.
     """
+    has_model = bool(models or mission)
     domain = _domain(files, mission)
-    _check(supposed, has_model=bool(models or mission))
+    if (supposed.measured or supposed.failed) and not has_model:
+        raise MissionError("a situation is about a model; name its file with --model FILE, or a mission")
+    if (supposed.measured or supposed.failed) and supposed.feasible is not None:
+        raise MissionError("what is feasible follows from the situation; give --feasible or --situation, not both")
     kb = KnowledgeBase(_model(domain, mission, models), clock=lambda: 0.0)
     oversights = domain.check(kb)
-    for attribute, value in (supposed.measured or {}).items():
+    for attribute, value in supposed.measured.items():
         kb.measure(attribute, value)
     for component in supposed.failed:
         kb.component_failed(component)
-    _suppose_feasible(kb, domain, supposed, has_model=bool(models or mission))
-    told = _told(mission, kb) if mission is not None and not files else {}
-    true = {domain.atom(text) for text, value in told.items() if value is True}
-    numbers = {text: value for text, value in told.items() if not isinstance(value, bool)}
+    _suppose_feasible(kb, domain, supposed.feasible, has_model)
+    facts: Mapping[str, bool | float] = {}
+    if mission is not None and not files:
+        check_facts(mission)
+        facts = mission.facts(kb, Percepts())  # nothing is sensed yet, so what is false there may be true
+    true = {domain.atom(text) for text, value in facts.items() if value is True}
+    numbers = {text: value for text, value in facts.items() if not isinstance(value, bool)}
     state = without_feasibility(domain, initial_state(domain) | true) | feasible_atoms(domain, kb)
     if not all(text.strip() for text in goals):
         raise MissionError("--goal is empty; give a condition such as '(found it)', or leave it out")
     # a goal may be several conditions side by side
     texts = [f"(and {text})" for text in goals] if goals else domain.goals
-    wanted = [condition for text in texts for condition in conditions(domain, text)]
+    wanted = tuple(condition for text in texts for condition in conditions(domain, text))
     engines = mission.engines if mission is not None else ()
-    made = Question(domain, kb, state, tuple(wanted), oversights, numbers, engines)
+    made = Question(domain, kb, state, wanted, oversights, numbers, engines)
     if mission is None or files or goals:
         return made
     return replace(made, why_not=partial(mission.why_not, kb, Percepts()))
@@ -151,21 +168,8 @@ def read_situation(texts: Iterable[str], feasible: Iterable[str] | None = None) 
         except ValueError as error:
             message = f"--situation takes {name}=NUMBER, or {name}={FAILED} for a component, not {part.strip()!r}"
             raise MissionError(message) from error
-    names = (
-        None
-        if feasible is None
-        else tuple(name.strip() for text in feasible for name in text.split(",") if name.strip())
-    )
-    return Supposed(names, measured, tuple(failed))
-
-
-def _check(supposed: Supposed, *, has_model: bool) -> None:
-    if not (supposed.measured or supposed.failed):
-        return
-    if not has_model:
-        raise MissionError("a situation is about a model; name its file with --model FILE, or a mission")
-    if supposed.feasible is not None:
-        raise MissionError("what is feasible follows from the situation; give --feasible or --situation, not both")
+    names = [name.strip() for text in feasible or () for name in text.split(",")]
+    return Supposed(None if feasible is None else tuple(filter(None, names)), measured, tuple(failed))
 
 
 def _domain(files: Sequence[Path], mission: Mission | None) -> Domain:
@@ -174,12 +178,6 @@ def _domain(files: Sequence[Path], mission: Mission | None) -> Domain:
     if len(files) != 2:
         raise MissionError("nothing to plan; give a domain and a problem file, or a mission with --mission NAME")
     return load_domain(*files)
-
-
-def _told(mission: Mission, kb: KnowledgeBase) -> Mapping[str, bool | float]:
-    """Return what a mission knows before it has begun; nothing is sensed, so what is false there may be true."""
-    check_facts(mission)
-    return mission.facts(kb, Percepts())
 
 
 def _model(domain: Domain, mission: Mission | None, models: Sequence[Path]) -> Model:
@@ -193,10 +191,10 @@ def _model(domain: Domain, mission: Mission | None, models: Sequence[Path]) -> M
     return model
 
 
-def _suppose_feasible(kb: KnowledgeBase, domain: Domain, supposed: Supposed, *, has_model: bool) -> None:
+def _suppose_feasible(kb: KnowledgeBase, domain: Domain, given: Sequence[str] | None, has_model: bool) -> None:
     """Tell the knowledge base what is feasible, if that is given instead of following from a model."""
-    if supposed.feasible is not None:
-        feasible, reason = _known(domain, supposed.feasible), "it is not among those given as feasible"
+    if given is not None:
+        feasible, reason = _known(domain, given), "it is not among those given as feasible"
     else:
         stated = [atom for atom in initial_state(domain) if domain.is_feasibility(atom)]
         if has_model or not stated:
@@ -216,3 +214,94 @@ def _known(domain: Domain, names: Iterable[str]) -> set[str]:
             message = f"--feasible names {name!r}, which is no ROSA action of {domain.file}"
             raise MissionError(f"{message}; {nearest(name, domain.rosa_actions)}")
     return {spelled[name.lower()] for name in names}
+
+
+def answer(question: Question, timeout_s: float) -> Answer:
+    """Plan with what the mission plans with, or else what the domain needs; if there is no plan, find out why.
+
+    Within limits it is label setting that plans, and otherwise Fast Downward and then Aries.
+
+    Args:
+        question: what to plan.
+        timeout_s: wall-clock time for each planning [s].
+
+    Raises:
+        rosa_pddl.PlannerSettingError: the time is not positive.
+    """
+    usual = ("label-setting",) if question.domain.limited else ("fast-downward-opt", "aries")
+    engine, *fallback = question.engines or usual
+    planner = Planner(engine, timeout_s, warm=False, fallback=fallback)
+    try:
+        result = planner.plan(question.problem)
+        obstacles = _Diagnosis(question, planner).obstacles() if _is_unsolvable(result) else []
+        return Answer(question, result, tuple(obstacles))
+    finally:
+        planner.close()
+
+
+class _Diagnosis:
+    """Why there is no plan, by planning for less, with more being feasible, and without limits.
+
+    What the planner cannot answer in its time is not told.
+    """
+
+    def __init__(self, question: Question, planner: Planner) -> None:
+        self._question, self._plan = question, planner.plan
+
+    def obstacles(self) -> list[str]:
+        question, out = self._question, self._question.unfeasible
+        own = question.why_not()
+        known = [own] if own else []
+        if not out:
+            return [self._unreachable(out, "whatever is done"), *known]
+        if _is_unsolvable(self._plan(question.supposing(()))):
+            return [self._unreachable((), "even if every action were feasible"), *known]
+        needed = self._needed()
+        told = [f"there would be a plan if {needed} were feasible"] if needed else []
+        return [self._unreachable(out, "as it is"), *known, *told]
+
+    def _unreachable(self, unfeasible: Sequence[str], how: str) -> str:
+        """Say what cannot be reached while these actions are unfeasible, and whether that is for the limits."""
+        question = self._question
+        limits = _listed([resource.name for resource in question.domain.limited], "and")
+        if limits:
+            free = replace(question, domain=unlimited(question.domain))
+            result = self._plan(free.supposing(unfeasible))
+            if result.outcome.is_solved:
+                how = f"{how} within the limits of {limits}"
+            elif _is_unsolvable(result):
+                question, how = free, f"{how}, with or without the limits of {limits}"
+        goals = question.goals
+        lost = [one for one in goals if _is_unsolvable(self._plan(question.supposing(unfeasible, [one])))]
+        if lost:
+            return f"{_listed(list(map(str, lost)), 'and')} cannot be reached, {how}"
+        if len(goals) > 1:
+            return f"each part of the goal may be reached by itself, but not all of them together, {how}"
+        return f"the goal cannot be reached, {how}"
+
+    def _needed(self) -> str:
+        """Return the unfeasible actions of which one is enough; or else several, none of which can be spared."""
+        out = self._question.unfeasible
+
+        def enough(feasible: Sequence[str]) -> bool:
+            left_out = [action for action in out if action not in feasible]
+            return self._plan(self._question.supposing(left_out)).outcome.is_solved
+
+        single = [action for action in out if enough([action])]
+        if single:
+            return _listed(single, "or")
+        needed = list(out)
+        if not enough(needed):
+            return ""
+        for action in out:
+            fewer = [one for one in needed if one != action]
+            needed = fewer if enough(fewer) else needed
+        return _listed(needed, "and")
+
+
+def _is_unsolvable(result: PlanningResult) -> bool:
+    return not result.outcome.is_solved and not result.outcome.is_trouble
+
+
+def _listed(names: Sequence[str], word: str) -> str:
+    return "".join(names) if len(names) < 2 else f"{', '.join(names[:-1])} {word} {names[-1]}"

@@ -5,28 +5,34 @@ over all, and is believed to have had its effects; what fails, or does not hold,
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from itertools import product
 from typing import Any, Final
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from py_trees.behaviour import Behaviour
+from py_trees.common import Status
 
 from kb import KnowledgeBase
 from missions.engine.mission import MissionError
-from missions.planning.formulas import written_condition, written_effects
-from missions.planning.leaves import Assume, Holds
 from rosa_bt import BehaviourRegistry, RosaBtError, load_xml
-from rosa_pddl import Domain, MissingBehaviourError, Schema, Step
+from rosa_pddl import Domain, MissingBehaviourError, Schema, State, Step
 from rosa_pddl.belief import Belief
 from rosa_pddl.domain import ACTION_TYPE, FEASIBLE, UpThing
 from rosa_pddl.exceptions import nearest
-from rosa_pddl.validate import binding_of, mentioned_atoms
+from rosa_pddl.formulas import conditions
+from rosa_pddl.reading.syntax import Node, parse
+from rosa_pddl.validate import binding_of, holds, mentioned_atoms
 
-__all__ = ["plan_registry", "plan_tree", "plan_xml"]
+__all__ = ["plan_registry", "plan_tree", "plan_xml", "written"]
 
 Factory = Callable[[Step], Behaviour]
+Binding = Mapping[str, str]
+Change = Callable[[State], tuple[set[str], set[str]]]
+"""From a state to the atoms that become false, and those that become true."""
 
 _TAKEN: Final = ("id", "name")
 """Attributes that mean something else in the XML, in lower case."""
+_HEADS: Final = {"AND": "and", "OR": "or", "NOT": "not", "IMPLIES": "imply", "EQUALS": "="}
 
 
 def plan_tree(
@@ -53,8 +59,7 @@ def plan_tree(
         rosa_pddl.MissingBehaviourError: a PDDL action has no behaviour.
         MissionError: a name of the domain cannot be used in XML.
     """
-    registry = plan_registry(domain, kb=kb, behaviours=behaviours, sense=sense)
-    return load_xml(plan_xml(domain, steps), registry)
+    return load_xml(plan_xml(domain, steps), plan_registry(domain, kb=kb, behaviours=behaviours, sense=sense))
 
 
 def plan_registry(
@@ -71,8 +76,8 @@ def plan_registry(
         MissionError: a PDDL action is called like a node of BehaviorTree.CPP.
     """
     registry = BehaviourRegistry(kb=kb, belief=Belief(domain, kb, sense))
-    registry.register("Holds", Holds, kind="condition")
-    registry.register("Assume", Assume, kind="action")
+    registry.register("Holds", _Holds, kind="condition")
+    registry.register("Assume", _Assume, kind="action")
     for schema in domain.schema_of.values():
         if schema.name not in behaviours:
             hint = nearest(schema.name, behaviours)
@@ -84,6 +89,68 @@ def plan_registry(
     return registry
 
 
+def _maker(domain: Domain, schema: Schema, behaviour: Factory) -> Callable[..., Behaviour]:
+    """Return what makes the behaviour of a step from its attributes; its own name is the one that it gives itself."""
+
+    def make(name: str, **ports: Any) -> Behaviour:  # noqa: ANN401  # what attributes hold
+        arguments = [str(ports[_port(parameter)]) for parameter, _ in schema.parameters]
+        return behaviour(domain.step(schema.name, arguments))
+
+    return make
+
+
+def _port(parameter: str) -> str:
+    """Return the attribute of a parameter, with another beginning if that name has a meaning of its own."""
+    return f"p_{parameter}" if parameter.lower() in _TAKEN or parameter.startswith("_") else parameter
+
+
+class _Holds(Behaviour):
+    """Condition: SUCCESS while a formula such as `(and (lit hall) (not (broken hall)))` holds."""
+
+    def __init__(self, belief: Belief, condition: str) -> None:
+        super().__init__(condition)
+        self._belief = belief
+        self._parts = conditions(belief.domain, condition)
+
+    def update(self) -> Status:
+        state = self._belief.observe()
+        missing = (one for one in self._parts if not holds(self._belief.domain, one.expression, {}, state))
+        first = next(missing, None)
+        self.feedback_message = "" if first is None else f"{first} does not hold"
+        return Status.SUCCESS if first is None else Status.FAILURE
+
+
+class _Assume(Behaviour):
+    """Action: believes effects such as `(and (scanned hall) (when (lit hall) (not (lit hall))))`."""
+
+    def __init__(self, belief: Belief, effects: str) -> None:
+        super().__init__(f"assume {effects}")
+        self._belief = belief
+        self._changes = _changes(belief.domain, parse(effects, f"effects {effects!r}").root)
+
+    def update(self) -> Status:
+        state = self._belief.observe()
+        changed = [change(state) for change in self._changes]
+        self._belief.assume(set().union(*(gone for gone, _ in changed)), set().union(*(come for _, come in changed)))
+        return Status.SUCCESS
+
+
+def _changes(domain: Domain, effect: Node) -> list[Change]:
+    """Read effects: atoms, negated ones, those that come `when` a condition holds, or several of these."""
+    if effect.head == "and":
+        return [change for part in effect.children[1:] for change in _changes(domain, part)]
+    if effect.head == "when" and len(effect.children) == 3:
+        needed = [one.expression for one in conditions(domain, str(effect.children[1]))]
+        return [_conditional(domain, needed, then) for then in _changes(domain, effect.children[2])]
+    is_deleted = effect.head == "not" and len(effect.children) == 2
+    atom = domain.atom(str(effect.children[1] if is_deleted else effect))
+    return [lambda state: ({atom}, set()) if is_deleted else (set(), {atom})]
+
+
+def _conditional(domain: Domain, needed: Sequence[UpThing], then: Change) -> Change:
+    return lambda state: then(state) if all(holds(domain, one, {}, state) for one in needed) else (set(), set())
+
+
 def plan_xml(domain: Domain, steps: Iterable[Step]) -> str:
     """Write the tree of a plan.
 
@@ -93,92 +160,107 @@ def plan_xml(domain: Domain, steps: Iterable[Step]) -> str:
     """
     root = Element("root", BTCPP_format="4", main_tree_to_execute="Plan")
     plan = SubElement(SubElement(root, "BehaviorTree", ID="Plan"), "Sequence", name="plan")
-    for step in steps:
-        plan.append(_step(domain, step))
+    fixed = set(_fixed_predicates(domain))
+    plan.extend(_step(domain, step, fixed) for step in steps)
     if not len(plan):
         SubElement(plan, "AlwaysSuccess", name="nothing to do")
     indent(root)
     return tostring(root, encoding="unicode") + "\n"
 
 
-def _step(domain: Domain, step: Step) -> Element:
+def _fixed_predicates(domain: Domain) -> Iterator[str]:
+    """Yield the predicates about ROSA actions only that no action changes, in lower case: they say which is which."""
+    schemas = domain.schema_of.values()
+    effects = [effect for schema in schemas for effect in schema.start_effects + schema.end_effects]
+    changed = {FEASIBLE, *(domain.outside[effect.fluent.fluent().name].lower() for effect in effects)}
+    for fluent in domain.up_problem.fluents:
+        kinds = {domain.outside[parameter.type.name].lower() for parameter in fluent.signature}
+        name = domain.outside[fluent.name].lower()
+        if kinds == {ACTION_TYPE} and name not in changed:
+            yield name
+
+
+def _step(domain: Domain, step: Step, fixed: set[str]) -> Element:
     schema, binding = domain.schema_of[step.schema], binding_of(domain, step)
-    conditions = schema.start + schema.over_all + schema.end
-    guards = [_feasible(domain, one, binding) for one in conditions if _is_feasibility(domain, one)]
-    guards += _holds(domain, schema.over_all, binding)
+
+    def asked(formulas: Iterable[UpThing], *, feasible: bool = False) -> Iterator[str]:
+        """Yield the conditions worth asking for, either those that are feasibility or the others."""
+        for formula in formulas:
+            heads = {atom[1:-1].split()[0].lower() for atom in mentioned_atoms(domain, [formula], (), binding)}
+            text = written(domain, formula, binding)
+            is_feasibility = formula.is_fluent_exp() and domain.is_feasibility(text)
+            if is_feasibility is feasible and heads - fixed:
+                yield text
+
+    def holding(formulas: Iterable[UpThing]) -> list[Element]:
+        return [Element("Holds", condition=text) for text in dict.fromkeys(asked(formulas))]
+
+    def assumed(effects: Iterable[UpThing]) -> list[Element]:
+        texts = [text for effect in effects for text in _written_effects(domain, effect, binding)]
+        whole = texts[0] if len(texts) == 1 else f"(and {' '.join(texts)})"
+        return [Element("Assume", effects=whole)] if texts else []
+
+    actions = (text[1:-1].split()[1] for text in asked(schema.start + schema.over_all + schema.end, feasible=True))
+    guards = [Element("IsActionFeasible", name=f"{action} feasible?", action=action) for action in actions]
+    guards += holding(schema.over_all)
     attributes = {_port(name): argument for (name, _), argument in zip(schema.parameters, step.arguments, strict=True)}
-    action = Element(schema.name, attributes)
+    done = Element(schema.name, attributes)
     if guards:
-        guarded = Element("ReactiveSequence")
-        guarded.extend([*guards, action])
-    parts = [
-        *_holds(domain, schema.start, binding),
-        *_assume(domain, schema.start_effects, binding),
-        guarded if guards else action,
-        *_holds(domain, schema.end, binding),
-        *_assume(domain, schema.end_effects, binding),
-    ]
+        guards.append(done)
+        done = Element("ReactiveSequence")
+        done.extend(guards)
     whole = Element("Sequence", name=str(step))
-    whole.extend(parts)
+    whole.extend([*holding(schema.start), *assumed(schema.start_effects), done])
+    whole.extend([*holding(schema.end), *assumed(schema.end_effects)])
     return whole
 
 
-def _holds(domain: Domain, formulas: Sequence[UpThing], binding: Mapping[str, str]) -> list[Element]:
-    asked = [one for one in formulas if not _is_feasibility(domain, one) and _may_change(domain, one, binding)]
-    texts = [written_condition(domain, formula, binding) for formula in asked]
-    return [Element("Holds", condition=text) for text in dict.fromkeys(texts)]
+def written(domain: Domain, formula: UpThing, binding: Binding) -> str:
+    """Return a condition as text that can be read again; instead of a quantifier, every object is named."""
+    if formula.is_parameter_exp():
+        return binding[formula.parameter().name]
+    if formula.is_variable_exp():
+        return binding[f"?{formula.variable().name}"]
+    if formula.is_object_exp():
+        return domain.outside[formula.object().name]
+    if formula.is_bool_constant():
+        return "(and)" if formula.constant_value() else "(or)"
+    if formula.is_exists() or formula.is_forall():
+        bindings = _bindings(domain, formula.variables(), binding)
+        parts = [written(domain, formula.arg(0), inner) for inner in bindings]
+        return f"({' '.join(['or' if formula.is_exists() else 'and', *parts])})"
+    parts = [written(domain, part, binding) for part in formula.args]
+    if formula.is_iff():
+        return "(and (imply {0} {1}) (imply {1} {0}))".format(*parts)
+    head = domain.outside[formula.fluent().name] if formula.is_fluent_exp() else _HEADS[formula.node_type.name]
+    return f"({' '.join([head, *parts])})"
 
 
-def _assume(domain: Domain, effects: Iterable[UpThing], binding: Mapping[str, str]) -> list[Element]:
-    """Return what is believed; expected feasibility is for planning only."""
-    own = [effect for effect in effects if not _is_feasibility(domain, effect.fluent)]
-    texts = written_effects(domain, own, binding)
-    return [Element("Assume", effects=texts[0] if len(texts) == 1 else f"(and {' '.join(texts)})")] if texts else []
+def _written_effects(domain: Domain, effect: UpThing, binding: Binding) -> Iterator[str]:
+    """Yield `ATOM`, `(not ATOM)`, or `(when CONDITION ...)` of one of these; feasibility is for planning only."""
+    for inner in _bindings(domain, effect.forall, binding):
+        atom = written(domain, effect.fluent, inner)
+        if domain.is_feasibility(atom):
+            continue
+        needed = [] if effect.condition.is_true() else [written(domain, effect.condition, inner)]
+        if effect.value.is_bool_constant():
+            yield _when(needed, atom if effect.value.constant_value() else f"(not {atom})")
+        else:
+            value = written(domain, effect.value, inner)
+            yield _when([*needed, value], atom)
+            yield _when([*needed, f"(not {value})"], f"(not {atom})")
 
 
-def _feasible(domain: Domain, formula: UpThing, binding: Mapping[str, str]) -> Element:
-    _, action = written_condition(domain, formula, binding)[1:-1].split()
-    return Element("IsActionFeasible", name=f"{action} feasible?", action=action)
+def _when(needed: Sequence[str], literal: str) -> str:
+    if not needed:
+        return literal
+    condition = needed[0] if len(needed) == 1 else f"(and {' '.join(needed)})"
+    return f"(when {condition} {literal})"
 
 
-def _is_feasibility(domain: Domain, formula: UpThing) -> bool:
-    return bool(formula.is_fluent_exp()) and _name(domain, formula.fluent()) == FEASIBLE
-
-
-def _may_change(domain: Domain, formula: UpThing, binding: Mapping[str, str]) -> bool:
-    """Tell whether a condition is worth asking: not if it only says which object is which ROSA action."""
-    asked = {atom[1:-1].split()[0].lower() for atom in mentioned_atoms(domain, [formula], (), binding)}
-    return bool(asked - set(_naming(domain)))
-
-
-def _naming(domain: Domain) -> Iterator[str]:
-    """Yield the predicates about ROSA actions only that no action changes; their names in lower case."""
-    schemas = domain.schema_of.values()
-    changed = {
-        _name(domain, effect.fluent.fluent())
-        for schema in schemas
-        for effect in schema.start_effects + schema.end_effects
-    }
-    for fluent in domain.up_problem.fluents:
-        kinds = {domain.outside[parameter.type.name].lower() for parameter in fluent.signature}
-        if kinds == {ACTION_TYPE} and _name(domain, fluent) not in {*changed, FEASIBLE}:
-            yield _name(domain, fluent)
-
-
-def _name(domain: Domain, fluent: UpThing) -> str:
-    return domain.outside[fluent.name].lower()
-
-
-def _port(parameter: str) -> str:
-    """Return the attribute of a parameter, with another beginning if that name has a meaning of its own."""
-    return f"p_{parameter}" if parameter.lower() in _TAKEN or parameter.startswith("_") else parameter
-
-
-def _maker(domain: Domain, schema: Schema, behaviour: Factory) -> Callable[..., Behaviour]:
-    """Return what makes the behaviour of a step from its attributes; its own name is the one that it gives itself."""
-
-    def make(name: str, **ports: Any) -> Behaviour:  # noqa: ANN401  # what attributes hold
-        arguments = [str(ports[_port(parameter)]) for parameter, _ in schema.parameters]
-        return behaviour(domain.step(schema.name, arguments))
-
-    return make
+def _bindings(domain: Domain, variables: Iterable[UpThing], binding: Binding) -> Iterator[Binding]:
+    listed = list(variables)
+    choices = [domain.objects_of(domain.outside[variable.type.name]) for variable in listed]
+    for chosen in product(*choices):
+        # marked, so that no parameter has the name of a variable
+        yield {**binding, **{f"?{variable.name}": name for variable, name in zip(listed, chosen, strict=True)}}

@@ -1,15 +1,27 @@
-"""The causal order of a plan as an SVG picture: from the top to the goal, side by side what could come in any order."""
+"""A plan as people see it: its steps with what they need, the tree that does them, and a picture of their causal order.
 
-from collections.abc import Iterator
+The picture goes from the top to the goal; side by side is what could come in any order.
+"""
+
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from itertools import pairwise
 from textwrap import wrap
-from typing import Final
+from typing import Final, NamedTuple
 
-from missions.planning.causes import CausalOrder
+from py_trees.behaviours import Success
 
-__all__ = ["svg_of_plan"]
+from missions.planning.question import Answer
+from missions.planning.tree import plan_tree
+from rosa_bt import export_xml
+from rosa_bt.display import ascii_tree
+from rosa_pddl import Domain, State, Step
+from rosa_pddl.domain import UpThing
+from rosa_pddl.validate import binding_of, ended, mentioned_atoms, started
+
+__all__ = ["CausalOrder", "Link", "causal_order", "causes_of", "lines_of", "svg_of", "tree_of"]
 
 _LETTERS: Final = 38
 """After how many characters a line in a box is broken."""
@@ -19,33 +31,126 @@ _LEGEND: Final = "dashed: earlier, it would spoil what the other step needs"
 _EDGE, _FILL, _GOAL_FILL, _LATER = "#46627f", "#eef3f8", "#d5ecd4", "#b06a00"
 
 
-@dataclass
-class _Box:
-    """A step, the goal, or, without lines, a place where an arrow passes a row, as tall as that."""
+class Link(NamedTuple):
+    """One step makes so what another one, or the goal, needs.
 
-    row: int
-    lines: tuple[str, ...] = ()
-    is_goal: bool = False
-    above: list["_Box"] = field(default_factory=list)
-    x: float = 0.0
-    y: float = 0.0
-    passed: float = 0.0
+    Attributes:
+        source: number of the step that makes it so, from 0.
+        target: number of the one that needs it; the goal comes after the last step.
+        needs: what is needed: atoms, or `(not ATOM)` for those that are false then.
+    """
 
-    @property
-    def width(self) -> float:
-        longest = max((len(line) * (1.1 if line is self.lines[0] else 1.0) for line in self.lines), default=0.0)
-        return 16 + _LETTER * longest if self.lines else _LANE
-
-    @property
-    def height(self) -> float:
-        return 12 + _LINE * len(self.lines) if self.lines else self.passed
-
-    @property
-    def middle(self) -> float:
-        return self.x + self.width / 2
+    source: int
+    target: int
+    needs: tuple[str, ...]
 
 
-def svg_of_plan(order: CausalOrder, title: str) -> str:
+class CausalOrder(NamedTuple):
+    """Why the steps of a plan come in their order; what it leaves open could come the other way round.
+
+    Attributes:
+        steps: the plan; the number after the last stands for the goal.
+        links: which step needs which.
+        orders: pairs (earlier, later) where the later step would spoil what the earlier one needs or does, as far as
+            the links do not say so already.
+    """
+
+    steps: tuple[Step, ...]
+    links: tuple[Link, ...]
+    orders: tuple[tuple[int, int], ...]
+
+
+def lines_of(answer: Answer) -> Iterator[str]:
+    """Yield a plan, a line for each step with the steps that it needs, or why there is none."""
+    question, result = answer.question, answer.result
+    if not result.outcome.is_solved:
+        yield f"no plan: {result.message or result.outcome}"
+        yield from (f"  {obstacle}" for obstacle in answer.obstacles)
+    else:
+        steps = "1 step" if len(result.steps) == 1 else f"{len(result.steps)} steps"
+        yield f"{result.outcome} by {result.engine}: {steps}, cost {result.cost or 0:g}"
+        links = causes_of(answer).links
+        for number, step in enumerate(result.steps):
+            needs = [f"{' '.join(link.needs)} by {link.source + 1}" for link in links if link.target == number]
+            yield f"  {number + 1}  {step}" + (f"  needs {', '.join(needs)}" if needs else "")
+    yield from (f"out: {question.kb.why(question.kb.actions[action])}" for action in question.unfeasible)
+    yield from (f"note: {oversight}" for oversight in question.oversights)
+
+
+def tree_of(answer: Answer, *, xml: bool) -> str:
+    """Return the tree that executes a plan, as BehaviorTree.CPP's XML or as a picture in text."""
+    domain = answer.question.domain
+    idle = dict.fromkeys(domain.schemas, lambda step: Success(str(step)))
+    tree = plan_tree(domain, answer.result.steps, kb=answer.question.kb, behaviours=idle)
+    return export_xml(tree) if xml else ascii_tree(tree)
+
+
+def causes_of(answer: Answer) -> CausalOrder:
+    """Return why the steps of a plan that was asked for come in their order."""
+    question = answer.question
+    return causal_order(
+        question.domain, answer.result.steps, question.state, [goal.expression for goal in question.goals]
+    )
+
+
+def causal_order(domain: Domain, steps: Sequence[Step], state: State, goals: Iterable[UpThing]) -> CausalOrder:
+    """Find out why the steps of a plan come in their order.
+
+    Args:
+        domain: what `load_domain` returned.
+        steps: a plan that leads to the goal.
+        state: the true atoms before it.
+        goals: what shall hold, as unified-planning expressions.
+    """
+    changer: dict[str, int] = {}
+    touched: defaultdict[str, set[int]] = defaultdict(set)
+    links: list[Link] = []
+    threats: set[tuple[int, int]] = set()
+    for number in range(len(steps) + 1):
+        if number < len(steps):
+            needed, changed, after = _replayed(domain, steps[number], state)
+        else:
+            needed, changed, after = set(mentioned_atoms(domain, goals, (), {})), frozenset(), state
+        causes: defaultdict[int, list[str]] = defaultdict(list)
+        for atom in sorted(needed & changer.keys()):
+            causes[changer[atom]].append(atom if atom in state else f"(not {atom})")
+        links += [Link(source, number, tuple(atoms)) for source, atoms in sorted(causes.items())]
+        threats |= {(earlier, number) for atom in changed for earlier in touched[atom]}
+        changer |= dict.fromkeys(changed, number)
+        for atom in needed | changed:
+            touched[atom].add(number)
+        state = after
+    return CausalOrder(tuple(steps), tuple(links), _beyond(links, threats, len(steps) + 1))
+
+
+def _replayed(domain: Domain, step: Step, state: State) -> tuple[set[str], State, State]:
+    """Return what a step looks at, what it changes, and the state after it."""
+    schema, binding = domain.schema_of[step.schema], binding_of(domain, step)
+    needed = set(mentioned_atoms(domain, schema.start, schema.start_effects, binding))
+    meanwhile = started(domain, step, state)
+    changed = state ^ meanwhile
+    needed |= set(mentioned_atoms(domain, schema.over_all + schema.end, schema.end_effects, binding)) - changed
+    after = ended(domain, step, meanwhile)
+    return needed, changed | (meanwhile ^ after), after
+
+
+def _beyond(links: Iterable[Link], threats: Iterable[tuple[int, int]], count: int) -> tuple[tuple[int, int], ...]:
+    """Return the orders that no chain of links and other orders says already."""
+    linked = {(link.source, link.target) for link in links}
+    before: list[set[int]] = [set() for _ in range(count)]
+    orders: list[tuple[int, int]] = []
+    for later in range(count):
+        for source in {source for source, target in linked if target == later}:
+            before[later] |= {source, *before[source]}
+        # the latest first: what comes before it is then said already
+        for earlier in sorted((one for one, other in threats if other == later), reverse=True):
+            if earlier not in before[later]:
+                orders.append((earlier, later))
+                before[later] |= {earlier, *before[earlier]}
+    return tuple(sorted(orders))
+
+
+def svg_of(order: CausalOrder, title: str) -> str:
     """Draw a plan: an arrow for what one step makes so and another one needs, a dashed one for what must wait.
 
     Args:
@@ -77,6 +182,32 @@ def svg_of_plan(order: CausalOrder, title: str) -> str:
             "",
         ]
     )
+
+
+@dataclass
+class _Box:
+    """A step, the goal, or, without lines, a place where an arrow passes a row, as tall as that."""
+
+    row: int
+    lines: tuple[str, ...] = ()
+    is_goal: bool = False
+    above: list["_Box"] = field(default_factory=list)
+    x: float = 0.0
+    y: float = 0.0
+    passed: float = 0.0
+
+    @property
+    def width(self) -> float:
+        longest = max((len(line) * (1.1 if line is self.lines[0] else 1.0) for line in self.lines), default=0.0)
+        return 16 + _LETTER * longest if self.lines else _LANE
+
+    @property
+    def height(self) -> float:
+        return 12 + _LINE * len(self.lines) if self.lines else self.passed
+
+    @property
+    def middle(self) -> float:
+        return self.x + self.width / 2
 
 
 def _boxes(order: CausalOrder) -> list[_Box]:

@@ -238,11 +238,11 @@ def test_pddl_action_called_like_a_node_of_btcpp_is_refused(tmp_path):
 
 def test_formulas_written_for_the_tree_mean_what_they_meant():
     domain, _, state = house("(forall (?x - room) (scanned ?x))")
-    from missions.planning.formulas import written_condition
+    from missions.planning.tree import written
     from rosa_pddl.formulas import conditions
 
     (goal,) = domain.up_problem.goals
-    text = written_condition(domain, goal, {})
+    text = written(domain, goal, {})
     assert text == "(and (scanned kitchen) (scanned hall) (scanned attic))"
     everything = state | {f"(scanned {room})" for room in ("kitchen", "hall", "attic")}
     for facts in (state, everything):

@@ -13,10 +13,10 @@ from missions.engine.mission import Mission, MissionError
 from missions.engine.percepts import Percepts
 from missions.engine.registry import find_mission
 from missions.engine.task_layer import build_task
-from missions.planning.answer import answer
 from missions.planning.declared import by_schema
-from missions.planning.question import ask, read_situation
+from missions.planning.question import answer, ask, read_situation
 from missions.views.names import planned_names
+from missions.views.plan import lines_of
 from rosa_bt import RosaAction
 from rosa_pddl import ActionSchema, DeclaredProblem, Outcome
 
@@ -120,7 +120,7 @@ def test_question_by_hand_knows_what_is_possible_in_its_situation():
     crossed = {key: [step.action for step in one.result.steps if step.schema == "cross"] for key, one in found.items()}
     assert crossed == {"": ["cross_c1"], "kinect=failed": ["cross_c4", "cross_c3", "cross_c2"], "energy=500": []}
     assert found["energy=500"].result.outcome is Outcome.UNSOLVABLE_PROVEN
-    assert "within the limits of energy_used_mj" in "\n".join(found["energy=500"].lines())
+    assert "within the limits of energy_used_mj" in "\n".join(lines_of(found["energy=500"]))
 
 
 @pytest.mark.parametrize(
@@ -143,7 +143,7 @@ def test_question_by_hand_knows_what_is_possible_in_its_situation():
     ],
 )
 def test_limits_are_told_as_the_reason_only_when_they_are_and_the_mission_adds_its_own(situation, told):
-    lines = list(answer(ask([], find_mission("agv"), [], read_situation([situation]), []), 60.0).lines())
+    lines = list(lines_of(answer(ask([], find_mission("agv"), [], read_situation([situation]), []), 60.0)))
     assert lines[1] == f"  (at b) cannot be reached, {told[0]}"
     assert told[1] in lines[2]
 

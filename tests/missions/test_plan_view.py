@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from plan_worlds import GOALS, house
 
-from missions.planning.causes import CausalOrder, Link, causal_order
-from missions.views.plan import svg_of_plan
+from missions.views.plan import CausalOrder, Link, causal_order, svg_of
 from rosa_pddl import Step
 from rosa_pddl.validate import flaw
 
@@ -90,7 +89,7 @@ def boxes(root):
 
 @given(orders())
 def test_picture_of_any_order_shows_every_step_and_arrow_inside_and_no_box_over_another(order):
-    root = ElementTree.fromstring(svg_of_plan(order, "a plan <&>"))
+    root = ElementTree.fromstring(svg_of(order, "a plan <&>"))
     width, height = float(root.get("width")), float(root.get("height"))
     drawn = boxes(root)
     assert len(drawn) == len(order.steps) + 1
@@ -106,7 +105,7 @@ def test_picture_of_any_order_shows_every_step_and_arrow_inside_and_no_box_over_
 
 @given(orders())
 def test_picture_is_the_same_each_time_and_later_steps_are_never_above_what_they_wait_for(order):
-    assert svg_of_plan(order, "plan") == svg_of_plan(order, "plan")
-    drawn = boxes(ElementTree.fromstring(svg_of_plan(order, "plan")))
+    assert svg_of(order, "plan") == svg_of(order, "plan")
+    drawn = boxes(ElementTree.fromstring(svg_of(order, "plan")))
     for one, other in [(link.source, link.target) for link in order.links] + list(order.orders):
         assert drawn[one][1] + drawn[one][3] < drawn[other][1]
