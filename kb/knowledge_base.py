@@ -336,12 +336,12 @@ class KnowledgeBase(Keeping):
     def tell(self, event: Event) -> None:
         """Tell an event again; the clock of this base should show its time.
 
-        What time does comes by itself, and so does what is said of the store.
+        What time does comes by itself, when its event is told; what is said of the store is nothing to tell.
         """
-        self._look_at_the_clock()
-        if event.verb in _BY_TIME or not event.number:
-            return
-        getattr(self, event.verb)(*event.arguments)
+        if event.verb in _BY_TIME:
+            self._look_at_the_clock()
+        elif event.number:
+            getattr(self, event.verb)(*event.arguments)
 
     def model_grew(self, added: Iterable[Changeable]) -> None:
         """Take in what was added to the model; the model calls this."""

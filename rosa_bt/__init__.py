@@ -4,11 +4,9 @@ from rosa_bt.behaviours import HasStatus, IsActionFeasible, Measurement, RosaAct
 from rosa_bt.decorators import ForAction
 from rosa_bt.exceptions import ExportError, RegistryError, RosaBtError, TraceError, TreeChangeError, XmlError
 from rosa_bt.idioms import do_until_unfeasible, feasible_then_act, first_feasible, switch_safely
-from rosa_bt.replay import replay_trace
 from rosa_bt.requests import forget_progress
-from rosa_bt.traces import Trace, read_trace
+from rosa_bt.trace import Trace, TraceVisitor, read_trace, replay_trace
 from rosa_bt.trees import TreeRunner
-from rosa_bt.visitors import TraceVisitor
 from rosa_bt.xml import BehaviourRegistry, export_xml, load_xml
 
 __all__ = [

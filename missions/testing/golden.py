@@ -73,11 +73,11 @@ def check_golden(trace: "Trace", path: Path, *, update: bool, command: str) -> b
 
 
 def readable(trace: "Trace") -> Iterator[str]:
-    """Yield a trace as lines for people: for each tick in which something is new, what is told, done and decided."""
+    """Yield a trace as lines for people: for each tick with news, what became known, was done and decided."""
     yield f"model {trace.model}"
     before = None
     for tick in trace.ticks:
-        lines = [f"  told     {fact.verb} {', '.join(map(str, fact.arguments))}" for fact in tick.facts]
+        lines = [f"  event    {event.verb} {', '.join(map(str, event.arguments))}" for event in tick.events]
         if before is None or tick.tree != before.tree:
             lines += [f"  tree     {'  ' * node.depth}{node.kind} {node.name}" for node in tick.tree]
         if before is None or tick.visited != before.visited:

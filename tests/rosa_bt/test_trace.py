@@ -10,12 +10,17 @@ from py_trees.common import Status
 from py_trees.composites import Sequence
 
 from kb import ConfigurationManager, KnowledgeBase, Model
-from rosa_bt import RosaAction, TreeRunner, do_until_unfeasible, feasible_then_act
-from rosa_bt.exceptions import TraceError
-from rosa_bt.facts import Fact, Listener
-from rosa_bt.replay import replay_trace
-from rosa_bt.traces import Trace, read_trace
-from rosa_bt.visitors import TraceVisitor
+from rosa_bt import (
+    RosaAction,
+    Trace,
+    TraceError,
+    TraceVisitor,
+    TreeRunner,
+    do_until_unfeasible,
+    feasible_then_act,
+    read_trace,
+    replay_trace,
+)
 
 
 def rover() -> Model:
@@ -96,32 +101,9 @@ def test_replay_decides_the_same_and_a_file_holds_the_same(tmp_path_factory, tol
     assert len(trace.ticks) == len(told)
     if told:
         assert path.read_text() == str(trace)
-        assert str(read_trace(path)) == str(trace)
-        assert str(replay_trace(read_trace(path), rover(), tree)) == str(trace)
+        assert read_trace(path) == trace
+        assert replay_trace(read_trace(path), rover(), tree) == trace
     assert str(run(told)) == str(trace), "the same run gives the same trace"
-
-
-def test_facts_of_one_gap_between_ticks_are_in_the_order_of_their_times_and_several_choices_are_one():
-    model, now = rover(), 0.0
-    kb = KnowledgeBase(model, clock=lambda: now)
-    listener = Listener(kb)
-    kb.request_action("explore")
-    kb.finish_plan(kb.select(designs={"look": "by_camera"}, configurations={"camera": "day"}), "completed")
-    now = 1.0
-    kb.assert_selected("by_camera", False, "a person (who knows) says so")
-    facts = listener.take_facts()
-    assert [(fact.time, fact.verb) for fact in facts] == [
-        (0.0, "request_action"),
-        (0.0, "select"),
-        (0.0, "finish_plan"),
-        (1.0, "assert_selected"),
-    ]
-    assert facts[-1].arguments == ("by_camera", False, "a person (who knows) says so")
-    kb.select(designs={"look": "by_camera"}, configurations={"camera": "day"})
-    kb.cancel_action("explore")
-    listener.take_facts()
-    assert kb.select() is None, "both are given up, and there is nothing to do for that"
-    assert listener.take_facts() == (Fact(1.0, "select", ({}, {}, "")),)
 
 
 def test_tick_tells_what_was_ticked_what_was_told_and_what_was_decided_with_the_reason():
@@ -134,9 +116,10 @@ def test_tick_tells_what_was_ticked_what_was_told_and_what_was_decided_with_the_
     ]
     shown = {first.tree[visit.node].name: visit for visit in first.visited}
     assert (shown["explore"].status, shown["explore"].feedback[:8]) == ("RUNNING", "waiting:")
-    assert first.facts[0] == (0.0, "measure", ("energy", 1.0))
+    assert [one[:4] for one in first.events] == [(1, 0.0, "measure", ("energy", 1.0))]
+    assert [(one.verb, one.subject) for one in first.own_events] == [("request_action", "explore")]
     assert first.decisions == (("explore", "requested", ""),)
-    assert [fact for fact in third.facts if fact.verb == "measure"] == [(1.0, "measure", ("energy", 0.1))]
+    assert [one[1:4] for one in third.events if one.verb == "measure"] == [(1.0, "measure", ("energy", 0.1))]
     why = "explore is unfeasible because energy 0.1 violates >= 0.2 (measured 0.0 s ago)"
     assert third.decisions == (
         ("explore", "unfeasible", why),
@@ -183,17 +166,55 @@ def test_what_is_told_after_a_trace_is_closed_is_not_heard():
     assert visitor.trace == Trace("rover", ())
 
 
+def test_trace_that_begins_late_holds_what_was_known_already_and_is_replayed():
+    now = 0.0
+    kb = KnowledgeBase(rover(), clock=lambda: now)
+    kb.request_action("explore")
+    kb.measure("energy", 0.1)
+    now = 1.0
+    with TraceVisitor(kb) as visitor:
+        runner = TreeRunner(tree(kb), clock=lambda: now)
+        runner.tree.add_visitor(visitor)
+        runner.tick()
+        runner.shutdown()
+    assert [one.verb for one in visitor.trace.ticks[0].events] == ["request_action", "measure"]
+    assert replay_trace(visitor.trace, rover(), tree).ticks[0].visited == visitor.trace.ticks[0].visited
+
+
+def test_trace_without_its_first_events_says_so():
+    (tick,) = run([[]]).ticks
+    late = Trace("rover", (tick._replace(events=tick.events[1:]),))
+    with pytest.raises(TraceError, match="begins at event 2"):
+        replay_trace(late, rover(), tree)
+
+
+@settings(max_examples=50)
+@given(st.text(max_size=8) | st.sampled_from(["a\x85b\u2028c\u2029d\x0be\x1cf", "\udc80", "a\nb\r\n", "é🤖\0"]))
+def test_any_text_is_read_as_it_was_written(tmp_path_factory, reason):
+    path = tmp_path_factory.getbasetemp() / "odd.jsonl"
+    kb = KnowledgeBase(rover(), clock=lambda: 0.0)
+    runner = TreeRunner(Running(reason), clock=lambda: 0.0)
+    with TraceVisitor(kb, path) as visitor:
+        runner.tree.add_visitor(visitor)
+        kb.component_failed("camera", reason)
+        runner.tick()
+    assert read_trace(path) == visitor.trace
+
+
+HEAD = '{"rosa_bt_trace":2,"model":"x"}\n'
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         ("", "is empty"),
         ("nonsense\n", r":1:1: not JSON"),
         ("[]\n", r":1: no line of a trace"),
-        ('{"rosa_bt_trace":2,"model":"x"}\n', "version 2; this program reads version 1"),
-        ('{"rosa_bt_trace":1,"model":"x"}\n{"tick":0}\n', r":2: no line of a trace"),
-        ('{"rosa_bt_trace":1,"model":"x"}\n{"tick":0,"time":0.0,"visited":[[1]]}\n', r":2: no line of a trace"),
-        ('{"rosa_bt_trace":1,"model":"x"}\n"tick"\n', r":2: no line of a trace"),
-        ('{"rosa_bt_trace":1,"model":"x"}\n{"tick":1e999,"time":0.0}\n', r":2: no line of a trace"),
+        ('{"rosa_bt_trace":1,"model":"x"}\n', "version 1; this program reads version 2"),
+        (HEAD + '{"tick":0}\n', r":2: no line of a trace"),
+        (HEAD + '{"tick":0,"time":0.0,"visited":[[1]]}\n', r":2: no line of a trace"),
+        (HEAD + '"tick"\n', r":2: no line of a trace"),
+        (HEAD + '{"tick":1e999,"time":0.0}\n', r":2: no line of a trace"),
         pytest.param("[" * 100_000, r":1: no line of a trace \(RecursionError", id="deep"),
     ],
 )
@@ -204,18 +225,12 @@ def test_file_that_is_no_trace_is_refused_with_its_line(tmp_path, text, message)
         read_trace(path)
 
 
-@pytest.mark.parametrize(
-    ("fact", "message"),
-    [
-        ('[0,"explode",[]]', "'explode' is no fact; facts are measure, "),
-        ('[0,"measure",["light"]]', r"measure\('light',\) cannot be told again"),
-        ('[0,"finish_plan",[3,"completed"]]', "finish_plan.3, 'completed'. cannot be told again"),
-    ],
-)
-def test_fact_that_nobody_knows_is_refused(tmp_path, fact, message):
+@pytest.mark.parametrize(("verb", "arguments"), [("explode", []), ("measure", ["light"]), ("amend", ["declared", "x"])])
+def test_event_that_cannot_be_told_again_is_named(tmp_path, verb, arguments):
     path = tmp_path / "run.jsonl"
-    path.write_text(f'{{"rosa_bt_trace":1,"model":"x"}}\n{{"tick":0,"time":0.0,"visited":[],"facts":[{fact}]}}\n')
-    with pytest.raises(TraceError, match=message):
+    event = json.dumps({"number": 1, "time": 0.0, "verb": verb, "arguments": arguments})
+    path.write_text(f'{HEAD}{event}\n{{"tick":0,"time":0.0,"visited":[]}}\n')
+    with pytest.raises(TraceError, match=rf"{verb}\(.*\) cannot be told again"):
         replay_trace(read_trace(path), rover(), tree)
 
 

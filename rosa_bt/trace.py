@@ -1,0 +1,366 @@
+"""A trace: the log of events beside the ticks of a tree; written and read as lines of JSON, and replayed.
+
+The first line says what it is a trace of. Each event that came between two ticks is a line, each tick is a line with
+the events that the tree itself caused, and a line with the tree comes before the first tick and whenever the tree has
+changed. What a tick does not mention is as in the tick before.
+"""
+
+import json
+import re
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final, NamedTuple, Self, TextIO
+
+from py_trees.behaviour import Behaviour
+from py_trees.common import Status
+from py_trees.visitors import VisitorBase
+
+from kb import Event, KnowledgeBase, Model, StatusChange
+from kb import Status as ElementStatus
+from rosa_bt.exceptions import TraceError
+from rosa_bt.trees import TreeRunner
+
+__all__ = ["Decision", "Node", "Tick", "Trace", "TraceVisitor", "Visit", "read_trace", "replay_trace"]
+
+_VERSION: Final = 2
+_KEPT: Final = 10_000
+_ENCODER: Final = json.JSONEncoder(separators=(",", ":"), ensure_ascii=False)
+_ESCAPED: Final = re.compile("[\x85\u2028\u2029\ud800-\udfff]")
+"""What ends a line, or has no place in a file; text may hold it all the same."""
+_NO_LINE: Final = (AttributeError, LookupError, OverflowError, RecursionError, TypeError, ValueError)
+"""What reading raises if a line is JSON, but not what it should be."""
+
+
+class Node(NamedTuple):
+    """A behaviour in a tree.
+
+    Attributes:
+        depth: how many behaviours it is below; 0 for the root.
+        kind: name of its class.
+        name: its own name, which others may have too.
+    """
+
+    depth: int
+    kind: str
+    name: str
+
+
+class Visit(NamedTuple):
+    """A behaviour that was ticked.
+
+    Attributes:
+        node: its number in the tree, parents before children.
+        status: "SUCCESS", "FAILURE", "RUNNING" or "INVALID".
+        feedback: its feedback message.
+    """
+
+    node: int
+    status: str
+    feedback: str
+
+
+class Decision(NamedTuple):
+    """What became of an action.
+
+    Attributes:
+        action: its name.
+        what: "requested", "completed", "failed", "abandoned", "unfeasible" or "feasible".
+        reason: why, in the words of the knowledge base; empty where none was given.
+    """
+
+    action: str
+    what: str
+    reason: str
+
+
+class Tick(NamedTuple):
+    """One tick.
+
+    Attributes:
+        number: 0 for the first.
+        time: when [s].
+        tree: the behaviours of the tree, parents before children; the number of one is its place.
+        visited: what was ticked, in order: children before parents.
+        events: what the knowledge base came to know since the tick before; a replay tells it again.
+        own_events: what it came to know in this tick, from the tree.
+        reasons: why an action became unfeasible, for each time that one did in these events.
+    """
+
+    number: int
+    time: float
+    tree: tuple[Node, ...]
+    visited: tuple[Visit, ...]
+    events: tuple[Event, ...] = ()
+    own_events: tuple[Event, ...] = ()
+    reasons: tuple[str, ...] = ()
+
+    @property
+    def decisions(self) -> tuple[Decision, ...]:
+        """What became of actions since the end of the tick before."""
+        found, reasons = [], iter(self.reasons)
+        for event in (*self.events, *self.own_events):
+            if event.verb == "request_action":
+                found.append(Decision(event.subject, "requested", ""))
+            elif event.verb == "cancel_action":
+                found.append(Decision(*event.arguments))
+            for change in filter(_turns, event.changes):
+                if change.new is ElementStatus.UNFEASIBLE:
+                    found.append(Decision(change.name, "unfeasible", next(reasons, "")))
+                else:
+                    found.append(Decision(change.name, "feasible", ""))
+        return tuple(found)
+
+
+@dataclass(frozen=True, slots=True)
+class Trace:
+    """The ticks of a tree.
+
+    Attributes:
+        model: name of the knowledge base's model.
+        ticks: in order; a trace that was kept in memory may lack the first ones.
+    """
+
+    model: str
+    ticks: tuple[Tick, ...]
+
+    def __str__(self) -> str:
+        return "".join(_written(self.model, self.ticks))
+
+    def write(self, path: str | Path) -> None:
+        """Write the trace to a file; the same ticks are the same bytes."""
+        Path(path).write_text(str(self), encoding="utf-8")
+
+
+class TraceVisitor(VisitorBase):
+    """Writes down every tick: what became known before it, what was ticked, with which feedback, and what was decided.
+
+    Add it to the visitors of a tree before its first tick; the trace begins with the first event that the log of the
+    knowledge base holds. The same run gives the same trace, to the byte. Memory is bounded: the last ticks are kept,
+    and with a file, all are in the file.
+
+    Args:
+        kb: the knowledge base that the tree asks and tells.
+        path: a file to write to as well, anew.
+        keep: how many ticks to keep in memory; the last ones.
+    """
+
+    def __init__(self, kb: KnowledgeBase, path: str | Path | None = None, *, keep: int = _KEPT) -> None:
+        super().__init__(full=False)
+        if keep < 1:
+            raise ValueError(f"keep is a number of ticks from 1, not {keep!r}")
+        self._kb = kb
+        self._file: TextIO | None = None if path is None else Path(path).open("w", encoding="utf-8")  # noqa: SIM115  # closed by close()
+        self._ticks: deque[Tick] = deque(maxlen=keep)
+        self._count = 0
+        self._tree: tuple[Node, ...] = ()
+        self._numbers: dict[Behaviour, int] = {}
+        self._seen: list[tuple[Behaviour, Status, str]] = []
+        self._seen_before: list[tuple[Behaviour, Status, str]] = []
+        self._visited: tuple[Visit, ...] = ()
+        self._before: list[Event] = []
+        self._own: list[Event] = []
+        self._reasons: list[str] = []
+        self._is_ticking = False
+        for event in kb.log:
+            self._keep(event)
+        self._stop = kb.subscribe(lambda event: self._keep(event, self._why))
+
+    @property
+    def trace(self) -> Trace:
+        """The ticks that are kept."""
+        return Trace(self._kb.model.name, tuple(self._ticks))
+
+    def initialise(self) -> None:
+        """Begin a tick; from now on it is the tree that tells."""
+        self._seen = []
+        self._is_ticking = True
+
+    def run(self, behaviour: Behaviour) -> None:
+        """See a behaviour that was ticked."""
+        self._seen.append((behaviour, behaviour.status, behaviour.feedback_message))
+
+    def finalise(self) -> None:
+        """Write the tick down."""
+        self._is_ticking = False
+        if self._seen != self._seen_before:
+            self._number()
+            self._visited = tuple(Visit(self._numbers[node], status.name, text) for node, status, text in self._seen)
+            self._seen_before = self._seen
+        events = tuple(self._before), tuple(self._own), tuple(self._reasons)
+        self._before, self._own, self._reasons = [], [], []
+        tick = Tick(self._count, float(self._kb.now), self._tree, self._visited, *events)
+        if self._file is not None:
+            self._file.writelines(_written(self._kb.model.name, [tick], self._ticks[-1] if self._ticks else None))
+        self._ticks.append(tick)
+        self._count += 1
+
+    def close(self) -> None:
+        """Hear no more of the knowledge base, and close the file."""
+        self._stop()
+        if self._file is not None:
+            self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _keep(self, event: Event, why: Callable[[str], str] = lambda action: "") -> None:
+        if not event.number:  # said of the store, not of the robot
+            return
+        bare = event._replace(plan=None, words="")  # as it is read again; what is left out follows from the rest
+        (self._own if self._is_ticking else self._before).append(bare)
+        for change in filter(_turns, event.changes):
+            if change.new is ElementStatus.UNFEASIBLE:
+                self._reasons.append(why(change.name))
+
+    def _why(self, action: str) -> str:
+        return self._kb.why(self._kb.actions[action])
+
+    def _number(self) -> None:
+        """Number the behaviours of the tree, parents before children, if there are new ones."""
+        if all(node in self._numbers for node, _, _ in self._seen):
+            return
+        shown: list[Node] = []
+        pending = [(self._seen[-1][0], 0)]
+        self._numbers = {}
+        while pending:
+            behaviour, depth = pending.pop()
+            self._numbers[behaviour] = len(shown)
+            shown.append(Node(depth, type(behaviour).__name__, behaviour.name))
+            pending += [(child, depth + 1) for child in reversed(behaviour.children)]
+        for behaviour, _, _ in self._seen:  # a step of a plan may be over, and gone, when the tick is
+            if behaviour not in self._numbers:
+                self._numbers[behaviour] = len(shown)
+                shown.append(Node(1, type(behaviour).__name__, behaviour.name))
+        self._tree = tuple(shown)
+
+
+def _turns(change: StatusChange) -> bool:
+    """Tell whether an action has become unfeasible, or is so no longer."""
+    unfeasible = ElementStatus.UNFEASIBLE
+    return change.kind == "action" and (change.new is unfeasible) != (change.old is unfeasible)
+
+
+def _written(model: str, ticks: Iterable[Tick], before: Tick | None = None) -> Iterator[str]:
+    """Yield the lines of ticks after the one that was written last; without one, the first line comes first."""
+    if before is None:
+        yield _line({"rosa_bt_trace": _VERSION, "model": model})
+    for tick in ticks:
+        for event in tick.events:
+            yield _line(event.to_json())
+        if before is None or tick.tree != before.tree:
+            yield _line({"tree": tick.tree})
+        line: dict[str, object] = {"tick": tick.number, "time": tick.time}
+        if before is None or tick.visited != before.visited:
+            line["visited"] = tick.visited
+        if tick.own_events:
+            line["events"] = [event.to_json() for event in tick.own_events]
+        if tick.reasons:
+            line["reasons"] = tick.reasons
+        yield _line(line)
+        before = tick
+
+
+def _line(record: dict[str, Any]) -> str:
+    return _ESCAPED.sub(lambda found: f"\\u{ord(found[0]):04x}", _ENCODER.encode(record)) + "\n"
+
+
+def read_trace(path: str | Path) -> Trace:
+    """Read a trace from a file.
+
+    Raises:
+        TraceError: the file cannot be read, or is no trace; names the line.
+    """
+    try:
+        lines = Path(path).read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise TraceError(f"cannot read the trace {path}: {error}") from error
+    if not lines:
+        raise TraceError(f"{path} is empty; a trace begins with a line that says what it is")
+    reader = _Reader()
+    for number, text in enumerate(lines, start=1):
+        try:
+            reader.take(json.loads(text))
+        except json.JSONDecodeError as error:
+            where = f"{path}:{number}:{error.colno}"
+            raise TraceError(f"{where}: not JSON ({error.msg}); one object per line is expected") from None
+        except _NO_LINE as error:
+            raise TraceError(f"{path}:{number}: no line of a trace ({type(error).__name__}: {error})") from None
+    return Trace(reader.model, tuple(reader.ticks))
+
+
+class _Reader:
+    """Takes the lines of a trace, one after the other."""
+
+    def __init__(self) -> None:
+        self.model = ""
+        self.ticks: list[Tick] = []
+        self._version = 0
+        self._tree: tuple[Node, ...] = ()
+        self._visited: tuple[Visit, ...] = ()
+        self._events: list[Event] = []
+
+    def take(self, line: dict[str, Any]) -> None:
+        if not self._version:
+            self._version, self.model = int(line["rosa_bt_trace"]), str(line["model"])
+            if self._version != _VERSION:
+                raise ValueError(f"a trace of version {self._version}; this program reads version {_VERSION}")
+        elif "verb" in line:
+            self._events.append(Event.from_json(line))
+        elif "tree" in line:
+            self._tree = tuple(Node(*node) for node in line["tree"])
+        else:
+            if "visited" in line:
+                self._visited = tuple(Visit(*visit) for visit in line["visited"])
+            own = tuple(map(Event.from_json, line.get("events", ())))
+            events, self._events = tuple(self._events), []
+            number, time, reasons = int(line["tick"]), float(line["time"]), tuple(map(str, line.get("reasons", ())))
+            self.ticks.append(Tick(number, time, self._tree, self._visited, events, own, reasons))
+
+
+def replay_trace(trace: Trace, model: Model, build: Callable[[KnowledgeBase], Behaviour]) -> Trace:
+    """Return the trace of a tree whose knowledge base is told the events of another one, at their times.
+
+    It equals the recorded one as long as model and tree are the same and every leaf decides by the knowledge base.
+
+    Args:
+        trace: from the first tick on, of a knowledge base whose log was complete.
+        model: what the robot is made of and can do.
+        build: makes the tree, for the knowledge base of the replay.
+
+    Raises:
+        TraceError: the first ticks or events are missing, or an event cannot be told again.
+        kb.KnowledgeBaseError: the model does not know what was told.
+    """
+    if trace.ticks and trace.ticks[0].number:
+        raise TraceError(f"the trace begins at tick {trace.ticks[0].number}; keep all ticks, or write them to a file")
+    events = [event for tick in trace.ticks for event in (*tick.events, *tick.own_events)]
+    if events and events[0].number != 1:
+        raise TraceError(f"the trace begins at event {events[0].number}; the log no longer held those before")
+    now = trace.ticks[0].time if trace.ticks else 0.0
+    kb = KnowledgeBase(model, clock=lambda: now)
+    runner = TreeRunner(build(kb), clock=lambda: now)
+    with TraceVisitor(kb, keep=len(trace.ticks) or 1) as visitor:
+        runner.tree.add_visitor(visitor)
+        for tick in trace.ticks:
+            for event in tick.events:
+                now = event.time
+                _tell(kb, event)
+            now = tick.time
+            runner.tick()
+        runner.shutdown()
+        return visitor.trace
+
+
+def _tell(kb: KnowledgeBase, event: Event) -> None:
+    try:
+        kb.tell(event)
+    except (AttributeError, IndexError, TypeError) as error:
+        raise TraceError(f"{event.verb}{event.arguments!r} cannot be told again: {error}") from error
