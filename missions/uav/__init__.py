@@ -12,8 +12,8 @@ from missions.uav.actions import (
     facts,
 )
 from missions.uav.model import uav_model
-from missions.uav.sky import SKY
 from missions.uav.tree import uav_tree
+from missions.uav.world import SKY
 
 __all__ = ["MISSION"]
 

@@ -4,7 +4,7 @@ The tree and the plan executor run the same behaviours; their schemas are what t
 until the robot is configured for it, so that one behaviour gives way to the next in a safe state only.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import ClassVar, Final
 
 from py_trees.behaviour import Behaviour
@@ -17,17 +17,17 @@ from rosa_bt import RosaAction
 from rosa_pddl.generation import ActionSchema, DeclaredProblem
 
 __all__ = [
-    "AllAnalysed",
     "AnalyseOnSite",
     "LandAndFoldGripper",
     "PROBLEM",
     "PickUpAndAnalyse",
     "ReturnAndRecharge",
-    "SampleWaiting",
     "SearchForSamples",
+    "Sensed",
     "analysed",
     "facts",
     "is_all_analysed",
+    "is_waiting",
 ]
 
 SAMPLES: Final = tuple(f"sample_{number}" for number in range(1, MOST_SAMPLES + 1))
@@ -79,28 +79,15 @@ def _is_starting(kb: KnowledgeBase, component: str) -> bool:
     return kb.pending_plan is not None and component in kb.pending_plan.activate
 
 
-class SampleWaiting(Behaviour):
-    """Condition: SUCCESS while there is a sample to be analysed next."""
+class Sensed(Behaviour):
+    """Condition: SUCCESS while something is sensed, such as `is_waiting` or `is_all_analysed`."""
 
-    def __init__(self, name: str, percepts: Percepts) -> None:
+    def __init__(self, name: str, percepts: Percepts, holds: Callable[[Percepts], bool]) -> None:
         super().__init__(name)
-        self._percepts = percepts
+        self._percepts, self._holds = percepts, holds
 
     def update(self) -> Status:
-        """Look at what was sensed."""
-        return Status.SUCCESS if is_waiting(self._percepts) else Status.FAILURE
-
-
-class AllAnalysed(Behaviour):
-    """Condition: SUCCESS while all samples are analysed that are wanted."""
-
-    def __init__(self, name: str, percepts: Percepts) -> None:
-        super().__init__(name)
-        self._percepts = percepts
-
-    def update(self) -> Status:
-        """Look at what was sensed."""
-        return Status.SUCCESS if is_all_analysed(self._percepts) else Status.FAILURE
+        return Status.SUCCESS if self._holds(self._percepts) else Status.FAILURE
 
 
 class SearchForSamples(RosaAction):
@@ -120,7 +107,6 @@ class SearchForSamples(RosaAction):
         self._percepts = percepts
 
     def update(self) -> Status:
-        """Look at what was sensed."""
         return Status.SUCCESS if is_waiting(self._percepts) else Status.RUNNING
 
 
@@ -136,11 +122,9 @@ class _Analyse(RosaAction):
         self._sample = ""
 
     def initialise(self) -> None:
-        """Remember which sample it is."""
         self._sample = target(self._percepts)
 
     def update(self) -> Status:
-        """Look whether that is still to be analysed."""
         return Status.RUNNING if self._percepts.holds(f"{self._sample}_target") else Status.SUCCESS
 
 
@@ -190,7 +174,6 @@ class LandAndFoldGripper(RosaAction):
         self._percepts = percepts
 
     def update(self) -> Status:
-        """Look at what was sensed."""
         return Status.SUCCESS if self._percepts.holds("gripper_folded") else Status.RUNNING
 
 
@@ -215,9 +198,7 @@ class ReturnAndRecharge(RosaAction):
         self._before = 0
 
     def initialise(self) -> None:
-        """Remember how many recharges there were."""
         self._before = self._percepts.count("battery_recharged")
 
     def update(self) -> Status:
-        """Look whether there was one more."""
         return Status.SUCCESS if self._percepts.count("battery_recharged") > self._before else Status.RUNNING

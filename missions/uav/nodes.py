@@ -6,16 +6,19 @@ What moves the vehicle leaves it hovering where it is when it is stopped: that i
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
+from difflib import get_close_matches
 from math import dist, hypot, inf, tan
 from typing import ClassVar, Final
 
 from numpy.random import Generator
 
+from kb.elements import Parameters
+from missions.engine.mission import MissionError
 from missions.uav.field import Field, Sample
-from missions.uav.quadrotor import ON_GROUND_M, Quadrotor
 from missions.uav.settings import Settings
+from missions.uav.vehicle import ON_GROUND_M, Quadrotor
 
-__all__ = ["NODES", "Node", "PERIOD_S", "Robot"]
+__all__ = ["PERIOD_S", "Nodes", "Robot"]
 
 PERIOD_S: Final = 0.1
 GRIP_M: Final = 0.12  # height of the legs from which the gripper reaches the ground
@@ -147,7 +150,6 @@ class SampleCamera(Node):
     name = "sample_camera"
 
     def update(self) -> None:
-        """Look down."""
         robot, vehicle = self.robot, self.robot.vehicle
         x, y, _ = vehicle.position
         for one in robot.field.seen((x, y), vehicle.altitude * tan(robot.settings.half_view_rad)):
@@ -161,7 +163,6 @@ class PickUpPlanner(Node):
     name, moves = "pick_up_planner", True
 
     def update(self) -> None:
-        """Fly down or up."""
         robot, target = self.robot, self.robot.field.target
         if target is not None:
             robot.vehicle.go_to(robot.over(target, GRIP_M if robot.held is None else LIFT_M))
@@ -177,17 +178,14 @@ class Gripper(Node):
         self._closing_s = 0.0
 
     def begin(self) -> None:
-        """Unfold."""
         self._closing_s = 0.0
         self.robot.vehicle.fold(False)
         self.robot.tell("mission status", "gripper_folded", "false")
 
     def end(self) -> None:
-        """Open."""
         self.robot.let_go()
 
     def update(self) -> None:
-        """Grip, or jam."""
         robot, target = self.robot, self.robot.field.target
         if robot.held is not None and robot.now >= robot.jams_s:
             robot.is_jammed, robot.jams_s = True, inf
@@ -211,7 +209,6 @@ class Gripper(Node):
 
     @property
     def watts(self) -> float:
-        """Half of what the two need that pick up."""
         return self.robot.settings.pick_up_w / 2
 
 
@@ -225,7 +222,6 @@ class Analyser(Node):
         self._worked_s = 0.0
 
     def update(self) -> None:
-        """Go on analysing."""
         robot = self.robot
         is_lifted = robot.held is not None and robot.vehicle.altitude > LIFT_M - 0.5
         self._worked_s = self._worked_s + PERIOD_S if is_lifted else 0.0
@@ -235,7 +231,6 @@ class Analyser(Node):
 
     @property
     def watts(self) -> float:
-        """Half of what the two need that pick up."""
         return self.robot.settings.pick_up_w / 2
 
 
@@ -245,7 +240,6 @@ class HoverPlanner(Node):
     name, moves = "hover_planner", True
 
     def update(self) -> None:
-        """Fly there."""
         robot, target = self.robot, self.robot.field.target
         if target is not None:
             robot.vehicle.go_to(robot.over(target, LOOK_M))
@@ -261,7 +255,6 @@ class InfraredCamera(Node):
         self._worked_s = 0.0
 
     def update(self) -> None:
-        """Go on looking."""
         robot, target = self.robot, self.robot.field.target
         sees = target is not None and robot.vehicle.is_near(robot.over(target, LOOK_M), 0.4)
         sees = sees and robot.vehicle.arm_rad < FOLDED_RAD
@@ -271,7 +264,6 @@ class InfraredCamera(Node):
 
     @property
     def watts(self) -> float:
-        """What the camera needs."""
         return self.robot.settings.infrared_w
 
 
@@ -285,15 +277,12 @@ class ReturnPlanner(Node):
     name, moves = "return_planner", True
 
     def begin(self) -> None:
-        """Begin to fly home."""
         self._is_full = False
 
     def end(self) -> None:
-        """Leave the charger."""
         self.robot.is_charging = False
 
     def update(self) -> None:
-        """Fly, or charge."""
         robot = self.robot
         x, y, _ = robot.vehicle.position
         if not (robot.vehicle.is_landed and hypot(x, y) < 1.0):
@@ -313,7 +302,6 @@ class LandingPlanner(Node):
     name, moves = "landing_planner", True
 
     def begin(self) -> None:
-        """Begin to descend."""
         self.robot.vehicle.land()
 
 
@@ -323,11 +311,9 @@ class FoldingServo(Node):
     name = "folding_servo"
 
     def begin(self) -> None:
-        """Nothing is told yet."""
         self._is_told = False
 
     def update(self) -> None:
-        """Fold, and tell when that is done."""
         vehicle = self.robot.vehicle
         if vehicle.is_landed:
             vehicle.fold(True)
@@ -336,7 +322,48 @@ class FoldingServo(Node):
                 self.robot.tell("mission status", "gripper_folded", "true")
 
 
-NODES: Final[tuple[type[Node], ...]] = (
-    *(SearchPlanner, SampleCamera, PickUpPlanner, Gripper, Analyser),
-    *(HoverPlanner, InfraredCamera, ReturnPlanner, LandingPlanner, FoldingServo),
-)
+class Nodes(dict[str, Node]):
+    """All of them by name; a change is carried out at once, see `missions.engine.components`."""
+
+    def __init__(self, robot: Robot) -> None:
+        kinds = (SearchPlanner, SampleCamera, PickUpPlanner, Gripper, Analyser, HoverPlanner, InfraredCamera)
+        nodes = [kind(robot) for kind in (*kinds, ReturnPlanner, LandingPlanner, FoldingServo)]
+        super().__init__((one.name, one) for one in nodes)
+        self._hold = robot.vehicle.hold
+
+    @property
+    def acting(self) -> list[Node]:
+        return [one for one in self.values() if one.is_active]
+
+    def check(self, component: str, parameters: Parameters, /) -> None:
+        """Raise MissionError unless there is that component; none has parameters."""
+        if component not in self:
+            near = get_close_matches(component, self, n=3) or list(self)
+            raise MissionError(f"there is no component {component!r}; the nearest are {', '.join(near)}")
+        if parameters:
+            raise MissionError(f"{component} has no parameters; {', '.join(parameters)} cannot be set")
+
+    def activate(self, component: str, /) -> None:
+        node = self[component]
+        if not node.is_active:
+            node.is_active = True
+            node.begin()
+
+    def deactivate(self, component: str, /) -> None:
+        node = self[component]
+        if node.is_active:
+            node.is_active = False
+            node.end()
+            if node.moves and not any(other.moves for other in self.acting):
+                self._hold()
+
+    def set_parameters(self, component: str, parameters: Parameters, /) -> None:
+        self.check(component, parameters)
+
+    def is_active(self, component: str, /) -> bool:
+        self.check(component, {})
+        return self[component].is_active
+
+    def parameters(self, component: str, /) -> Parameters:
+        self.check(component, {})
+        return {}

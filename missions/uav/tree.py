@@ -18,13 +18,14 @@ from py_trees.composites import Selector, Sequence
 from kb import KnowledgeBase
 from missions.engine.percepts import Percepts
 from missions.uav.actions import (
-    AllAnalysed,
     AnalyseOnSite,
     LandAndFoldGripper,
     PickUpAndAnalyse,
     ReturnAndRecharge,
-    SampleWaiting,
     SearchForSamples,
+    Sensed,
+    is_all_analysed,
+    is_waiting,
 )
 from rosa_bt import do_until_unfeasible, feasible_then_act, first_feasible, switch_safely
 from rosa_bt.decorators import UntilSuccess
@@ -35,12 +36,14 @@ __all__ = ["uav_tree"]
 def uav_tree(kb: KnowledgeBase, percepts: Percepts) -> Behaviour:
     """Build the tree; it runs until all samples are analysed that are wanted."""
     search = feasible_then_act(SearchForSamples(kb, percepts))
-    find = Selector("find", memory=True, children=[SampleWaiting("sample waiting?", percepts), search])
+    find = Selector("find", memory=True, children=[Sensed("sample waiting?", percepts, is_waiting), search])
     analyse = first_feasible("analyse", [PickUpAndAnalyse(kb, percepts), AnalyseOnSite(kb, percepts)])
     # With memory: what was found stays found while it is analysed, also in the moment in which it is no longer waiting.
     work = Sequence("find and analyse", memory=True, children=[find, analyse])
     one = do_until_unfeasible(work, ReturnAndRecharge(kb, percepts), memory=True, name="one sample")
-    every = Sequence("one after another", memory=True, children=[one, AllAnalysed("all analysed?", percepts)])
+    every = Sequence(
+        "one after another", memory=True, children=[one, Sensed("all analysed?", percepts, is_all_analysed)]
+    )
     tree = UntilSuccess("until all are analysed", every)
     fold = LandAndFoldGripper(kb, percepts)
     return switch_safely(tree, {("pick_up_and_analyse", "analyse_on_site"): fold})

@@ -1,4 +1,4 @@
-"""The field with the vehicle above it, advanced step by step."""
+"""The field with the vehicle above it as a world of missions; MuJoCo is imported when it is opened."""
 
 from collections.abc import Mapping
 from math import cos, pi, sin
@@ -6,15 +6,16 @@ from typing import Any
 
 from numpy.random import Generator
 
-from missions.engine.mission import Message, Sample, World
+from kb import KnowledgeBase
+from missions.engine.components import SimulatedComponents
+from missions.engine.mission import Message, Sample, Setting, Verdict, World, WorldKind
+from missions.engine.percepts import Percepts
+from missions.uav.actions import analysed, is_all_analysed
 from missions.uav.field import Field
-from missions.uav.managed import Components
 from missions.uav.model import ANALYSE_LEVEL, PICK_UP_LEVEL, SEARCH_LEVEL
-from missions.uav.nodes import NODES, PERIOD_S, Robot
-from missions.uav.quadrotor import SUBSTEPS, Quadrotor
 from missions.uav.settings import Settings
 
-__all__ = ["UavWorld"]
+__all__ = ["SKY", "UavWorld"]
 
 STATUS = "mission status"
 LEVELS = {
@@ -41,13 +42,15 @@ class UavWorld(World):
         bearing, phase = rng.uniform(0, 2 * pi), rng.uniform(0, settings.battery_period_s)
         self._battery_due = float(phase)
         wind = (settings.wind_m_s * cos(bearing), settings.wind_m_s * sin(bearing))
+        from missions.uav.nodes import PERIOD_S, Nodes, Robot
+        from missions.uav.vehicle import SUBSTEPS, Quadrotor
+
         field = Field(settings, rng)
         self._places = {one.name: [one.place] for one in field.samples}
         self._robot = Robot(settings, Quadrotor(settings, wind), field, rng, self._tell, self._disturb)
-        self._nodes = {one.name: one for one in (kind(self._robot) for kind in NODES)}
-        self._managed = Components(
-            self._nodes, lambda: self._now, settings.activation_s, settings.deactivation_s, self._robot.vehicle.hold
-        )
+        self._nodes = Nodes(self._robot)
+        self._managed = SimulatedComponents(lambda: self._now, self._nodes, self.switching_s())
+        self._step_s, self._nodes_period_s = SUBSTEPS * settings.physics_step_s, PERIOD_S
         self._not_wanted = list(field.samples)
         self._want()
         self._tell(STATUS, "gripper_folded", "true")
@@ -61,18 +64,17 @@ class UavWorld(World):
         return self._now
 
     @property
-    def managed(self) -> Components:
+    def managed(self) -> SimulatedComponents:
         """The components."""
         return self._managed
 
     def advance(self, until: float) -> list[Message]:
         """Simulate until something is published or switched, at most to the time `until` [s]."""
-        step_s = SUBSTEPS * self._settings.physics_step_s
         is_changed = bool(self._outbox)
-        while not is_changed and (self._steps + 1) * step_s <= until + 1e-9:
+        while not is_changed and (self._steps + 1) * self._step_s <= until + 1e-9:
             self._steps += 1
-            self._now = self._steps * step_s
-            self._step(step_s)
+            self._now = self._steps * self._step_s
+            self._step(self._step_s)
             is_changed = self._managed.catch_up() or bool(self._outbox)
         if not is_changed:
             self._now = until
@@ -93,11 +95,10 @@ class UavWorld(World):
         self._flown_m += ((x - before[0]) ** 2 + (y - before[1]) ** 2 + (z - before[2]) ** 2) ** 0.5
         self._drain(step_s)
         if self._now >= self._nodes_due - 1e-9:
-            self._nodes_due += PERIOD_S
+            self._nodes_due += self._nodes_period_s
             self._want()
-            for node in self._nodes.values():
-                if node.is_active:
-                    node.update()
+            for node in self._nodes.acting:
+                node.update()
             if robot.field.aim((x, y)) and robot.field.target is not None:
                 self._tell(STATUS, f"{robot.field.target.name}_target", "true")
         if self._now >= self._battery_due - 1e-9:
@@ -107,7 +108,7 @@ class UavWorld(World):
     def _drain(self, step_s: float) -> None:
         robot, settings, before = self._robot, self._settings, self._robot.level
         watts = robot.vehicle.rotor_w + settings.avionics_w
-        watts += sum(node.watts for node in self._nodes.values() if node.is_active)
+        watts += sum(node.watts for node in self._nodes.acting)
         gained = step_s / settings.charge_s if robot.is_charging else 0.0
         robot.level = max(0.0, min(1.0, before + gained - watts * step_s / settings.capacity_j))
         self._least = min(self._least, robot.level)
@@ -170,3 +171,25 @@ class UavWorld(World):
     def scenery(self) -> Mapping[str, Any]:
         """Return the base and where the samples were in the beginning."""
         return {"base": [(0.0, 0.0)], **{name.replace("_", " "): place for name, place in self._places.items()}}
+
+
+class _SkyKind(WorldKind):
+    def settings(self) -> tuple[Setting, ...]:
+        """Return every constant."""
+        return Settings.describe()
+
+    def open(self, values: Mapping[str, str], rng: Generator) -> UavWorld:
+        """Open a field with a vehicle at its base."""
+        return UavWorld(Settings.read(values), rng)
+
+    def verdict(self, percepts: Percepts, results: Mapping[str, float | None], kb: KnowledgeBase) -> Verdict:
+        """Judge by the goal: every sample that is wanted is analysed, and the battery never ran empty."""
+        done, wanted = analysed(percepts), results.get("wanted_samples") or 0
+        if percepts.holds("battery_empty"):
+            return Verdict("aborted", f"the battery ran empty, {done} of {wanted:g} samples were analysed")
+        if is_all_analysed(percepts):
+            return Verdict("analysed_all", f"all {wanted:g} samples are analysed")
+        return Verdict("aborted", f"time ran out, {done} of {wanted:g} samples were analysed")
+
+
+SKY = _SkyKind()

@@ -8,9 +8,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from missions.engine.mission import MissionError
-from missions.uav.control import ARM_M, REACTION_M, attitude_torques, mast, mixed, velocity_wanted
-from missions.uav.quadrotor import ON_GROUND_M, SUBSTEPS, Quadrotor
 from missions.uav.settings import Settings
+from missions.uav.vehicle import (
+    ARM_M,
+    ON_GROUND_M,
+    REACTION_M,
+    SUBSTEPS,
+    Quadrotor,
+    attitude_torques,
+    mast,
+    mixed,
+    velocity_wanted,
+)
 from missions.uav.world import UavWorld
 
 PLACES = st.tuples(st.floats(-10, 10), st.floats(-10, 10), st.floats(0.5, 6))

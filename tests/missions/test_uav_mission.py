@@ -13,7 +13,7 @@ from missions.engine.percepts import Percepts
 from missions.engine.registry import find_mission
 from missions.engine.runner import Listener
 from missions.engine.task_layer import TASK_KINDS
-from missions.uav.actions import AllAnalysed, AnalyseOnSite, facts, is_all_analysed
+from missions.uav.actions import AnalyseOnSite, Sensed, facts, is_all_analysed
 from missions.uav.model import uav_model
 from missions.views.output import as_json
 
@@ -194,7 +194,7 @@ def test_knowledge_base_decides_as_the_paper_tells():
 
 def test_nothing_is_all_analysed_before_anything_is_wanted():
     percepts = Percepts()
-    condition = AllAnalysed("all analysed?", percepts)
+    condition = Sensed("all analysed?", percepts, is_all_analysed)
     condition.tick_once()
     assert condition.status.name == "FAILURE"
     assert not is_all_analysed(percepts)
