@@ -5,7 +5,6 @@ Switching and crossing are actions of their own; both cost what the search count
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
 from typing import Final, NamedTuple
 
 from missions.agv.building import Building
@@ -13,18 +12,14 @@ from missions.agv.costs import GOALS, Amounts
 from missions.agv.joint import Place, Task
 from missions.agv.modes import Mode
 from rosa_pddl.domain import FEASIBLE
-from rosa_pddl.generation import ActionSchema, Declarations, DeclaredProblem
-from rosa_pddl.planning import Planner, PlanningResult
-from rosa_pddl.problem import Problem, initial_state
+from rosa_pddl.generation import ActionSchema, DeclaredProblem
 
 __all__ = [
     "CROSS",
     "SWITCH",
     "Via",
     "Words",
-    "asked_of",
     "cross_schema",
-    "declarations_of_task",
     "facts_of",
     "left_of",
     "numbers_of",
@@ -211,28 +206,6 @@ def problem_of(words: Words, limited: Iterable[str] = ()) -> DeclaredProblem:
     goal = (f"(at {words.places[words.building.goal]})",)
     limits = {used(name): f"({left_of(name)})" for name in limited}
     return DeclaredProblem(goal, words.objects, tuple(words.fixed), types={"mode": "setup"}, limits=limits)
-
-
-def declarations_of_task(task: Task) -> Declarations:
-    """Return a question as PDDL by itself, with its limits."""
-    modes = {mode.name: mode for place in _places(task) for _, mode, *_ in task.crossings(place)}
-    words = Words(task.building, modes.values(), has_inside=bool(task.start[0].corridor))
-    facts = [fact for fact, is_so in facts_of(words, task).items() if is_so]
-    facts += [f"({FEASIBLE} {action})" for action in (SWITCH, *words.actions.values())]
-    switching = switching_of(words, task, words.by_mode, task.limited)
-    problem = replace(
-        problem_of(words, task.limited),
-        goal=(f"(at {words.places[task.goal]})",),
-        facts=(*words.fixed, *facts),
-        numbers=switching | numbers_of(words, task, task.limited),
-    )
-    return Declarations("joint", [switch_schema(task.limited), cross_schema(task.limited)], problem)
-
-
-def asked_of(planner: Planner, task: Task) -> PlanningResult:
-    """Have a planner answer a question; the cost is in whole thousandths."""
-    domain = declarations_of_task(task).load()
-    return planner.plan(Problem(domain, initial_state(domain)))
 
 
 def _told(kind: str, things: str, takes: Amounts, cost: int, limited: Iterable[str]) -> dict[str, float]:

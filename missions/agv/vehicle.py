@@ -1,17 +1,134 @@
-"""The vehicle in the building, as MuJoCo simulates it. This is the only file of the mission that touches MuJoCo."""
+"""The vehicle in its building, as MuJoCo simulates it; the only file of the mission that touches MuJoCo."""
 
 import math
 from collections import deque
+from collections.abc import Iterator
+from itertools import combinations
 from typing import Any, Final
 
 import mujoco
 import numpy as np
+from numpy.random import Generator
 
-from missions.agv.building import Building
-from missions.agv.scene import HALF_TRACK_M, WHEEL_M, scene_xml
+from missions.agv.building import Building, BuildingError, Corridor
 from missions.agv.steering import Aim, Array, wheel_speeds
 
-__all__ = ["SENSORS", "Vehicle"]
+__all__ = ["HALF_TRACK_M", "RADIUS_M", "SENSORS", "Vehicle", "WHEEL_M", "boxes", "check_walls"]
+
+RADIUS_M: Final = 0.2
+"""Of the vehicle [m]; as all sizes here own choice, of the order of a small research robot."""
+WHEEL_M: Final = 0.07
+HALF_TRACK_M: Final = 0.17
+_HALF_WIDTH_M: Final = 1.2  # of a corridor
+_BOX_M: Final = 0.2  # half the edge of what stands in the way
+_FREE_M: Final = 2.5  # before the first box, from either end
+_APART_M: Final = 1.25  # from one box to the next; closer together they cannot be driven round
+
+_CASTER_Z: Final = round(0.032 - WHEEL_M, 4)  # they hang free by 2 mm, so that the wheels carry
+_SLIDING: Final = 'condim="1" priority="1" group="2"'
+_VEHICLE: Final = f"""
+    <body name="vehicle" pos="{{x}} {{y}} {WHEEL_M}" euler="0 0 {{yaw}}">
+      <freejoint/>
+      <geom name="hull" type="cylinder" size="{RADIUS_M} 0.05" pos="0 0 0.04" mass="8" group="2"/>
+      <geom name="front" type="sphere" size="0.03" pos="0.15 0 {_CASTER_Z}" mass="0.1" {_SLIDING}/>
+      <geom name="rear" type="sphere" size="0.03" pos="-0.15 0 {_CASTER_Z}" mass="0.1" {_SLIDING}/>
+      <body pos="0 {HALF_TRACK_M} 0"><joint name="left" axis="0 1 0" damping="0.01"/>
+        <geom type="cylinder" size="{WHEEL_M} 0.02" euler="1.5708 0 0" mass="0.5" friction="1.2" group="2"/></body>
+      <body pos="0 -{HALF_TRACK_M} 0"><joint name="right" axis="0 1 0" damping="0.01"/>
+        <geom type="cylinder" size="{WHEEL_M} 0.02" euler="1.5708 0 0" mass="0.5" friction="1.2" group="2"/></body>
+    </body>"""
+
+
+def scene_xml(
+    building: Building, placed: list[tuple[float, float, float]], pose: tuple[float, float, float], step_s: float
+) -> str:
+    """Return the scene.
+
+    Args:
+        building: corridors are straight, between their places.
+        placed: x, y [m] and yaw [rad] of each box in the way.
+        pose: of the vehicle at the start: x, y [m] and yaw [rad].
+        step_s: of the physics [s].
+    """
+    x, y, yaw = pose
+    walls = "\n".join(wall for corridor in building.corridors.values() for wall in _walls(building, corridor))
+    blocks = "\n".join(
+        f'<geom name="box{number}" type="box" size="{_BOX_M} {_BOX_M} 0.3" pos="{bx:.4f} {by:.4f} 0.3" '
+        f'euler="0 0 {turn:.4f}" group="1"/>'
+        for number, (bx, by, turn) in enumerate(placed)
+    )
+    return f"""<mujoco model="building">
+  <compiler angle="radian"/>
+  <option timestep="{step_s}" integrator="implicitfast" cone="elliptic"/>
+  <worldbody>
+    <geom name="floor" type="plane" size="0 0 1" group="0"/>
+    {walls}
+    {blocks}
+    {_VEHICLE.format(x=x, y=y, yaw=yaw)}
+  </worldbody>
+  <actuator>
+    <velocity joint="left" kv="2" forcerange="-4 4"/>
+    <velocity joint="right" kv="2" forcerange="-4 4"/>
+  </actuator>
+</mujoco>"""
+
+
+def check_walls(building: Building) -> None:
+    """Assure that no corridor is closed by the walls of another one.
+
+    Raises:
+        BuildingError: two of them cross.
+    """
+    lines = [(one, [complex(*building.places[end]) for end in one.ends]) for one in building.corridors.values()]
+    for (one, (a, b)), (two, (c, d)) in combinations(lines, 2):
+        if _side(a, b, c) * _side(a, b, d) < 0 and _side(c, d, a) * _side(c, d, b) < 0:
+            told = f"corridors {one.name} and {two.name} cross one another, so that the walls of each close the other"
+            raise BuildingError(f"{told}; let them meet at a place, or move one of their places")
+
+
+def _side(a: complex, b: complex, point: complex) -> float:
+    """Return on which side of the line from a to b a point is: above 0 to the left, below 0 to the right."""
+    return ((b - a).conjugate() * (point - a)).imag
+
+
+def boxes(building: Building, rng: Generator) -> list[tuple[float, float, float]]:
+    """Put boxes into the corridors, as many per metre as the map says, but no more than can be driven round.
+
+    Returns:
+        x, y [m] and yaw [rad] of each.
+    """
+    placed = []
+    for corridor in building.corridors.values():
+        (x, y), ux, uy, length_m = _line(building, corridor)
+        room_m = length_m - 2 * _FREE_M
+        most = max(1, int(room_m / _APART_M)) if room_m > 0 else 0
+        count = round(min(corridor.obstacles * length_m, most))
+        for number in range(count):
+            along = _FREE_M + room_m * (number + 0.5 + rng.uniform(-0.15, 0.15)) / count
+            aside = (1 if number % 2 else -1) * rng.uniform(0.2, 0.45)
+            placed.append((x + along * ux - aside * uy, y + along * uy + aside * ux, math.atan2(uy, ux)))
+    return placed
+
+
+def _line(building: Building, corridor: Corridor) -> tuple[tuple[float, float], float, float, float]:
+    start, end = (building.places[place] for place in corridor.ends)
+    length_m = math.dist(start, end)
+    return start, (end[0] - start[0]) / length_m, (end[1] - start[1]) / length_m, length_m
+
+
+def _walls(building: Building, corridor: Corridor) -> Iterator[str]:
+    (x, y), ux, uy, length_m = _line(building, corridor)
+    half_m = length_m / 2 - 1.2 * _HALF_WIDTH_M
+    if half_m <= 0:
+        return
+    for side in (-1, 1):
+        wx = x + length_m / 2 * ux - side * (_HALF_WIDTH_M + 0.05) * uy
+        wy = y + length_m / 2 * uy + side * (_HALF_WIDTH_M + 0.05) * ux
+        yield (
+            f'<geom type="box" size="{half_m:.4f} 0.05 0.4" pos="{wx:.4f} {wy:.4f} 0.4" '
+            f'euler="0 0 {math.atan2(uy, ux):.6f}" group="1"/>'
+        )
+
 
 SENSORS: Final = {"lidar": (math.radians(120), 8.0), "kinect": (math.radians(28.5), 4.0), "camera": (0.5, 2.0)}
 """Half of the angle that each sees [rad], and how far it sees [m]; Kinect: its data sheet, else own choice."""

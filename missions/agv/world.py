@@ -1,21 +1,21 @@
 """The building as a world of missions; the simulator is imported when a mission is run in it, not before."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
 from numpy.random import Generator
 
 from kb import KnowledgeBase, ManagedSystem
+from kb.elements import Parameters
 from missions.agv.building import Building
-from missions.agv.components import Components
 from missions.agv.model import DRAW_W, DRIVING_W, ERROR_M, NAVIGATOR, NEEDED_LIGHT, SPEEDS
 from missions.agv.route import Route
-from missions.agv.scene import boxes, check_walls
 from missions.agv.settings import Incident, Settings, incidents
 from missions.agv.steering import Aim, Array, aim_along, steer
-from missions.engine.mission import Message, Sample, Setting, Verdict, World, WorldKind
+from missions.engine.components import SimulatedComponents
+from missions.engine.mission import Message, MissionError, Sample, Setting, Verdict, World, WorldKind
 from missions.engine.percepts import Percepts
 
 __all__ = ["AgvKind", "BuildingWorld"]
@@ -39,7 +39,7 @@ class BuildingWorld(World):
     """
 
     def __init__(self, building: Building, settings: Settings, rng: Generator) -> None:
-        from missions.agv.vehicle import Vehicle
+        from missions.agv.vehicle import Vehicle, boxes, check_walls
 
         check_walls(building)
         self._building, self._settings, self._rng = building, settings, rng
@@ -47,7 +47,8 @@ class BuildingWorld(World):
         self._vehicle: Vehicle = Vehicle(
             building, boxes(building, rng), (*start, rng.uniform(-math.pi, math.pi)), settings.physics_step_s
         )
-        self._components = Components({**DRAW_W, "base": 0.0, NAVIGATOR: 0.0}, settings, lambda: self.now)
+        self._components = _Components((*DRAW_W, "base", NAVIGATOR))
+        self._managed = SimulatedComponents(lambda: self.now, self._components, self.switching_s())
         self._waiting = _placed(incidents(settings.incidents, building), rng)
         self._light = {corridor.name: corridor.light for corridor in building.corridors.values()}
         self._ticks = 0
@@ -72,13 +73,13 @@ class BuildingWorld(World):
     @property
     def managed(self) -> ManagedSystem:
         """The components of the vehicle."""
-        return self._components
+        return self._managed
 
     def advance(self, until: float) -> list[Message]:
         """Drive until something is published or switched, at most to the time `until` [s]."""
         while self.now < until - 1e-9:
             self._step()
-            switched = self._components.settle()
+            switched = self._managed.catch_up()
             if self.now >= self._monitor_due - 1e-9:
                 self._monitor()
             if self._news or switched:
@@ -205,7 +206,7 @@ class BuildingWorld(World):
     def _happen(self, one: Incident) -> None:
         if one.component:
             is_failed = one.what == "fails"
-            self._components.fail(one.component, is_failed)
+            (self._components.failed.add if is_failed else self._components.failed.discard)(one.component)
             self._say("component status", one.component, "failure" if is_failed else "recovered")
             self._say("mission status", f"{one.component} failed", str(is_failed).lower())
             self._happened.append((self.now, f"{one.component} {'failed' if is_failed else 'recovered'}"))
@@ -243,6 +244,37 @@ class BuildingWorld(World):
         speed = next((name for name, value in SPEEDS.items() if value == self._speed), "")
         base_w = DRIVING_W[speed] if is_driving and speed else self._settings.standing_w
         return base_w + sum(watts for name, watts in DRAW_W.items() if self._components.is_active(name))
+
+
+class _Components:
+    """What runs, with which parameters; one that has failed, or that the vehicle does not have, does not start."""
+
+    def __init__(self, names: Iterable[str]) -> None:
+        self._parameters: dict[str, Mapping[str, Any]] = {name: {} for name in names}
+        self._active: set[str] = set()
+        self.failed: set[str] = set()
+
+    def check(self, component: str, parameters: Parameters, /) -> None:
+        """Take any command: what it leads to is found out when it is carried out."""
+
+    def activate(self, component: str, /) -> None:
+        if component not in self._parameters:
+            raise MissionError(f"the simulated vehicle has no component {component}")
+        if component in self.failed:
+            raise MissionError(f"{component} has failed and does not start")
+        self._active.add(component)
+
+    def deactivate(self, component: str, /) -> None:
+        self._active.discard(component)
+
+    def set_parameters(self, component: str, parameters: Parameters, /) -> None:
+        self._parameters[component] = parameters
+
+    def is_active(self, component: str, /) -> bool:
+        return component in self._active and component not in self.failed
+
+    def parameters(self, component: str, /) -> Mapping[str, Any]:
+        return self._parameters[component]
 
 
 def _placed(wanted: Sequence[Incident], rng: Generator) -> list[tuple[Incident, float]]:

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from agv_worlds import generated_building
 from figures import percentiles
 from joint_peers import Robot, by_axioms, generate_and_test
 from joint_questions import MODEL, asked, cold, known, timed
@@ -10,7 +11,6 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.random import default_rng
 
-from missions.agv.generated import generated_building
 from missions.agv.joint import JointPlanner, Question
 
 SIZES = ((58, 70), (125, 150), (250, 300), (500, 600), (1000, 1200))

@@ -8,13 +8,13 @@ from pathlib import Path
 from statistics import median
 
 import pytest
+from agv_worlds import generated_building
 from figures import percentiles, shown, table
 from joint_growth import drawn, grown
 from joint_peers import Robot, by_axioms, by_exhaustion, generate_and_test, part_of
 from joint_questions import FAILURES, MODEL, asked, cold, known, on_the_way, timed
 from numpy.random import default_rng
 
-from missions.agv.generated import generated_building
 from missions.agv.joint import JointPlanner, Question
 from missions.agv.model import building_model
 

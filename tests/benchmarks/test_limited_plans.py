@@ -4,13 +4,12 @@ from dataclasses import replace
 from time import perf_counter
 
 import pytest
+from agv_worlds import declarations_of_task, generated_building
 from figures import percentiles, shown, table
 from numpy.random import default_rng
 
 from kb import KnowledgeBase
 from missions.agv.costs import GOALS
-from missions.agv.declared import declarations_of_task
-from missions.agv.generated import generated_building
 from missions.agv.joint import JointPlanner, Place, Question
 from missions.agv.model import agv_model
 from rosa_pddl import Declarations, Outcome, Planner, Problem, initial_state

@@ -4,13 +4,13 @@ import json
 import math
 
 import pytest
+from agv_worlds import generated_building
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.random import default_rng
 
 from missions.agv import MAPS
 from missions.agv.building import BuildingError, building_from, load_building
-from missions.agv.generated import generated_building
 
 
 def told(**changes):

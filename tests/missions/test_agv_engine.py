@@ -2,14 +2,13 @@
 
 from itertools import product
 
+from agv_worlds import declarations_of_task, generated_building, left_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.random import default_rng
 
 from kb import KnowledgeBase
 from missions.agv.costs import GOALS
-from missions.agv.declared import declarations_of_task, left_of
-from missions.agv.generated import generated_building
 from missions.agv.joint import JointPlanner, Question
 from missions.agv.model import agv_model
 from rosa_pddl import Outcome, Planner, Problem, initial_state

@@ -4,6 +4,7 @@ from itertools import product
 from math import inf
 
 import pytest
+from agv_worlds import asked_of, generated_building
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.random import default_rng
@@ -12,8 +13,6 @@ from kb import KnowledgeBase
 from missions.agv import MAPS, WEIGHTS
 from missions.agv.building import BuildingError, building_from, load_building
 from missions.agv.costs import GOALS, Costs, weighing
-from missions.agv.declared import asked_of
-from missions.agv.generated import generated_building
 from missions.agv.joint import JointPlanner, Place, Question
 from missions.agv.model import agv_model
 from missions.engine.mission import MissionError

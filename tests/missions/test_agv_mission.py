@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy
 import pytest
+from agv_worlds import generated_building
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from running import result, run_mission, text
@@ -13,7 +14,6 @@ from kb import KnowledgeBase
 from missions.agv import MAPS, WEIGHTS, agv_mission
 from missions.agv.actions import Switch
 from missions.agv.building import building_from, load_building
-from missions.agv.generated import generated_building
 from missions.agv.joint import JointPlanner, Question
 from missions.agv.model import DRAW_W, agv_model, building_model
 from missions.agv.modes import Modes

@@ -5,15 +5,14 @@ import math
 
 import numpy
 import pytest
+from agv_worlds import generated_building
 
 from missions.agv import agv_mission
 from missions.agv.building import BuildingError, building_from
-from missions.agv.generated import generated_building
 from missions.agv.model import NAVIGATOR, SPEEDS
-from missions.agv.scene import boxes, check_walls
 from missions.agv.settings import Settings
 from missions.agv.steering import Aim
-from missions.agv.vehicle import Vehicle
+from missions.agv.vehicle import Vehicle, boxes, check_walls
 from missions.agv.world import BuildingWorld
 from missions.engine.runner import MissionRun
 from missions.engine.settings import RunSettings

@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from agv_worlds import generated_building
 from py_trees.common import Status
 
 from kb import KnowledgeBase, Model
 from missions.agv import agv_mission
-from missions.agv.generated import generated_building
 from missions.engine.mission import Mission, MissionError
 from missions.engine.percepts import Percepts
 from missions.engine.registry import find_mission

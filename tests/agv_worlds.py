@@ -1,13 +1,27 @@
-"""Buildings of any size, made by chance: as large as the published one, or larger."""
+"""Buildings of any size, made by chance, and questions about them as PDDL for planners that know of no corridors."""
 
 import math
+from dataclasses import replace
 from typing import Final
 
 from numpy.random import Generator
 
 from missions.agv.building import Building, BuildingError, Corridor
-
-__all__ = ["generated_building"]
+from missions.agv.declared import (
+    SWITCH,
+    Words,
+    cross_schema,
+    facts_of,
+    numbers_of,
+    problem_of,
+    switch_schema,
+    switching_of,
+)
+from missions.agv.joint import Place, Task
+from rosa_pddl.domain import FEASIBLE
+from rosa_pddl.generation import Declarations
+from rosa_pddl.planning import Planner, PlanningResult
+from rosa_pddl.problem import Problem, initial_state
 
 _GRID_M: Final = 12.0
 
@@ -60,3 +74,30 @@ def _chosen(pairs: list[tuple[int, int]], places: int, corridors: int) -> list[t
             root[ends[0]] = ends[1]
             tree.append((one, two))
     return tree + rest[: corridors - len(tree)]
+
+
+def declarations_of_task(task: Task) -> Declarations:
+    """Return a question as PDDL by itself, with its limits."""
+    modes = {mode.name: mode for place in _places(task) for _, mode, *_ in task.crossings(place)}
+    words = Words(task.building, modes.values(), has_inside=bool(task.start[0].corridor))
+    facts = [fact for fact, is_so in facts_of(words, task).items() if is_so]
+    facts += [f"({FEASIBLE} {action})" for action in (SWITCH, *words.actions.values())]
+    switching = switching_of(words, task, words.by_mode, task.limited)
+    problem = replace(
+        problem_of(words, task.limited),
+        goal=(f"(at {words.places[task.goal]})",),
+        facts=(*words.fixed, *facts),
+        numbers=switching | numbers_of(words, task, task.limited),
+    )
+    return Declarations("joint", [switch_schema(task.limited), cross_schema(task.limited)], problem)
+
+
+def asked_of(planner: Planner, task: Task) -> PlanningResult:
+    """Have a planner answer a question; the cost is in whole thousandths."""
+    domain = declarations_of_task(task).load()
+    return planner.plan(Problem(domain, initial_state(domain)))
+
+
+def _places(task: Task) -> list[Place]:
+    start = task.start[0]
+    return [*map(Place, task.building.places), *([start] if start.corridor else [])]
