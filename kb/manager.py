@@ -127,6 +127,4 @@ class ConfigurationManager:
             if getattr(self._planner, "is_waiting", False):
                 self._planned_at = -1
         self._executor.execute(kb)
-        if gate is not None:
-            gate.remember()
         return plan

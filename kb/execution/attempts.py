@@ -73,6 +73,7 @@ class Command:
     _due: float = -math.inf
     _attempt: Attempt | None = None
     _under_way: Operation | None = None
+    _refusal: Exception | None = None
 
     @property
     def reason(self) -> str:
@@ -93,10 +94,11 @@ class Command:
             parameters=self.parameters,
             number=self._count,
         )
+        self._under_way = self._refusal = None
         try:
             self._under_way = self._give(self.managed)
         except Exception as error:
-            self._under_way = _Refused(error)
+            self._refusal = error
 
     def advance(self, now: float) -> str | None:
         """Return how it has ended, "completed" or "failed", or None as long as it has not."""
@@ -128,7 +130,7 @@ class Command:
 
     def _outcome(self, managed: ManagedSystem, lasts: float) -> tuple[str, str] | None:
         """Return result and reason of the attempt under way, None while there is neither."""
-        ended, error = _ended(self._under_way)
+        ended, error = self._has_ended()
         is_late = lasts >= self.policy.timeout
         if error is not None:
             return "failed", _words(error)
@@ -146,6 +148,16 @@ class Command:
         _cancel(self._under_way)
         return "failed", f"it was not done within {self.policy.timeout:g} s"
 
+    def _has_ended(self) -> tuple[bool, BaseException | None]:
+        """Return whether what is under way has ended, and with which error; a cancelled future raises when asked."""
+        operation = self._under_way
+        try:
+            if operation is None:
+                return True, self._refusal
+            return (True, operation.exception()) if operation.done() else (False, None)
+        except Exception as error:
+            return True, error
+
     def _look(self, managed: ManagedSystem) -> tuple[bool | None, str]:
         """Return whether the component is as it was to be, None if nobody can tell, and what speaks against it."""
         if self.operation == "configure":
@@ -162,16 +174,6 @@ def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def _ended(operation: Operation | None) -> tuple[bool, BaseException | None]:
-    """Return whether an operation has ended, and with which error; asking may raise, e.g. of a cancelled future."""
-    if operation is None:
-        return True, None
-    try:
-        return (True, operation.exception()) if operation.done() else (False, None)
-    except Exception as error:
-        return True, error
-
-
 def _cancel(operation: Operation | None) -> None:
     """Cancel an operation that can be cancelled, so that it does not come true when nobody expects it any more."""
     cancel = getattr(operation, "cancel", None)
@@ -184,16 +186,3 @@ def _cancel(operation: Operation | None) -> None:
 
 def _words(error: BaseException) -> str:
     return str(error) or type(error).__name__
-
-
-@dataclass(frozen=True, slots=True)
-class _Refused:
-    """A command that raised at once, as an operation that has ended."""
-
-    error: Exception
-
-    def done(self) -> bool:
-        return True
-
-    def exception(self) -> Exception:
-        return self.error

@@ -74,8 +74,8 @@ class StagedExecutor:
 
     @property
     def quarantined(self) -> tuple[Quarantined, ...]:
-        """The configurations that could not be set, in order; those without an end count as unfeasible now."""
-        return self._quarantine.records
+        """The configurations that count as unfeasible now because they could not be set."""
+        return tuple(self._quarantine.held.values())
 
     def execute(self, kb: KnowledgeBase) -> None:
         """Do what can be done of the pending plan without waiting.
@@ -89,7 +89,7 @@ class StagedExecutor:
             self._quarantine.adopt(kb)
             self._known = kb
         now = kb.now
-        self._quarantine.review(kb, now)
+        self._quarantine.review(kb)
         if self._plan is None:
             self._plan = kb.pending_plan
             if self._plan is None:
@@ -137,14 +137,14 @@ class StagedExecutor:
         if result is None:
             return False
         if result == "failed":
-            self._give_up(kb, command, now)
+            self._give_up(kb, command)
         elif command.parameters is not None:
             kb.component_configured(command.component, command.parameters)
         else:
             kb.component_active(command.component, command.operation == "activate")
         return True
 
-    def _give_up(self, kb: KnowledgeBase, command: Command, now: float) -> None:
+    def _give_up(self, kb: KnowledgeBase, command: Command) -> None:
         _log.warning("%s %s failed, %s", command.operation, command.component, command.reason)
         self._failed.add(command.component)
         if command.configuration is None:
@@ -154,14 +154,14 @@ class StagedExecutor:
             kb.component_failed(command.component, f"it could not be {command.operation}d, {command.reason}")
         else:
             reason = f"its parameters could not be set, {command.reason}"
-            self._quarantine.put(kb, command.configuration, reason, now)
+            self._quarantine.put(kb, command.configuration, reason)
 
     def _hold(self, kb: KnowledgeBase, component: str) -> None:
         """Do without the parameters of a component that runs, because something else has failed."""
         self._failed.add(component)
         chosen = kb.components[component].selected_configuration
         if chosen is not None:
-            self._quarantine.put(kb, chosen, "with its parameters a budget might be exceeded", kb.now)
+            self._quarantine.put(kb, chosen, "with its parameters a budget might be exceeded")
 
     def _look(self, component: str) -> bool | None:
         """Return whether a component is active, None if nobody can tell."""

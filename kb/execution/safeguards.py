@@ -2,15 +2,13 @@
 
 import logging
 import math
-from collections import deque
 from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 from decimal import Decimal
+from typing import NamedTuple
 
 from kb.elements import Configuration, EstimationKind, finite_number
 from kb.exceptions import InvalidValue, UnknownName
-from kb.history import KEPT_RECORDS, VetoAnswer
 from kb.inference.network import Node
 from kb.inference.state import State
 from kb.knowledge_base import KnowledgeBase
@@ -39,15 +37,6 @@ class VetoGate:
         self._kb = kb
         self._veto = veto
         self._passed: list[ReconfigurationPlan] = []
-        self._seen: tuple[int, ReconfigurationPlan | None] = (-1, None)
-        self._selected: frozenset[Node] = frozenset()
-        self.remember()
-
-    def remember(self) -> None:
-        """Take note of what is selected, so that a plan that is forbidden can be taken back to this."""
-        now = (self._kb.revision, self._kb.latest_plan)
-        if now != self._seen:
-            self._seen, self._selected = now, self._selection()
 
     def check(self) -> bool:
         """Ask about the plans that were not asked about yet; a forbidden one ends as abandoned.
@@ -55,51 +44,41 @@ class VetoGate:
         Returns:
             Whether one was forbidden.
         """
+        kb, is_vetoed = self._kb, False
         self._passed = [plan for plan in self._passed if plan.end is None]
-        objection = ""
-        while (plan := self._kb.pending_plan) is not None and plan not in self._passed:
-            answer = self._ask(plan)
-            if not answer.is_vetoed:
+        while (plan := kb.pending_plan) is not None and plan not in self._passed:
+            objection = self._objection(plan)
+            kb.record_answer(plan, is_vetoed=bool(objection), reason=objection)
+            if not objection:
                 self._passed.append(plan)
                 break
-            _log.info("vetoed: %s, because %s", plan, answer.reason)
-            self._kb.finish_plan(plan, "abandoned")
-            objection = answer.reason
-        if objection:
-            self._take_back(f"vetoed: {objection}")
-        self.remember()
-        return bool(objection)
+            _log.info("vetoed: %s, because %s", plan, objection)
+            kb.finish_plan(plan, "abandoned")
+            self._take_back(plan, f"vetoed: {objection}")
+            is_vetoed = True
+        return is_vetoed
 
-    def _ask(self, plan: ReconfigurationPlan) -> VetoAnswer:
+    def _objection(self, plan: ReconfigurationPlan) -> str:
+        """Return why a plan is forbidden, in words; nothing if it may pass."""
         try:
             answer: object = self._veto(plan)
         except Exception as error:
-            answer = str(error) or type(error).__name__
-        reason = _objection(answer)
-        return self._kb.record_answer(plan, is_vetoed=bool(reason), reason=reason)
+            return str(error) or type(error).__name__
+        if answer is None or answer is True:
+            return ""
+        if answer is False or answer == "":
+            return "no reason was given"
+        if isinstance(answer, str):
+            return answer
+        return f"the veto function answered {answer!r}; it is to answer None or True to let a plan pass, else a reason"
 
-    def _selection(self) -> frozenset[Node]:
-        with self._kb.reading() as state:
-            parts = (*state.network.designs.values(), *state.network.configurations.values())
-            return frozenset(node for node in parts if state.selected[node.index])
-
-    def _take_back(self, reason: str) -> None:
-        """Select again what was selected before, and nothing else: what is not executed is not in force."""
-        for node in sorted(self._selection() ^ self._selected, key=lambda node: (node.kind, node.name)):
-            is_selected = node in self._selected
+    def _take_back(self, plan: ReconfigurationPlan, reason: str) -> None:
+        """Undo what the plan's event has selected, and nothing else: what is not executed is not in force."""
+        made = (event for event in self._kb.log.since(plan.cause or 0) if event.plan is plan)
+        effects = next((event.effects for event in made), ())
+        for kind, name, is_selected in effects:
             with suppress(UnknownName):  # it has left the model
-                self._kb.assert_selected(node.element, is_selected, "" if is_selected else reason)
-
-
-def _objection(answer: object) -> str:
-    """Return why a plan is forbidden, in words; nothing if it may pass."""
-    if answer is None or answer is True:
-        return ""
-    if answer is False:
-        return "no reason was given"
-    if isinstance(answer, str):
-        return answer or "no reason was given"
-    return f"the veto function answered {answer!r}; it is to answer None or True to let a plan pass, else a reason"
+                self._kb.assert_selected((kind, name), not is_selected, reason if is_selected else "")
 
 
 class Budgets:
@@ -152,9 +131,8 @@ def _counts(kb: KnowledgeBase, state: State, causer: Node, started: Collection[s
     return state.selected[causer.index]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Quarantined:
-    """A configuration that counts as unfeasible because its parameters could not be set; only its executor can end it.
+class Quarantined(NamedTuple):
+    """A configuration that counts as unfeasible because its parameters could not be set.
 
     Attributes:
         configuration: its name.
@@ -162,7 +140,6 @@ class Quarantined:
         reason: why, in words.
         start: since when [s].
         until: when it may be used again at the latest [s].
-        end: when it was released [s], None before that.
     """
 
     configuration: str
@@ -170,13 +147,9 @@ class Quarantined:
     reason: str
     start: float
     until: float
-    end: float | None = None
 
     def __str__(self) -> str:
         return f"{self.configuration} is not used for {self.component} because {self.reason}"
-
-    def _finish(self, end: float) -> None:
-        object.__setattr__(self, "end", end)
 
 
 class Quarantine:
@@ -184,28 +157,25 @@ class Quarantine:
 
     Args:
         hold: how long [s].
+
+    Attributes:
+        held: those in quarantine now, by name; up to date after `review`.
     """
 
     def __init__(self, hold: float) -> None:
         if not isinstance(hold, int | float) or isinstance(hold, bool) or not hold >= 0:
             raise InvalidValue(f"a configuration is held back for 0 s or longer, math.inf for ever, not {hold!r}")
         self._hold = hold
-        self._records: deque[Quarantined] = deque(maxlen=KEPT_RECORDS)
-        self._open: list[Quarantined] = []
+        self.held: dict[str, Quarantined] = {}
         self._failed: set[str] = set()
 
-    @property
-    def records(self) -> tuple[Quarantined, ...]:
-        """The newest 10,000, in order, also those that have been released."""
-        return tuple(self._records)
-
-    def put(self, kb: KnowledgeBase, configuration: str, reason: str, now: float) -> None:
+    def put(self, kb: KnowledgeBase, configuration: str, reason: str) -> None:
         """Have a configuration count as unfeasible from now on, and no longer as selected: it is not in force."""
-        view, until = kb.configurations[configuration], now + self._hold
+        view, now = kb.configurations[configuration], kb.now
         kb.assert_selected(view, False)
         with suppress(InvalidValue):  # the hold is over already
-            kb.assert_status(view, Status.UNFEASIBLE, reason, until)
-        self._enter(Quarantined(configuration, view.component, reason, now, until))
+            kb.assert_status(view, Status.UNFEASIBLE, reason, now + self._hold)
+        self.held[configuration] = Quarantined(configuration, view.component, reason, now, now + self._hold)
 
     def adopt(self, kb: KnowledgeBase) -> None:
         """Take up what was in quarantine before the knowledge base was opened again."""
@@ -215,29 +185,21 @@ class Quarantine:
                 if attempt.result == "failed" and attempt.end is not None and _stands(state, name):
                     said = state.reason("asserted", state.network.configurations[name])
                     until = math.inf if said.until is None else said.until
-                    self._enter(Quarantined(name, attempt.component, said.text, attempt.end, until))
+                    self.held[name] = Quarantined(name, attempt.component, said.text, attempt.end, until)
 
-    def review(self, kb: KnowledgeBase, now: float) -> None:
-        """Release those whose component has recovered from a failure, and note which were released otherwise."""
-        if not self._open:
+    def review(self, kb: KnowledgeBase) -> None:
+        """Release those whose component has recovered from a failure, and forget those released otherwise."""
+        if not self.held:
             return
         with kb.reading() as state:
             components = state.network.components
-            concerned = {one.component for one in self._open if one.component in components}
+            self.held = {name: one for name, one in self.held.items() if _stands(state, name)}
+            concerned = {one.component for one in self.held.values()}
             failed = {name for name in concerned if state.status[components[name].index] is Status.FAILURE}
-            standing = [one for one in self._open if _stands(state, one.configuration)]
         recovered, self._failed = self._failed - failed, failed
-        for one in self._open:
-            if one not in standing:
-                one._finish(min(now, one.until))
-            elif one.component in recovered:
-                kb.retract_status(kb.configurations[one.configuration])
-                one._finish(now)
-        self._open = [one for one in self._open if one.end is None]
-
-    def _enter(self, one: Quarantined) -> None:
-        self._open.append(one)
-        self._records.append(one)
+        for one in [one for one in self.held.values() if one.component in recovered]:
+            kb.retract_status(kb.configurations[one.configuration])
+            del self.held[one.configuration]
 
 
 def _stands(state: State, configuration: str) -> bool:
