@@ -1,22 +1,50 @@
 """Carrying out a reconfiguration plan on the managed system, a bounded slice at each turn."""
 
 import logging
-from collections.abc import Iterable, Iterator, Mapping
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
 
 from kb.elements import Component, ComponentKind, Configuration
 from kb.exceptions import InvalidValue, UnknownName
-from kb.execution.attempts import Command, RetryPolicy
 from kb.execution.safeguards import Budgets, Quarantine, Quarantined
+from kb.history import Attempt
 from kb.inference.network import Node
 from kb.inference.state import State
 from kb.knowledge_base import KnowledgeBase
-from kb.managed_system import ManagedSystem, is_active
+from kb.managed_system import ManagedSystem, Operation, is_active
 from kb.reconfiguration import ReconfigurationPlan
 from kb.status import Status
 
-__all__ = ["StagedExecutor"]
+__all__ = ["RetryPolicy", "StagedExecutor"]
 
 _log = logging.getLogger(__name__)
+
+_MOST_DOUBLINGS: Final = 60
+
+
+@dataclass(frozen=True, slots=True)
+class RetryPolicy:
+    """How often a command is given, and how long it may take.
+
+    Attributes:
+        attempts: how often it is given before it is given up.
+        timeout: how long one attempt may take [s].
+        back_off: how long after a failure it is given again [s]; twice as long after each further one.
+    """
+
+    attempts: int
+    timeout: float
+    back_off: float
+
+    def __post_init__(self) -> None:
+        if type(self.attempts) is not int or self.attempts < 1:
+            raise InvalidValue(f"a command is given a whole number of times, once at least, not {self.attempts!r}")
+        if not _is_number(self.timeout) or not self.timeout > 0:
+            raise InvalidValue(f"a time-out is more than 0 s, math.inf for none, not {self.timeout!r}")
+        if not _is_number(self.back_off) or not 0 <= self.back_off < math.inf:
+            raise InvalidValue(f"a back-off is a finite number of seconds from 0, not {self.back_off!r}")
 
 
 class StagedExecutor:
@@ -67,8 +95,8 @@ class StagedExecutor:
         self._budgets = Budgets(budgets)
         self._known: KnowledgeBase | None = None
         self._plan: ReconfigurationPlan | None = None
-        self._stages: Iterator[list[Command]] = iter(())
-        self._stage: list[Command] = []
+        self._stages: Iterator[list[_Command]] = iter(())
+        self._stage: list[_Command] = []
         self._failed: set[str] = set()
         self._commanded: set[str] = set()
 
@@ -88,8 +116,8 @@ class StagedExecutor:
             self._check_names(kb)
             self._quarantine.adopt(kb)
             self._known = kb
-        now = kb.now
-        self._quarantine.review(kb)
+        if self._quarantine.held:
+            self._quarantine.review(kb)
         if self._plan is None:
             self._plan = kb.pending_plan
             if self._plan is None:
@@ -98,6 +126,7 @@ class StagedExecutor:
             self._failed, self._commanded = set(), set()
         if self._stage:
             self._drop_removed(kb)
+        now = kb.now
         while True:
             self._stage = [command for command in self._stage if not self._has_ended(kb, command, now)]
             if self._stage:
@@ -122,29 +151,26 @@ class StagedExecutor:
 
     def _drop_removed(self, kb: KnowledgeBase) -> None:
         """Abandon commands to what is no longer in the model, or with what is not."""
-        kept = []
-        for command in self._stage:
-            is_there = command.configuration is None or command.configuration in kb.configurations
-            if is_there and command.component in kb.components:
-                kept.append(command)
-            else:
+        for command in tuple(self._stage):
+            known = command.configuration is None or command.configuration.name in kb.configurations
+            if not known or command.component not in kb.components:
                 command.abandon("it is no longer in the model")
-        self._stage = kept
+                self._stage.remove(command)
 
-    def _has_ended(self, kb: KnowledgeBase, command: Command, now: float) -> bool:
+    def _has_ended(self, kb: KnowledgeBase, command: "_Command", now: float) -> bool:
         """Go on with a command and tell whether it has ended, one way or the other; the knowledge base is told how."""
         result = command.advance(now)
         if result is None:
             return False
         if result == "failed":
             self._give_up(kb, command)
-        elif command.parameters is not None:
-            kb.component_configured(command.component, command.parameters)
+        elif command.configuration is not None:
+            kb.component_configured(command.component, command.configuration.parameters)
         else:
             kb.component_active(command.component, command.operation == "activate")
         return True
 
-    def _give_up(self, kb: KnowledgeBase, command: Command) -> None:
+    def _give_up(self, kb: KnowledgeBase, command: "_Command") -> None:
         _log.warning("%s %s failed, %s", command.operation, command.component, command.reason)
         self._failed.add(command.component)
         if command.configuration is None:
@@ -154,7 +180,7 @@ class StagedExecutor:
             kb.component_failed(command.component, f"it could not be {command.operation}d, {command.reason}")
         else:
             reason = f"its parameters could not be set, {command.reason}"
-            self._quarantine.put(kb, command.configuration, reason)
+            self._quarantine.put(kb, command.configuration.name, reason)
 
     def _hold(self, kb: KnowledgeBase, component: str) -> None:
         """Do without the parameters of a component that runs, because something else has failed."""
@@ -170,75 +196,188 @@ class StagedExecutor:
         except Exception:
             return None
 
-    def _staged(self, kb: KnowledgeBase, plan: ReconfigurationPlan) -> Iterator[list[Command]]:
+    def _staged(self, kb: KnowledgeBase, plan: ReconfigurationPlan) -> Iterator[list["_Command"]]:
         """Yield the stages of a plan, each decided when it begins."""
         with kb.reading() as state:
             activated, deactivated, parameters = _steps(state, plan, kb.open_plans)
-            configured = _configured(state, parameters)
-            running = [one for one in configured if state.active[one.index] and one.name not in deactivated]
-            paused = [one.name for one in running if _component(one).stops_to_configure]
-        yield self._switches(kb, plan, [*deactivated, *paused], active=False)
+            running = [one for one in _configured(state, parameters) if state.active[one.index]]
+        stopped = {component.name for component in running if _component(component).stops_to_configure}
+        paused = [component.name for component in running if component.name in stopped.difference(deactivated)]
+        yield self._commands(kb, plan, "deactivate", [*deactivated, *paused])
         started = [*activated, *paused]
         with kb.reading() as state:
-            reconfigured = [one.name for one in _configured(state, parameters) if state.active[one.index]]
+            running = [one for one in _configured(state, parameters) if state.active[one.index]]
         if self._budgets.most:
-            for name in reconfigured:  # those that use less of a budget than before come first in a plan
-                if self._budgets.allow(kb, started, self._failed) or self._budgets.are_eased(kb, name, self._failed):
-                    yield self._settings(kb, plan, [name])
+            for component in running:  # those that use less of a budget than before come first in a plan
+                name, failed = component.name, self._failed
+                if self._budgets.allow(kb, started, failed) or self._budgets.are_eased(kb, name, failed):
+                    yield self._commands(kb, plan, "configure", [name])
                 else:
                     self._hold(kb, name)
             if not self._budgets.allow(kb, started, self._failed):
                 self._failed.update(started)
-            reconfigured = []
-        yield self._settings(kb, plan, [*reconfigured, *started])
-        starting = self._switches(kb, plan, started, active=True)
+            running = []
+        yield self._commands(kb, plan, "configure", [*(component.name for component in running), *started])
+        starting = self._commands(kb, plan, "activate", started)
         self._commanded = {command.component for command in starting if command.managed is not None}
         yield starting
         if self._failed:
             yield self._rolled_back(kb, plan, started)
 
-    def _switches(
-        self, kb: KnowledgeBase, plan: ReconfigurationPlan, names: Iterable[str], *, active: bool, anyway: bool = False
-    ) -> list[Command]:
-        """Return the commands that switch components; those that have failed are left out, but not if `anyway`."""
-        operation, commands = "activate" if active else "deactivate", []
+    def _commands(
+        self, kb: KnowledgeBase, plan: ReconfigurationPlan, operation: str, names: Sequence[str], *, retry: bool = False
+    ) -> list["_Command"]:
+        """Return the commands to components, without those that have failed, unless they are to be tried again."""
+        commands: list[_Command] = []
+        left_out = set() if retry else self._failed
+        if not names:
+            return commands
         with kb.reading() as state:
             for component in _known(state, names):
-                name, is_plain = component.name, _component(component).kind is ComponentKind.PLAIN
-                if anyway or name not in self._failed:
-                    managed = None if is_plain else self._managed
-                    commands.append(Command(kb, plan, self._policy_of(component), managed, name, operation))
+                chosen = _selected(state, component) if operation == "configure" else None
+                if component.name in left_out or (chosen is None and operation == "configure"):
+                    continue
+                element = _component(component)
+                policy = self._of_component.get(element.name, self._of_kind.get(element.kind, self._policy))
+                is_booked = chosen is None and element.kind is ComponentKind.PLAIN
+                managed = None if is_booked else self._managed
+                commands.append(_Command(kb, plan, policy, managed, element.name, operation, chosen))
         return commands
 
-    def _settings(self, kb: KnowledgeBase, plan: ReconfigurationPlan, names: Iterable[str]) -> list[Command]:
-        """Return the commands that give components the parameters of their selected configurations."""
-        commands = []
-        with kb.reading() as state:
-            for component in _known(state, names):
-                chosen = next((one for one in component.parts if state.selected[one.index]), None)
-                if chosen is not None and component.name not in self._failed:
-                    assert isinstance(chosen.element, Configuration)
-                    name, policy, values = component.name, self._policy_of(component), chosen.element.parameters
-                    commands.append(Command(kb, plan, policy, self._managed, name, "configure", chosen.name, values))
-        return commands
-
-    def _rolled_back(self, kb: KnowledgeBase, plan: ReconfigurationPlan, started: list[str]) -> list[Command]:
+    def _rolled_back(self, kb: KnowledgeBase, plan: ReconfigurationPlan, started: list[str]) -> list["_Command"]:
         """Undo what was begun for functions that cannot be had: else it would run on, and be started at each plan."""
         unsure = [name for name in started if name in self._failed & self._commanded and self._look(name) is not False]
         with kb.reading() as state:
-            users = [user for component in _known(state, started) for user in component.wholes]
-            in_vain = [design for design in dict.fromkeys(users) if _is_in_vain(state, design)]
-            in_vain.sort(key=lambda design: design.index)
-        for design in in_vain:
+            users = {design for component in _known(state, started) for design in component.wholes}
+            in_vain = [design for design in users if _is_in_vain(state, design)]
+        for design in sorted(in_vain, key=lambda design: design.index):
             kb.assert_selected(design.element, False)
         with kb.reading() as state:
             active = [component for component in _known(state, started) if state.active[component.index]]
             idle = [component.name for component in active if not state.users[component.index]]
-        return self._switches(kb, plan, [*unsure, *idle], active=False, anyway=True)
+        return self._commands(kb, plan, "deactivate", [*unsure, *idle], retry=True)
 
-    def _policy_of(self, component: Node) -> RetryPolicy:
-        of_kind = self._of_kind.get(_component(component).kind, self._policy)
-        return self._of_component.get(component.name, of_kind)
+
+@dataclass(slots=True, eq=False)
+class _Command:
+    """What one component is to do for a plan: given until it is carried out or given up, each attempt on record.
+
+    Attributes:
+        managed: what is commanded; None if it is a matter of bookkeeping only.
+        operation: "activate", "deactivate" or "configure".
+        configuration: what it is configured with, None for a switch.
+    """
+
+    kb: KnowledgeBase
+    plan: ReconfigurationPlan
+    policy: RetryPolicy
+    managed: ManagedSystem | None
+    component: str
+    operation: str
+    configuration: Configuration | None
+    _count: int = 0
+    _due: float = -math.inf
+    _attempt: Attempt | None = None
+    _under_way: Operation | None = None
+    _refusal: Exception | None = None
+
+    @property
+    def reason(self) -> str:
+        """What came of the last attempt, and how often it was tried, in words."""
+        tried = {1: "once", 2: "twice"}.get(self._count, f"{self._count} times")
+        return f"tried {tried}: {self._attempt.reason if self._attempt is not None else ''}"
+
+    def begin(self, now: float) -> None:
+        """Give the command if it is time for that and it is not under way."""
+        if self.managed is None or now < self._due or (self._attempt is not None and self._attempt.end is None):
+            return
+        self._count += 1
+        name, values = None, None
+        if self.configuration is not None:
+            name, values = self.configuration.name, self.configuration.parameters
+        self._attempt = self.kb.record_attempt(self.plan, self.component, self.operation, name, values, self._count)
+        self._under_way = self._refusal = None
+        try:
+            if values is not None:
+                self._under_way = self.managed.set_parameters(self.component, values)
+            else:
+                switch = self.managed.activate if self.operation == "activate" else self.managed.deactivate
+                self._under_way = switch(self.component)
+        except Exception as error:
+            self._refusal = error
+
+    def advance(self, now: float) -> str | None:
+        """Return how it has ended, "completed" or "failed", or None as long as it has not."""
+        if self.managed is None:
+            return "completed"
+        while True:
+            self.begin(now)
+            if self._attempt is None or self._attempt.end is not None:
+                return None
+            outcome = self._outcome(self.managed, now - self._attempt.start)
+            if outcome is None:
+                return None
+            result, reason = outcome
+            self.kb.finish_attempt(self._attempt, result, reason)
+            if result == "completed" or self._count >= self.policy.attempts:
+                return result
+            self._due = now + self.policy.back_off * 2.0 ** min(self._count - 1, _MOST_DOUBLINGS)
+
+    def abandon(self, reason: str) -> None:
+        """Give it up without waiting for what is under way."""
+        if self._attempt is not None and self._attempt.end is None:
+            self._cancel()
+            self.kb.finish_attempt(self._attempt, "abandoned", reason)
+
+    def _outcome(self, managed: ManagedSystem, lasts: float) -> tuple[str, str] | None:
+        """Return result and reason of the attempt under way, None while there is neither."""
+        ended, error = self._progress()
+        is_late = lasts >= self.policy.timeout
+        if error is not None:
+            return "failed", _words(error)
+        if not ended and not is_late:
+            return None
+        is_reached, doubt = self._look(managed)
+        if ended and is_reached is not False:
+            return "completed", ""
+        if not is_late:
+            return None
+        if is_reached:
+            return "completed", "it never said so, but it is done"
+        if ended:
+            return "failed", f"it was said to be done, but {doubt} within {self.policy.timeout:g} s"
+        self._cancel()
+        return "failed", f"it was not done within {self.policy.timeout:g} s"
+
+    def _progress(self) -> tuple[bool, BaseException | None]:
+        """Return whether what is under way has ended, and with which error; asking a cancelled future raises."""
+        operation = self._under_way
+        try:
+            if operation is None:
+                return True, self._refusal
+            return (True, operation.exception()) if operation.done() else (False, None)
+        except Exception as error:
+            return True, error
+
+    def _look(self, managed: ManagedSystem) -> tuple[bool | None, str]:
+        """Return whether the component is as it was to be, None if nobody can tell, and what speaks against it."""
+        if self.configuration is not None:
+            return None, ""
+        try:
+            active = is_active(managed, self.component)
+        except Exception as error:
+            return False, f"nobody could tell ({_words(error)})"
+        is_reached = None if active is None else active is (self.operation == "activate")
+        return is_reached, f"{self.component} was not found so"
+
+    def _cancel(self) -> None:
+        """Cancel what can be cancelled, so that it does not come true when nobody expects it any more."""
+        cancel = getattr(self._under_way, "cancel", None)
+        if callable(cancel):
+            try:
+                cancel()
+            except Exception as error:
+                _log.warning("an operation could not be cancelled: %s", _words(error))
 
 
 def _steps(
@@ -272,6 +411,11 @@ def _configured(state: State, configurations: Iterable[str]) -> list[Node]:
     return list(dict.fromkeys(known[name].wholes[0] for name in configurations if name in known))
 
 
+def _selected(state: State, component: Node) -> Configuration | None:
+    chosen = (one.element for one in component.parts if state.selected[one.index])
+    return next((one for one in chosen if isinstance(one, Configuration)), None)
+
+
 def _is_in_vain(state: State, design: Node) -> bool:
     """Tell whether a design is selected for a function that cannot be had."""
     return state.selected[design.index] and state.status[design.wholes[0].index] is Status.UNFEASIBLE
@@ -288,3 +432,11 @@ def _kind(kind: str) -> ComponentKind:
     except ValueError:
         known = ", ".join(ComponentKind)
         raise InvalidValue(f"{kind!r} is no kind of component to give a time-out to; kinds are {known}") from None
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _words(error: BaseException) -> str:
+    return str(error) or type(error).__name__

@@ -2,11 +2,11 @@
 
 What is left of a model is small: slots with options. A slot is a function, of which one design is chosen, or a
 component, of which one configuration is chosen if a chosen design needs it; the effects of what is chosen add up. All
-numbers are whole in the end, so that of two choices one is better or they are exactly as good.
+numbers are whole, so that of two choices one is better or they are exactly as good.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN, Context, Decimal, localcontext
 from typing import Final, NamedTuple
 
@@ -20,12 +20,10 @@ from kb.selection import Choice, Criterion
 __all__ = ["Effect", "Option", "Picks", "Problem", "Slot", "check_names", "encode"]
 
 DIGITS: Final = 12
-"""All effects of a kind together have no more digits than this as whole numbers; else they are rounded."""
+"""All amounts of a kind together have no more digits than this as whole numbers; else they are rounded."""
 
 EXACTLY: Final = Context(prec=60)
 """How decimal numbers are computed with before they are whole."""
-
-ZERO: Final = Decimal()
 
 Picks = tuple[int, ...]
 """Position of what is chosen among the options of each slot."""
@@ -41,17 +39,17 @@ class Effect(NamedTuple):
         cost: of switching; it is taken off the gain already.
     """
 
-    gain: Decimal
-    loads: tuple[Decimal, ...]
-    levels: tuple[tuple[str, Decimal], ...] = ()
-    cost: Decimal = ZERO
+    gain: int
+    loads: tuple[int, ...]
+    levels: tuple[tuple[str, int], ...] = ()
+    cost: int = 0
 
     def plus(self, other: "Effect") -> "Effect":
         """Return both together."""
         loads = tuple(mine + its for mine, its in zip(self.loads, other.loads, strict=True))
         return Effect(self.gain + other.gain, loads, self.levels + other.levels, self.cost + other.cost)
 
-    def costing(self, cost: Decimal) -> "Effect":
+    def costing(self, cost: int) -> "Effect":
         """Return the same at a cost."""
         return self._replace(gain=self.gain - cost, cost=self.cost + cost)
 
@@ -109,28 +107,24 @@ class Problem:
     """What is to be chosen.
 
     Attributes:
+        criterion: what makes a choice better.
         slots: what there is to choose for, in order of declaration; functions before components.
         fixed: what is added whatever is chosen.
-        budgets: the attributes that are limited.
-        limits: what the load of each must not exceed.
+        limits: what the load of each budget must not exceed.
         is_by_priority: nothing is estimated of what takes part, and nothing limited.
-        goal: what is preferred, in words.
-        within: the limits, in words.
         unit: what a gain of 1 stands for.
         load_units: what a load of 1 stands for, for each budget.
         resolution: two choices that differ by no more than this can seem equally good; 0 if all numbers are exact.
     """
 
+    criterion: Criterion
     slots: tuple[Slot, ...]
     fixed: Effect
-    budgets: tuple[str, ...]
-    limits: tuple[Decimal, ...]
+    limits: tuple[int, ...]
     is_by_priority: bool
-    goal: str = ""
-    within: str = ""
-    unit: Decimal = Decimal(1)
-    load_units: tuple[Decimal, ...] = ()
-    resolution: float = 0.0
+    unit: Decimal
+    load_units: tuple[Decimal, ...]
+    resolution: float
 
     @property
     def first(self) -> Picks:
@@ -152,15 +146,15 @@ class Problem:
         return picks if all(option.is_now or option.node is None for option in chosen) else None
 
     @property
-    def bound(self) -> Decimal:
+    def bound(self) -> int:
         """What no choice gains more than, budgets or not."""
-        highest, levels = self.fixed.gain, dict[str, Decimal]()
+        highest, effects, levels = self.fixed.gain, [self.fixed], dict[str, int]()
         for slot in self.slots:
-            gains = [option.effect.gain for option in slot.options]
-            highest += max(gains if slot.is_function else [*gains, slot.idle.gain])
-        for effect in self.effects():
-            for name, level in effect.levels:
-                levels[name] = max(level, levels.get(name, ZERO))
+            possible = [option.effect for option in slot.options] + ([] if slot.is_function else [slot.idle])
+            highest += max(effect.gain for effect in possible)
+            effects += possible
+        for name, level in (one for effect in effects for one in effect.levels):
+            levels[name] = max(level, levels.get(name, 0))
         return sum(levels.values(), highest)
 
     def needed(self, picks: Picks) -> set[int]:
@@ -173,15 +167,10 @@ class Problem:
         total, needed = self.fixed, self.needed(picks)
         for place, (slot, pick) in enumerate(zip(self.slots, picks, strict=True)):
             total = total.plus(slot.options[pick].effect if place in needed else slot.idle)
-        worst: dict[str, Decimal] = {}
+        worst: dict[str, int] = {}
         for name, level in total.levels:
             worst[name] = min(level, worst.get(name, level))
         return Effect(sum(worst.values(), total.gain), total.loads, (), total.cost)
-
-    def effects(self) -> list[Effect]:
-        """Return all effects there are, chosen or not."""
-        idle = (slot.idle for slot in self.slots if not slot.is_function)
-        return [self.fixed, *idle, *(option.effect for slot in self.slots for option in slot.options)]
 
     def fits(self, effect: Effect) -> bool:
         """Tell whether no budget is exceeded."""
@@ -219,7 +208,7 @@ def encode(
     """
     check_names(state.network, criterion)
     with localcontext(EXACTLY):
-        return _whole(_Encoder(state, criterion, functions, forced).problem())
+        return _Encoder(state, criterion, functions, forced).problem()
 
 
 def check_names(network: Network, criterion: Criterion) -> None:
@@ -235,7 +224,7 @@ def check_names(network: Network, criterion: Criterion) -> None:
 
 
 class _Encoder:
-    """Encodes one problem, in decimal numbers; for the arguments see `encode`."""
+    """Encodes one problem; for the arguments see `encode`."""
 
     def __init__(
         self, state: State, criterion: Criterion, functions: Iterable[Node] | None, forced: Node | None
@@ -249,42 +238,59 @@ class _Encoder:
         self._designs = {node: self._ranked(node) for node in functions}
         stuck = [node for node, designs in self._designs.items() if not designs]
         self._kept = [design for node in stuck for design in node.parts if self._is_selected(design)]
-        self._nothing = Effect(ZERO, (ZERO,) * len(criterion.budgets))
+        self._parts = list(
+            dict.fromkeys(part for node in self._designs for design in node.parts for part in design.parts)
+        )
+        self._obsolete = [] if self._afresh else [one for one in state.obsolete.nodes() if one.kind == "component"]
+        self._nothing = Effect(0, (0,) * len(criterion.budgets))
         self._estimated: dict[Node, Effect] = {}
+        self._costs: dict[Node, int] = {}
         self._estimate()
 
     def problem(self) -> Problem:
-        parts = dict.fromkeys(part for node in self._designs for design in node.parts for part in design.parts)
-        components = [self._component(node) for node in sorted(parts, key=lambda node: node.index)]
+        components = [self._component(node) for node in sorted(self._parts, key=lambda node: node.index)]
         functions = {node: designs for node, designs in self._designs.items() if designs}
         places = {one.node: place for place, one in enumerate(components, len(functions)) if not one.is_silent}
-        concerned = [*parts, *(part for node in parts for part in node.parts), *self._kept]
+        concerned = [*self._parts, *(one for node in self._parts for one in node.parts), *self._kept]
         concerned += [design for designs in self._designs.values() for design in designs]
+        stopping = sum(self._cost_to_switch(node) for node in self._obsolete)
         return Problem(
-            slots=(*(self._function(node, designs, places) for node, designs in functions.items()), *components),
-            fixed=self._fixed(),
-            budgets=tuple(self._criterion.budgets),
-            limits=tuple(map(_decimal, self._criterion.budgets.values())),
-            is_by_priority=not self._criterion.budgets and not any(node in self._estimated for node in concerned),
-            goal=self._criterion.goal,
-            within=self._criterion.limits,
+            self._criterion,
+            (*(self._function(node, designs, places) for node, designs in functions.items()), *components),
+            self._effect(*self._kept).costing(stopping),
+            self._limits,
+            not self._criterion.budgets and not any(node in self._estimated for node in concerned),
+            self._unit,
+            self._load_units,
+            self._resolution,
         )
 
     def _estimate(self) -> None:
-        """Sum up what is estimated of each causer."""
-        weights = {name: _decimal(weight) for name, weight in self._criterion.weights.items() if weight}
-        budgets, network = self._criterion.budgets, self._state.network
-        for estimation in network.model.estimations:
-            name = estimation.attribute
-            if name not in weights and name not in budgets:
-                continue
-            value = _decimal(estimation.value)
-            if estimation.kind is EstimationKind.NEGATIVE:
-                value = -value
-            effect = Effect(weights.get(name, ZERO) * value, tuple(value if name == one else ZERO for one in budgets))
-            if estimation.kind is EstimationKind.ABSOLUTE and name in weights:
-                effect = effect._replace(gain=ZERO, levels=((name, effect.gain),))
-            causer = network.find(estimation.causer)
+        """Find the units in which all amounts are whole, and sum up what is estimated of each causer."""
+        criterion, network = self._criterion, self._state.network
+        weights = {name: _decimal(weight) for name, weight in criterion.weights.items() if weight}
+        limits = {name: _decimal(limit) for name, limit in criterion.budgets.items()}
+        estimations = [one for one in network.model.estimations if one.attribute in weights or one.attribute in limits]
+        values = [_decimal(one.value) * (-1 if one.kind is EstimationKind.NEGATIVE else 1) for one in estimations]
+        gains = [weights.get(one.attribute, 0) * value for one, value in zip(estimations, values, strict=True)]
+        switched = [] if self._afresh else [*self._parts, *self._obsolete]
+        costs = {node: _decimal(criterion.cost_of(node.name)) for node in switched}
+        amounts = [*gains, *costs.values()]
+        self._unit, is_exact = _unit(amounts)
+        self._resolution = 0.0 if is_exact else float(self._unit * len(amounts))
+        loads = {
+            name: [v for one, v in zip(estimations, values, strict=True) if one.attribute == name] for name in limits
+        }
+        self._load_units = tuple(_unit([limit, *loads[name]])[0] for name, limit in limits.items())
+        units = list(zip(limits, self._load_units, strict=True))
+        self._limits = tuple(_whole(limits[name], unit, ROUND_FLOOR) for name, unit in units)
+        self._costs = {node: _whole(cost, self._unit) for node, cost in costs.items()}
+        for one, value, amount in zip(estimations, values, gains, strict=True):
+            gain = _whole(amount, self._unit)
+            load = tuple(_whole(value, unit, ROUND_CEILING) if one.attribute == name else 0 for name, unit in units)
+            is_level = one.kind is EstimationKind.ABSOLUTE and one.attribute in weights
+            effect = Effect(0, load, ((one.attribute, gain),)) if is_level else Effect(gain, load)
+            causer = network.find(one.causer)
             self._estimated[causer] = self._effect(causer).plus(effect)
 
     def _effect(self, *nodes: Node) -> Effect:
@@ -301,13 +307,10 @@ class _Encoder:
     def _is_selected(self, node: Node) -> bool:
         return not self._afresh and self._state.selected[node.index]
 
-    def _cost(self, component: Node) -> Decimal:
-        return ZERO if self._afresh else _decimal(self._criterion.cost_of(component.name))
-
-    def _cost_to_switch(self, component: Node) -> Decimal:
+    def _cost_to_switch(self, component: Node) -> int:
         """Return what it costs to activate or deactivate a component; a plain one is only booked."""
         assert isinstance(component.element, Component)
-        return ZERO if component.element.kind is ComponentKind.PLAIN else self._cost(component)
+        return 0 if component.element.kind is ComponentKind.PLAIN else self._costs.get(component, 0)
 
     def _function(self, node: Node, designs: Iterable[Node], places: Mapping[Node, int]) -> Slot:
         options = []
@@ -317,7 +320,7 @@ class _Encoder:
         return Slot(node, _undominated(options), self._nothing)
 
     def _component(self, node: Node) -> Slot:
-        cost, to_switch, nodes = self._cost(node), self._cost_to_switch(node), self._ranked(node)
+        cost, to_switch, nodes = self._costs.get(node, 0), self._cost_to_switch(node), self._ranked(node)
         active = not self._afresh and self._state.active[node.index]
         asserted = not self._afresh and self._state.asserted_required[node.index]
         selected = [one for one in node.parts if self._is_selected(one)]
@@ -325,15 +328,15 @@ class _Encoder:
         stays = active and not given_up  # even if nothing needs it: a plan stops what it replaces, and what is obsolete
         running = self._effect(node) if active else self._effect(node).costing(to_switch)
         options = [
-            Option(one, running.plus(self._effect(one).costing(ZERO if one in selected else cost)), one in selected)
+            Option(one, running.plus(self._effect(one).costing(0 if one in selected else cost)), one in selected)
             for one in nodes
         ]
-        idle, idle_node = self._nothing.costing(to_switch if active else ZERO), None
+        idle, idle_node = self._nothing.costing(to_switch if active else 0), None
         if stays:
             idle = self._effect(node, *selected)
         elif asserted and nodes:
             idle_node = next((one for one in nodes if cost and one in selected), nodes[0])
-            idle = idle.costing(ZERO if idle_node in selected else cost)
+            idle = idle.costing(0 if idle_node in selected else cost)
         is_kept = any(node in design.parts for design in self._kept)
         return Slot(
             node,
@@ -342,12 +345,6 @@ class _Encoder:
             idle_node,
             is_kept or self._forced in nodes or (stays and asserted),
         )
-
-    def _fixed(self) -> Effect:
-        """Return what stays selected without a choice, at the cost of stopping what is obsolete."""
-        obsolete = [] if self._afresh else self._state.obsolete.nodes()
-        costs = (self._cost_to_switch(node) for node in obsolete if node.kind == "component")
-        return self._effect(*self._kept).costing(sum(costs, ZERO))
 
 
 def _undominated(options: Sequence[Option]) -> tuple[Option, ...]:
@@ -380,42 +377,9 @@ def _decimal(number: float) -> Decimal:
     return Decimal(repr(float(number)))
 
 
-def _whole(problem: Problem) -> Problem:
-    """Return the same in whole numbers; loads are rounded up, so that rounding exceeds no budget."""
-    effects = problem.effects()
-    unit, is_exact = _unit(amount for e in effects for amount in (e.gain, e.cost, *(level for _, level in e.levels)))
-    units = [
-        _unit([limit, *(effect.loads[place] for effect in effects)])[0] for place, limit in enumerate(problem.limits)
-    ]
-
-    def rounded(effect: Effect) -> Effect:
-        return Effect(
-            _rounded(effect.gain, unit),
-            tuple(_rounded(load, one, ROUND_CEILING) for load, one in zip(effect.loads, units, strict=True)),
-            tuple((name, _rounded(level, unit)) for name, level in effect.levels),
-            _rounded(effect.cost, unit),
-        )
-
-    return replace(
-        problem,
-        slots=tuple(
-            slot._replace(
-                options=tuple(option._replace(effect=rounded(option.effect)) for option in slot.options),
-                idle=rounded(slot.idle),
-            )
-            for slot in problem.slots
-        ),
-        fixed=rounded(problem.fixed),
-        limits=tuple(_rounded(limit, one, ROUND_FLOOR) for limit, one in zip(problem.limits, units, strict=True)),
-        unit=unit,
-        load_units=tuple(units),
-        resolution=0.0 if is_exact else float(unit * len(effects)),
-    )
-
-
 def _unit(amounts: Iterable[Decimal]) -> tuple[Decimal, bool]:
     """Return what 1 stands for when amounts are written as whole numbers, and whether they are exact so."""
-    decimals, total = 0, ZERO
+    decimals, total = 0, Decimal()
     for amount in amounts:
         if amount:
             decimals = max(decimals, -int(amount.normalize().as_tuple().exponent))
@@ -424,5 +388,5 @@ def _unit(amounts: Iterable[Decimal]) -> tuple[Decimal, bool]:
     return Decimal(1).scaleb(-min(decimals, most)), decimals <= most
 
 
-def _rounded(amount: Decimal, unit: Decimal, rounding: str = ROUND_HALF_EVEN) -> Decimal:
-    return (amount / unit).to_integral_value(rounding)
+def _whole(amount: Decimal | int, unit: Decimal, rounding: str = ROUND_HALF_EVEN) -> int:
+    return int((amount / unit).to_integral_value(rounding))

@@ -6,7 +6,6 @@ is counted in work done instead of seconds make the answer the same on every mac
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from decimal import Decimal
 from typing import Any, Final
 
 from ortools.sat.python import cp_model
@@ -113,7 +112,7 @@ class _Program:
     def limit(self) -> None:
         """Keep within the budgets."""
         for place, limit in enumerate(self._problem.limits):
-            self.model.add(self.load(place) <= int(limit))
+            self.model.add(self.load(place) <= limit)
 
     def hint(self, picks: Picks) -> None:
         """Say where a good choice may be found."""
@@ -160,8 +159,8 @@ class _Program:
         self._effects += [(literal, one.effect) for literal, one in zip(literals, slot.options, strict=True)]
         return literals
 
-    def _sum(self, amount: Callable[[Effect], Decimal]) -> list[Any]:
-        amounts = ((literal, int(amount(effect))) for literal, effect in self._effects)
+    def _sum(self, amount: Callable[[Effect], int]) -> list[Any]:
+        amounts = ((literal, amount(effect)) for literal, effect in self._effects)
         return [literal * number for literal, number in amounts if number]
 
     def _levels(self) -> list[Any]:
@@ -169,7 +168,7 @@ class _Program:
         levels: dict[str, list[tuple[Any, int]]] = {}
         for literal, effect in self._effects:
             for name, level in effect.levels:
-                levels.setdefault(name, []).append((literal, int(level)))
+                levels.setdefault(name, []).append((literal, level))
         return [self._worst(chosen) for chosen in levels.values()]
 
     def _worst(self, levels: Sequence[tuple[Any, int]]) -> Any:  # noqa: ANN401  # a variable of an untyped library
@@ -207,9 +206,11 @@ class _Search:
             found = program.read(self._solver)
             if known is None or is_best or problem.effect(found).gain > problem.effect(known).gain:
                 known = found
-            bound = min(bound, Decimal(round(self._solver.best_objective_bound)))
+            bound = min(bound, round(self._solver.best_objective_bound))
         if known is None:
-            reason = f"no choice that keeps within {problem.within} was found with an effort of {self._effort:g}"
+            reason = (
+                f"no choice that keeps within {problem.criterion.limits} was found with an effort of {self._effort:g}"
+            )
             return Optimum(None, None, None, None, problem.resolution, False, reason)
         value = problem.effect(known).gain
         is_first = False
@@ -218,20 +219,20 @@ class _Search:
             known, is_first = self._first_of_the_best(program, known, value)
         return self._found(known, value, bound, is_first)
 
-    def _found(self, picks: Picks, value: Decimal, bound: Decimal, is_proven: bool) -> Optimum:
+    def _found(self, picks: Picks, value: int, bound: int, is_proven: bool) -> Optimum:
         problem, cost = self._problem, self._problem.effect(picks).cost
         worth, switching, most = (float(amount * problem.unit) for amount in (value, cost, bound))
         found = Optimum(problem.choice(picks), worth, switching, most, problem.resolution, is_proven, "")
         return replace(found, reason=self._reason(found, value))
 
-    def _reason(self, found: Optimum, value: Decimal) -> str:
+    def _reason(self, found: Optimum, value: int) -> str:
         """Say what makes it the best, what it is worth, and how sure that is."""
         problem, effort = self._problem, f"an effort of {self._effort:g}"
-        within = f" within {problem.within}" if problem.within else ""
-        best = f"the best for {problem.goal}" if problem.goal else "the first by priority"
-        if found.switching and not problem.goal:
+        within = f" within {problem.criterion.limits}" if problem.criterion.limits else ""
+        best = f"the best for {problem.criterion.goal}" if problem.criterion.goal else "the first by priority"
+        if found.switching and not problem.criterion.goal:
             best = f"the one that is cheapest to switch to ({number(found.switching)}), and then the first by priority"
-        worth = f", worth {found.worth}{self._otherwise(value)}" if problem.goal else ""
+        worth = f", worth {found.worth}{self._otherwise(value)}" if problem.criterion.goal else ""
         if found.is_proven:
             return f"of all choices{within} this is {best}{worth}"
         if not found.gap:
@@ -240,7 +241,7 @@ class _Search:
         left = f"none is worth more than {number(found.bound)} (a gap of {number(found.gap)})"
         return f"this is {best}{within} that {effort} found{worth}; {left}"
 
-    def _otherwise(self, value: Decimal) -> str:
+    def _otherwise(self, value: int) -> str:
         """Say what is gained over what is selected now, or else over the first by priority."""
         problem = self._problem
         kept = problem.kept
@@ -265,9 +266,9 @@ class _Search:
         self._left -= self._solver.response_proto.deterministic_time
         return status
 
-    def _first_of_the_best(self, program: _Program, picks: Picks, value: Decimal) -> tuple[Picks, bool]:
+    def _first_of_the_best(self, program: _Program, picks: Picks, value: int) -> tuple[Picks, bool]:
         """Return the first choice of this value, and whether it is proven to be the first."""
-        program.model.add(program.gain >= int(value))
+        program.model.add(program.gain >= value)
         kept = done = 0
         while (later := next((place for place in range(done, len(picks)) if picks[place]), None)) is not None:
             for place in range(kept, later):
@@ -285,14 +286,13 @@ class _Search:
     def _why_nothing_fits(self) -> str:
         """Say which budget is too small for any choice, as far as the effort that is left allows."""
         problem, program, reasons = self._problem, _Program(self._problem), []
-        for name, limit, unit, place in zip(
-            problem.budgets, problem.limits, problem.load_units, range(len(problem.limits)), strict=True
-        ):
+        for place, name in enumerate(problem.criterion.budgets):
+            limit, unit = problem.limits[place], problem.load_units[place]
             program.model.minimize(program.load(place))
             if self._run(program) == cp_model.OPTIMAL and (least := round(self._solver.objective_value)) > limit:
                 least_said, limit_said = number(float(least * unit)), number(float(limit * unit))
                 reasons.append(f"{name} would be {least_said} at least, more than {limit_said}")
-        return " and ".join(reasons) or f"no choice keeps within {problem.within}"
+        return " and ".join(reasons) or f"no choice keeps within {problem.criterion.limits}"
 
 
 def _chunk_end(picks: Sequence[Literals], start: int) -> int:

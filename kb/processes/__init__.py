@@ -1,9 +1,5 @@
-"""Components as processes of the operating system.
+"""Components as processes of the operating system; a guardian ends what is left over of them."""
 
-`components` manages them, each of which runs as a `process`; the `guardian` ends what is left over.
-"""
-
-from kb.processes.components import ProcessComponents
-from kb.processes.process import Program
+from kb.processes.components import ProcessComponents, Program
 
 __all__ = ["ProcessComponents", "Program"]

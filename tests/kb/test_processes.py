@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 from kb import ConfigurationManager, KnowledgeBase, Model, StagedExecutor, Status, UnknownName
 from kb.exceptions import InvalidValue, KnowledgeBaseError
 from kb.processes import ProcessComponents
+from kb.processes.components import PARAMETERS, Program
 from kb.processes.guardian import MARK, new_mark
-from kb.processes.process import PARAMETERS, Program
 
 ROOT = Path(__file__).parents[2]
 PATIENCE_S = 30.0
