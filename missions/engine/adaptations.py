@@ -110,6 +110,7 @@ class Adaptation:
         reason: why that called for a change.
         change: what was changed.
         reaction_s: from the news to the change being in force [s]; None if it never was.
+        before, action: of a task adaptation, the action that was given up or has ended, and the one in its place.
     """
 
     at_s: float
@@ -119,6 +120,8 @@ class Adaptation:
     change: str
     reaction_s: float | None = None
     news_s: float = field(default=0.0, repr=False)
+    before: str = field(default="", repr=False)
+    action: str = field(default="", repr=False)
 
     @property
     def why(self) -> str:
@@ -139,7 +142,7 @@ class TaskChange:
         self._change = f"{before} -> {action}"
         self._plans: list[tuple[str, ReconfigurationPlan]] = []
         reason = cause.reason or f"{action} is chosen, though {before} is still feasible"
-        self.adaptation = Adaptation(time, "task", cause.text, reason, self._change, None, cause.time)
+        self.adaptation = Adaptation(time, "task", cause.text, reason, self._change, None, cause.time, before, action)
 
     def add(self, words: str, plan: ReconfigurationPlan) -> None:
         """Take in a plan that belongs to it."""

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Final, Protocol, runtime_checkable
 from numpy.random import Generator
 from py_trees.behaviour import Behaviour
 
-from kb import DiagnosticProblem, KnowledgeBase, Model, UnknownName
+from kb import DiagnosticProblem, Event, KnowledgeBase, Model, UnknownName
 from kb.diagnostics import Measurement, read_diagnostics
 from missions.engine.components import VERBS
 from missions.engine.mission import Message, Mission, MissionError, Verdict, World, WorldKind
@@ -31,10 +31,8 @@ from missions.engine.registry import find_mission
 from missions.engine.runner import MissionRun
 from missions.engine.settings import RunSettings
 from missions.testing.clock import FakeClock
-from missions.testing.decisions import Decisions
+from missions.testing.decisions import Decisions, Moment, seconds, timeline
 from missions.testing.managed import ScriptedManaged
-from missions.testing.timeline import Moment, seconds, timeline
-from missions.testing.witness import Witness
 from rosa_bt import TraceVisitor
 
 if TYPE_CHECKING:
@@ -233,7 +231,8 @@ def _decide(mission: Mission, task: str, world: Recording, limits: RunSettings) 
     run = MissionRun(mission, task, world, limits)
     for component in world.managed.scripted:
         _ = run.kb.components[component]  # a script for nobody is a slip
-    witness = Witness(run.kb)
+    events: list[Event] = []
+    run.kb.subscribe(events.append)
     with TraceVisitor(run.kb) as visitor:
         run.tree.add_visitor(visitor)
         verdict = run.run()
@@ -244,8 +243,7 @@ def _decide(mission: Mission, task: str, world: Recording, limits: RunSettings) 
         adaptations=tuple(run.adaptations),
         task_plans=run.plans or tuple(plan for planner in world.planners for plan in planner.plans),
         problems=tuple(run.problems),
-        changes=tuple(witness.changes),
-        timeline=(*timeline(witness.events, witness.changes), *_early_end(world, limits, verdict)),
+        timeline=(*timeline(events, run.adaptations), *_early_end(world, limits, verdict)),
         trace=trace,
         kb=run.kb,
     )

@@ -1,26 +1,73 @@
 """What was decided in a replay, and what a test says of it: assertions that show the timeline when they fail."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from difflib import ndiff
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
-from kb import DiagnosticProblem, KnowledgeBase, ReconfigurationPlan
+from kb import DiagnosticProblem, Event, EventKind, KnowledgeBase, ReconfigurationPlan
 from missions.engine.adaptations import Adaptation
-from missions.testing.timeline import Moment, around, seconds
-from missions.testing.witness import TaskChange
 
 if TYPE_CHECKING:
     from rosa_bt import Trace
     from rosa_pddl import PlanRecord
 
-__all__ = ["Decisions"]
+__all__ = ["Decisions", "Moment", "TaskChange", "seconds", "timeline"]
 
 SLACK_S: Final = 1e-6
 """Sums of ticks miss a time by rounding [s]."""
 MOST_PROBLEMS: Final = 8
 """How many different problems a failure shows at most."""
+AROUND: Final = 3
+"""How many moments before and after the expected time a failure shows."""
+MOST: Final = 18
+"""How many moments within the expected time a failure shows at most."""
+
+Names = str | Iterable[str]
+Steps = list[tuple[str, tuple[str, ...]]]
+"""What plans do: names of components or configurations by verb."""
+
+
+class Moment(NamedTuple):
+    """One line of a timeline.
+
+    Attributes:
+        time: when [s].
+        what: "heard", "action" or "plan"; "end", of a mission that ended before its recording.
+        text: what happened, in words.
+        reason: why; empty where nobody asked.
+    """
+
+    time: float
+    what: str
+    text: str
+    reason: str = ""
+
+    def __str__(self) -> str:
+        line = f"{seconds(self.time):>11}  {self.what:<8}  {self.text}"
+        return f"{line}\n{'':23}because {self.reason}" if self.reason else line
+
+
+class TaskChange(NamedTuple):
+    """One action took the place of another, because that had become unfeasible, or because it is feasible again.
+
+    Attributes:
+        at: when the new action was begun [s].
+        from_: the action that was given up, or has ended.
+        to: the new action.
+        in_force: when the robot was configured for it [s]; infinity for never.
+        reason: why.
+    """
+
+    at: float
+    from_: str
+    to: str
+    in_force: float
+    reason: str
+
+    def __str__(self) -> str:
+        return f"{self.from_} -> {self.to}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +82,6 @@ class Decisions:
         plans: every reconfiguration plan.
         adaptations: every adaptation with its reason.
         task_plans: every task plan; none for a tree.
-        changes: every change of the task: one action for another, with its reason.
         problems: (time, what) of every part of a message that could not be used; failures show them.
         timeline: what was heard and decided, for people.
         trace: every tick of the task layer, as data.
@@ -47,7 +93,6 @@ class Decisions:
     adaptations: tuple[Adaptation, ...]
     task_plans: tuple["PlanRecord", ...]
     problems: tuple[tuple[float, DiagnosticProblem], ...]
-    changes: tuple[TaskChange, ...]
     timeline: tuple[Moment, ...] = field(repr=False)
     trace: "Trace" = field(repr=False)
     kb: KnowledgeBase = field(repr=False)
@@ -59,6 +104,21 @@ class Decisions:
     def requested(self) -> tuple[tuple[float, str], ...]:
         """(time, name) of every action that was begun."""
         return tuple((start, name) for name, start, _, _ in self.actions)
+
+    @property
+    def changes(self) -> tuple[TaskChange, ...]:
+        """Every change of the task: one action for another, with its reason."""
+        return tuple(
+            TaskChange(
+                one.at_s,
+                one.before,
+                one.action,
+                math.inf if one.reaction_s is None else one.news_s + one.reaction_s,
+                one.why,
+            )
+            for one in self.adaptations
+            if one.action in self.kb.actions
+        )
 
     def assert_actions(self, *names: str) -> None:
         """Assert that exactly these actions were begun, in this order."""
@@ -119,9 +179,9 @@ class Decisions:
         self,
         *,
         at: float,
-        activate: str | Iterable[str] = (),
-        deactivate: str | Iterable[str] = (),
-        configure: str | Iterable[str] = (),
+        activate: Names = (),
+        deactivate: Names = (),
+        configure: Names = (),
         within: float = 1.0,
     ) -> ReconfigurationPlan:
         """Assert that a plan does at least this, and has been carried out in time.
@@ -148,10 +208,10 @@ class Decisions:
     def assert_never(
         self,
         *,
-        action: str | Iterable[str] = (),
-        activate: str | Iterable[str] = (),
-        deactivate: str | Iterable[str] = (),
-        configure: str | Iterable[str] = (),
+        action: Names = (),
+        activate: Names = (),
+        deactivate: Names = (),
+        configure: Names = (),
         since: float = 0.0,
         until: float = math.inf,
     ) -> None:
@@ -177,14 +237,14 @@ class Decisions:
             time = found[0][0]
             told = [f"{text} at {seconds(time)}" for time, text in found]
             raise self._shown(
-                f"expected: {never}", f"{_list(told)}\n\nwhat happened:\n{around(self.timeline, time, time, never)}"
+                f"expected: {never}", f"{_list(told)}\n\nwhat happened:\n{_around(self.timeline, time, time, never)}"
             )
 
     def _steps(
         self,
-        activate: str | Iterable[str],
-        deactivate: str | Iterable[str],
-        configure: str | Iterable[str],
+        activate: Names,
+        deactivate: Names,
+        configure: Names,
         least: int = 1,
     ) -> list[tuple[str, tuple[str, ...]]]:
         """Return what is asked for by verb, with names that the model has."""
@@ -204,7 +264,7 @@ class Decisions:
     def _failure(self, expected: str, at: float, within: float, instead: list[str]) -> AssertionError:
         headline = f"expected between {seconds(at)} and {seconds(at + within)}: {expected}"
         instead = instead or ["it never does"]
-        shown = around(self.timeline, at, at + within, expected)
+        shown = _around(self.timeline, at, at + within, expected)
         return self._shown(headline, f"{_list(instead)}\n\nwhat happened around {seconds(at)}:\n{shown}")
 
     def _shown(self, headline: str, rest: str) -> AssertionError:
@@ -217,11 +277,70 @@ class Decisions:
         return AssertionError("\n".join([headline, rest, *unused]))
 
 
+def seconds(time: float) -> str:
+    """Return a time as text, to the hundredth of a second."""
+    return f"{time:.2f} s"
+
+
+def timeline(events: Iterable[Event], adaptations: Iterable[Adaptation]) -> tuple[Moment, ...]:
+    """Return what happened as moments, in order.
+
+    Args:
+        events: all, in order.
+        adaptations: made in answer to them.
+    """
+    reasons = {(one.at_s, one.action): one.why for one in adaptations}
+    moments = []
+    for event in events:
+        if event.plan is not None:
+            moments.append(
+                Moment(event.time, "plan", f"{_commanded(event.plan)}: {_ending(event.plan)}", event.plan.reason)
+            )
+        elif event.kind is EventKind.ACTION_UPDATE:
+            is_begun = event.verb == "request_action"
+            reason = reasons.get((event.time, event.subject), "") if is_begun else ""
+            moments.append(Moment(event.time, "action", event.text, reason))
+        elif not _is_our_own(event):
+            moments.append(Moment(event.time, "heard", event.text))
+    return tuple(moments)
+
+
+def _around(moments: Sequence[Moment], begin: float, end: float, expected: str) -> str:
+    """Return the moments in an interval [s], and a few before and after, with the expectation at its place."""
+    before = [one for one in moments if one.time < begin]
+    within = [one for one in moments if begin <= one.time <= end]
+    after = [one for one in moments if one.time > end]
+    shown = [*map(str, before[-AROUND:]), f"{seconds(begin):>11}  EXPECTED  {expected}"]
+    shown += map(str, within[:MOST])
+    if len(within) > MOST:
+        shown.append(f"{'':13}... and {len(within) - MOST} more until {seconds(end)}")
+    return "\n".join([*shown, *map(str, after[:AROUND])])
+
+
+def _commanded(plan: ReconfigurationPlan) -> str:
+    """Return what a plan commands; what it only notes is left out, unless there is nothing else."""
+    return str(plan).partition("; note as ")[0]
+
+
+def _ending(plan: ReconfigurationPlan) -> str:
+    return f"{plan.result} at {seconds(plan.end)}" if plan.end is not None else "still open"
+
+
+def _is_our_own(event: Event) -> bool:
+    """Tell whether an event only notes what a plan has switched; the plan's own line says it."""
+    if event.kind is EventKind.RECORD:
+        return True
+    if event.verb != "component_active":
+        return False
+    _, is_active, reason = event.arguments
+    return is_active or not reason
+
+
 def _list(items: Iterable[str]) -> str:
     return "\n".join(f"  but {item}" for item in items)
 
 
-def _names(names: str | Iterable[str]) -> tuple[str, ...]:
+def _names(names: Names) -> tuple[str, ...]:
     return (names,) if isinstance(names, str) else tuple(names)
 
 
