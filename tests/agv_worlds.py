@@ -7,9 +7,10 @@ from typing import Final
 from numpy.random import Generator
 
 from missions.agv.building import Building, BuildingError, Corridor
-from missions.agv.declared import (
+from missions.agv.joint import Place, Task
+from missions.agv.pddl import (
     SWITCH,
-    Words,
+    PddlNames,
     cross_schema,
     facts_of,
     numbers_of,
@@ -17,7 +18,6 @@ from missions.agv.declared import (
     switch_schema,
     switching_of,
 )
-from missions.agv.joint import Place, Task
 from rosa_pddl.domain import FEASIBLE
 from rosa_pddl.generation import Declarations
 from rosa_pddl.planning import Planner, PlanningResult
@@ -79,15 +79,15 @@ def _chosen(pairs: list[tuple[int, int]], places: int, corridors: int) -> list[t
 def declarations_of_task(task: Task) -> Declarations:
     """Return a question as PDDL by itself, with its limits."""
     modes = {mode.name: mode for place in _places(task) for _, mode, *_ in task.crossings(place)}
-    words = Words(task.building, modes.values(), has_inside=bool(task.start[0].corridor))
-    facts = [fact for fact, is_so in facts_of(words, task).items() if is_so]
-    facts += [f"({FEASIBLE} {action})" for action in (SWITCH, *words.actions.values())]
-    switching = switching_of(words, task, words.by_mode, task.limited)
+    pddl = PddlNames(task.building, modes.values(), has_inside=bool(task.start[0].corridor))
+    facts = [fact for fact, is_so in facts_of(pddl, task).items() if is_so]
+    facts += [f"({FEASIBLE} {action})" for action in (SWITCH, *pddl.actions.values())]
+    switching = switching_of(pddl, task, pddl.by_mode, task.limited)
     problem = replace(
-        problem_of(words, task.limited),
-        goal=(f"(at {words.places[task.goal]})",),
-        facts=(*words.fixed, *facts),
-        numbers=switching | numbers_of(words, task, task.limited),
+        problem_of(pddl, task.limited),
+        goal=(f"(at {pddl.places[task.goal]})",),
+        facts=(*pddl.fixed, *facts),
+        numbers=switching | numbers_of(pddl, task, task.limited),
     )
     return Declarations("joint", [switch_schema(task.limited), cross_schema(task.limited)], problem)
 

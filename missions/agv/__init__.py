@@ -7,11 +7,11 @@ from types import MappingProxyType
 from typing import Final
 
 from kb import KnowledgeBase
-from missions.agv.actions import LIMITED, Outlook, Planned, cross, switch
+from missions.agv.actions import LIMITED, Planned, PlanningState, cross, switch
 from missions.agv.building import Building, load_building
-from missions.agv.declared import Words, cross_schema, problem_of, switch_schema
 from missions.agv.model import NAVIGATE, building_model
 from missions.agv.modes import Modes
+from missions.agv.pddl import PddlNames, cross_schema, problem_of, switch_schema
 from missions.agv.route import Route
 from missions.agv.tree import agv_tree
 from missions.agv.world import AgvKind
@@ -38,14 +38,14 @@ def agv_mission(name: str, summary: str, building: Building, weights: Mapping[st
         weights: what is minimised, see `missions.agv.joint.Question`.
     """
     known = KnowledgeBase(building_model(building), clock=lambda: 0.0)
-    words = Words(building, Modes(known, NAVIGATE).under({}))
+    pddl = PddlNames(building, Modes(known, NAVIGATE).under({}))
 
     @lru_cache(maxsize=8)  # what a run is told takes time to find out, so its behaviours share it
-    def outlook(kb: KnowledgeBase, percepts: Percepts) -> Outlook:
-        return Outlook(Route(building, kb, percepts, weights), words)
+    def planning_state(kb: KnowledgeBase, percepts: Percepts) -> PlanningState:
+        return PlanningState(Route(building, kb, percepts, weights), pddl)
 
     def why_not(kb: KnowledgeBase, percepts: Percepts) -> str:
-        answer = outlook(kb, percepts).route.answer
+        answer = planning_state(kb, percepts).route.answer
         return "" if answer.is_solved else answer.reason
 
     return Mission(
@@ -53,11 +53,12 @@ def agv_mission(name: str, summary: str, building: Building, weights: Mapping[st
         summary=summary,
         model=partial(building_model, building),
         tree=partial(agv_tree, building, weights),
-        problem=problem_of(words, LIMITED),
+        problem=problem_of(pddl, LIMITED),
         actions=by_schema(
-            Planned(switch_schema(LIMITED), outlook, switch), Planned(cross_schema(LIMITED), outlook, cross)
+            Planned(switch_schema(LIMITED), planning_state, switch),
+            Planned(cross_schema(LIMITED), planning_state, cross),
         ),
-        facts=lambda kb, percepts: outlook(kb, percepts).told,
+        facts=lambda kb, percepts: planning_state(kb, percepts).facts,
         engines=("label-setting",),
         world=AgvKind(building, weights),
         why_not=why_not,

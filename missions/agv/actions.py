@@ -8,17 +8,17 @@ from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 
 from kb import KnowledgeBase, ReconfigurationPlan
-from missions.agv.declared import SWITCH, Words, facts_of, numbers_of, switching_of
 from missions.agv.joint import Leg
 from missions.agv.model import FOLLOW, NAVIGATE, NAVIGATOR, heading, headings
 from missions.agv.modes import Mode, running_mode
+from missions.agv.pddl import SWITCH, PddlNames, facts_of, numbers_of, switching_of
 from missions.agv.route import Route
 from missions.engine.percepts import Percepts
 from rosa_bt import RosaAction
 from rosa_pddl import Step
 from rosa_pddl.generation import ActionSchema
 
-__all__ = ["Cross", "LIMITED", "Outlook", "Planned", "Switch", "cross", "switch"]
+__all__ = ["Cross", "LIMITED", "PlanningState", "Planned", "Switch", "cross", "switch"]
 
 LIMITED: Final = ("energy",)
 """What a plan may use up no more of than there is."""
@@ -117,35 +117,35 @@ class Switch(RosaAction):
         return Status.RUNNING
 
 
-class Outlook:
-    """What the plan executor is told: the words of the PDDL problem, and what holds in them.
+class PlanningState:
+    """What the plan executor is told: the names of the PDDL problem, and what holds in it.
 
     Args:
         route: what is believed.
-        words: of the problem.
+        pddl: the names of the problem.
     """
 
-    def __init__(self, route: Route, words: Words) -> None:
-        self.route, self.words = route, words
+    def __init__(self, route: Route, pddl: PddlNames) -> None:
+        self.route, self.pddl = route, pddl
         self._revision: tuple[object, ...] = ()
-        self._told: Mapping[str, bool | float] = {}
+        self._facts: Mapping[str, bool | float] = {}
         self._switching: Mapping[str, float] = {}
 
     @property
-    def told(self) -> Mapping[str, bool | float]:
+    def facts(self) -> Mapping[str, bool | float]:
         """What holds and costs now; worked out when something has happened, not with every metre and joule."""
         if self._revision != self.route.revision:
             self._revision, task = self.route.revision, self.route.task
-            self._switching = self._switching or switching_of(self.words, task, self.words.by_mode, LIMITED)
-            numbers = numbers_of(self.words, task, LIMITED)
-            self._told = {**facts_of(self.words, task), **self._switching, **numbers}
-        return self._told
+            self._switching = self._switching or switching_of(self.pddl, task, self.pddl.by_mode, LIMITED)
+            numbers = numbers_of(self.pddl, task, LIMITED)
+            self._facts = {**facts_of(self.pddl, task), **self._switching, **numbers}
+        return self._facts
 
     def leg(self, way: str, mode: str) -> Leg | None:
         """Return a way in a mode as what to do now; None if it cannot be done from here."""
-        via, task = self.words.by_way[way], self.route.task
+        via, task = self.pddl.by_way[way], self.route.task
         for one, possible, takes, _ in task.crossings(task.start[0]):
-            if (one.corridor.name, one.to, self.words.modes[possible.name]) == (via.corridor, via.to, mode):
+            if (one.corridor.name, one.to, self.pddl.modes[possible.name]) == (via.corridor, via.to, mode):
                 why = "planned together with all that comes after it"
                 return Leg(one.corridor.name, one.origin, one.to, possible, one.conditions, takes, why)
         return None
@@ -157,29 +157,29 @@ class Planned:
 
     Attributes:
         schema: what it is in PDDL.
-        outlook: returns what a run is told.
+        planning_state: returns what a run is told.
         make: makes it.
     """
 
     schema: ActionSchema
-    outlook: Callable[[KnowledgeBase, Percepts], Outlook]
-    make: Callable[[Outlook, Step], Behaviour]
+    planning_state: Callable[[KnowledgeBase, Percepts], PlanningState]
+    make: Callable[[PlanningState, Step], Behaviour]
 
     def __call__(self, kb: KnowledgeBase, percepts: Percepts, step: Step) -> Behaviour:
         """Make it."""
-        return self.make(self.outlook(kb, percepts), step)
+        return self.make(self.planning_state(kb, percepts), step)
 
 
-def cross(outlook: Outlook, step: Step) -> Cross:
+def cross(planning_state: PlanningState, step: Step) -> Cross:
     """Make the behaviour that crosses a corridor as it was planned."""
     _, way, _, _, mode = step.arguments
-    leg = outlook.leg(way, mode)
-    return Cross(outlook.route, outlook.words.by_way[way].corridor, lambda: leg)
+    leg = planning_state.leg(way, mode)
+    return Cross(planning_state.route, planning_state.pddl.by_way[way].corridor, lambda: leg)
 
 
-def switch(outlook: Outlook, step: Step) -> Switch:
+def switch(planning_state: PlanningState, step: Step) -> Switch:
     """Make the behaviour that changes to the mode that was planned."""
-    return Switch(outlook.route, outlook.words.by_mode[step.arguments[-1]])
+    return Switch(planning_state.route, planning_state.pddl.by_mode[step.arguments[-1]])
 
 
 def _demand(route: Route) -> None:

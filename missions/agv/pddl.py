@@ -18,7 +18,7 @@ __all__ = [
     "CROSS",
     "SWITCH",
     "Via",
-    "Words",
+    "PddlNames",
     "cross_schema",
     "facts_of",
     "left_of",
@@ -85,7 +85,7 @@ class Via(NamedTuple):
     is_whole: bool
 
 
-class Words:
+class PddlNames:
     """What is called what in PDDL, where no two things of any kind have the same name.
 
     Args:
@@ -169,43 +169,45 @@ class Words:
         return wanted
 
 
-def facts_of(words: Words, task: Task) -> dict[str, bool]:
+def facts_of(pddl: PddlNames, task: Task) -> dict[str, bool]:
     """Return everything that may change, and whether it is so: where the robot is, how configured, what is possible."""
-    possible = {(way, mode) for way, mode, *_ in _crossings(words, task)}
-    at, configured = words.place(task.start[0]), words.mode(task.start[1])
+    possible = {(way, mode) for way, mode, *_ in _crossings(pddl, task)}
+    at, configured = pddl.place(task.start[0]), pddl.mode(task.start[1])
     return {
-        **{f"(at {place})": place == at for place in words.places.values()},
-        **{f"(configured {mode})": mode == configured for mode in (*words.by_mode, words.now)},
-        **{f"(possible {way} {mode})": (way, mode) in possible for way in words.ways for mode in words.modes.values()},
+        **{f"(at {place})": place == at for place in pddl.places.values()},
+        **{f"(configured {mode})": mode == configured for mode in (*pddl.by_mode, pddl.now)},
+        **{f"(possible {way} {mode})": (way, mode) in possible for way in pddl.ways for mode in pddl.modes.values()},
     }
 
 
-def numbers_of(words: Words, task: Task, limited: Iterable[str] = ()) -> dict[str, float]:
+def numbers_of(pddl: PddlNames, task: Task, limited: Iterable[str] = ()) -> dict[str, float]:
     """Return what it costs and uses up to drive where it is possible now and to switch, and what may be used up."""
     numbers: dict[str, float] = {}
-    for way, mode, takes, cost in _crossings(words, task):
+    for way, mode, takes, cost in _crossings(pddl, task):
         numbers |= _told("crossing", f"{way} {mode}", takes, cost, limited)
-    numbers |= switching_of(words, task, {words.now: task.start[1]}, limited)
+    numbers |= switching_of(pddl, task, {pddl.now: task.start[1]}, limited)
     left = dict(zip(task.limited, task.limits, strict=True))
     for name in limited:  # what was used up is left no more
         numbers |= {f"({used(name)})": 0.0, f"({left_of(name)})": left.get(name, _PLENTY)}
     return numbers
 
 
-def switching_of(words: Words, task: Task, setups: Mapping[str, Mode], limited: Iterable[str] = ()) -> dict[str, float]:
+def switching_of(
+    pddl: PddlNames, task: Task, setups: Mapping[str, Mode], limited: Iterable[str] = ()
+) -> dict[str, float]:
     """Return what it costs and uses up, in whole thousandths, to switch from setups to each mode; that stays so."""
     numbers: dict[str, float] = {}
     for now, one in setups.items():
-        for mode, other in words.by_mode.items():
+        for mode, other in pddl.by_mode.items():
             numbers |= _told("switching", f"{now} {mode}", *task.switching(one, other), limited)
     return numbers
 
 
-def problem_of(words: Words, limited: Iterable[str] = ()) -> DeclaredProblem:
+def problem_of(pddl: PddlNames, limited: Iterable[str] = ()) -> DeclaredProblem:
     """Return the problem of a building, without what may change."""
-    goal = (f"(at {words.places[words.building.goal]})",)
+    goal = (f"(at {pddl.places[pddl.building.goal]})",)
     limits = {used(name): f"({left_of(name)})" for name in limited}
-    return DeclaredProblem(goal, words.objects, tuple(words.fixed), types={"mode": "setup"}, limits=limits)
+    return DeclaredProblem(goal, pddl.objects, tuple(pddl.fixed), types={"mode": "setup"}, limits=limits)
 
 
 def _told(kind: str, things: str, takes: Amounts, cost: int, limited: Iterable[str]) -> dict[str, float]:
@@ -213,17 +215,17 @@ def _told(kind: str, things: str, takes: Amounts, cost: int, limited: Iterable[s
     return {f"({kind} {things})": cost, **uses}
 
 
-def _crossings(words: Words, task: Task) -> Iterator[tuple[str, str, Amounts, int]]:
+def _crossings(pddl: PddlNames, task: Task) -> Iterator[tuple[str, str, Amounts, int]]:
     for place in _places(task):
         for way, mode, takes, cost in task.crossings(place):
             via = Via(way.corridor.name, way.to, not place.corridor)
-            if mode.name not in words.modes:
+            if mode.name not in pddl.modes:
                 continue  # the model has got it since the problem was made
-            yield words.vias[via], words.modes[mode.name], takes, cost
+            yield pddl.vias[via], pddl.modes[mode.name], takes, cost
             part = via._replace(is_whole=False)
-            if part in words.vias and not task.start[0].corridor:
+            if part in pddl.vias and not task.start[0].corridor:
                 # what was begun within a corridor goes on when the robot is in none any more, as it soon will be again
-                yield words.vias[part], words.modes[mode.name], takes, cost
+                yield pddl.vias[part], pddl.modes[mode.name], takes, cost
 
 
 def _places(task: Task) -> list[Place]:
