@@ -1,28 +1,112 @@
-"""One run of a mission: world, knowledge base, manager and task layer, in lock-step with the world's clock."""
+"""One run of a mission: a world and who decides in it, in lock-step with the world's clock."""
 
 from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from math import nan
 from time import perf_counter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
-from py_trees.common import Status
-from py_trees.trees import BehaviourTree
-
-from kb import ConfigurationManager, DiagnosticProblem, Event, EventKind, KnowledgeBase
-from missions.engine.adaptations import Adaptation, AdaptationLog
-from missions.engine.mission import Message, Mission, Sample, Verdict, World
-from missions.engine.percepts import Percepts
+from kb import DiagnosticProblem, KnowledgeBase, Model
+from missions.engine.adaptations import Adaptation
+from missions.engine.mission import Message, Mission, MissionError, Reaction, Sample, Verdict, World
 from missions.engine.settings import RunSettings
-from missions.engine.task_layer import build_task
-from rosa_bt import TreeRunner
 
 if TYPE_CHECKING:
     from rosa_pddl import PlanRecord
 
-__all__ = ["Listener", "MissionRun", "Trace"]
+__all__ = ["Controller", "Done", "Listener", "MissionRun", "Seen", "Trace"]
 
 SAMPLE_PERIOD_S = 0.5
+
+
+class Done(Protocol):
+    """An action that was begun: `kb.RequiredAction` is one."""
+
+    @property
+    def action(self) -> str: ...
+    @property
+    def start(self) -> float: ...
+    @property
+    def end(self) -> float | None: ...
+    @property
+    def result(self) -> str | None: ...
+    @property
+    def reason(self) -> str: ...
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """What a moment of a run shows beside the world: action, configurations and designs in words."""
+
+    action: str
+    configured: str
+    designs: str = ""
+
+
+class Controller(Protocol):
+    """Who decides in a run: our knowledge base, manager and task layer, or a baseline.
+
+    A run asks for the time that it is due, tells it what was published by then, and has it decide.
+
+    Attributes:
+        manager: its name, as `rosa run --manager` takes it.
+        task: the kind of its task layer.
+        inputs: figures of results that were put in, by name.
+        compute_s: seconds of this machine's time by part, not part of any decision.
+        kb: its knowledge base; None if it has none.
+    """
+
+    manager: str
+    task: str
+    inputs: Mapping[str, float]
+    compute_s: defaultdict[str, float]
+    kb: KnowledgeBase | None
+
+    @property
+    def due(self) -> float:
+        """When it wants to decide next, whatever is published until then [s]."""
+
+    @property
+    def is_done(self) -> bool:
+        """Whether the mission is over."""
+
+    @property
+    def trouble(self) -> Verdict | None:
+        """How the mission has to end at once; None if it may go on."""
+
+    @property
+    def actions(self) -> Sequence[Done]:
+        """Every action that was begun."""
+
+    @property
+    def measured(self) -> Mapping[str, float | None]:
+        """What was measured last, by attribute."""
+
+    @property
+    def adaptations(self) -> list[Adaptation]:
+        """Every adaptation so far, in the order in which they were decided."""
+
+    @property
+    def plans(self) -> tuple["PlanRecord", ...]:
+        """The task plans so far; only added to."""
+
+    def begin(self, listeners: Sequence["Listener"]) -> None:
+        """Get to know who hears of actions and adaptations."""
+
+    def receive(self, message: Message) -> Sequence[DiagnosticProblem]:
+        """Take in what was published; return what of it cannot be used."""
+
+    def decide(self) -> bool:
+        """Answer what was taken in, and do what is due; return whether something was."""
+
+    def look(self) -> Seen:
+        """Return what is done and configured now."""
+
+    def end(self) -> None:
+        """Let go of everything; the run is over however it ended."""
+
+    def verdict(self, results: Mapping[str, float | None]) -> Verdict:
+        """Say how the mission has ended, which is over."""
 
 
 class Listener:
@@ -44,7 +128,7 @@ class Listener:
         """Hear of a task plan, or that there is none."""
 
     def tick(self, run: "MissionRun") -> None:
-        """Hear that the task layer has been ticked."""
+        """Hear that the controller has decided."""
 
 
 @dataclass(slots=True)
@@ -65,197 +149,143 @@ class MissionRun:
 
     Args:
         mission: what to run.
-        task: the kind of task layer, "bt" or "pddl".
+        controller: who decides.
         world: where it happens.
         settings: how it is run.
         listeners: who hears of it.
 
     Attributes:
-        manager: whose run it is, as `rosa run --manager` takes it.
-        kb: the knowledge base.
         trace: what was seen.
-        compute_s: seconds of this machine's time by part, not part of any decision.
         problems: parts of messages that could not be used, with their times [s].
-
-    Raises:
-        MissionError, rosa_pddl.RosaPddlError, kb.KnowledgeBaseError: the mission cannot be run.
     """
 
     def __init__(
         self,
         mission: Mission,
-        task: str,
+        controller: Controller,
         world: World,
         settings: RunSettings | None = None,
-        listeners: tuple[Listener, ...] = (),
+        listeners: Sequence[Listener] = (),
     ) -> None:
-        self.manager = "ours"
-        self.mission = mission
-        self.task = task
-        self.world = world
+        self.mission, self.controller, self.world = mission, controller, world
         self.settings = settings or RunSettings()
         self.trace = Trace()
-        self.compute_s: defaultdict[str, float] = defaultdict(float)
         self.problems: list[tuple[float, DiagnosticProblem]] = []
         self._listeners = listeners
+        self._decided_s: list[tuple[float, float]] = []
+        self._world_s = 0.0
         self._sampled_at = -SAMPLE_PERIOD_S
         self._plans_heard = 0
-        self._answered = -1
-        self.kb = KnowledgeBase(mission.model(), clock=self._now)
-        self._configurable = [one for one in self.kb.components.values() if one.configurations]
-        self._choices = [one for one in self.kb.functions.values() if len(one.designs) > 1]
-        self._percepts = Percepts()
-        self._manager = ConfigurationManager(self.kb, world.managed)
-        delay = self.settings.planning_delay_s
-        self._task = build_task(task, mission, self.kb, self._percepts, self._now, delay)
-        deciding = self._task.plans if self._task.is_planned else tuple
-        self._log = AdaptationLog(self.kb, self._tell_adaptation, deciding)
-        self.kb.subscribe(self._hear)
-        self._runner = TreeRunner(self._task.root, clock=self._now, period=self.settings.tick_period_s)
-        self._runner.tree.setup()
+        controller.begin(listeners)
+
+    @property
+    def manager(self) -> str:
+        """Whose run it is, as `rosa run --manager` takes it."""
+        return self.controller.manager
+
+    @property
+    def task(self) -> str:
+        """The kind of task layer."""
+        return self.controller.task
+
+    @property
+    def kb(self) -> KnowledgeBase:
+        """The knowledge base.
+
+        Raises:
+            MissionError: it is the run of a baseline, which has none.
+        """
+        if self.controller.kb is None:
+            raise MissionError(f"manager {self.manager} has no knowledge base")
+        return self.controller.kb
+
+    @property
+    def model(self) -> Model:
+        """The model of the mission, amended as far as it was."""
+        return self.mission.model() if self.controller.kb is None else self.controller.kb.model
+
+    @property
+    def actions(self) -> Sequence[Done]:
+        """Every action that was begun."""
+        return self.controller.actions
 
     @property
     def adaptations(self) -> list[Adaptation]:
         """Every adaptation so far, in the order in which they were decided."""
-        return self._log.adaptations
+        return self.controller.adaptations
 
     @property
     def plans(self) -> tuple["PlanRecord", ...]:
         """The task plans so far; none for a tree in which nothing plans."""
-        return self._task.plans()
+        return self.controller.plans
 
     @property
-    def tree(self) -> BehaviourTree:
-        """The tree of the task layer, for visitors."""
-        return self._runner.tree
+    def compute_s(self) -> dict[str, float]:
+        """Seconds of this machine's time by part, not part of any decision."""
+        return {"world": self._world_s, **self.controller.compute_s}
+
+    @property
+    def reactions(self) -> Sequence[tuple[Reaction, float]]:
+        """Each reaction that the world knows of, and the time of this machine that went into it [s]."""
+        return [
+            (one, sum(took for time, took in self._decided_s if one.start_s <= time < one.end_s))
+            for one in self.world.reactions()
+        ]
+
+    def results(self) -> Mapping[str, float | None]:
+        """Return the mission's figures up to now by name, units in the names; those that were put in among them."""
+        return {**self.world.results(), **self.controller.inputs}
 
     def run(self) -> Verdict:
-        """Run until the task is done or the time limit is reached; nothing is left running however this ends."""
-        trouble: Verdict | None = None
-        left = ""
+        """Run until the mission is done or the time limit is reached; nothing is left running however this ends."""
+        controller = self.controller
         try:
-            while (
-                trouble is None
-                and self._runner.status is not Status.SUCCESS
-                and self.world.now < self.settings.duration_s
-            ):
+            while controller.trouble is None and not controller.is_done and self.world.now < self.settings.duration_s:
                 self._turn()
-                trouble = self._hear_plans()
-            if self._runner.status is not Status.SUCCESS:
-                self._log.finish()
-            left = " and ".join(f"{one.action} since {one.start:.1f} s" for one in self.kb.required_actions)
         finally:
-            self._runner.shutdown()
-            self._task.close()
+            controller.end()
             self.world.close()
-        if trouble is not None:
-            return trouble
-        verdict = self.mission.world.verdict(self._percepts, self.world.results(), self.kb)
-        return verdict if verdict.success else verdict._replace(reason=self._in_full(verdict.reason, left))
-
-    def _in_full(self, reason: str, left: str) -> str:
-        """Add to the reason of a failure what was under way, why there was no plan, or why an action failed last."""
-        if left:
-            return f"{reason}; under way: {left}"
-        plan = self.plans[-1] if self.plans and self._task.is_planned else None
-        if plan is not None and not plan.outcome.is_solved:
-            return f"{reason}; there was no plan: {plan.outcome}"
-        failed = next((one for one in reversed(self.kb.action_history) if one.result == "failed"), None)
-        return f"{reason}; {failed.action} failed last: {failed.reason or 'no reason told'}" if failed else reason
+        return controller.trouble or controller.verdict(self.world.results())
 
     def _turn(self) -> None:
-        """Let the world go on to the next news or tick, and answer it."""
-        spent, started = self.compute_s, perf_counter()
-        messages = self.world.advance(min(self._runner.due, self.settings.duration_s))
-        advanced = perf_counter()
-        for message in messages:
-            self._take_in(message)
-        told = perf_counter()
-        self._manage()
-        managed = perf_counter()
-        self._task.catch_up()
-        caught_up = perf_counter()
-        if self.world.now >= self._runner.due:
-            self._log.ticking(self.world.now)
-        ticked = self._runner.update()
-        decided = perf_counter()
-        spent["world"] += advanced - started
-        spent["knowledge base"] += told - advanced
-        spent["manager"] += managed - told
-        spent["waiting for plans"] += caught_up - managed
-        spent["task layer"] += decided - caught_up
-        if ticked:
-            if self.kb.revision != self._answered:
-                self._manage()
-            spent["manager"] += perf_counter() - decided
+        """Let the world go on to the next news, or to when the controller is due, and have it answered."""
+        controller, started = self.controller, perf_counter()
+        messages = self.world.advance(min(controller.due, self.settings.duration_s))
+        self._world_s += perf_counter() - started
+        took_s = sum(self._take_in(message) for message in messages)
+        started = perf_counter()
+        is_decided = controller.decide()
+        self._decided_s.append((self.world.now, took_s + perf_counter() - started))
+        if is_decided:
             self._sample()
             for listener in self._listeners:
                 listener.tick(self)
+        self._tell_plans()
 
-    def _hear_plans(self) -> Verdict | None:
-        """Pass on the task plans that are new; end the mission if the planner itself could not do its work."""
+    def _take_in(self, message: Message) -> float:
+        """Have a message heard; return how long that took the controller [s]."""
+        started = perf_counter()
+        problems = self.controller.receive(message)
+        took_s = perf_counter() - started
+        for listener in self._listeners:
+            listener.message(message)
+        for problem in problems:
+            self.problems.append((float(message["time"]), problem))
+            for listener in self._listeners:
+                listener.problem(problem, float(message["time"]))
+        return took_s
+
+    def _tell_plans(self) -> None:
         plans = self.plans
         heard, self._plans_heard = self._plans_heard, len(plans)
         for plan in plans[heard:]:
             for listener in self._listeners:
                 listener.plan(plan, self.world.now)
-            if plan.outcome.is_trouble and self._task.is_planned:  # a tree may have something else to do
-                return Verdict("aborted", f"no plan, {plan.outcome}: {plan.engine}", plan.message)
-        return None
-
-    def _take_in(self, message: Message) -> None:
-        stamp = float(message["time"])
-        self._log.news(stamp)
-        problems = self.kb.receive(message)
-        self._sense(message)
-        self._log.news(None)
-        for listener in self._listeners:
-            listener.message(message)
-        for problem in problems:
-            self.problems.append((stamp, problem))
-            for listener in self._listeners:
-                listener.problem(problem, stamp)
-
-    def _sense(self, message: Message) -> None:
-        """Pass on what the task layer alone is told, and note what is not so any more, or only now."""
-        keys = [key for status in message["status"] for key in status["values"]]
-        held = {key: self._percepts.holds(key) for key in keys}
-        self._percepts.receive(message)
-        for key, before in held.items():
-            if self._percepts.holds(key) is not before:
-                self._log.sensed(f"{key} is {'false' if before else 'true'}")
-
-    def _manage(self) -> None:
-        self._manager.update()
-        self._log.settle()
-        self._answered = self.kb.revision
-
-    def _now(self) -> float:
-        return self.world.now
 
     def _sample(self) -> None:
         if self.world.now < self._sampled_at + SAMPLE_PERIOD_S - 1e-9:
             return
-        self._sampled_at = self.world.now
-        sample = self.world.sample() or self._measured()
-        action = ", ".join(required.action for required in self.kb.required_actions)
-        configured = (one.selected_configuration for one in self._configurable if one.is_active)
-        self.trace.samples.append((sample, action, ", ".join(name for name in configured if name)))
-        open_choices = [name for one in self._choices if one.is_required for name in one.designs]
-        designs = [name for name in open_choices if self.kb.designs[name].is_selected]
-        self.trace.designs.append(", ".join(designs))
-
-    def _measured(self) -> Sample:
-        """Return what the knowledge base was told, for a world that shows nothing of itself."""
-        values = {name: view.value for name, view in self.kb.attributes.items()}
-        signals = {name: nan if value is None else value for name, value in values.items()}
-        return Sample(self.world.now, (nan, nan, nan), signals)
-
-    def _hear(self, event: Event) -> None:
-        if event.kind is EventKind.ACTION_UPDATE:
-            for listener in self._listeners:
-                listener.action(event.text, event.time)
-
-    def _tell_adaptation(self, adaptation: Adaptation) -> None:
-        for listener in self._listeners:
-            listener.adaptation(adaptation)
+        self._sampled_at, seen = self.world.now, self.controller.look()
+        sample = self.world.sample() or Sample.of(self.world.now, self.controller.measured)
+        self.trace.samples.append((sample, seen.action, seen.configured))
+        self.trace.designs.append(seen.designs)
