@@ -11,7 +11,7 @@ from suave_env.autopilot import Autopilot, Vector
 from suave_env.battery import LOW_LEVEL, Battery
 from suave_env.components import Change, Components, FollowPipeline, Recharge, RecoverThrusters, SpiralSearch
 from suave_env.exceptions import SuaveEnvError
-from suave_env.metrics import Disturbance, Metrics, Violations
+from suave_env.metrics import Disturbance, Metrics, Reaction, Reactions, Violations
 from suave_env.monitors import MISSION_STATUS, BatteryMonitor, Message, Outbox, ThrusterMonitor, VisibilityMonitor
 from suave_env.pipeline import SEABED_Z_M, Pipeline
 from suave_env.settings import Settings, ThrusterEvent, parse_thruster_events
@@ -87,8 +87,8 @@ class SuaveEnv:
         self._search_time: float | None = None
         self._guided = phases[7] * settings.guided_period_s
         self._disturbances: list[Disturbance] = []
-        self._violations = Violations()
-        self._agenda, self._outbox = Agenda(), Outbox()
+        self._violations, self._reactions = Violations(), Reactions(settings.spiral_altitude_m)
+        self._agenda, self._outbox = Agenda(), Outbox(self._reactions.hear)
         self._water, self._battery, self._thrusters = Water(settings), Battery(settings), Thrusters(settings)
         self.pipeline = Pipeline(settings)
         self.station: Vector = (settings.station_x_m, settings.station_y_m, settings.station_z_m)
@@ -156,6 +156,11 @@ class SuaveEnv:
             switches=len(self.components.history),
             energy_j=self._thrusters.energy_j,
         )
+
+    @property
+    def reactions(self) -> list[Reaction]:
+        """How soon uncertainties were answered up to now, in order of the end of each."""
+        return list(self._reactions.found)
 
     @property
     def disturbances(self) -> list[Disturbance]:
@@ -264,6 +269,7 @@ class SuaveEnv:
         self._agenda.at(due, cross)
 
     def _switched(self, change: Change) -> None:
+        self._reactions.see(change)
         self._judge(change.time, corrected=self._spiral.active)
 
     def _restored(self, thruster: int, time: float) -> None:

@@ -1,8 +1,14 @@
 """What a run is judged by, and what truly happened in it."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from statistics import fmean
 
-__all__ = ["Disturbance", "Metrics", "Violations"]
+from suave_env.battery import LOW_LEVEL
+from suave_env.components import Change
+from suave_env.water import expected_altitude
+
+__all__ = ["Disturbance", "Metrics", "Reaction", "Reactions", "Violations", "mean_reactions"]
 
 
 @dataclass(frozen=True)
@@ -92,3 +98,84 @@ class Violations:
     def uncorrected(self) -> int:
         """How many violations ended without being corrected, or hold."""
         return self._missed + len(self._open)
+
+
+@dataclass(frozen=True, slots=True)
+class Reaction:
+    """An answer to an uncertainty.
+
+    Attributes:
+        uncertainty: "U1", a thruster has failed: until the recovery is active; "U2", the search is set to another
+            altitude than the visibility calls for: until it is set to that; "U3", the battery is below a quarter: until
+            the recharge is active. The names are those of the ROSA paper.
+        start_s: Stamp of the first message that tells it [s].
+        end_s: When the answer was in force [s].
+    """
+
+    uncertainty: str
+    start_s: float
+    end_s: float
+
+    @property
+    def delay_s(self) -> float:
+        """How long it took [s], in simulated time."""
+        return self.end_s - self.start_s
+
+
+class Reactions:
+    """Finds reactions by the rules of SUAVE's mission metrics (v1.3.0), in what is published and what is switched.
+
+    A mismatch that is never answered is no reaction, and a mismatch of the altitude that the low battery interrupts is
+    forgotten.
+
+    Args:
+        altitude: Altitude to which the search is set at the start [m].
+
+    Attributes:
+        found: Every reaction so far, in order of its end.
+    """
+
+    def __init__(self, altitude: float) -> None:
+        self.found: list[Reaction] = []
+        self._since: dict[str, float] = {}
+        self._altitude = altitude
+        self._called_for: float | None = None
+        self._is_low = False
+
+    def hear(self, time: float, key: str, value: str) -> None:
+        """Take in a value that was published at a time [s]."""
+        if key == "water_visibility":
+            self._called_for = expected_altitude(float(value))
+            if self._called_for != self._altitude and not self._is_low:
+                self._since.setdefault("U2", time)
+        elif key == "battery_level":
+            was_low, self._is_low = self._is_low, float(value) < LOW_LEVEL
+            if self._is_low and not was_low:
+                self._since.setdefault("U3", time)
+                self._since.pop("U2", None)
+        elif key.startswith("c_thruster_") and value == "FALSE":
+            self._since.setdefault("U1", time)
+
+    def see(self, change: Change) -> None:
+        """Take in what was switched or set."""
+        if change.component == "recover_thrusters" and change.active:
+            self._answer("U1", change.time)
+        elif change.component == "recharge" and change.active:
+            self._answer("U3", change.time)
+        elif change.component == "spiral_search" and change.parameters["spiral_altitude"] != self._altitude:
+            self._altitude = change.parameters["spiral_altitude"]
+            if self._altitude == self._called_for:
+                self._answer("U2", change.time)
+
+    def _answer(self, uncertainty: str, time: float) -> None:
+        since = self._since.pop(uncertainty, None)
+        if since is not None:
+            self.found.append(Reaction(uncertainty, since, time))
+
+
+def mean_reactions(reactions: Iterable[Reaction]) -> dict[str, float | None]:
+    """Return the mean delay for each uncertainty [s], None if there was none; the names are as in a report."""
+    delays: dict[str, list[float]] = {"u1": [], "u2": [], "u3": []}
+    for one in reactions:
+        delays[one.uncertainty.lower()].append(one.delay_s)
+    return {f"reaction_{uncertainty}_s": fmean(found) if found else None for uncertainty, found in delays.items()}

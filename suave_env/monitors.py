@@ -1,5 +1,6 @@
 """The monitors: what of the truth becomes known, and when, as plain data in the shape of ROS diagnostic_msgs."""
 
+from collections.abc import Callable
 from typing import TypedDict
 
 from suave_env.battery import Battery
@@ -46,9 +47,14 @@ class Message(TypedDict):
 
 
 class Outbox:
-    """Collects what is published until it is fetched."""
+    """Collects what is published until it is fetched.
 
-    def __init__(self) -> None:
+    Args:
+        hear: Called with the time [s], the key and the value of each.
+    """
+
+    def __init__(self, hear: Callable[[float, str, str], None] = lambda time, key, value: None) -> None:
+        self._hear = hear
         self._messages: list[Message] = []
 
     @property
@@ -68,6 +74,7 @@ class Outbox:
         """
         written = value if isinstance(value, str) else repr(value)
         self._messages.append({"time": time, "status": [{"name": name, "message": text, "values": {key: written}}]})
+        self._hear(time, key, written)
 
     def fetch(self) -> list[Message]:
         """Return what was published since the last call, in order of time."""

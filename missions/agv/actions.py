@@ -13,7 +13,7 @@ from missions.agv.model import FOLLOW, NAVIGATE, NAVIGATOR, heading, headings
 from missions.agv.modes import Mode, running_mode
 from missions.agv.pddl import SWITCH, PddlNames, facts_of, numbers_of, switching_of
 from missions.agv.route import Route
-from missions.engine.percepts import Percepts
+from missions.engine.mission import Percepts
 from rosa_bt import RosaAction
 from rosa_pddl import Step
 from rosa_pddl.generation import ActionSchema

@@ -6,7 +6,7 @@ from typing import Final
 from kb import KnowledgeBase, Status
 from missions.agv.building import Building
 from missions.agv.joint import Answer, JointPlanner, Leg, Place, Question, Task
-from missions.engine.percepts import Percepts
+from missions.engine.mission import Percepts
 
 __all__ = ["RESERVE", "Route"]
 

@@ -17,7 +17,7 @@ from missions.agv.actions import Cross
 from missions.agv.building import Building
 from missions.agv.joint import Answer, Leg
 from missions.agv.route import Route
-from missions.engine.percepts import Percepts
+from missions.engine.mission import Percepts
 from rosa_bt import feasible_then_act
 from rosa_bt.decorators import UntilSuccess
 from rosa_pddl import Outcome, PlanRecord, Step

@@ -15,8 +15,7 @@ from missions.agv.route import Route
 from missions.agv.settings import Incident, Settings, incidents
 from missions.agv.steering import Aim, Array, aim_along, steer
 from missions.engine.components import SimulatedComponents
-from missions.engine.mission import Message, MissionError, Sample, Setting, Verdict, World, WorldKind
-from missions.engine.percepts import Percepts
+from missions.engine.mission import Message, MissionError, Percepts, Sample, Setting, Verdict, World, WorldKind
 
 __all__ = ["AgvKind", "BuildingWorld"]
 

@@ -4,6 +4,5 @@ from missions.baselines.manager import Manager, Robot, Task
 from missions.baselines.opening import open_run
 from missions.baselines.options import Option
 from missions.baselines.registry import MANAGERS, OURS, find_manager
-from missions.baselines.run import ManagedRun
 
-__all__ = ["MANAGERS", "ManagedRun", "Manager", "OURS", "Option", "Robot", "Task", "find_manager", "open_run"]
+__all__ = ["MANAGERS", "Manager", "OURS", "Option", "Robot", "Task", "find_manager", "open_run"]

@@ -11,12 +11,10 @@ from missions.baselines.none import NoManager
 from missions.baselines.options import Option
 from missions.baselines.random import RandomManager
 from missions.baselines.rosa import RosaManager
+from missions.engine.controller import OURS
 from missions.engine.mission import MissionError
 
 __all__ = ["MANAGERS", "OURS", "find_manager", "name_of", "options_of"]
-
-OURS = "ours"
-"""The name under which the knowledge base and its configuration manager run, with the task layer that is asked for."""
 
 MANAGERS: Mapping[str, type[Manager]] = MappingProxyType(
     {

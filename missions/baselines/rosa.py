@@ -14,9 +14,8 @@ from py_trees.common import Status
 from kb import ConfigurationManager, Event, EventKind, KnowledgeBase, PriorityPlanner, ReconfigurationPlan
 from missions.baselines.manager import Manager, Robot
 from missions.baselines.options import Option
-from missions.engine.mission import Message
-from missions.engine.percepts import Percepts
-from missions.engine.task_layer import build_task
+from missions.engine.controller import build_task
+from missions.engine.mission import Message, Percepts
 from rosa_bt import TreeRunner
 
 __all__ = ["RosaManager"]

@@ -1,22 +1,37 @@
 """What a mission is: its knowledge, its task logic twice, its world, and when it has succeeded."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from math import nan
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple, Protocol, Self
 
 from numpy.random import Generator
 from py_trees.behaviour import Behaviour
 
 from kb import KnowledgeBase, ManagedSystem, Model
-from missions.engine.percepts import Percepts
 from rosa_pddl.generation import DeclaredProblem
 
-__all__ = ["Message", "Mission", "MissionError", "Sample", "Setting", "Verdict", "World", "WorldKind"]
+__all__ = [
+    "Message",
+    "Mission",
+    "MissionError",
+    "Percepts",
+    "Reaction",
+    "Sample",
+    "Setting",
+    "Verdict",
+    "World",
+    "WorldKind",
+]
 
 Message = Mapping[str, Any]
 """Diagnostics as they travel: `{"time": s, "status": [{"name": ..., "message": ..., "values": {...}}, ...]}`."""
+
+
+MISSION_STATUS: Final = "mission status"
 
 
 class MissionError(Exception):
@@ -47,6 +62,60 @@ class Setting(Protocol):
         """Where the default comes from."""
 
 
+class Percepts:
+    """Takes in the same messages as the knowledge base and keeps those with the text "mission status".
+
+    The knowledge base passes these over; they say what a mission's conditions look at, e.g. that something is found.
+    """
+
+    def __init__(self) -> None:
+        self._said: dict[str, str] = {}
+        self._times: Counter[str] = Counter()
+        self._revision = 0
+
+    @property
+    def revision(self) -> int:
+        """How often something was told; while it is the same, so is all that was sensed."""
+        return self._revision
+
+    def receive(self, message: Mapping[str, Any]) -> None:
+        """Take in one message: `{"time": ..., "status": [{"message": ..., "values": {...}}, ...]}`."""
+        for status in message["status"]:
+            if str(status["message"]).casefold() == MISSION_STATUS:
+                self._revision += 1
+                for key, value in status["values"].items():
+                    self._said[key] = str(value)
+                    self._times[key] += 1
+
+    def holds(self, key: str) -> bool:
+        """Tell whether the last word about something was "true"; what was never spoken of does not hold."""
+        return self._said.get(key, "").casefold() == "true"
+
+    def value(self, key: str) -> float | None:
+        """Return the last word about something as a number; None if it is none, or nothing was said."""
+        try:
+            return float(self._said[key])
+        except (KeyError, ValueError):
+            return None
+
+    def count(self, key: str) -> int:
+        """How often something was spoken of."""
+        return self._times[key]
+
+
+class Reaction(Protocol):
+    """An answer to an uncertainty: which, when it was told first, and when the answer was in force [s]."""
+
+    @property
+    def uncertainty(self) -> str: ...
+    @property
+    def start_s(self) -> float: ...
+    @property
+    def end_s(self) -> float: ...
+    @property
+    def delay_s(self) -> float: ...
+
+
 @dataclass(frozen=True, slots=True)
 class Sample:
     """What there was to see of the robot at one moment, for pictures.
@@ -60,6 +129,12 @@ class Sample:
     time: float
     position: tuple[float, float, float]
     signals: Mapping[str, float]
+
+    @classmethod
+    def of(cls, time: float, measured: Mapping[str, float | None]) -> Self:
+        """Return what was measured, for a world that shows nothing of itself."""
+        signals = {name: nan if value is None else value for name, value in measured.items()}
+        return cls(time, (nan, nan, nan), signals)
 
 
 class Verdict(NamedTuple):
@@ -105,6 +180,10 @@ class World(ABC):
     def results(self) -> Mapping[str, float | None]:
         """Return the mission's figures up to now by name, units in the names; None for what did not happen."""
         return {}
+
+    def reactions(self) -> Sequence[Reaction]:
+        """Return how soon uncertainties were answered, in order of the end of each."""
+        return ()
 
     def sample(self) -> Sample | None:
         """Return what there is to see now; None for no more than what the knowledge base is told."""

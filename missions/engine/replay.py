@@ -24,8 +24,8 @@ from py_trees.behaviour import Behaviour
 from kb import DiagnosticProblem, Event, KnowledgeBase, Model, UnknownName
 from kb.diagnostics import Measurement, read_diagnostics
 from missions.engine.components import VERBS
-from missions.engine.mission import Message, Mission, MissionError, Verdict, World, WorldKind
-from missions.engine.percepts import Percepts
+from missions.engine.controller import RosaController
+from missions.engine.mission import Message, Mission, MissionError, Percepts, Verdict, World, WorldKind
 from missions.engine.recording import read_recording
 from missions.engine.registry import find_mission
 from missions.engine.runner import MissionRun
@@ -228,13 +228,14 @@ def _unknown(kb: KnowledgeBase, message: Message) -> Iterator[DiagnosticProblem]
 
 
 def _decide(mission: Mission, task: str, world: Recording, limits: RunSettings) -> Decisions:
-    run = MissionRun(mission, task, world, limits)
+    controller = RosaController(mission, task, world, limits)
+    run = MissionRun(mission, controller, world, limits)
     for component in world.managed.scripted:
         _ = run.kb.components[component]  # a script for nobody is a slip
     events: list[Event] = []
     run.kb.subscribe(events.append)
     with TraceVisitor(run.kb) as visitor:
-        run.tree.add_visitor(visitor)
+        controller.tree.add_visitor(visitor)
         verdict = run.run()
         trace = visitor.trace
     return Decisions(

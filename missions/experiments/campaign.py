@@ -11,10 +11,10 @@ from typing import Any
 
 from missions.baselines import MANAGERS, OURS, find_manager
 from missions.baselines.options import split_options
+from missions.engine.controller import check_task
 from missions.engine.mission import Mission, MissionError
 from missions.engine.registry import find_mission
 from missions.engine.settings import split_settings
-from missions.engine.task_layer import check_task
 from missions.suave.world import Sea
 
 __all__ = ["Campaign", "PlannedRun", "check_campaign", "from_data", "paper_table", "read_campaign", "with_runs"]

@@ -3,18 +3,16 @@
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
 
 from py_trees.behaviour import Behaviour
 
 from kb import KnowledgeBase, Model
 from missions.baselines import modes as modes_module
 from missions.baselines.bt import TreeManager
+from missions.baselines.controller import BaselineController
 from missions.baselines.manager import Manager
 from missions.baselines.opening import open_run
-from missions.baselines.run import ManagedRun
-from missions.engine.mission import Mission, MissionError
-from missions.engine.percepts import Percepts
+from missions.engine.mission import Mission, MissionError, Percepts
 from missions.experiments.effort_source import Module, Written, built, code_lines
 from missions.suave.world import SEA
 
@@ -76,9 +74,10 @@ def count_tree(mission: Mission) -> TreeCount:
     Raises:
         MissionError: the mission cannot be opened under that manager.
     """
-    run = cast(ManagedRun, open_run(mission, manager=TreeManager))
+    run = open_run(mission, manager=TreeManager)
+    assert isinstance(run.controller, BaselineController)
     try:
-        tree = _tree_of(TreeManager(run.robot))
+        tree = _tree_of(TreeManager(run.controller.robot))
     finally:
         run.world.close()
     model = mission.model()

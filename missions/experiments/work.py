@@ -14,7 +14,6 @@ from time import perf_counter
 from typing import Any
 
 from missions.baselines import open_run
-from missions.baselines.watch import WatchedSea
 from missions.engine.registry import find_mission
 from missions.engine.runner import MissionRun
 from missions.experiments.campaign import PlannedRun
@@ -115,13 +114,11 @@ def _done(run: PlannedRun) -> tuple[dict[str, Any], dict[str, Any]]:
     figures = {name: value for name, value in data.items() if not isinstance(value, dict | list)}
     reactions, thought = _reactions(opened)
     record = {**figures, **_head(run), "adaptations": len(opened.adaptations), "reactions": reactions}
-    return {**_head(run), **record}, {"compute_s": dict(opened.compute_s), "reactions": thought}
+    return {**_head(run), **record}, {"compute_s": opened.compute_s, "reactions": thought}
 
 
 def _reactions(run: MissionRun) -> tuple[list[Any], list[Any]]:
     """Return each reaction as uncertainty, start and delay [s], and with the time of this machine spent on it [s]."""
-    if not isinstance(run.world, WatchedSea):
-        return [], []
-    found = run.world.reactions
-    told = [[one.uncertainty, round(one.start_s, 6), round(one.delay_s, 6)] for one in found]
-    return told, [[one.uncertainty, run.world.compute_s(one)] for one in found]
+    found = run.reactions
+    told = [[one.uncertainty, round(one.start_s, 6), round(one.delay_s, 6)] for one, _ in found]
+    return told, [[one.uncertainty, took_s] for one, took_s in found]

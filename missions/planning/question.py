@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Final
 
 from kb import KnowledgeBase, Model
-from missions.engine.mission import Mission, MissionError
-from missions.engine.percepts import Percepts
+from missions.engine.mission import Mission, MissionError, Percepts
 from missions.planning.declared import check_facts, mission_domain
 from rosa_pddl import Domain, Planner, PlanningResult, Problem, State, feasible_atoms, initial_state, load_domain
 from rosa_pddl.exceptions import nearest

@@ -10,7 +10,7 @@ from py_trees.behaviour import Behaviour
 from py_trees.composites import Selector, Sequence
 
 from kb import KnowledgeBase
-from missions.engine.percepts import Percepts
+from missions.engine.mission import Percepts
 from missions.suave.actions import InspectPipeline, PipelineFound, SearchPipeline
 from rosa_bt import feasible_then_act
 from rosa_bt.decorators import UntilSuccess

@@ -8,8 +8,17 @@ from numpy.random import Generator
 
 from kb import KnowledgeBase
 from missions.engine.components import SimulatedComponents
-from missions.engine.mission import Message, MissionError, Sample, Setting, Verdict, World, WorldKind
-from missions.engine.percepts import Percepts
+from missions.engine.mission import (
+    Message,
+    MissionError,
+    Percepts,
+    Reaction,
+    Sample,
+    Setting,
+    Verdict,
+    World,
+    WorldKind,
+)
 
 if TYPE_CHECKING:
     from suave_env import Change, Settings, SuaveEnv
@@ -68,8 +77,14 @@ class Sea(World):
         }
 
     def results(self) -> Mapping[str, float | None]:
-        """Return the metrics."""
-        return asdict(self._env.metrics)
+        """Return the metrics, and the mean reaction times."""
+        from suave_env.metrics import mean_reactions
+
+        return {**asdict(self._env.metrics), **mean_reactions(self._env.reactions)}
+
+    def reactions(self) -> Sequence[Reaction]:
+        """Return every reaction by SUAVE's rules."""
+        return self._env.reactions
 
     def sample(self) -> Sample:
         """Return position, visibility, battery and altitude."""

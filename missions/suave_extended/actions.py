@@ -5,7 +5,7 @@ from typing import ClassVar
 from py_trees.common import Status
 
 from kb import KnowledgeBase
-from missions.engine.percepts import Percepts
+from missions.engine.mission import Percepts
 from rosa_bt import RosaAction
 from rosa_pddl.generation import ActionSchema
 

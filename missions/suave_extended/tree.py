@@ -9,7 +9,7 @@ until inspected
 from py_trees.behaviour import Behaviour
 
 from kb import KnowledgeBase
-from missions.engine.percepts import Percepts
+from missions.engine.mission import Percepts
 from missions.suave.tree import search_and_inspect
 from missions.suave_extended.actions import Recharge
 from rosa_bt import do_until_unfeasible

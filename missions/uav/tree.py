@@ -16,7 +16,7 @@ from py_trees.behaviour import Behaviour
 from py_trees.composites import Selector, Sequence
 
 from kb import KnowledgeBase
-from missions.engine.percepts import Percepts
+from missions.engine.mission import Percepts
 from missions.uav.actions import (
     AnalyseOnSite,
     LandAndFoldGripper,

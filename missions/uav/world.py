@@ -8,8 +8,7 @@ from numpy.random import Generator
 
 from kb import KnowledgeBase
 from missions.engine.components import SimulatedComponents
-from missions.engine.mission import Message, Sample, Setting, Verdict, World, WorldKind
-from missions.engine.percepts import Percepts
+from missions.engine.mission import Message, Percepts, Sample, Setting, Verdict, World, WorldKind
 from missions.uav.actions import analysed, is_all_analysed
 from missions.uav.field import Field
 from missions.uav.model import ANALYSE_LEVEL, PICK_UP_LEVEL, SEARCH_LEVEL

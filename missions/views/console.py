@@ -79,8 +79,8 @@ class Narrator(Listener):
         """Move the bar, and show what is being done and seen."""
         if self._progress.disable:
             return
-        doing = ", ".join(required.action for required in run.kb.required_actions) or "deciding"
-        measured = ((name, view.value) for name, view in run.kb.attributes.items())
+        doing = ", ".join(one.action for one in run.actions if one.end is None) or "deciding"
+        measured = run.controller.measured.items()
         seen = ", ".join(f"{name} {value:.2f}" for name, value in measured if value is not None)
         self._progress.update(self._bar, completed=run.world.now, description=f"{doing}  [dim]{seen}[/]")
 
@@ -168,7 +168,7 @@ def print_result(console: Console, run: MissionRun, verdict: Verdict, wall_s: fl
     """Print the figures of a run that has ended and how it ended, and perhaps a table of its adaptations."""
     if run.adaptations and with_adaptations:
         console.print(_table_of(run.adaptations))
-    figures = {**run.world.results(), "simulated_s": run.world.now, "computed in_s": wall_s}
+    figures = {**run.results(), "simulated_s": run.world.now, "computed in_s": wall_s}
     shown = [*(figure_in_words(name, value) for name, value in figures.items())]
     shown += [("times real time", "", f"{run.world.now / wall_s:.1f}")]
     for words, unit, value in shown:

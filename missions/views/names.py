@@ -11,8 +11,7 @@ from py_trees.behaviour import Behaviour
 from py_trees.trees import BehaviourTree
 
 from kb import KnowledgeBase, KnowledgeBaseError, Model
-from missions.engine.mission import Mission, MissionError
-from missions.engine.percepts import Percepts
+from missions.engine.mission import Mission, MissionError, Percepts
 from missions.planning.declared import declarations_of
 from rosa_bt import IsActionFeasible, RosaAction
 from rosa_pddl import DeclaredProblem

@@ -134,7 +134,7 @@ def summary(run: MissionRun, verdict: Verdict, seed: int, changed: Mapping[str, 
         seed: of all its chance.
         changed: the settings that were given.
     """
-    results = run.world.results()
+    results = run.results()
     return {
         "mission": run.mission.name,
         "task": run.task,
@@ -164,7 +164,7 @@ def summary(run: MissionRun, verdict: Verdict, seed: int, changed: Mapping[str, 
                 "result": one.result,
                 "reason": one.reason,
             }
-            for one in run.kb.action_history
+            for one in run.actions
         ],
         "plans": [
             {
@@ -177,8 +177,7 @@ def summary(run: MissionRun, verdict: Verdict, seed: int, changed: Mapping[str, 
             for plan in run.plans
         ],
         "reactions": [
-            {"uncertainty": one.uncertainty, "start_s": one.start_s, "delay_s": one.delay_s}
-            for one, _ in _reactions(run)
+            {"uncertainty": one.uncertainty, "start_s": one.start_s, "delay_s": one.delay_s} for one, _ in run.reactions
         ],
         "disturbances": [{"at_s": time, "what": text} for time, text in run.world.disturbances()],
         "diagnostics_problems": [{"at_s": time, "problem": str(problem)} for time, problem in run.problems],
@@ -196,10 +195,10 @@ def timing_of(run: MissionRun, wall_s: float) -> dict[str, Any]:
         "simulated_s": run.world.now,
         "wall_s": wall_s,
         "simulated_s_per_wall_s": run.world.now / wall_s,
-        "compute_s": dict(run.compute_s),
+        "compute_s": run.compute_s,
         "reactions": [
             {"uncertainty": one.uncertainty, "start_s": one.start_s, "compute_s": computed_s}
-            for one, computed_s in _reactions(run)
+            for one, computed_s in run.reactions
         ],
     }
 
@@ -217,12 +216,6 @@ def figure_in_words(name: str, value: float | None) -> tuple[str, str, str]:
     else:
         shown = f"{value:.2f}" if abs(value) < 10 else f"{value:.1f}"
     return (words.replace("_", " "), SIGNS.get(unit, unit), shown) if words else (name, "", shown)
-
-
-def _reactions(run: MissionRun) -> list[tuple[Any, float]]:
-    """Return each reaction of a run in the sea with the time of this machine that went into it [s]."""
-    sea: Any = run.world
-    return [(one, sea.compute_s(one)) for one in getattr(sea, "reactions", ())]
 
 
 def _rounded(value: object) -> object:

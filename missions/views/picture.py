@@ -67,7 +67,7 @@ def picture(run: MissionRun, data: Mapping[str, Any]) -> Figure:
     figure = Figure(figsize=(WIDTH / DPI, HEIGHT / DPI), dpi=DPI, facecolor="white")
     FigureCanvasAgg(figure)
     timeline, split = timeline_of(run, data), 12.0
-    _title(figure, data, run.world.results())
+    _title(figure, data, run.results())
     _legend(figure, timeline)
     top = _timelines(figure, timeline)
     if np.isfinite(timeline.xy).any():

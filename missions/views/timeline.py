@@ -121,7 +121,7 @@ def timeline_of(run: MissionRun, data: Mapping[str, Any]) -> RunTimeline:
     actions = [action for _, action, _ in run.trace.samples]
     signals = dict.fromkeys(name for sample in samples for name in sample.signals)
     designs = run.trace.designs if len(run.trace.designs) == len(samples) else [""] * len(samples)
-    model = run.kb.model
+    model = run.model
     return RunTimeline(
         max(float(data["duration_s"]), 1e-3),
         np.array([sample.time for sample in samples], dtype=float),

@@ -12,7 +12,7 @@ from py_trees.composites import Selector, Sequence
 from py_trees.trees import BehaviourTree
 
 from kb import KnowledgeBase, Model
-from missions.engine.percepts import Percepts
+from missions.engine.mission import Percepts
 from missions.suave_extended.model import suave_extended_model
 from missions.suave_extended.tree import suave_extended_tree
 from rosa_bt import IsActionFeasible, TraceVisitor, TreeRunner

@@ -2,23 +2,18 @@
 
 from functools import cache
 
-import numpy
-
 from missions import cli
+from missions.baselines import open_run
 from missions.engine.mission import Verdict
 from missions.engine.registry import find_mission
 from missions.engine.runner import MissionRun
-from missions.engine.settings import split_settings
 from missions.views.output import as_json, summary
 
 
 def run_mission(name, task="bt", seed=0, listeners=(), **changed) -> tuple[MissionRun, Verdict, dict]:
     """Run a mission; returns the run, the verdict and the result as data."""
-    mission = find_mission(name)
     values = {key: str(value) for key, value in changed.items()}
-    settings, world_settings = split_settings(mission, values)
-    world = mission.world.open(world_settings, numpy.random.default_rng(seed))
-    run = MissionRun(mission, task, world, settings, tuple(listeners))
+    run = open_run(find_mission(name), task=task, seed=seed, settings=values, listeners=tuple(listeners))
     verdict = run.run()
     return run, verdict, summary(run, verdict, seed, values)
 

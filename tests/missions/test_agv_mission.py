@@ -19,10 +19,8 @@ from missions.agv.model import DRAW_W, agv_model, building_model
 from missions.agv.modes import Modes
 from missions.agv.route import Route
 from missions.agv.settings import Settings
-from missions.engine.mission import MissionError
-from missions.engine.percepts import Percepts
-from missions.engine.runner import MissionRun
-from missions.engine.task_layer import TASK_KINDS
+from missions.engine.controller import TASK_KINDS, rosa_run
+from missions.engine.mission import MissionError, Percepts
 from missions.planning.declared import mission_domain
 from missions.views.output import as_json
 from rosa_pddl import Planner, Problem
@@ -37,7 +35,7 @@ def driven(building, task="bt", **settings):
     mission = agv_mission("small", "drives", building_from(building))
     values = {"incidents": "", **{key: str(value) for key, value in settings.items()}}
     world = mission.world.open(values, numpy.random.default_rng(0))
-    run = MissionRun(mission, task, world)
+    run = rosa_run(mission, task, world)
     return run.run(), run
 
 
@@ -148,7 +146,7 @@ def test_generated_building_is_driven_through_as_planned():
     building = generated_building(numpy.random.default_rng(3), 6, 7)
     mission = agv_mission("generated", "drives", building)
     planned = JointPlanner(building, KnowledgeBase(agv_model(), clock=lambda: 0.0)).plan(Question(weights=WEIGHTS))
-    run = MissionRun(mission, "bt", mission.world.open({"incidents": ""}, numpy.random.default_rng(0)))
+    run = rosa_run(mission, "bt", mission.world.open({"incidents": ""}, numpy.random.default_rng(0)))
     assert run.run().outcome == "arrived"
     assert [one.action for one in run.kb.action_history] == [f"cross_{leg.corridor}" for leg in planned.legs]
     assert {one.result for one in run.kb.action_history} == {"completed"}
@@ -326,7 +324,7 @@ def test_each_plan_made_while_driving_costs_what_the_joint_plan_costs(monkeypatc
     monkeypatch.setattr("rosa_pddl.Planner", Compared)
     building = load_building(MAPS / "paper.toml")
     mission = agv_mission("paper", "drives", building)
-    run = MissionRun(replace(mission, facts=facts), "pddl", mission.world.open({}, numpy.random.default_rng(3)))
+    run = rosa_run(replace(mission, facts=facts), "pddl", mission.world.open({}, numpy.random.default_rng(3)))
     assert run.run().outcome == "arrived"
     answered = [(future.result(), cost) for future, cost in asked if not future.cancelled()]
     assert len(answered) == 3

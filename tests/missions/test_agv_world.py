@@ -14,7 +14,7 @@ from missions.agv.settings import Settings
 from missions.agv.steering import Aim
 from missions.agv.vehicle import Vehicle, boxes, check_walls
 from missions.agv.world import BuildingWorld
-from missions.engine.runner import MissionRun
+from missions.engine.controller import rosa_run
 from missions.engine.settings import RunSettings
 
 AMCL_KINECT = ("amcl", "kinect")
@@ -167,7 +167,7 @@ def test_what_happens_in_one_corridor_happens_in_the_order_that_is_given(seed):
 def test_energy_is_known_before_the_first_plan_so_nobody_sets_out_in_vain():
     mission = agv_mission("hall", "drives", hall())
     world = mission.world.open({"incidents": "", "capacity_j": "100"}, numpy.random.default_rng(0))
-    run = MissionRun(mission, "bt", world, RunSettings(duration_s=5.0))
+    run = rosa_run(mission, "bt", world, RunSettings(duration_s=5.0))
     assert "energy would be" in run.run().reason
     assert world.results()["driven_m"] < 0.01
     assert run.kb.action_history == ()

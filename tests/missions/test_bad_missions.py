@@ -11,6 +11,7 @@ from running import run_mission
 
 from missions import cli, suave_extended
 from missions.engine import registry, runner
+from missions.engine.controller import rosa_run
 from missions.engine.mission import MissionError
 from missions.engine.registry import MISSIONS
 from rosa_bt import IsActionFeasible, RosaAction
@@ -207,10 +208,10 @@ def test_exception_in_a_plain_behaviour_is_its_failure_and_leaves_nothing_open(a
 
     mission = dataclasses.replace(MISSIONS["suave_extended"], tree=lambda kb, percepts: Rash("rash"))
     world = mission.world.open({}, numpy.random.default_rng(0))
-    run = runner.MissionRun(mission, "bt", world)
+    run = rosa_run(mission, "bt", world)
     assert not run.run().success
-    assert run.tree.root.status is Status.FAILURE
-    assert run.tree.root.feedback_message == "RuntimeError: boom"
+    assert run.controller.tree.root.status is Status.FAILURE
+    assert run.controller.tree.root.feedback_message == "RuntimeError: boom"
     assert run.kb.required_actions == ()
 
 
@@ -228,4 +229,4 @@ def test_what_cannot_make_a_step_ends_the_run_and_is_not_tried_for_ever(action, 
     mission = dataclasses.replace(mission, actions=actions, domain=DOMAIN, problem=PROBLEM)
     world = mission.world.open({}, numpy.random.default_rng(0))
     with pytest.raises((MissionError, AttributeError), match=message):
-        runner.MissionRun(mission, "pddl", world).run()
+        rosa_run(mission, "pddl", world).run()

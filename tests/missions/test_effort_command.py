@@ -15,8 +15,7 @@ from running import called
 from kb import KnowledgeBase, Model
 from missions import suave
 from missions.baselines.modes import SystemModes
-from missions.engine.mission import MissionError
-from missions.engine.percepts import Percepts
+from missions.engine.mission import MissionError, Percepts
 from missions.engine.registry import MISSIONS
 from missions.experiments import effort
 from missions.experiments.effort import MODELS, MOST_ADAPTATIONS, TASK_NODES, TREES, as_data, count, survey

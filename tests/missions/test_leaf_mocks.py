@@ -9,7 +9,7 @@ from py_trees.composites import Selector, Sequence
 from small_rover import Sensing, rover_model, rover_tree
 
 from kb import KnowledgeBase, UnknownName
-from missions.engine.percepts import Percepts
+from missions.engine.mission import Percepts
 from missions.engine.recording import measured
 from missions.testing import FakeClock, mock_leaf, replay
 from missions.testing.leaves import LETTERS

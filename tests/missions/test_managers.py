@@ -108,7 +108,7 @@ def test_the_tree_follows_the_visibility_and_recovers_the_thruster():
 def test_the_tree_recharges_once_and_then_inspects_what_is_left():
     run, verdict, _ = extended("bt")
     assert verdict.outcome == "time_limit"
-    assert [(task.action, task.result) for task in run.robot.tasks] == [
+    assert [(task.action, task.result) for task in run.controller.robot.tasks] == [
         ("search_pipeline", "completed"),
         ("inspect_pipeline", "abandoned"),
         ("recharge", "completed"),
@@ -134,7 +134,7 @@ def test_mission_node_polls_once_a_second_by_the_rules_of_2024_and_ten_times_by_
     waits = {}
     for rules in ("2024", "2025"):
         run, _ = managed("none", seed=2, rules=rules, start_y=0.0, duration_s=10)
-        inspect = next(task for task in run.robot.tasks if task.action == "inspect_pipeline")
+        inspect = next(task for task in run.controller.robot.tasks if task.action == "inspect_pipeline")
         waits[rules] = inspect.start - run.world.results()["found_s"]
     assert 0.1 < waits["2024"] < 2.0  # twice the period at most, if it is found before the search is begun
     assert 0 <= waits["2025"] < 0.2
@@ -328,6 +328,6 @@ def test_a_battery_that_ran_low_and_was_never_recharged_is_no_success():
 def test_metacontrol_answers_a_second_failure_as_it_did_the_first():
     events = {"thruster_events": "1 failure 35, 3 failure 60", "thruster_events_chained": "false"}
     run, _ = managed("metacontrol", seed=1, duration_s=90, **events)
-    starts = [one.start_s for one in run.world.reactions if one.uncertainty == "U1"]
+    starts = [one.start_s for one in run.world.reactions() if one.uncertainty == "U1"]
     assert [start // 10 for start in starts] == [3, 6]
     assert run.world._env.observe().thrusters_failed == ()

@@ -1,15 +1,12 @@
-"""Options of managers, and the time that they take: on this machine, and charged to the sea."""
+"""Options of managers, and the time that they take: in the sea, and on this machine."""
 
-from itertools import pairwise
 from time import perf_counter
 
-import numpy
 import pytest
 
 from missions.baselines import Manager, Option, open_run
 from missions.baselines.options import split_options
 from missions.baselines.rosa import CONFIGURING, FETCHING, INSERTING, PLANNING
-from missions.baselines.watch import WatchedSea
 from missions.engine.mission import MissionError
 from missions.engine.registry import find_mission
 from missions.engine.runner import Listener
@@ -43,68 +40,24 @@ def slow(**arguments):
     run = open_run(SUAVE, manager=f"{__name__}:Slow", settings={"duration_s": "10"}, **arguments)
     run.run()
     (change,) = run.world.history
-    return run, change.time - run.robot.tasks[0].start
+    return run, change.time - run.controller.robot.tasks[0].start
 
 
-def test_thinking_takes_no_simulated_time_unless_it_is_charged():
-    run, took_s = slow()
+def test_thinking_takes_no_simulated_time():
+    _, took_s = slow()
     assert took_s == pytest.approx(SWITCHING_S)
-    assert "compute_charged_s" not in run.world.results()
 
 
-def test_charged_thinking_delays_the_command_that_it_leads_to():
-    run, took_s = slow(charge_compute=True)
-    assert took_s >= 0.05 + SWITCHING_S
-    manager = run._manager
-    assert manager.told_s - manager.asked_s >= 0.05
-    assert run.world.results()["compute_charged_s"] >= 0.1
+class Idle(Listener):
+    def tick(self, run):
+        spend(0.002)
 
 
-class Heard(Listener):
-    def __init__(self):
-        self.stamps, self.heard_s, self.run = [], [], None
-
-    def message(self, message):
-        self.stamps.append(message["time"])
-        self.heard_s.append(self.run.world.now)
-
-
-def test_what_is_published_meanwhile_is_heard_late_but_in_order_and_complete():
-    at_once, late = Heard(), Heard()
-    for heard, charged in ((at_once, False), (late, True)):
-        settings = {"duration_s": "10", "thought": "1.1" if charged else "0"}
-        heard.run = open_run(
-            SUAVE, manager=f"{__name__}:Slow", settings=settings, listeners=(heard,), charge_compute=charged
-        )
-        heard.run.run()
-    assert late.stamps[:8] == at_once.stamps[:8]
-    assert all(earlier <= later for earlier, later in pairwise(late.stamps))
-    assert any(heard - stamp > 0.5 for heard, stamp in zip(late.heard_s, late.stamps, strict=True))
-    assert all(heard == stamp for heard, stamp in zip(at_once.heard_s, at_once.stamps, strict=True))
-
-
-def test_time_of_listeners_is_not_thinking():
-    sea = WatchedSea(SUAVE.world.open({}, numpy.random.default_rng(0)), charges=True)
-    sea.advance(1.0)
-    sea.aside(lambda: spend(0.3))
-    sea.advance(sea.now)
-    assert 0 < sea.results()["compute_charged_s"] < 0.3
-
-
-@pytest.mark.parametrize("task", ["bt", "pddl"])
-def test_ours_is_charged_too_and_says_so(task):
-    run = open_run(find_mission("suave_extended"), task=task, charge_compute=True, settings={"duration_s": "40"})
+def test_each_reaction_knows_the_compute_time_that_went_into_it_and_time_of_listeners_is_none():
+    run = open_run(SUAVE, seed=1, settings={"duration_s": "40"}, listeners=(Idle(),))
     run.run()
-    assert run.settings.planning_delay_s == 0
-    assert 0 < run.world.results()["compute_charged_s"] < 40
-    assert {change.component for change in run.world.history} == {"spiral_search", "recover_thrusters"}
-
-
-def test_each_reaction_knows_the_compute_time_that_went_into_it():
-    run = open_run(SUAVE, seed=1, settings={"duration_s": "40"})
-    run.run()
-    assert run.world.reactions
-    assert all(run.world.compute_s(one) > 0 for one in run.world.reactions)
+    assert run.reactions
+    assert all(0 < took_s < 0.1 for _, took_s in run.reactions)
 
 
 @pytest.mark.parametrize("service_s", [0.05, 0.17, 0.3])
@@ -112,9 +65,9 @@ def test_reactions_of_rosa_as_published_are_its_calls_times_what_one_takes(servi
     run = open_run(SUAVE, manager="rosa", seed=1, settings={"service_s": str(service_s), "duration_s": "60"})
     run.run()
     for uncertainty, calls in CALLS.items():
-        delays = [one.delay_s for one in run.world.reactions if one.uncertainty == uncertainty]
+        delays = [one.delay_s for one in run.world.reactions() if one.uncertainty == uncertainty]
         assert min(delays) == pytest.approx(calls * service_s + SWITCHING_S)
-    assert run.world.results()["input_from_paper_service_s"] == service_s
+    assert run.results()["input_from_paper_service_s"] == service_s
 
 
 def test_rosa_whose_services_take_no_time_does_as_we_do():
@@ -124,7 +77,7 @@ def test_rosa_whose_services_take_no_time_does_as_we_do():
         runs.append((run.run().outcome, run))
     (outcome, rosa), (expected, ours) = runs
     assert outcome == expected == "time_limit"
-    done, doing = ([(one.action, one.result) for one in run.kb.action_history] for run in (rosa, ours))
+    done, doing = ([(one.action, one.result) for one in run.actions] for run in (rosa, ours))
     assert done == doing
     assert rosa.world.results()["found_s"] == pytest.approx(ours.world.results()["found_s"], abs=2.0)
 
@@ -133,14 +86,14 @@ def test_rosa_whose_services_take_no_time_does_as_we_do():
 def test_rosa_as_published_recharges_once_though_it_learns_of_it_late(seed):
     run = open_run(find_mission("suave_extended"), manager="rosa", seed=seed)
     run.run()
-    assert [task.action for task in run.robot.tasks].count("recharge") == 1
+    assert [task.action for task in run.controller.robot.tasks].count("recharge") == 1
 
 
 def test_managers_that_take_nothing_from_the_paper_do_not_say_so():
     for manager in ("ours", "none", "random", "bt", "metacontrol"):
         run = open_run(SUAVE, manager=manager, settings={"duration_s": "3"})
         run.run()
-        assert not any(name.startswith("input_from_paper") for name in run.world.results())
+        assert not any(name.startswith("input_from_paper") for name in run.results())
 
 
 def test_random_picks_every_mode_at_the_period_of_the_rules():
@@ -191,7 +144,7 @@ class Patient(Manager):
 def test_what_is_put_off_comes_in_order_of_time_then_of_asking():
     run = open_run(SUAVE, manager=f"{__name__}:Patient", settings={"duration_s": "5"})
     run.run()
-    calls = run._manager.calls
+    calls = run.controller._manager.calls
     assert [name for name, _ in calls] == ["now", "a", "b", "c"]
     assert [after_s for _, after_s in calls[1:]] == pytest.approx([1.0, 1.0, 2.0])
 
@@ -200,7 +153,7 @@ def test_what_is_put_off_comes_in_order_of_time_then_of_asking():
 def test_nothing_is_put_off_into_the_past_or_for_ever(delay_s):
     run = open_run(SUAVE, manager="none")
     with pytest.raises(MissionError, match="allowed is a number from 0"):
-        run.robot.later(delay_s, print)
+        run.controller.robot.later(delay_s, print)
     run.world.close()
 
 

@@ -53,7 +53,7 @@ def test_ontology_says_of_the_vehicle_what_suave_says():
 
 def test_every_design_of_the_ontology_is_a_mode_of_its_function():
     run = open_run(find_mission("suave"), manager="metacontrol")
-    modes = SystemModes(run.robot)
+    modes = SystemModes(run.controller.robot)
     assert len(SUAVE.designs) == 6
     for design in SUAVE.designs:
         assert design.name in modes.of(design.function)
@@ -127,7 +127,7 @@ def changes_of(component, run):
 def test_reasoner_sees_a_failure_in_one_pass_acts_in_the_next_and_returns_to_all_thrusters():
     run = open_run(find_mission("suave"), manager="metacontrol", seed=2, settings={"duration_s": "60"})
     run.run()
-    reaction = next(one for one in run.world.reactions if one.uncertainty == "U1")
+    reaction = next(one for one in run.world.reactions() if one.uncertainty == "U1")
     assert 2 * 0.3 < reaction.delay_s < 1.5 + 2 * 0.3 + 0.1
     started, stopped = changes_of("recover_thrusters", run)
     assert (started.active, stopped.active) == (True, False)
@@ -137,7 +137,7 @@ def test_reasoner_sees_a_failure_in_one_pass_acts_in_the_next_and_returns_to_all
 def test_search_begins_with_a_cycle_and_takes_the_altitude_that_the_water_allows():
     run = open_run(find_mission("suave"), manager="metacontrol", seed=2, settings={"duration_s": "20"})
     run.run()
-    begun = run.robot.tasks[0].start
+    begun = run.controller.robot.tasks[0].start
     first = next(change for change in changes_of("spiral_search", run) if change.active)
     assert 0.3 < first.time - begun < 1.5 + 0.3 + 0.1
     assert first.parameters["spiral_altitude"] == 3.0

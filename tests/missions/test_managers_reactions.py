@@ -1,5 +1,6 @@
 """Reaction times: their rules, and what they come to under each manager."""
 
+from collections import namedtuple
 from functools import cache
 from itertools import pairwise
 from statistics import mean
@@ -9,11 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from missions.baselines import open_run
-from missions.baselines.reactions import News, Reaction, find_reactions, mean_reactions, news_in
 from missions.engine.registry import find_mission
 from suave_env import Change
-from suave_env.water import expected_altitude
+from suave_env.metrics import Reaction, Reactions, mean_reactions
 
+News = namedtuple("News", ["time", "key", "value"])
 MURKY, CLEAR = "1.5", "3.5"
 TIMES = st.integers(0, 200).map(lambda tenths: tenths / 10)
 NEWS = st.one_of(
@@ -40,7 +41,10 @@ QUESTION = {"U1": "c_thruster", "U2": "water_visibility", "U3": "battery_level"}
 
 
 def found(news, changes, altitude=2.0):
-    return find_reactions(news, changes, altitude, expected_altitude)
+    reactions = Reactions(altitude)
+    for one in sorted([*news, *changes], key=lambda one: one.time):
+        reactions.hear(*one) if isinstance(one, News) else reactions.see(one)
+    return tuple(reactions.found)
 
 
 @given(st.lists(NEWS, max_size=20), st.lists(CHANGES, max_size=20))
@@ -107,8 +111,8 @@ def test_level_at_the_threshold_is_not_low():
 
 
 def test_news_of_anything_else_is_passed_over():
-    status = {"name": "x", "message": "mission status", "values": {"pipeline_found": "true", "c_thruster_1": "FALSE"}}
-    assert list(news_in({"time": 3.0, "status": [status]})) == [News(3.0, "c_thruster_1", "FALSE")]
+    news = [News(1.0, "pipeline_found", "true"), News(3.0, "c_thruster_1", "FALSE")]
+    assert found(news, [switching(5.0, "recover_thrusters", True)]) == (Reaction("U1", 3.0, 5.0),)
 
 
 @cache
@@ -118,7 +122,7 @@ def means(manager, mission="suave_extended"):
     for seed in range(4):
         run = open_run(find_mission(mission), manager=manager, seed=seed)
         run.run()
-        for one in run.world.reactions:
+        for one in run.world.reactions():
             delays.setdefault(one.uncertainty, []).append(one.delay_s)
     return {uncertainty: mean(values) for uncertainty, values in delays.items()}
 
@@ -153,7 +157,7 @@ def test_without_adaptation_there_is_no_reaction():
 def test_results_hold_the_mean_of_each_reaction_time():
     run = open_run(find_mission("suave"), manager="bt", seed=1, settings={"duration_s": "40"})
     run.run()
-    of_thruster = [one.delay_s for one in run.world.reactions if one.uncertainty == "U1"]
+    of_thruster = [one.delay_s for one in run.world.reactions() if one.uncertainty == "U1"]
     results = run.world.results()
     assert results["reaction_u1_s"] == mean(of_thruster)
     assert results["reaction_u3_s"] is None

@@ -12,8 +12,7 @@ from running import run_mission
 from small_rover import rover_model, rover_tree
 
 from missions import suave_extended
-from missions.engine.mission import MissionError
-from missions.engine.percepts import Percepts
+from missions.engine.mission import MissionError, Percepts
 from missions.engine.recording import failed, header, line_of, measured, recovered, sensed
 from missions.engine.replay import replay
 from missions.engine.runner import Listener

@@ -7,7 +7,7 @@ from py_trees.common import Status
 from running import run_mission
 
 from kb import KnowledgeBase
-from missions.engine.percepts import Percepts
+from missions.engine.mission import Percepts
 from missions.engine.runner import Listener
 from missions.suave.actions import InspectPipeline, SearchPipeline
 from missions.suave_extended.model import suave_extended_model
@@ -85,7 +85,7 @@ class Watch(Listener):
         self.told_m = []
 
     def tick(self, run):
-        now = [one for one in run.tree.root.iterate() if isinstance(one, InspectPipeline)]
+        now = [one for one in run.controller.tree.root.iterate() if isinstance(one, InspectPipeline)]
         self.told_m += [one.inspected_m for one in now if one.status is Status.RUNNING]
 
 

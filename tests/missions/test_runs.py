@@ -11,11 +11,10 @@ from py_trees.composites import Parallel
 from running import result, run_mission, text
 
 from kb import KnowledgeBase, Status
-from missions.engine.percepts import Percepts
+from missions.engine.controller import TASK_KINDS, build_task, rosa_run
+from missions.engine.mission import Percepts
 from missions.engine.registry import MISSIONS, find_mission
-from missions.engine.runner import MissionRun
 from missions.engine.settings import RunSettings
-from missions.engine.task_layer import TASK_KINDS, build_task
 from missions.views.output import summary
 from rosa_pddl import Outcome, PlanRecord
 
@@ -84,7 +83,7 @@ def test_tree_whose_planner_is_in_trouble_goes_on_and_the_trouble_is_told():
     planner.find("start", Outcome.OUT_OF_TIME)
     mission = replace(find_mission("suave"), tree=lambda kb, percepts: planner)
     world = mission.world.open({}, numpy.random.default_rng(0))
-    run = MissionRun(mission, "bt", world, RunSettings(duration_s=2.0))
+    run = rosa_run(mission, "bt", world, RunSettings(duration_s=2.0))
     verdict = run.run()
     assert run.world.now == 2.0
     assert "planner" not in verdict.reason

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from missions.engine.controller import TASK_KINDS, rosa_run
 from missions.engine.registry import find_mission
-from missions.engine.runner import Listener, MissionRun
+from missions.engine.runner import Listener
 from missions.engine.settings import RunSettings
-from missions.engine.task_layer import TASK_KINDS
 from missions.uav.field import Sample
 from missions.uav.settings import Settings
 from missions.uav.world import UavWorld
@@ -74,7 +74,7 @@ def flown(task, seed, happens, duration_s, **changed):
     mission, witness = find_mission("uav"), Witness()
     world = Mishaps(Settings(**changed), numpy.random.default_rng(seed))
     world.happens = tuple(happens)
-    run = MissionRun(mission, task, world, RunSettings(duration_s=duration_s), (witness,))
+    run = rosa_run(mission, task, world, RunSettings(duration_s=duration_s), (witness,))
     return run.run(), run, witness
 
 

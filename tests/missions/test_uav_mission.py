@@ -9,10 +9,10 @@ from py_trees.common import Status
 from running import run_mission
 
 from kb import KnowledgeBase
-from missions.engine.percepts import Percepts
+from missions.engine.controller import TASK_KINDS
+from missions.engine.mission import Percepts
 from missions.engine.registry import find_mission
 from missions.engine.runner import Listener
-from missions.engine.task_layer import TASK_KINDS
 from missions.uav.actions import AnalyseOnSite, Sensed, facts, is_all_analysed
 from missions.uav.model import uav_model
 from missions.views.output import as_json

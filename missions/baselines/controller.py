@@ -1,0 +1,200 @@
+"""Who decides in a run of a baseline: SUAVE's mission node, or the manager itself, and the manager."""
+
+import sys
+import traceback
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from math import inf
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, TypeVar
+
+from numpy.random import Generator
+
+from kb import DiagnosticProblem, KnowledgeBase
+from missions.baselines.manager import Manager, Robot, Task
+from missions.baselines.registry import name_of
+from missions.engine.adaptations import Adaptation
+from missions.engine.mission import Message, Mission, MissionError, Percepts, Verdict
+from missions.engine.runner import Listener, Seen
+from missions.suave.world import SEA, Sea
+
+if TYPE_CHECKING:
+    from rosa_pddl import PlanRecord
+
+__all__ = ["BaselineController"]
+
+SEARCH, INSPECT = "search_pipeline", "inspect_pipeline"
+LOW_LEVEL = 0.25
+
+T = TypeVar("T")
+
+
+class _Timer:
+    """Due at a phase, then at every period after it."""
+
+    def __init__(self, period_s: float, phase: float) -> None:
+        self._period_s, self._first, self._count = period_s, phase * period_s, 0
+
+    @property
+    def due(self) -> float:
+        return self._first + self._count * self._period_s
+
+    def is_up(self, now: float) -> bool:
+        """Tell whether it is due by now [s], and if so, wind it up again."""
+        if now < self.due:
+            return False
+        self._count += 1
+        return True
+
+
+class BaselineController:
+    """Has a manager of the sea's vehicle decide.
+
+    Args:
+        mission: suave, suave_extended, or another one in the sea.
+        manager: class of the manager.
+        world: the sea.
+        rng: all chance of the manager and of its timers.
+        options: values of the manager's options by name.
+        inputs: which of them are told among the results.
+
+    Attributes:
+        robot: what the manager knows and has done.
+
+    Raises:
+        MissionError: whatever the manager raises, here or later, with its name, the moment and the line.
+    """
+
+    def __init__(
+        self,
+        mission: Mission,
+        manager: type[Manager],
+        world: Sea,
+        rng: Generator,
+        options: Mapping[str, float],
+        inputs: Iterable[str] = (),
+    ) -> None:
+        self.kb: KnowledgeBase | None = None
+        self.trouble: Verdict | None = None
+        self.adaptations: list[Adaptation] = []
+        self.plans: tuple[PlanRecord, ...] = ()
+        self.inputs: Mapping[str, float] = {f"input_from_paper_{name}": options[name] for name in inputs}
+        self.compute_s: defaultdict[str, float] = defaultdict(float)
+        self._world, self._class = world, manager
+        phases = rng.random(2).tolist()
+        self.robot = Robot(mission, world.managed, world.settings, rng, lambda: world.now, options)
+        self.manager = name_of(manager)
+        self._manager = self._ask(manager, self.robot)
+        self._percepts = Percepts()
+        self.task = "tree of the manager" if manager.decides_tasks else "mission node"
+        self._mission_timer = _Timer(world.settings.mission_period_s, phases[0])
+        self._manager_timer = _Timer(self._ask(_checked, self._manager.period_s), phases[1])
+        self._listeners: Sequence[Listener] = ()
+        self._tasks_told = self._changes_told = 0
+
+    @property
+    def due(self) -> float:
+        return min(self._manager_timer.due, self._mission_timer.due, self.robot.due)
+
+    @property
+    def is_done(self) -> bool:
+        return self._ask(lambda: self._manager.is_done) or any(
+            task.action == INSPECT and task.result == "completed" for task in self.robot.tasks
+        )
+
+    @property
+    def actions(self) -> Sequence[Task]:
+        return self.robot.tasks
+
+    @property
+    def measured(self) -> Mapping[str, float | None]:
+        return dict(self.robot.measured)
+
+    def begin(self, listeners: Sequence[Listener]) -> None:
+        self._listeners = listeners
+
+    def receive(self, message: Message) -> Sequence[DiagnosticProblem]:
+        started = perf_counter()
+        self.robot.receive(message)
+        self._percepts.receive(message)
+        self._ask(self._manager.receive, message)
+        self.compute_s["manager"] += perf_counter() - started
+        return ()
+
+    def decide(self) -> bool:
+        started = perf_counter()
+        self._ask(self.robot.catch_up)
+        if self._mission_timer.is_up(self.robot.now) and not self._manager.decides_tasks:
+            self._decide_task()
+        is_ticked = self._manager_timer.is_up(self.robot.now)
+        if is_ticked:
+            self._ask(self._manager.update)
+        self.compute_s["manager"] += perf_counter() - started
+        self._tell()
+        return is_ticked
+
+    def look(self) -> Seen:
+        searching = self.robot.is_active("spiral_search")
+        altitude = f"{self.robot.parameters('spiral_search')['spiral_altitude']:g} m" if searching else ""
+        return Seen(self.robot.task or "", altitude)
+
+    def end(self) -> None:
+        if self.robot.task is not None:
+            self.robot.end("abandoned", "the mission has ended")
+
+    def verdict(self, results: Mapping[str, float | None]) -> Verdict:
+        is_low = self.robot.measured.get("battery_level", 1.0) < LOW_LEVEL
+        recharges = is_low or any(task.action == "recharge" for task in self.robot.tasks)
+        return SEA.judge(self._percepts, results, recharges)
+
+    def _ask(self, what: Callable[..., T], *args: object) -> T:
+        try:
+            return what(*args)
+        except Exception as error:
+            raise MissionError(self._blamed(error)) from error
+
+    def _blamed(self, error: Exception) -> str:
+        """Say which manager raised what, when, and at which line of its own file."""
+        own = getattr(sys.modules.get(self._class.__module__), "__file__", None)
+        frames = traceback.extract_tb(error.__traceback__)[1:]
+        frame = next((one for one in reversed(frames) if one.filename == own), None)
+        where = f"; {Path(frame.filename).name}, line {frame.lineno}, in {frame.name}" if frame else ""
+        return f"manager {self.manager} failed after {self._world.now:.2f} s: {type(error).__name__}: {error}{where}"
+
+    def _decide_task(self) -> None:
+        """Begin and end tasks as SUAVE's mission node does: search until the pipeline is found, then inspect it."""
+        task = self.robot.task
+        if task is None:
+            self._begin(SEARCH)
+        elif task == SEARCH and self._percepts.holds("pipeline_found"):
+            self._end(SEARCH)
+            self._begin(INSPECT)
+        elif task == INSPECT and self._percepts.holds("pipeline_inspected"):
+            self._end(INSPECT)
+
+    def _begin(self, task: str) -> None:
+        self.robot.begin(task)
+        self._ask(self._manager.begin, task)
+
+    def _end(self, task: str) -> None:
+        self.robot.end("completed")
+        self._ask(self._manager.end, task)
+
+    def _tell(self) -> None:
+        """Tell the listeners what has been done since they were told last."""
+        if not self._listeners:
+            return
+        tasks, changes = self.robot.tasks, self._world.history
+        said = [(task.start, f"{task.action} is begun") for task in tasks[self._tasks_told :]]
+        said += [(change.time, str(change)) for change in changes[self._changes_told :]]
+        self._tasks_told, self._changes_told = len(tasks), len(changes)
+        for time, text in sorted(said):
+            for listener in self._listeners:
+                listener.action(text, time)
+
+
+def _checked(period_s: float) -> float:
+    if not 0 < period_s < inf:
+        raise MissionError(f"period_s is {period_s!r}; allowed is a number of seconds above 0")
+    return period_s

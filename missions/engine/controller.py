@@ -1,0 +1,363 @@
+"""Who decides in a run of ours: knowledge base, configuration manager and task layer, a tree or a plan executor."""
+
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from inspect import signature
+from time import perf_counter
+from typing import TYPE_CHECKING, Final, Protocol, runtime_checkable
+
+from py_trees.behaviour import Behaviour
+from py_trees.common import Status
+from py_trees.decorators import FailureIsRunning
+from py_trees.trees import BehaviourTree
+
+from kb import ConfigurationManager, DiagnosticProblem, Event, EventKind, KnowledgeBase, RequiredAction
+from missions.engine.adaptations import Adaptation, AdaptationLog
+from missions.engine.mission import Message, Mission, MissionError, Percepts, Verdict, World
+from missions.engine.runner import Listener, MissionRun, Seen
+from missions.engine.settings import RunSettings
+from rosa_bt import TreeRunner
+
+if TYPE_CHECKING:
+    from rosa_pddl import PlanRecord, Step
+
+__all__ = ["OURS", "RosaController", "TASK_KINDS", "TaskLayer", "build_task", "check_task", "rosa_run"]
+
+OURS: Final = "ours"
+"""The name under which the knowledge base and its configuration manager run, with the task layer that is asked for."""
+
+TASK_KINDS: Final = ("bt", "pddl")
+
+
+class RosaController:
+    """The knowledge base is told what is published, the manager keeps the architecture right, the task layer decides.
+
+    Args:
+        mission: what is to be done.
+        task: the kind of its task layer, "bt" or "pddl".
+        world: where it happens.
+        settings: how it is run.
+
+    Attributes:
+        percepts: what the task layer is told beside what the knowledge base knows.
+
+    Raises:
+        MissionError, rosa_pddl.RosaPddlError, kb.KnowledgeBaseError: the mission cannot be run.
+    """
+
+    def __init__(self, mission: Mission, task: str, world: World, settings: RunSettings) -> None:
+        self.manager, self.task = OURS, task
+        self.inputs: Mapping[str, float] = {}
+        self.compute_s: defaultdict[str, float] = defaultdict(float)
+        self.trouble: Verdict | None = None
+        self.percepts = Percepts()
+        self._mission, self._world = mission, world
+        self.kb: KnowledgeBase | None  # as a controller has it; here it always is one
+        self.kb = self._kb = KnowledgeBase(mission.model(), clock=self._now)
+        self._manager = ConfigurationManager(self._kb, world.managed)
+        self._task = build_task(task, mission, self._kb, self.percepts, self._now, settings.planning_delay_s)
+        deciding = self._task.plans if self._task.is_planned else tuple
+        self._log = AdaptationLog(self._kb, self._tell_adaptation, deciding)
+        self._kb.subscribe(self._hear)
+        self._runner = TreeRunner(self._task.root, clock=self._now, period=settings.tick_period_s)
+        self._runner.tree.setup()
+        self._configurable = [one for one in self._kb.components.values() if one.configurations]
+        self._choices = [one for one in self._kb.functions.values() if len(one.designs) > 1]
+        self._listeners: Sequence[Listener] = ()
+        self._answered = -1
+        self._plans_checked = 0
+        self._left = ""
+
+    @property
+    def tree(self) -> BehaviourTree:
+        """The tree of the task layer, for visitors."""
+        return self._runner.tree
+
+    @property
+    def due(self) -> float:
+        return self._runner.due
+
+    @property
+    def is_done(self) -> bool:
+        return self._runner.status is Status.SUCCESS
+
+    @property
+    def actions(self) -> Sequence[RequiredAction]:
+        return self._kb.action_history
+
+    @property
+    def measured(self) -> Mapping[str, float | None]:
+        return {name: view.value for name, view in self._kb.attributes.items()}
+
+    @property
+    def adaptations(self) -> list[Adaptation]:
+        return self._log.adaptations
+
+    @property
+    def plans(self) -> tuple["PlanRecord", ...]:
+        return self._task.plans()
+
+    def begin(self, listeners: Sequence[Listener]) -> None:
+        self._listeners = listeners
+
+    def receive(self, message: Message) -> Sequence[DiagnosticProblem]:
+        started = perf_counter()
+        self._log.news(float(message["time"]))
+        problems = self._kb.receive(message)
+        self._perceive(message)
+        self._log.news(None)
+        self.compute_s["knowledge base"] += perf_counter() - started
+        return problems
+
+    def decide(self) -> bool:
+        """Have the manager answer what is known, then tick the task layer if that is due, and answer that."""
+        spent, started = self.compute_s, perf_counter()
+        self._manage()
+        managed = perf_counter()
+        self._task.catch_up()
+        caught_up = perf_counter()
+        if self._now() >= self._runner.due:
+            self._log.ticking(self._now())
+        is_ticked = self._runner.update()
+        decided = perf_counter()
+        if is_ticked and self._kb.revision != self._answered:
+            self._manage()
+        spent["manager"] += managed - started + perf_counter() - decided
+        spent["waiting for plans"] += caught_up - managed
+        spent["task layer"] += decided - caught_up
+        self._check_plans()
+        return is_ticked
+
+    def look(self) -> Seen:
+        kb = self._kb
+        action = ", ".join(required.action for required in kb.required_actions)
+        configured = (one.selected_configuration for one in self._configurable if one.is_active)
+        designs = (name for one in self._choices if one.is_required for name in one.designs)
+        designs = (name for name in designs if kb.designs[name].is_selected)
+        return Seen(action, ", ".join(name for name in configured if name), ", ".join(designs))
+
+    def end(self) -> None:
+        try:
+            if not self.is_done:
+                self._log.finish()
+            self._left = " and ".join(f"{one.action} since {one.start:.1f} s" for one in self._kb.required_actions)
+        finally:
+            self._runner.shutdown()
+            self._task.close()
+
+    def verdict(self, results: Mapping[str, float | None]) -> Verdict:
+        """Return the world's verdict; of a failure with what was under way, why there was no plan, or what failed."""
+        verdict = self._mission.world.verdict(self.percepts, results, self._kb)
+        if verdict.success:
+            return verdict
+        plan = self.plans[-1] if self.plans and self._task.is_planned else None
+        failed = next((one for one in reversed(self._kb.action_history) if one.result == "failed"), None)
+        if self._left:
+            more = f"under way: {self._left}"
+        elif plan is not None and not plan.outcome.is_solved:
+            more = f"there was no plan: {plan.outcome}"
+        elif failed:
+            more = f"{failed.action} failed last: {failed.reason or 'no reason told'}"
+        else:
+            return verdict
+        return verdict._replace(reason=f"{verdict.reason}; {more}")
+
+    def _now(self) -> float:
+        return self._world.now
+
+    def _perceive(self, message: Message) -> None:
+        """Pass on what the task layer alone is told, and note what is not so any more, or only now."""
+        keys = [key for status in message["status"] for key in status["values"]]
+        held = {key: self.percepts.holds(key) for key in keys}
+        self.percepts.receive(message)
+        for key, before in held.items():
+            if self.percepts.holds(key) is not before:
+                self._log.sensed(f"{key} is {'false' if before else 'true'}")
+
+    def _manage(self) -> None:
+        self._manager.update()
+        self._log.settle()
+        self._answered = self._kb.revision
+
+    def _check_plans(self) -> None:
+        """See whether the planner itself could not do its work; a tree may have something else to do then."""
+        plans = self.plans
+        checked, self._plans_checked = self._plans_checked, len(plans)
+        for plan in plans[checked:]:
+            if plan.outcome.is_trouble and self._task.is_planned:
+                self.trouble = Verdict("aborted", f"no plan, {plan.outcome}: {plan.engine}", plan.message)
+
+    def _hear(self, event: Event) -> None:
+        if event.kind is EventKind.ACTION_UPDATE:
+            for listener in self._listeners:
+                listener.action(event.text, event.time)
+
+    def _tell_adaptation(self, adaptation: Adaptation) -> None:
+        for listener in self._listeners:
+            listener.adaptation(adaptation)
+
+
+@runtime_checkable
+class Planning(Protocol):
+    """A behaviour that plans, such as `rosa_pddl.PlanExecutor`: a tree with one in it has its plans told."""
+
+    @property
+    def plans(self) -> tuple["PlanRecord", ...]:
+        """The plans made so far; only added to."""
+
+
+@dataclass(frozen=True, slots=True)
+class TaskLayer:
+    """What decides about actions.
+
+    Attributes:
+        root: the behaviour to tick.
+        catch_up: to be called between ticks: waits for an answer that is due.
+        plans: the task plans made so far, by a planner or by behaviours in a tree.
+        is_planned: whether the actions are those of the plans, none of a tree's own.
+        close: to be called at the end: lets go of what was used for planning.
+    """
+
+    root: Behaviour
+    catch_up: Callable[[], None] = lambda: None
+    plans: Callable[[], tuple["PlanRecord", ...]] = tuple
+    close: Callable[[], None] = lambda: None
+    is_planned: bool = False
+
+
+def rosa_run(
+    mission: Mission,
+    task: str,
+    world: World,
+    settings: RunSettings | None = None,
+    listeners: Sequence[Listener] = (),
+) -> MissionRun:
+    """Return a run of a mission in a world that is open, with a task layer of ours, ready for `run()`."""
+    settings = settings or RunSettings()
+    return MissionRun(mission, RosaController(mission, task, world, settings), world, settings, listeners)
+
+
+def check_task(kind: str) -> None:
+    """Raise unless there is that kind of task layer."""
+    if kind not in TASK_KINDS:
+        raise MissionError(f"unknown task layer {kind!r}; there are {' and '.join(TASK_KINDS)}")
+
+
+def build_task(
+    kind: str,
+    mission: Mission,
+    kb: KnowledgeBase,
+    percepts: Percepts,
+    clock: Callable[[], float],
+    planning_delay_s: float,
+) -> TaskLayer:
+    """Build the task layer of a mission.
+
+    Args:
+        kind: "bt" or "pddl".
+        mission: whose task logic.
+        kb: the knowledge base that the task layer asks and tells.
+        percepts: what else it is told.
+        clock: gives the time [s].
+        planning_delay_s: simulated time in which a plan is found [s].
+
+    Raises:
+        MissionError: no such kind, or the mission has no task logic of that kind.
+    """
+    check_task(kind)
+    if kind == "bt":
+        root = mission.tree(kb, percepts)
+        if not isinstance(root, Behaviour):
+            raise MissionError(f"the tree of mission {mission.name} is {root!r}, not a py_trees behaviour")
+        return TaskLayer(root, plans=_Plans(root))
+    return _planning(mission, kb, percepts, clock, planning_delay_s)
+
+
+def _planning(
+    mission: Mission, kb: KnowledgeBase, percepts: Percepts, clock: Callable[[], float], delay_s: float
+) -> TaskLayer:
+    from missions.planning.declared import check_facts, mission_domain
+    from rosa_pddl import PlanExecutor, Planner
+
+    check_facts(mission)
+    domain = mission_domain(mission)
+    planner = Planner(mission.engines[0], fallback=mission.engines[1:]) if mission.engines else Planner()
+    missing = planner.missing(domain)
+    if missing is not None:
+        raise MissionError(missing)
+    made = _Made(kb, percepts)
+    executor = PlanExecutor(
+        f"plan for {mission.name}",
+        kb=kb,
+        domain=domain,
+        behaviours={schema: made.by(schema, action) for schema, action in mission.actions.items()},
+        sense=lambda: mission.facts(kb, percepts),
+        clock=clock,
+        planner=planner,
+        delay_s=delay_s,
+    )
+    root = FailureIsRunning("until the goal holds", executor)
+
+    def catch_up() -> None:
+        executor.catch_up()
+        if made.error is not None:
+            raise made.error
+
+    return TaskLayer(root, catch_up, lambda: executor.plans, planner.close, is_planned=True)
+
+
+class _Plans:
+    """The plans of all behaviours of a tree that plan, in the order in which they are found here."""
+
+    def __init__(self, root: Behaviour) -> None:
+        self._planning = [one for one in root.iterate() if isinstance(one, Planning)]
+        self._heard = [0] * len(self._planning)
+        self._plans: tuple[PlanRecord, ...] = ()
+
+    def __call__(self) -> tuple["PlanRecord", ...]:
+        """Return them."""
+        for number, one in enumerate(self._planning):
+            plans = one.plans
+            if len(plans) > self._heard[number]:
+                self._plans += plans[self._heard[number] :]
+                self._heard[number] = len(plans)
+        return self._plans
+
+
+class _Made:
+    """Makes the behaviours of steps, and keeps the error if one cannot be made: a tree would make a failure of it.
+
+    Attributes:
+        error: what making the latest raised; None if it was made.
+    """
+
+    def __init__(self, kb: KnowledgeBase, percepts: Percepts) -> None:
+        self.error: Exception | None = None
+        self._kb, self._percepts = kb, percepts
+
+    def by(self, schema: str, action: Callable[..., Behaviour]) -> Callable[["Step"], Behaviour]:
+        """Return what makes the behaviour of a step; it is told the step if it asks for it.
+
+        Raises:
+            MissionError: it asks for something else, too.
+        """
+        parameters = signature(action)
+        is_told = "step" in parameters.parameters
+        try:
+            parameters.bind(self._kb, self._percepts, **({"step": None} if is_told else {}))
+        except TypeError as error:
+            given = "the knowledge base, the percepts and, as `step`, the step"
+            raise MissionError(f"what does the PDDL action {schema} is given {given}: {error}") from error
+
+        def make(step: "Step") -> Behaviour:
+            try:
+                made = action(self._kb, self._percepts, **({"step": step} if is_told else {}))
+                if not isinstance(made, Behaviour):
+                    raise MissionError(f"what does the PDDL action {schema} is {made!r}, not a py_trees behaviour")
+                return made
+            except Exception as error:
+                self.error = error
+                raise
+
+        return make
