@@ -11,15 +11,16 @@ from threading import RLock
 from typing import Any, Final
 
 from kb.declarations import listed
-from kb.elements import Configuration, Constraint, Element, FunctionDesign, Parameters
+from kb.elements import Constraint, Element, Parameters
 from kb.exceptions import AmbiguousName, InvalidValue, UnknownName
 from kb.explanation.choice import ChoiceExplanation, explain_choice
 from kb.explanation.reasons import Explanation, explain, why
 from kb.history import History
 from kb.inference.network import Network, Node, Ref
 from kb.inference.state import Overlay, State
-from kb.reconfiguration import Obsolete, obsolete, reselect
-from kb.selection import Choice, Criterion, first_by_priority, summed_weights
+from kb.planners.priority import ranked
+from kb.reconfiguration import Obsolete, by_whole, obsolete, reselect
+from kb.selection import Choice, Criterion, summed_weights
 from kb.status import Status
 from kb.views import (
     ActionView,
@@ -114,10 +115,10 @@ class Questions(ABC):
                 from kb.planners.solver import best_choice  # the solver takes a while to import
 
                 return best_choice(self._state, Criterion(summed_weights([preference])), node.parts).choice
-            designs = {function: self._best(function) for function in node.parts}
-            components = dict.fromkeys(part for design in designs.values() if design for part in design.parts)
-            configurations = {component: self._best(component) for component in components}
-            return Choice(_by_name(designs), _by_name(configurations))
+            designs = [first for function in node.parts for first in ranked(self._state, function)[:1]]
+            components = dict.fromkeys(part for design in designs for part in design.parts)
+            configurations = [first for component in components for first in ranked(self._state, component)[:1]]
+            return Choice(by_whole(designs), by_whole(configurations))
 
     def adaptable_functions(self) -> tuple[str, ...]:
         """Names of the functions for which a design has to be chosen, or may be chosen better."""
@@ -171,14 +172,6 @@ class Questions(ABC):
     @abstractmethod
     def _history_of(self, attribute: Node) -> History:
         """Return every measurement of an attribute."""
-
-    def _best(self, whole: Node) -> Node | None:
-        """Return the part of a function or component that is selectable and comes first by priority."""
-        parts = {part.name: part for part in whole.parts if self._state.status[part.index] is not Status.UNFEASIBLE}
-        first = first_by_priority(
-            part.element for part in parts.values() if isinstance(part.element, FunctionDesign | Configuration)
-        )
-        return None if first is None else parts[first]
 
     def _selectable(self, nodes: Iterable[Node]) -> tuple[str, ...]:
         status = self._state.status
@@ -234,7 +227,3 @@ def _allowed(node: Node, kinds: Iterable[str]) -> Node:
 
 def _adaptable(state: State, kind: str) -> tuple[str, ...]:
     return tuple(node.name for node in state.adaptable.nodes() if node.kind == kind)
-
-
-def _by_name(chosen: Mapping[Node, Node | None]) -> dict[str, str]:
-    return {whole.name: part.name for whole, part in chosen.items() if part}

@@ -1,34 +1,19 @@
-"""Which of several possibilities to choose; pure, so that it can be replaced and tried by itself."""
+"""A choice of designs and configurations, what makes one better than another, and how good one is."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from kb.elements import finite_number
 from kb.exceptions import InvalidValue
 
 __all__ = [
-    "Candidate",
     "Choice",
     "Criterion",
     "Optimum",
-    "by_priority",
-    "first_by_priority",
     "number",
     "summed_weights",
 ]
-
-
-class Candidate(Protocol):
-    """Something that can be chosen: a function design or a component configuration."""
-
-    @property
-    def name(self) -> str:
-        """Its name."""
-
-    @property
-    def priority(self) -> float | None:
-        """Its priority; the lowest number is preferred."""
 
 
 class Choice(NamedTuple):
@@ -126,18 +111,6 @@ class Optimum:
 def number(value: float) -> str:
     """Write a number that comes from few decimals with these."""
     return f"{value:.12g}"
-
-
-def by_priority(candidate: Candidate) -> tuple[bool, float, str]:
-    """Return the key that sorts: the lowest priority number first, no priority last, ties by name."""
-    priority = candidate.priority
-    return priority is None, 0 if priority is None else priority, candidate.name
-
-
-def first_by_priority(candidates: Iterable[Candidate]) -> str | None:
-    """Name of the candidate with the lowest priority number; no priority comes last, ties go by name; None for none."""
-    ranked = sorted(candidates, key=by_priority)
-    return ranked[0].name if ranked else None
 
 
 def summed_weights(preferences: Iterable[str | Mapping[str, float] | None]) -> dict[str, float]:

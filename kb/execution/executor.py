@@ -200,24 +200,22 @@ class StagedExecutor:
         """Yield the stages of a plan, each decided when it begins."""
         with kb.reading() as state:
             activated, deactivated, parameters = _steps(state, plan, kb.open_plans)
-            running = [one for one in _configured(state, parameters) if state.active[one.index]]
-        stopped = {component.name for component in running if _component(component).stops_to_configure}
-        paused = [component.name for component in running if component.name in stopped.difference(deactivated)]
+            running = _running(state, parameters)
+        paused = [name for name in running if _component(running[name]).stops_to_configure and name not in deactivated]
         yield self._commands(kb, plan, "deactivate", [*deactivated, *paused])
         started = [*activated, *paused]
         with kb.reading() as state:
-            running = [one for one in _configured(state, parameters) if state.active[one.index]]
+            configured = [*_running(state, parameters)]
         if self._budgets.most:
-            for component in running:  # those that use less of a budget than before come first in a plan
-                name, failed = component.name, self._failed
-                if self._budgets.allow(kb, started, failed) or self._budgets.are_eased(kb, name, failed):
+            for name in configured:  # those that use less of a budget than before come first in a plan
+                if self._budgets.allow(kb, started, self._failed) or self._budgets.are_eased(kb, name, self._failed):
                     yield self._commands(kb, plan, "configure", [name])
                 else:
                     self._hold(kb, name)
             if not self._budgets.allow(kb, started, self._failed):
                 self._failed.update(started)
-            running = []
-        yield self._commands(kb, plan, "configure", [*(component.name for component in running), *started])
+            configured = []
+        yield self._commands(kb, plan, "configure", [*configured, *started])
         starting = self._commands(kb, plan, "activate", started)
         self._commanded = {command.component for command in starting if command.managed is not None}
         yield starting
@@ -233,28 +231,27 @@ class StagedExecutor:
         if not names:
             return commands
         with kb.reading() as state:
-            for component in _known(state, names):
+            for name, component in _known(state, names).items():
                 chosen = _selected(state, component) if operation == "configure" else None
-                if component.name in left_out or (chosen is None and operation == "configure"):
+                if name in left_out or (chosen is None and operation == "configure"):
                     continue
-                element = _component(component)
-                policy = self._of_component.get(element.name, self._of_kind.get(element.kind, self._policy))
-                is_booked = chosen is None and element.kind is ComponentKind.PLAIN
-                managed = None if is_booked else self._managed
-                commands.append(_Command(kb, plan, policy, managed, element.name, operation, chosen))
+                kind = _component(component).kind
+                policy = self._of_component.get(name, self._of_kind.get(kind, self._policy))
+                managed = None if chosen is None and kind is ComponentKind.PLAIN else self._managed
+                commands.append(_Command(kb, plan, policy, managed, name, operation, chosen))
         return commands
 
     def _rolled_back(self, kb: KnowledgeBase, plan: ReconfigurationPlan, started: list[str]) -> list["_Command"]:
         """Undo what was begun for functions that cannot be had: else it would run on, and be started at each plan."""
         unsure = [name for name in started if name in self._failed & self._commanded and self._look(name) is not False]
         with kb.reading() as state:
-            users = {design for component in _known(state, started) for design in component.wholes}
+            users = {design for component in _known(state, started).values() for design in component.wholes}
             in_vain = [design for design in users if _is_in_vain(state, design)]
         for design in sorted(in_vain, key=lambda design: design.index):
             kb.assert_selected(design.element, False)
         with kb.reading() as state:
-            active = [component for component in _known(state, started) if state.active[component.index]]
-            idle = [component.name for component in active if not state.users[component.index]]
+            known = _known(state, started).items()
+            idle = [name for name, one in known if state.active[one.index] and not state.users[one.index]]
         return self._commands(kb, plan, "deactivate", [*unsure, *idle], retry=True)
 
 
@@ -391,24 +388,25 @@ def _steps(
     for older in open_plans:
         if older is plan:
             continue
-        for component in _known(state, [*older.activate, *older.deactivate]):
+        for name, component in _known(state, [*older.activate, *older.deactivate]).items():
             if state.required[component.index] != state.active[component.index]:
-                (deactivated if state.active[component.index] else activated).append(component.name)
+                (deactivated if state.active[component.index] else activated).append(name)
         known = state.network.configurations
         parameters += [name for name in older.parameters if name in known and state.selected[known[name].index]]
     return activated, deactivated, parameters
 
 
-def _known(state: State, names: Iterable[str]) -> list[Node]:
-    """Return the components of these names that are in the model, each once."""
+def _known(state: State, names: Iterable[str]) -> dict[str, Node]:
+    """Return the components of these names that are in the model."""
     components = state.network.components
-    return [components[name] for name in dict.fromkeys(names) if name in components]
+    return {name: components[name] for name in names if name in components}
 
 
-def _configured(state: State, configurations: Iterable[str]) -> list[Node]:
-    """Return the components of configurations that are in the model, each once."""
+def _running(state: State, configurations: Iterable[str]) -> dict[str, Node]:
+    """Return the components of configurations that are in the model and active."""
     known = state.network.configurations
-    return list(dict.fromkeys(known[name].wholes[0] for name in configurations if name in known))
+    components = (known[name].wholes[0] for name in configurations if name in known)
+    return {_component(one).name: one for one in components if state.active[one.index]}
 
 
 def _selected(state: State, component: Node) -> Configuration | None:

@@ -9,8 +9,8 @@ from kb.explanation.reasons import why
 from kb.inference.network import Node
 from kb.inference.settling import is_adaptable
 from kb.inference.state import Overlay, State
+from kb.planners.priority import first_by_priority
 from kb.reconfiguration import reselect
-from kb.selection import first_by_priority
 from kb.status import Status
 
 __all__ = ["Alternative", "ChoiceExplanation", "explain_choice", "note_nothing"]

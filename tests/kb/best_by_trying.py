@@ -4,8 +4,8 @@ from fractions import Fraction
 from itertools import product
 
 from kb.inference.state import Overlay
+from kb.planners.priority import by_priority
 from kb.reconfiguration import reselect
-from kb.selection import by_priority
 from kb.status import Status
 
 
