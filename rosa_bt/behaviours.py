@@ -1,30 +1,41 @@
-"""Leaves: conditions that ask a knowledge base, and actions that tell it what is being done."""
+"""Leaves: conditions that ask a knowledge base, and actions that tell it what is being done.
+
+What a running behaviour has asked (its request, its progress) is kept for each knowledge base, because behaviours come
+and go: a tree switches between two behaviours of one action, and a plan makes a new behaviour for each step.
+"""
 
 import logging
 import math
+from collections import Counter
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from typing import Any, Final
+from weakref import WeakKeyDictionary
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 from py_trees.ports import PortInformation, PortsMixin
 
-from kb import AmbiguousName, InvalidValue, KnowledgeBase, UnknownName
+from kb import AmbiguousName, InvalidValue, KnowledgeBase, Reply, UnknownName
+from kb import Status as ElementStatus
 from kb.status import OPERATORS, STATUSES
 from kb.views import ActionView, ComponentView, ConfigurationView, DesignView, FunctionView
 from rosa_bt.exceptions import in_words
-from rosa_bt.requests import ActionRequest, Readiness, saved_progress, why
 
 __all__ = [
     "ActionBehaviour",
+    "ActionRequest",
     "HasStatus",
     "IsActionFeasible",
     "KbBehaviour",
     "Measurement",
+    "Readiness",
     "RosaAction",
     "StatusView",
     "WaitForArchitecture",
+    "forget_progress",
     "halt",
+    "why",
 ]
 
 _log = logging.getLogger(__name__)
@@ -51,6 +62,130 @@ def halt(root: Behaviour) -> None:
         except Exception as error:
             behaviour.feedback_message = f"in terminate: {in_words(error)}"
         behaviour.status = Status.INVALID
+
+
+_RESULTS: Final = {Status.SUCCESS: "completed", Status.FAILURE: "failed", Status.INVALID: "abandoned"}
+
+
+@dataclass(slots=True)
+class _Ledger:
+    """What is kept for one knowledge base.
+
+    Attributes:
+        holders: how many running behaviours hold the request of an action: when a tree switches between two of them,
+            the new one starts before the old one is stopped, and the request has to outlive the switch.
+        progress: what interrupted behaviours saved, by action and name of the behaviour.
+        reasons: why an action has its status, by action: the revision of the knowledge base, and the sentence.
+    """
+
+    holders: Counter[str] = field(default_factory=Counter)
+    progress: dict[tuple[str, str], object] = field(default_factory=dict)
+    reasons: dict[str, tuple[int, str]] = field(default_factory=dict)
+
+
+_ledgers: WeakKeyDictionary[KnowledgeBase, _Ledger] = WeakKeyDictionary()
+
+
+def _ledger(kb: KnowledgeBase) -> _Ledger:
+    return _ledgers.setdefault(kb, _Ledger())
+
+
+def forget_progress(kb: KnowledgeBase) -> None:
+    """Drop what interrupted actions saved: the next mission with this knowledge base begins at the beginning."""
+    _ledger(kb).progress.clear()
+
+
+def why(kb: KnowledgeBase, action: str) -> str:
+    """Return why an action has its status: made anew only when what is known has changed.
+
+    The sentence is as of that change: a value that has moved on since without changing any status is not in it.
+    """
+    reasons = _ledger(kb).reasons
+    found = reasons.get(action)
+    if found is None or found[0] != kb.revision:
+        reasons[action] = found = kb.revision, kb.why(kb.actions[action])
+    return found[1]
+
+
+class Readiness:
+    """Whether the robot is configured for an action; waited for, but not for ever.
+
+    Args:
+        kb: the knowledge base to ask.
+        timeout: how long to wait [s], by the clock of the knowledge base.
+        wait: whether to wait at all; otherwise it is taken to be ready.
+
+    Attributes:
+        waits: as given.
+    """
+
+    def __init__(self, kb: KnowledgeBase, timeout: float, *, wait: bool = True) -> None:
+        if wait and not timeout > 0:
+            raise ValueError(f"a time-out is more than 0 s, or math.inf for none; not {timeout!r}")
+        self.waits = wait
+        self._kb = kb
+        self._timeout = timeout
+        self._since = math.nan
+
+    def begin(self) -> None:
+        """Count the time from now."""
+        if self.waits:
+            self._since = self._kb.now
+
+    def look(self, action: str) -> tuple[Status, str]:
+        """Return SUCCESS when the robot is ready, RUNNING while it is not, FAILURE when it will not be; and why."""
+        if not self.waits:
+            return Status.SUCCESS, ""
+        if not self._kb.is_feasible(action):
+            return Status.FAILURE, why(self._kb, action)
+        lacking = self._lacking(action)
+        if not lacking:
+            return Status.SUCCESS, ""
+        if self._kb.now - self._since >= self._timeout:
+            return Status.FAILURE, f"not ready within {self._timeout:g} s: {lacking}"
+        return Status.RUNNING, f"waiting: {lacking}"
+
+    def _lacking(self, action: str) -> str:
+        """Why it cannot start yet: its functions are not solved, or a plan is still being executed."""
+        if self._kb.actions[action].status is not ElementStatus.SOLVED:
+            return why(self._kb, action)
+        plan = self._kb.pending_plan
+        return "" if plan is None else f"the robot is being reconfigured ({plan})"
+
+
+class ActionRequest:
+    """One behaviour's part in the request of an action: held from `open` to the first `close` after it."""
+
+    def __init__(self, kb: KnowledgeBase) -> None:
+        self._kb = kb
+        self._held: str | None = None
+
+    def open(self, action: str, preference: str | None) -> Reply:
+        """Request an action, or join those who hold it."""
+        reply = self._kb.request_action(action, preference)
+        if reply:
+            self._held = action
+            _ledger(self._kb).holders[action] += 1
+        return reply
+
+    def close(self, status: Status, reason: str) -> None:
+        """Let go of the action; the last one who holds it tells the knowledge base how it ended.
+
+        Args:
+            status: of the behaviour at its end.
+            reason: why it failed.
+        """
+        action, self._held = self._held, None
+        if action is None:
+            return
+        kb, holders = self._kb, _ledger(self._kb).holders
+        holders[action] -= 1
+        if holders[action] or action not in kb.actions:  # one that left the model was cancelled with it
+            return
+        if status is Status.INVALID and not kb.is_feasible(action):
+            kb.cancel_action(action, _RESULTS[status], kb.why(kb.actions[action]))
+        else:
+            kb.cancel_action(action, _RESULTS[status], reason if status is Status.FAILURE else "")
 
 
 class KbBehaviour(PortsMixin, Behaviour):
@@ -391,7 +526,8 @@ class RosaAction(ActionBehaviour):
     ) -> None:
         super().__init__(name, kb, action, behaviour_class_name=behaviour_class_name)
         self._preference = preference
-        self._request = ActionRequest(kb, wait=wait, timeout=timeout)
+        self._request = ActionRequest(kb)
+        self._readiness = Readiness(kb, timeout, wait=wait)
         self._has_begun = False
 
     @property
@@ -407,7 +543,7 @@ class RosaAction(ActionBehaviour):
     @property
     def waits(self) -> bool:
         """Whether it waits until the robot is configured for the action."""
-        return self._request.waits
+        return self._readiness.waits
 
     def save_progress(self) -> object | None:
         """Return where the action is, or None (the default) if it starts afresh next time.
@@ -423,7 +559,7 @@ class RosaAction(ActionBehaviour):
 
     def forget_progress(self) -> None:
         """Drop what was saved, of whichever action: the next start is at the beginning."""
-        saved = saved_progress(self.kb)
+        saved = _ledger(self.kb).progress
         for key in [key for key in saved if key[1] == self.name]:
             del saved[key]
 
@@ -449,8 +585,9 @@ class RosaAction(ActionBehaviour):
             if not reply:
                 self.feedback_message = reply.reason
                 return Status.FAILURE
+            self._readiness.begin()
         if not self._has_begun:
-            status, self.feedback_message = self._request.look(self.action)
+            status, self.feedback_message = self._readiness.look(self.action)
             if status is not Status.SUCCESS:
                 return status
             self._begin()
@@ -459,12 +596,12 @@ class RosaAction(ActionBehaviour):
     def _begin(self) -> None:
         self._has_begun = True
         self.initialise()
-        saved = saved_progress(self.kb).get((self.action, self.name))
+        saved = _ledger(self.kb).progress.get((self.action, self.name))
         if saved is not None:
             self.restore_progress(saved)
 
     def _save(self, new_status: Status) -> None:
-        saved = saved_progress(self.kb)
+        saved = _ledger(self.kb).progress
         try:
             key = (self.action, self.name)
             progress = None if new_status is Status.SUCCESS else self.save_progress()

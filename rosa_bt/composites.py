@@ -1,6 +1,7 @@
 """Composites that py_trees has no namesake for: giving way to something else, and switching safely."""
 
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
@@ -99,15 +100,11 @@ class DoUntilUnfeasible(_Parts):
         return self.task.status
 
 
+@dataclass
 class Posture:
-    """After which action the robot is left as it is; shared by the behaviours that switch between some actions.
+    """After which action the robot is left as it is, None before the first; shared by those who switch between some."""
 
-    Attributes:
-        after: name of that action; None before the first.
-    """
-
-    def __init__(self) -> None:
-        self.after: str | None = None
+    after: str | None = None
 
 
 class SafeSwitch(_Parts):

@@ -80,12 +80,12 @@ def dot_tree(root: Behaviour) -> str:
 
 def svg_tree(root: Behaviour) -> str:
     """Return a tree as an SVG picture of its own: root at the left, one column for each depth."""
-    placed = list(_placed(_drawn(root)))
-    width = max(box.x + box.width for box in placed) + _GAP
-    height = max(box.y + box.height for box in placed) + _GAP
-    body = [line for box in placed for line in box.edges()] + [line for box in placed for line in box.shape()]
-    head = f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:g}" height="{height:g}" {_FONT}>'
-    return "\n".join([head, f'<rect width="{width:g}" height="{height:g}" fill="white"/>', *body, "</svg>", ""])
+    drawn = _drawn(root)
+    picture = _Svg(drawn)
+    _, height = picture.place(drawn, 0, _GAP)
+    size = f'width="{picture.starts[-1] - _COLUMN_GAP + _GAP:g}" height="{height:g}"'
+    head = f'<svg xmlns="http://www.w3.org/2000/svg" {size} {_FONT}>'
+    return "\n".join([head, f'<rect {size} fill="white"/>', *picture.edges, *picture.shapes, "</svg>", ""])
 
 
 def _drawn(behaviour: Behaviour, said: set[str] | None = None, *, is_idle: bool = False) -> _Drawn:
@@ -172,72 +172,46 @@ _LETTER: Final = 6.9
 """Sizes in pixels; a letter is as wide as it is on average, with something to spare."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Box:
-    """Where something is drawn, in pixels from the upper left corner, and what it is joined to."""
+class _Svg:
+    """Places behaviours in pixels from the upper left corner: children below one another at the right of their parent.
 
-    drawn: _Drawn
-    x: float
-    y: float
-    width: float
-    height: float
-    children: tuple["_Box", ...]
+    Attributes:
+        starts: where the column of each depth begins; last, where one more would.
+        edges: lines from parents to children.
+        shapes: boxes with their text.
+    """
 
-    @property
-    def middle(self) -> float:
-        return self.y + self.height / 2
+    def __init__(self, root: _Drawn) -> None:
+        self.starts = [_GAP]
+        self.edges: list[str] = []
+        self.shapes: list[str] = []
+        column = [root]
+        while column:
+            self.starts.append(self.starts[-1] + max(_size(one)[0] for one in column) + _COLUMN_GAP)
+            column = [child for one in column for child in one.children]
 
-    def edges(self) -> Iterator[str]:
-        start = self.x + self.width
-        for child in self.children:
-            bend = child.x - _COLUMN_GAP / 2
-            path = f"M{start:g} {self.middle:g}H{bend:g}V{child.middle:g}H{child.x:g}"
-            yield f'<path d="{path}" fill="none" stroke="{_PLAIN}"/>'
-
-    def shape(self) -> Iterator[str]:
-        place = f'x="{self.x:g}" y="{self.y:g}" width="{self.width:g}" height="{self.height:g}"'
-        fill, edge = _FILLS[self.drawn.status], self.drawn.edge
-        yield f'<rect {place} rx="5" fill="{fill}" stroke="{edge}" stroke-width="{1 if edge == _PLAIN else 2}"/>'
-        for number, line in enumerate(_text(self.drawn)):
+    def place(self, drawn: _Drawn, depth: int, top: float) -> tuple[float, float]:
+        """Draw a subtree that may begin at a height; return the middle of its root, and where the next may begin."""
+        x, (width, height) = self.starts[depth], _size(drawn)
+        middles: list[float] = []
+        bottom = top
+        for child in drawn.children:
+            middle, bottom = self.place(child, depth + 1, bottom)
+            middles.append(middle)
+        y = max(top, (middles[0] + middles[-1] - height) / 2) if middles else top
+        for middle in middles:
+            bend = f"M{x + width:g} {y + height / 2:g}H{self.starts[depth + 1] - _COLUMN_GAP / 2:g}V{middle:g}"
+            self.edges.append(f'<path d="{bend}H{self.starts[depth + 1]:g}" fill="none" stroke="{_PLAIN}"/>')
+        box = f'x="{x:g}" y="{y:g}" width="{width:g}" height="{height:g}" rx="5" fill="{_FILLS[drawn.status]}"'
+        self.shapes.append(f'<rect {box} stroke="{drawn.edge}" stroke-width="{1 if drawn.edge == _PLAIN else 2}"/>')
+        for number, line in enumerate(_text(drawn)):
             style = 'font-weight="bold"' if number == 0 else 'fill="#444444"'
-            yield f'<text x="{self.x + 8:g}" y="{self.y + 17 + number * _LINE:g}" {style}>{escape(line)}</text>'
-
-
-def _placed(root: _Drawn) -> Iterator[_Box]:
-    """Place every behaviour: children below one another at the right of their parent, which is in their middle."""
-    columns: dict[int, float] = {}
-    _measure(root, 0, columns)
-    starts = [_GAP]
-    for depth in sorted(columns):
-        starts.append(starts[depth] + columns[depth] + _COLUMN_GAP)
-    box, _ = _place(root, 0, _GAP, starts)
-    pending = [box]
-    while pending:
-        box = pending.pop()
-        yield box
-        pending += box.children
-
-
-def _measure(drawn: _Drawn, depth: int, columns: dict[int, float]) -> None:
-    columns[depth] = max(columns.get(depth, 0.0), _size(drawn)[0])
-    for child in drawn.children:
-        _measure(child, depth + 1, columns)
+            place = f'x="{x + 8:g}" y="{y + 17 + number * _LINE:g}"'
+            self.shapes.append(f"<text {place} {style}>{escape(line)}</text>")
+        return y + height / 2, max(bottom, y + height + _GAP)
 
 
 def _size(drawn: _Drawn) -> tuple[float, float]:
+    """Return width and height of a box [px]."""
     lines = _text(drawn)
     return 16 + _LETTER * max(len(line) * (1.1 if line is lines[0] else 1.0) for line in lines), 10 + _LINE * len(lines)
-
-
-def _place(drawn: _Drawn, depth: int, top: float, starts: list[float]) -> tuple[_Box, float]:
-    """Return the box of a subtree that may begin at this height, and the height at which the next may."""
-    width, height = _size(drawn)
-    boxes: list[_Box] = []
-    bottom = top
-    for child in drawn.children:
-        box, bottom = _place(child, depth + 1, bottom, starts)
-        boxes.append(box)
-    if not boxes:
-        return _Box(drawn, starts[depth], top, width, height, ()), top + height + _GAP
-    y = max(top, (boxes[0].middle + boxes[-1].middle - height) / 2)
-    return _Box(drawn, starts[depth], y, width, height, tuple(boxes)), max(bottom, y + height + _GAP)

@@ -200,10 +200,21 @@ class ParallelAll(_Together):
         return self.end(FAILURE if self._ended_with(FAILURE) >= failures else SUCCESS)
 
 
-class IfThenElse(Control):
-    """The condition once, then the second child or the third to its end."""
+class _Conditional(Control):
+    """The first child is a condition for the others."""
 
     CHILDREN = (2, 3)
+
+    def _ask(self) -> Ticking:
+        verdict = yield from self.slots[0].tick()
+        if verdict is SKIPPED:
+            raise NodeError(f"the condition of {self.name!r} was skipped, so there is nothing to choose by")
+        return verdict
+
+
+class IfThenElse(_Conditional):
+    """The condition once, then the second child or the third to its end."""
+
     _chosen = 0
 
     def forget(self) -> None:
@@ -212,11 +223,9 @@ class IfThenElse(Control):
     def decide(self) -> Ticking:
         slots = self.slots
         if self._chosen == 0:
-            verdict = yield from slots[0].tick()
+            verdict = yield from self._ask()
             if verdict is RUNNING:
                 return RUNNING
-            if verdict is SKIPPED:
-                raise NodeError(f"the condition of {self.name!r} was skipped, so there is nothing to choose by")
             if verdict is FAILURE and len(slots) == 2:
                 return FAILURE  # the condition stays finished: an action is not started again
             self._chosen = 1 if verdict is SUCCESS else 2
@@ -224,24 +233,19 @@ class IfThenElse(Control):
         return verdict if verdict is RUNNING else self.end(verdict)
 
 
-class WhileDoElse(Control):
+class WhileDoElse(_Conditional):
     """The condition at each tick; the second child while it succeeds, the third while it fails."""
 
-    CHILDREN = (2, 3)
-
     def decide(self) -> Ticking:
-        condition, *rest = self.slots
-        verdict = yield from condition.tick()
+        verdict = yield from self._ask()
         if verdict is RUNNING:
             return RUNNING
-        if verdict is SKIPPED:
-            raise NodeError(f"the condition of {self.name!r} was skipped, so there is nothing to choose by")
-        chosen = 0 if verdict is SUCCESS else 1
-        for index, other in enumerate(rest):
-            if index != chosen:
+        chosen = 1 if verdict is SUCCESS else 2
+        for index, other in enumerate(self.slots):
+            if index not in (0, chosen):
                 other.reset()
-        if chosen < len(rest):
-            verdict = yield from rest[chosen].tick()
+        if chosen < len(self.slots):
+            verdict = yield from self.slots[chosen].tick()
         return verdict if verdict is RUNNING else self.end(verdict)
 
 

@@ -24,28 +24,13 @@ class _Translated(OneChild):
         return self.outcomes.get(verdict, verdict)
 
 
-class Inverter(_Translated):
-    """Success is failure, and failure success."""
-
-    outcomes: ClassVar = {SUCCESS: FAILURE, FAILURE: SUCCESS}
-
-
-class ForceSuccess(_Translated):
-    """Failure is success."""
-
-    outcomes: ClassVar = {FAILURE: SUCCESS}
-
-
-class ForceFailure(_Translated):
-    """Success is failure."""
-
-    outcomes: ClassVar = {SUCCESS: FAILURE}
-
-
-class KeepRunningUntilFailure(_Translated):
-    """Success is RUNNING, and so is having been skipped: the child begins anew at the next tick."""
-
-    outcomes: ClassVar = {SUCCESS: RUNNING, SKIPPED: RUNNING}
+_TRANSLATED: Final[dict[str, dict[Status, Status]]] = {
+    "Inverter": {SUCCESS: FAILURE, FAILURE: SUCCESS},
+    "ForceSuccess": {FAILURE: SUCCESS},
+    "ForceFailure": {SUCCESS: FAILURE},
+    "KeepRunningUntilFailure": {SUCCESS: RUNNING, SKIPPED: RUNNING},
+}
+"""What is called what, by tag."""
 
 
 class _Again(OneChild):
@@ -207,10 +192,7 @@ class Precondition(OneChild):
 
 
 DECORATORS: Final[dict[str, type[OneChild]]] = {
-    kind.__name__: kind
-    for kind in (
-        *(Inverter, ForceSuccess, ForceFailure, KeepRunningUntilFailure, Repeat, RetryUntilSuccessful, RunOnce),
-        *(Delay, Timeout, Precondition),
-    )
+    **{tag: type(tag, (_Translated,), {"outcomes": outcomes}) for tag, outcomes in _TRANSLATED.items()},
+    **{kind.__name__: kind for kind in (Repeat, RetryUntilSuccessful, RunOnce, Delay, Timeout, Precondition)},
 }
 """By tag."""

@@ -33,7 +33,6 @@ __all__ = [
     "OneChild",
     "Rules",
     "Slot",
-    "Source",
     "Ticking",
     "XmlNode",
     "is_plain",
@@ -53,14 +52,6 @@ Ticking = Generator[Behaviour, None, Status]
 
 class NodeError(RosaBtError, RuntimeError):
     """A node was told what it cannot follow; BehaviorTree.CPP throws a LogicError there."""
-
-
-@dataclass(frozen=True)
-class Source:
-    """How a node was written: enough to write it again."""
-
-    tag: str
-    attributes: Mapping[str, str]
 
 
 @dataclass(frozen=True)
@@ -102,14 +93,14 @@ class Slot:
     Attributes:
         node: the child.
         is_condition: a leaf that is asked again after it has finished; any other leaf stays finished until it is reset.
-        source: how it was written; None for a behaviour that came later.
+        source: the tag and the attributes with which it was written; None for a behaviour that came later.
         rules: its pre- and post-conditions.
         status: INVALID is idle; kept until the parent resets it.
     """
 
     node: Behaviour
     is_condition: bool = False
-    source: Source | None = None
+    source: tuple[str, Mapping[str, str]] | None = None
     rules: Rules | None = None
     status: Status = field(default=Status.INVALID, init=False)
 

@@ -150,11 +150,6 @@ class Ports:
         if name in self._keys:
             self.blackboard[self._keys[name]] = value
 
-    def unset(self, name: str) -> None:
-        """Take what a port has put out from the blackboard."""
-        if name in self._keys:
-            self.blackboard.pop(self._keys[name], None)
-
     def key(self, name: str) -> str | None:
         """Return the key that a port points at; None for a literal or nothing."""
         return self._keys.get(name)
@@ -233,11 +228,9 @@ class _Client:
 
     def __init__(self, ports: Ports, declared: Declared) -> None:
         self._declared = declared
-        self.remappings: Final[dict[str, str]] = {}
         self.exists = ports.exists
         self.get = ports.get
         self.set = ports.set
-        self.unset = ports.unset
         self.absolute_name = lambda key: ports.key(key) or key
 
     def register_key(self, key: str, access: Access, required: bool = False, remap_to: str | None = None) -> None:

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, Protocol, cast
 
@@ -13,12 +13,12 @@ from rosa_bt.xml.controls import CONTROLS
 from rosa_bt.xml.decorators import DECORATORS
 from rosa_bt.xml.leaves import LEAVES, XmlLeaf
 from rosa_bt.xml.nav2 import NAV2
-from rosa_bt.xml.nodes import MAX_NODES, Branch, Control, OneChild, Rules, Slot, Source, is_plain
+from rosa_bt.xml.nodes import MAX_NODES, Branch, Control, OneChild, Rules, Slot, is_plain
 from rosa_bt.xml.ports import Blackboard, Clock, Ports, key_of
 from rosa_bt.xml.registry import BehaviourRegistry, Entry
 from rosa_bt.xml.scripts import parse_script
 
-__all__ = ["Document", "Element", "MAX_DEPTH", "MAX_SIZE", "SubTree", "load_xml", "read_document"]
+__all__ = ["Document", "Element", "MAX_DEPTH", "MAX_SIZE", "SubTree", "load_xml"]
 
 MAX_SIZE: Final = 1_000_000
 """Of one file or text [bytes]."""
@@ -36,41 +36,52 @@ class Element:
         tag: e.g. `Sequence`.
         attributes: as written.
         children: the elements in it; text is passed over, as BehaviorTree.CPP does.
-        file: where it was read; `<text>` for a text that was handed in.
-        line: of its start.
+        where: file and line of its start, for messages; the file is `<text>` for a text that was handed in.
     """
 
     tag: str
     attributes: Mapping[str, str]
     children: tuple["Element", ...]
-    file: str
-    line: int
-
-    @property
-    def where(self) -> str:
-        """File and line, for messages."""
-        return f"{self.file}:{self.line}"
+    where: str
 
     def get(self, attribute: str) -> str:
         """Return an attribute that has to be there."""
         if not self.attributes.get(attribute):
-            raise XmlError(self.where, f"<{self.tag}> has no {attribute}; write {attribute}=... in it")
+            raise self.error(f"<{self.tag}> has no {attribute}; write {attribute}=... in it")
         return self.attributes[attribute]
 
+    def error(self, problem: str) -> XmlError:
+        """Return an error that says where this element is."""
+        return XmlError(self.where, problem)
 
-@dataclass
+
 class Document:
-    """What a file and those that it includes define.
+    """What a file, or a text, and the files that it includes define.
 
     Attributes:
         root: the outermost element of the file itself.
         trees: by ID.
         models: elements of the TreeNodesModels, by ID.
+
+    Raises:
+        XmlError: it is no file of BehaviorTree.CPP 4, or a limit is exceeded.
     """
 
-    root: Element
-    trees: dict[str, Element] = field(default_factory=dict)
-    models: dict[str, Element] = field(default_factory=dict)
+    def __init__(self, text_or_path: str | Path) -> None:
+        self.trees: dict[str, Element] = {}
+        self.models: dict[str, Element] = {}
+        self._seen: set[Path] = set()
+        text = text_or_path.lstrip("\ufeff \t\r\n") if isinstance(text_or_path, str) else None
+        if text == "":
+            raise XmlError("<text>", "the text is empty; give the XML itself, or the path of a file")
+        if text is not None and text.startswith("<"):
+            self.root = _parse(text, "<text>")
+            self._collect(self.root, Path.cwd(), [])
+        else:
+            path = Path(text_or_path)
+            self.root = _read(path, str(path))
+            self._seen.add(path.resolve())
+            self._collect(self.root, path.parent, [path.resolve()])
 
     def main(self, wanted: str | None) -> str:
         """Return the ID of the tree to make: the one that is asked for, the file's main tree, or the only one."""
@@ -80,35 +91,64 @@ class Document:
             return chosen
         if len(self.trees) != 1:
             known = ", ".join(self.trees) or "none"
-            raise XmlError(
-                self.root.where,
-                f"which tree? There are: {known}; say load_xml(..., tree=...) or write main_tree_to_execute in <root>",
-            )
+            advice = "say load_xml(..., tree=...) or write main_tree_to_execute in <root>"
+            raise self.root.error(f"which tree? There are: {known}; {advice}")
         return next(iter(self.trees))
 
     def tree(self, name: str, asked_by: Element) -> Element:
         """Return a tree by its ID."""
         if name not in self.trees:
-            raise XmlError(asked_by.where, f"no tree has the ID {name!r}; {hint(name, self.trees, 'trees')}")
+            raise asked_by.error(f"no tree has the ID {name!r}; {hint(name, self.trees, 'trees')}")
         return self.trees[name]
 
+    def _collect(self, root: Element, folder: Path, chain: list[Path]) -> None:
+        _check_root(root)
+        is_only = sum(one.tag == "BehaviorTree" for one in root.children) == 1
+        for element in root.children:
+            if element.tag == "BehaviorTree":
+                is_unnamed = is_only and "ID" not in element.attributes
+                _add(self.trees, "BehaviorTree" if is_unnamed else element.get("ID"), element)
+            elif element.tag == "TreeNodesModel":
+                for model in element.children:
+                    if model.tag not in _MODELS:
+                        raise model.error(f"a model is one of {', '.join(_MODELS)}, not <{model.tag}>")
+                    _add(self.models, model.get("ID"), model)
+            elif element.tag == "include":
+                self._include(element, folder, chain)
+            else:
+                known = hint(element.tag, ["BehaviorTree", "TreeNodesModel", "include"], "known")
+                raise element.error(f"<{element.tag}> cannot stand in <root>; {known}")
 
-def read_document(text_or_path: str | Path) -> Document:
-    """Read a text, or a file with what it includes.
+    def _include(self, element: Element, folder: Path, chain: list[Path]) -> None:
+        if "ros_pkg" in element.attributes:
+            raise element.error("ros_pkg needs a ROS installation, which is not asked for; write the path alone")
+        path = (folder / element.get("path")).resolve()
+        if path in chain:
+            circle = " -> ".join(one.name for one in [*chain[chain.index(path) :], path])
+            raise element.error(f"files include each other: {circle}")
+        if path in self._seen:
+            return
+        if len(chain) > MAX_DEPTH:
+            raise element.error(f"more than {MAX_DEPTH} files include each other in a row")
+        self._seen.add(path)
+        self._collect(_read(path, element.where), path.parent, [*chain, path])
 
-    Raises:
-        XmlError: it is no file of BehaviorTree.CPP 4, or a limit is exceeded.
-    """
-    if isinstance(text_or_path, str) and text_or_path.lstrip("\ufeff \t\r\n").startswith("<"):
-        document = Document(_parse(text_or_path.lstrip("\ufeff \t\r\n"), "<text>"))
-        _collect(document, document.root, Path.cwd(), [], set())
-        return document
-    if isinstance(text_or_path, str) and not text_or_path.strip("\ufeff \t\r\n"):
-        raise XmlError("<text>", "the text is empty; give the XML itself, or the path of a file")
-    path = Path(text_or_path)
-    document = Document(_read(path, str(path)))
-    _collect(document, document.root, path.parent, [path.resolve()], {path.resolve()})
-    return document
+
+def _add(table: dict[str, Element], name: str, element: Element) -> None:
+    if name in table:
+        raise element.error(f"{name!r} is defined twice, first in {table[name].where}; give one of them another ID")
+    table[name] = element
+
+
+def _check_root(root: Element) -> None:
+    if root.tag != "root":
+        raise root.error(f"the outermost element is <root>, not <{root.tag}>")
+    version = root.attributes.get("BTCPP_format", "4")
+    if version == "3":
+        advice = "convert the file with convert_v3_to_v4.py, which comes with BehaviorTree.CPP"
+        raise root.error(f'BTCPP_format="3" gives some names another meaning; {advice}')
+    if version != "4":
+        raise root.error(f'BTCPP_format={version!r} is not known; this reads BTCPP_format="4"')
 
 
 def _read(path: Path, where: str) -> Element:
@@ -117,96 +157,6 @@ def _read(path: Path, where: str) -> Element:
     if path.stat().st_size > MAX_SIZE:
         raise XmlError(where, f"{path} has more than {MAX_SIZE} bytes; divide it and include the parts")
     return _parse(path.read_bytes(), str(path))
-
-
-def _collect(document: Document, root: Element, folder: Path, chain: list[Path], seen: set[Path]) -> None:
-    _check_root(root)
-    unnamed = [one for one in root.children if one.tag == "BehaviorTree" and "ID" not in one.attributes]
-    for element in root.children:
-        if element.tag == "BehaviorTree":
-            alone = element in unnamed and sum(one.tag == "BehaviorTree" for one in root.children) == 1
-            _add(document.trees, "BehaviorTree" if alone else element.get("ID"), element)
-        elif element.tag == "TreeNodesModel":
-            for model in element.children:
-                if model.tag not in _MODELS:
-                    raise XmlError(model.where, f"a model is one of {', '.join(_MODELS)}, not <{model.tag}>")
-                _add(document.models, model.get("ID"), model)
-        elif element.tag == "include":
-            _include(document, element, folder, chain, seen)
-        else:
-            known = ["BehaviorTree", "TreeNodesModel", "include"]
-            raise XmlError(
-                element.where, f"<{element.tag}> cannot stand in <root>; {hint(element.tag, known, 'known')}"
-            )
-
-
-def _add(table: dict[str, Element], name: str, element: Element) -> None:
-    if name in table:
-        first = table[name].where
-        raise XmlError(element.where, f"{name!r} is defined twice, first in {first}; give one of them another ID")
-    table[name] = element
-
-
-def _include(document: Document, element: Element, folder: Path, chain: list[Path], seen: set[Path]) -> None:
-    if "ros_pkg" in element.attributes:
-        raise XmlError(element.where, "ros_pkg needs a ROS installation, which is not asked for; write the path alone")
-    written = Path(element.get("path"))
-    path = (folder / written).resolve()
-    if path in chain:
-        circle = " -> ".join(one.name for one in [*chain[chain.index(path) :], path])
-        raise XmlError(element.where, f"files include each other: {circle}")
-    if path in seen:
-        return
-    if len(chain) > MAX_DEPTH:
-        raise XmlError(element.where, f"more than {MAX_DEPTH} files include each other in a row")
-    seen.add(path)
-    root = _read(path, element.where)
-    _collect(document, root, path.parent, [*chain, path], seen)
-
-
-def _check_root(root: Element) -> None:
-    if root.tag != "root":
-        raise XmlError(root.where, f"the outermost element is <root>, not <{root.tag}>")
-    version = root.attributes.get("BTCPP_format", "4")
-    if version == "3":
-        advice = "convert the file with convert_v3_to_v4.py, which comes with BehaviorTree.CPP"
-        raise XmlError(root.where, f'BTCPP_format="3" gives some names another meaning; {advice}')
-    if version != "4":
-        raise XmlError(root.where, f'BTCPP_format={version!r} is not known; this reads BTCPP_format="4"')
-
-
-class _Expat(Protocol):
-    CurrentLineNumber: int
-
-
-class _Target:
-    """Takes what the parser finds; makes elements of it."""
-
-    def __init__(self, file: str) -> None:
-        self.file = file
-        self.expat: _Expat | None = None
-        self._open: list[tuple[str, dict[str, str], int, list[Element]]] = []
-        self._root: list[Element] = []
-
-    @property
-    def line(self) -> int:
-        return self.expat.CurrentLineNumber if self.expat else 1
-
-    def start(self, tag: str, attributes: Mapping[str, str]) -> None:
-        if len(self._open) >= MAX_DEPTH + 3:  # the root, the tree and what a model has in it are not nodes
-            raise XmlError(f"{self.file}:{self.line}", f"more than {MAX_DEPTH} elements in each other; use SubTree")
-        self._open.append((tag, dict(attributes), self.line, []))
-
-    def end(self, tag: str) -> None:
-        _, attributes, line, children = self._open.pop()
-        element = Element(tag, attributes, tuple(children), self.file, line)
-        (self._open[-1][3] if self._open else self._root).append(element)
-
-    def data(self, text: str) -> None:
-        pass
-
-    def close(self) -> Element:
-        return self._root[0]
 
 
 def _parse(text: str | bytes, file: str) -> Element:
@@ -221,14 +171,44 @@ def _parse(text: str | bytes, file: str) -> Element:
     try:
         parser.feed(text)
         return cast(Element, parser.close())
+    except XmlError:
+        raise
     except DefusedXmlException:
-        raise XmlError(f"{file}:{target.line}", "a document type or entity is not read; write values out") from None
+        raise XmlError(target.where, "a document type or entity is not read; write values out") from None
     except ParseError as error:
         raise XmlError(f"{file}:{error.position[0]}", f"it is no XML: {error}") from None
     except (ValueError, LookupError) as error:
-        if isinstance(error, XmlError):
-            raise
-        raise XmlError(f"{file}:{target.line}", f"it cannot be decoded: {error}") from None
+        raise XmlError(target.where, f"it cannot be decoded: {error}") from None
+
+
+class _Expat(Protocol):
+    CurrentLineNumber: int
+
+
+class _Target:
+    """Takes what the parser finds; makes elements of it."""
+
+    expat: _Expat
+
+    def __init__(self, file: str) -> None:
+        self._file = file
+        self._open: list[tuple[dict[str, str], str, list[Element]]] = [({}, "", [])]
+
+    @property
+    def where(self) -> str:
+        return f"{self._file}:{self.expat.CurrentLineNumber}"
+
+    def start(self, tag: str, attributes: Mapping[str, str]) -> None:
+        if len(self._open) > MAX_DEPTH + 3:  # the root, the tree and what a model has in it are not nodes
+            raise XmlError(self.where, f"more than {MAX_DEPTH} elements in each other; use SubTree")
+        self._open.append((dict(attributes), self.where, []))
+
+    def end(self, tag: str) -> None:
+        attributes, where, children = self._open.pop()
+        self._open[-1][2].append(Element(tag, attributes, tuple(children), where))
+
+    def close(self) -> Element:
+        return self._open[0][2][0]
 
 
 _NODES: Final[Mapping[str, type[Control] | type[OneChild]]] = {**CONTROLS, **NAV2, **DECORATORS}
@@ -281,7 +261,7 @@ def load_xml(
     Raises:
         XmlError: the file cannot be read, or a tree not be made of it; the message begins with file and line.
     """
-    document = read_document(text_or_path)
+    document = Document(text_or_path)
     builder = _Builder(document, registry)
     return builder.tree(document.main(tree), document.root, None, _Place(Blackboard(clock or _clock_of(registry))))
 
@@ -309,19 +289,19 @@ class _Builder:
     def tree(self, tree: str, asked_by: Element, name: str | None, place: _Place) -> SubTree:
         """Make a tree with all that is in it."""
         if tree in place.trees:
-            raise XmlError(asked_by.where, f"a tree is in itself: {' -> '.join([*place.trees, tree])}")
+            raise asked_by.error(f"a tree is in itself: {' -> '.join([*place.trees, tree])}")
         element = self._document.tree(tree, asked_by)
         if len(element.children) != 1:
-            raise XmlError(element.where, f"a tree has one child, not {len(element.children)}; put a Sequence around")
+            raise element.error(f"a tree has one child, not {len(element.children)}; put a Sequence around")
         slot = self._slot(element.children[0], replace(place, trees=(*place.trees, tree)))
         return SubTree(name or tree, slot, Ports({}, {}, place.board), tree, tuple(self._document.models.values()))
 
     def _slot(self, element: Element, place: _Place) -> Slot:
         self._count += 1
         if self._count > MAX_NODES:
-            raise XmlError(element.where, f"the tree has more than {MAX_NODES} nodes, subtrees included")
+            raise element.error(f"the tree has more than {MAX_NODES} nodes, subtrees included")
         if place.depth >= MAX_DEPTH:
-            raise XmlError(element.where, f"the tree is more than {MAX_DEPTH} levels deep, subtrees included")
+            raise element.error(f"the tree is more than {MAX_DEPTH} levels deep, subtrees included")
         try:
             rules = _rules(element, place.board)
             node, is_condition = self._node(element, replace(place, depth=place.depth + 1))
@@ -329,8 +309,8 @@ class _Builder:
             raise
         except Exception as error:  # whatever behaviours of the user raise when they are made
             problem = str(error) if isinstance(error, RosaBtError) else in_words(error)
-            raise XmlError(element.where, f"<{_tag(element)}> cannot be made: {problem}") from error
-        return Slot(node, is_condition, Source(element.tag, element.attributes), rules)
+            raise element.error(f"<{_tag(element)}> cannot be made: {problem}") from error
+        return Slot(node, is_condition, (element.tag, element.attributes), rules)
 
     def _node(self, element: Element, place: _Place) -> tuple[Behaviour, bool]:
         """Return the node, and whether it is a condition."""
@@ -346,7 +326,7 @@ class _Builder:
             return leaf, is_plain(leaf)
         kind = _NODES.get(tag)
         if kind is None:
-            raise XmlError(element.where, self._unknown(tag))
+            raise element.error(self._unknown(tag))
         _check_children(element, *kind.CHILDREN)
         _check_reactive(element, tag)
         ports = _ports(kind, written, place)
@@ -372,7 +352,7 @@ class _Builder:
         _check_children(element, 0, 0)
         autoremap = element.attributes.get("_autoremap", "false").lower()
         if autoremap not in ("true", "false", "1", "0"):
-            raise XmlError(element.where, f"_autoremap is true or false, not {autoremap!r}")
+            raise element.error(f"_autoremap is true or false, not {autoremap!r}")
         written = {**self._defaults(element, tree, written), **written}
         keys = {name: key for name, text in written.items() if (key := key_of(text, name)) is not None}
         constants = {name: text for name, text in written.items() if name not in keys}
@@ -390,7 +370,7 @@ class _Builder:
             if "default" in port.attributes:
                 found[name] = port.attributes["default"]
             elif name not in written:
-                raise XmlError(element.where, f"the tree {tree!r} needs {name}=..., its model ({port.where}) says")
+                raise element.error(f"the tree {tree!r} needs {name}=..., its model ({port.where}) says")
         return found
 
     def _unknown(self, tag: str) -> str:
@@ -425,11 +405,11 @@ def _rules(element: Element, board: Blackboard) -> Rules | None:
         if name in Rules.NAMES:
             scripts[name] = parse_script(text)
         elif name == "__shared_blackboard":
-            raise XmlError(element.where, f"{name} is of version 3; write _autoremap in the SubTree")
+            raise element.error(f"{name} is of version 3; write _autoremap in the SubTree")
         elif name.startswith("_") and name not in _ELSEWHERE:
             guess = hint(name, (*Rules.NAMES, *_ELSEWHERE), "known")
             if guess.startswith("did you mean"):
-                raise XmlError(element.where, f"<{element.tag}> has an attribute {name!r}; {guess}")
+                raise element.error(f"<{element.tag}> has an attribute {name!r}; {guess}")
     return Rules(board, scripts) if scripts else None
 
 
@@ -439,13 +419,11 @@ def _check_children(element: Element, least: int, most: int) -> None:
         return
     wanted = f"{least}" if least == most else f"at least {least}" if most >= MAX_NODES else f"{least} to {most}"
     advice = "; put a Sequence around them" if most == 1 and count > 1 else ""
-    raise XmlError(
-        element.where,
-        f"<{_tag(element)}> has {count} {'child' if count == 1 else 'children'}; it takes {wanted}{advice}",
-    )
+    has = f"{count} {'child' if count == 1 else 'children'}"
+    raise element.error(f"<{_tag(element)}> has {has}; it takes {wanted}{advice}")
 
 
 def _check_reactive(element: Element, tag: str) -> None:
     several = [child for child in element.children if _tag(child) == "AsyncSequence"]
     if tag == "ReactiveSequence" and len(several) > 1:
-        raise XmlError(several[1].where, "a ReactiveSequence has at most one asynchronous child; use Sequence in it")
+        raise several[1].error("a ReactiveSequence has at most one asynchronous child; use Sequence in it")

@@ -2,49 +2,27 @@
 
 import operator
 import re
-from collections.abc import Callable, MutableMapping
-from typing import Any, Final, Protocol
+from collections.abc import Callable, Mapping, MutableMapping
+from typing import Any, Final
 
 from rosa_bt.exceptions import RosaBtError
 
 __all__ = ["Script", "ScriptError", "parse_script", "truth"]
+
+Script = Callable[[MutableMapping[str, Any]], Any]
+"""What a script does to a blackboard; returns the value of its last statement."""
 
 
 class ScriptError(RosaBtError, ValueError):
     """A script is not one of those that are read, or fails when it is run."""
 
 
-class Script(Protocol):
-    """What a script does to a blackboard; returns the value of its last statement."""
-
-    def __call__(self, blackboard: MutableMapping[str, Any], /) -> Any:  # noqa: ANN401  # a value of any type
-        """Run it."""
-
-
-MAX_NESTED: Final = 50
-"""Parentheses and negations in one script."""
-
-_TOKEN: Final = re.compile(
-    r"""\s*(?:
-    (?P<number>\d+\.?\d*(?:[eE][+-]?\d+)?)
-  | (?P<string>'[^']*'|"[^"]*")
-  | (?P<name>@?[A-Za-z_]\w*)
-  | (?P<sign>:=|==|!=|<=|>=|&&|\|\||[<>=!();-])
-  | (?P<other>\+=|-=|\*=|/=|\.\.|\S)
-)""",
-    re.VERBOSE,
-)
-_COMPARISONS: Final[dict[str, Callable[[Any, Any], bool]]] = {
-    "==": operator.eq,
-    "!=": operator.ne,
-    "<": operator.lt,
-    "<=": operator.le,
-    ">": operator.gt,
-    ">=": operator.ge,
-}
-
-
-_WORDS: Final = {"true": True, "false": False}
+def truth(value: object) -> bool:
+    """Return what a value means where a condition is expected; a port's text "true" or "false" is what it says."""
+    value = _WORDS.get(value, value) if isinstance(value, str) else value
+    if isinstance(value, bool | int | float):
+        return bool(value)
+    raise ScriptError(f"{value!r} is neither true nor false; compare it with something")
 
 
 def parse_script(code: str) -> Script:
@@ -56,12 +34,48 @@ def parse_script(code: str) -> Script:
     return _Parser(code).script()
 
 
-def truth(value: object) -> bool:
-    """Return what a value means where a condition is expected; a port's text "true" or "false" is what it says."""
-    value = _WORDS.get(value, value) if isinstance(value, str) else value
-    if isinstance(value, bool | int | float):
-        return bool(value)
-    raise ScriptError(f"{value!r} is neither true nor false; compare it with something")
+def _comparing(compare: Callable[[Any, Any], bool]) -> Callable[[Any, Any], bool]:
+    """Compare as numbers what is not text on both sides."""
+
+    def compared(one: object, other: object) -> bool:
+        both_text = isinstance(one, str) and isinstance(other, str)
+        return compare(one, other) if both_text else compare(_number(one), _number(other))
+
+    return compared
+
+
+def _number(value: object) -> float:
+    try:
+        return float(_WORDS.get(value, value) if isinstance(value, str) else value)  # type: ignore[arg-type]  # what has no number is refused below
+    except (TypeError, ValueError):
+        raise ScriptError(f"{value!r} cannot be compared with a number") from None
+
+
+_WORDS: Final = {"true": True, "false": False}
+_SIGNS: Final[tuple[Mapping[str, Callable[[Any, Any], bool]], ...]] = (
+    {"||": lambda one, other: truth(one) | truth(other)},
+    {"&&": lambda one, other: truth(one) & truth(other)},
+    {
+        "==": _comparing(operator.eq),
+        "!=": _comparing(operator.ne),
+        "<=": _comparing(operator.le),
+        ">=": _comparing(operator.ge),
+        "<": _comparing(operator.lt),
+        ">": _comparing(operator.gt),
+    },
+)
+"""Signs between two values, those that bind least first; both sides are always evaluated, as in BehaviorTree.CPP."""
+_MAX_NESTED: Final = 50
+_TOKEN: Final = re.compile(
+    r"""\s*(?:
+    (?P<number>\d+\.?\d*(?:[eE][+-]?\d+)?)
+  | (?P<string>'[^']*'|"[^"]*")
+  | (?P<name>@?[A-Za-z_]\w*)
+  | (?P<sign>:=|==|!=|<=|>=|&&|\|\||[<>=!();-])
+  | (?P<other>\+=|-=|\*=|/=|\.\.|\S)
+)""",
+    re.VERBOSE,
+)
 
 
 class _Parser:
@@ -70,8 +84,8 @@ class _Parser:
         found = [match for match in _TOKEN.finditer(code) if match.lastgroup]
         self._tokens = [(str(match.lastgroup), match.group(str(match.lastgroup))) for match in found]
         self._at = 0
-        if sum(text in ("(", "!") for _, text in self._tokens) > MAX_NESTED:
-            raise ScriptError(f"a script has at most {MAX_NESTED} parentheses and negations; ask a condition instead")
+        if sum(text in ("(", "!") for _, text in self._tokens) > _MAX_NESTED:
+            raise ScriptError(f"a script has at most {_MAX_NESTED} parentheses and negations; ask a condition instead")
         for kind, text in self._tokens:
             if kind == "other":
                 raise self._refused(text)
@@ -84,14 +98,7 @@ class _Parser:
                 raise self._refused(self._next()[1])
         if not statements:
             raise ScriptError("the script is empty")
-
-        def run(blackboard: MutableMapping[str, Any]) -> Any:  # noqa: ANN401  # a value of any type
-            value = None
-            for statement in statements:
-                value = statement(blackboard)
-            return value
-
-        return run
+        return lambda board: [statement(board) for statement in statements][-1]
 
     def _refused(self, text: str) -> ScriptError:
         return ScriptError(
@@ -99,8 +106,9 @@ class _Parser:
             "(== != < <= > >=) of keys and constants, joined by && || ! and parentheses; compute in a behaviour"
         )
 
-    def _next(self) -> tuple[str, str]:
-        return self._tokens[self._at] if self._at < len(self._tokens) else ("end", "the end")
+    def _next(self, ahead: int = 0) -> tuple[str, str]:
+        at = self._at + ahead
+        return self._tokens[at] if at < len(self._tokens) else ("end", "the end")
 
     def _took(self, *signs: str) -> str:
         kind, text = self._next()
@@ -111,35 +119,29 @@ class _Parser:
 
     def _statement(self) -> Script:
         kind, name = self._next()
-        if kind == "name" and self._at + 1 < len(self._tokens) and self._tokens[self._at + 1][1] in (":=", "="):
+        if kind == "name" and self._next(1) in (("sign", ":="), ("sign", "=")):
             self._at += 1
             is_new = self._took(":=", "=") == ":="
-            return _assignment(name, self._either(), is_new)
-        return self._either()
+            return _assignment(name, self._value(), is_new)
+        return self._value()
 
-    def _either(self) -> Script:
-        left = self._both()
-        while self._took("||"):
-            left = _joined(left, self._both(), any)
-        return left
-
-    def _both(self) -> Script:
-        left = self._comparison()
-        while self._took("&&"):
-            left = _joined(left, self._comparison(), all)
-        return left
-
-    def _comparison(self) -> Script:
-        left = self._operand()
-        sign = self._took(*_COMPARISONS)
-        return _compared(left, self._operand(), sign) if sign else left
+    def _value(self, level: int = 0) -> Script:
+        """Read what binds at least as much as the signs of a level; comparisons, the last level, are not chained."""
+        if level == len(_SIGNS):
+            return self._operand()
+        value = self._value(level + 1)
+        while sign := self._took(*_SIGNS[level]):
+            value = _joined(_SIGNS[level][sign], value, self._value(level + 1))
+            if level == len(_SIGNS) - 1:
+                break
+        return value
 
     def _operand(self) -> Script:
         if self._took("!"):
             inner = self._operand()
-            return lambda blackboard: not truth(inner(blackboard))
+            return lambda board: not truth(inner(board))
         if self._took("("):
-            inner = self._either()
+            inner = self._value()
             if not self._took(")"):
                 raise self._refused(self._next()[1])
             return inner
@@ -148,55 +150,35 @@ class _Parser:
         self._at += 1
         if kind == "number":
             number = (int(text) if text.isdigit() else float(text)) * (-1 if minus else 1)
-            return lambda blackboard: number
+            return lambda board: number
         if minus or kind not in ("name", "string"):
             raise self._refused("-" if minus else text)
-        return _constant(text[1:-1]) if kind == "string" else _variable(text)
+        if kind == "name":
+            return _variable(text)
+        return lambda board: text[1:-1]
 
 
-def _constant(value: object) -> Script:
-    return lambda blackboard: value
+def _joined(join: Callable[[Any, Any], bool], left: Script, right: Script) -> Script:
+    return lambda board: join(left(board), right(board))
 
 
 def _variable(name: str) -> Script:
-    if name in _WORDS:
-        return _constant(_WORDS[name])
-
-    def read(blackboard: MutableMapping[str, Any]) -> Any:  # noqa: ANN401  # a value of any type
-        if name not in blackboard:
+    def read(board: MutableMapping[str, Any]) -> Any:  # noqa: ANN401  # a value of any type
+        if name in _WORDS:
+            return _WORDS[name]
+        if name not in board:
             raise ScriptError(f"there is no {name!r} on the blackboard (yet)")
-        return blackboard[name]
+        return board[name]
 
     return read
 
 
 def _assignment(name: str, value: Script, is_new: bool) -> Script:
-    def assign(blackboard: MutableMapping[str, Any]) -> Any:  # noqa: ANN401  # a value of any type
-        result = value(blackboard)
-        if not is_new and name not in blackboard:
+    def assign(board: MutableMapping[str, Any]) -> Any:  # noqa: ANN401  # a value of any type
+        result = value(board)
+        if not is_new and name not in board:
             raise ScriptError(f"there is no {name!r} on the blackboard; `{name} := ...` makes it")
-        blackboard[name] = result
+        board[name] = result
         return result
 
     return assign
-
-
-def _joined(left: Script, right: Script, how: Callable[[list[bool]], bool]) -> Script:
-    return lambda blackboard: how([truth(left(blackboard)), truth(right(blackboard))])
-
-
-def _compared(left: Script, right: Script, sign: str) -> Script:
-    def compare(blackboard: MutableMapping[str, Any]) -> bool:
-        one, other = left(blackboard), right(blackboard)
-        if not (isinstance(one, str) and isinstance(other, str)):
-            one, other = _number(one), _number(other)
-        return bool(_COMPARISONS[sign](one, other))
-
-    return compare
-
-
-def _number(value: object) -> float:
-    try:
-        return float(_WORDS.get(value, value) if isinstance(value, str) else value)  # type: ignore[arg-type]  # what has no number is refused below
-    except (TypeError, ValueError):
-        raise ScriptError(f"{value!r} cannot be compared with a number") from None

@@ -14,8 +14,8 @@ from py_trees.ports import PortsMixin
 from rosa_bt.behaviours import ActionBehaviour, RosaAction
 from rosa_bt.exceptions import ExportError, XmlError
 from rosa_bt.xml.nodes import Branch, Slot, XmlNode
+from rosa_bt.xml.reader import Document, SubTree
 from rosa_bt.xml.reader import Element as Read
-from rosa_bt.xml.reader import SubTree, read_document
 from rosa_bt.xml.registry import BUILT_IN, BehaviourRegistry
 
 __all__ = ["export_xml"]
@@ -62,7 +62,7 @@ def export_xml(behaviour: Behaviour, registry: BehaviourRegistry | None = None) 
     indent(root)
     text = tostring(root, encoding="unicode") + "\n"
     try:
-        read_document(text)
+        Document(text)
     except XmlError as error:
         raise ExportError(f"{behaviour.name!r} cannot be written so that it can be read again: {error}") from error
     return text
@@ -96,9 +96,9 @@ class _Writer:
             return self.element(node.child)
         if source is None:
             return self._of_py_trees(node)
-        element = Element(source.tag, dict(source.attributes))
+        element = Element(source[0], dict(source[1]))
         if isinstance(node, SubTree):
-            if source.tag == "SubTree":
+            if element.tag == "SubTree":
                 element.set("ID", self.tree(node))
         elif isinstance(node, XmlNode):
             element.extend([self.element(child) for child in node.slots])
@@ -108,9 +108,8 @@ class _Writer:
 
     def _of_py_trees(self, node: Behaviour) -> Element:
         kind = type(node)
-        if kind in _BY_MEMORY and node.children:
-            memory: bool = getattr(node, "memory")  # noqa: B009  # both kinds have it
-            tag = _BY_MEMORY[kind][memory]
+        if isinstance(node, Selector | Sequence) and kind in _BY_MEMORY and node.children:
+            tag = _BY_MEMORY[kind][node.memory]
         elif kind in _SAME:
             tag = _SAME[kind]
         elif node.children or isinstance(node, XmlNode) or kind in _BY_MEMORY:
