@@ -244,7 +244,7 @@ class Model:
             from kb.owl import load_owl
 
             return load_owl(cls, files, name)
-        from kb.typeql.reading import load_typeql
+        from kb.typeql.reader import load_typeql
 
         return load_typeql(cls, files, name)
 
@@ -254,7 +254,7 @@ class Model:
         if _suffix(file) == ".owl":
             from kb.rdfxml import owl_text as written
         else:
-            from kb.typeql.writing import typeql_text as written
+            from kb.typeql.writer import typeql_text as written
         write_text(file, written(self))
 
     def check(self, names: Iterable[str] | None = None) -> tuple[Finding, ...]:

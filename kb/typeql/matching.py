@@ -1,22 +1,21 @@
 """What `match` finds among the things told so far: every way in which all of its patterns hold together."""
 
 import operator
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
-from typing import Final, TypeVar
+from typing import Final, NamedTuple, TypeVar
 
 from kb.exceptions import UnknownName
 from kb.files import ModelFileError, Place
-from kb.typeql.schema import Type, place_of
-from kb.typeql.store import ANONYMOUS, Bindings, Part, Store, Thing
-from kb.typeql.syntax import Comparison, Has, Isa, Players, Statement, Unsupported, Word
-from kb.typeql.values import Literal, literal
-from kb.typeql.words import Kind
+from kb.typeql.store import ANONYMOUS, Bindings, Part, Store, Thing, literal
+from kb.typeql.syntax import Comparison, Has, Isa, Players, Statement, Unsupported, Word, place_of
+from kb.typeql.vocabulary import Field, Kind, Literal, Type
 
 __all__ = ["answers"]
 
 T = TypeVar("T")
+Found = dict[str, Thing | Literal]
 
 MOST: Final = 100_000
 """How many answers a `match` may have on the way; more are a slip, and would multiply without limit."""
@@ -33,8 +32,7 @@ _COMPARE: Final[Mapping[str, Callable[[Literal, Literal], bool]]] = {
 _EQUAL: Final = ("=", "==")
 
 
-@dataclass(frozen=True, slots=True)
-class _Wanted:
+class _Wanted(NamedTuple):
     """An attribute that a thing must have: a value, or a variable that stands for one."""
 
     label: str | None
@@ -44,12 +42,12 @@ class _Wanted:
 
 
 @dataclass(slots=True)
-class _Node:
-    """All that is asked of one thing.
+class _Pattern:
+    """What is asked of one thing.
 
     Attributes:
         variable: what it is bound to; None for one without a name.
-        place: where it is first asked for.
+        place: where it is asked for.
         types: each with whether it must be that very type.
         attributes: what it must have.
         players: role, if it is given, and variable of what it must relate.
@@ -84,123 +82,110 @@ class _Question:
 
     def __init__(self, store: Store, file: str) -> None:
         self.store, self.file = store, file
-        self.nodes: list[_Node] = []
-        self.named: dict[str, _Node] = {}
-        self.known: dict[str, Thing | Literal] = {}
+        self.patterns: dict[str, _Pattern] = {}
+        self.known: Found = {}
         self.comparisons: list[tuple[str, Comparison]] = []
 
-    def ask(self, pattern: Statement | Unsupported) -> None:
-        """Add a pattern."""
-        if isinstance(pattern, Unsupported):
-            raise self._unsupported(pattern.word)
-        compared = [clause for clause in pattern.clauses if isinstance(clause, Comparison)]
-        if compared and pattern.variable:
+    def ask(self, asked: Statement | Unsupported) -> None:
+        """Add what is asked; all that is asked of one variable is one pattern."""
+        if isinstance(asked, Unsupported):
+            raise self._unsupported(asked.word)
+        name = asked.variable if asked.variable != ANONYMOUS else None
+        compared = [clause for clause in asked.clauses if isinstance(clause, Comparison)]
+        if compared and name:
             for comparison in compared:
-                self._compare(pattern.variable, comparison)
+                self._compare(name, comparison)
             return
-        node = self._node(pattern)
-        for clause in pattern.clauses:
+        key = name or f"{len(self.patterns)}"
+        pattern = self.patterns.setdefault(key, _Pattern(name, place_of(self.file, asked.word)))
+        for clause in asked.clauses:
             if isinstance(clause, Isa):
                 place = place_of(self.file, clause.label)
-                node.types.append((self.store.schema.type(clause.label, place), clause.exact))
+                pattern.types.append((self.store.vocabulary.type(clause.label, place), clause.exact))
             elif isinstance(clause, Has):
-                node.attributes.append(self._wanted(clause))
+                pattern.attributes.append(self._wanted(clause))
             elif isinstance(clause, Players):
                 for player in clause.players:
                     place = place_of(self.file, player.role or player.variable)
-                    node.players.append((player.role, str(player.variable), place))
+                    pattern.players.append((player.role, str(player.variable), place))
             elif isinstance(clause, Unsupported):
                 raise self._unsupported(clause.word)
 
     def answers(self) -> list[Bindings]:
         """Return what the variables can stand for, the most telling patterns first."""
-        found: list[dict[str, Thing | Literal]] = [dict(self.known)]
-        rest = list(self.nodes)
+        found = [dict(self.known)]
+        rest = list(self.patterns.values())
         while rest:
-            node = min(rest, key=lambda one: self._effort(one, found[0]))
-            rest.remove(node)
-            every = (more for bindings in found for more in self._extended(bindings, node))
-            found = self._bounded(every, node.place)
+            pattern = min(rest, key=lambda one: self._effort(one, found[0]))
+            rest.remove(pattern)
+            found = _bounded((more for bindings in found for more in self._extended(bindings, pattern)), pattern.place)
             if not found:
-                raise self._nothing(node)
+                raise self._nothing(pattern)
         kept = [bindings for bindings in found if self._holds(bindings)]
         if not kept:
             raise place_of(self.file, self.comparisons[0][1].value).error("nothing told so far compares like this")
-        return list(
-            {tuple((name, _identity(one)) for name, one in bindings.items()): bindings for bindings in kept}.values()
-        )
-
-    def _node(self, pattern: Statement) -> _Node:
-        name = pattern.variable if pattern.variable != ANONYMOUS else None
-        if name not in self.named:
-            self.nodes.append(_Node(name, place_of(self.file, pattern.word)))
-            if name is None:
-                return self.nodes[-1]
-            self.named[name] = self.nodes[-1]
-        return self.named[name or ""]
+        return list({tuple((name, _identity(one)) for name, one in one_of.items()): one_of for one_of in kept}.values())
 
     def _compare(self, name: str, clause: Comparison) -> None:
-        sign = str(clause.operator or "==")
-        if sign not in _COMPARE:
-            raise self._unsupported(clause.operator or clause.value)
+        sign = self._sign(clause.operator, clause.value)
         if sign in _EQUAL and clause.value.type != "VARIABLE":
             self.known[name] = literal(clause.value, place_of(self.file, clause.value))
         else:
             self.comparisons.append((name, clause))
 
     def _wanted(self, clause: Has) -> _Wanted:
-        sign = str(clause.operator or "==")
-        if sign not in _COMPARE:
-            raise self._unsupported(clause.operator or clause.value)
+        sign = self._sign(clause.operator, clause.value)
         label = str(clause.label) if clause.label else None
         if clause.value.type == "VARIABLE":
             return _Wanted(label, sign, None, str(clause.value))
         return _Wanted(label, sign, literal(clause.value, place_of(self.file, clause.value)), None)
 
-    def _effort(self, node: _Node, bindings: Bindings) -> int:
-        if node.variable in bindings or self._name(node, bindings) is not None:
-            return 0
-        size = len(self.store.things.get(node.kind, ()))
-        return size if any(name in bindings for _, name, _ in node.players) else 1 + 2 * size
+    def _sign(self, word: Word | None, value: Word) -> str:
+        if word is not None and str(word) not in _COMPARE:
+            raise self._unsupported(word)
+        return str(word or "==")
 
-    def _name(self, node: _Node, bindings: Bindings) -> str | None:
+    def _effort(self, pattern: _Pattern, bindings: Bindings) -> int:
+        if pattern.variable in bindings or self._name(pattern, bindings) is not None:
+            return 0
+        size = len(self.store.things.get(pattern.kind, ()))
+        return size if any(name in bindings for _, name, _ in pattern.players) else 1 + 2 * size
+
+    def _name(self, pattern: _Pattern, bindings: Bindings) -> str | None:
         """Return the name that the thing must have, if that is known."""
-        if node.kind is None:
-            return None
-        for wanted in node.attributes:
-            found = self.store.schema.field(node.kind, wanted.label) if wanted.label else None
-            if found and found.name == "name" and wanted.operator in _EQUAL:
+        for wanted in pattern.attributes if pattern.kind else ():
+            meant = self._meant(pattern, wanted)
+            if meant and meant.name == "name" and wanted.operator in _EQUAL:
                 value = bindings.get(wanted.variable) if wanted.variable else wanted.value
                 if isinstance(value, str):
                     return value
         return None
 
-    def _candidates(self, node: _Node, bindings: Bindings) -> Sequence[Thing]:
-        if node.variable in bindings:
-            one = bindings[node.variable or ""]
+    def _meant(self, pattern: _Pattern, wanted: _Wanted) -> Field | None:
+        return self.store.vocabulary.field(pattern.kind, wanted.label) if pattern.kind and wanted.label else None
+
+    def _candidates(self, pattern: _Pattern, bindings: Bindings) -> Iterable[Thing]:
+        if pattern.variable in bindings:
+            one = bindings[pattern.variable or ""]
             return [one] if isinstance(one, Thing) else []
-        name = self._name(node, bindings)
-        if name is not None and node.kind is not None:
-            named = self.store.named[node.kind].get(name)
+        name = self._name(pattern, bindings)
+        if name is not None and pattern.kind is not None:
+            named = self.store.named[pattern.kind].get(name)
             return [named] if named else []
-        if node.types:
-            return self.store.things.get(node.kind, ())
+        if pattern.types:
+            return self.store.things.get(pattern.kind, ())
         return [thing for things in self.store.things.values() for thing in things]
 
-    def _extended(self, bindings: dict[str, Thing | Literal], node: _Node) -> Iterator[dict[str, Thing | Literal]]:
-        for thing in self._candidates(node, bindings):
-            if all(
-                thing.type is wanted or (not exact and wanted in thing.type.lineage()) for wanted, exact in node.types
-            ):
-                found = [{**bindings, node.variable: thing} if node.variable else bindings]
-                for wanted in node.attributes:
-                    found = [more for one in found for more in self._having(one, thing, wanted, node)]
-                yield from self._relating(found, thing, node) if node.players else found
+    def _extended(self, bindings: Found, pattern: _Pattern) -> Iterator[Found]:
+        for thing in self._candidates(pattern, bindings):
+            if all(thing.type is one or (not exact and one in thing.type.lineage()) for one, exact in pattern.types):
+                found = [{**bindings, pattern.variable: thing} if pattern.variable else bindings]
+                for wanted in pattern.attributes:
+                    found = [more for one in found for more in self._having(one, thing, wanted, pattern)]
+                yield from self._relating(found, thing, pattern)
 
-    def _having(
-        self, bindings: dict[str, Thing | Literal], thing: Thing, wanted: _Wanted, node: _Node
-    ) -> Iterator[dict[str, Thing | Literal]]:
-        meant = self.store.schema.field(node.kind, wanted.label) if node.kind and wanted.label else None
+    def _having(self, bindings: Found, thing: Thing, wanted: _Wanted, pattern: _Pattern) -> Iterator[Found]:
+        meant = self._meant(pattern, wanted)
         value = bindings.get(wanted.variable) if wanted.variable else wanted.value
         for own in thing.owns:
             if wanted.label not in (None, own.label) and (meant is None or own.field is not meant):
@@ -210,12 +195,10 @@ class _Question:
             elif value is not None and not isinstance(value, Thing) and _compared(own.value, wanted.operator, value):
                 yield bindings
 
-    def _relating(
-        self, found: Sequence[dict[str, Thing | Literal]], thing: Thing, node: _Node
-    ) -> list[dict[str, Thing | Literal]]:
-        """Let each pattern of a player stand for another part of the relation."""
-        states: list[tuple[dict[str, Thing | Literal], frozenset[int]]] = [(one, frozenset()) for one in found]
-        for role, name, place in node.players:
+    def _relating(self, found: Sequence[Found], thing: Thing, pattern: _Pattern) -> list[Found]:
+        """Let each player that is asked for stand for another part of the relation."""
+        states: list[tuple[Found, frozenset[int]]] = [(one, frozenset()) for one in found]
+        for role, name, place in pattern.players:
             every = (
                 ({**bindings, name: part.thing} if name != ANONYMOUS else bindings, used | {number})
                 for bindings, used in states
@@ -224,54 +207,51 @@ class _Question:
                 and bindings.get(name, part.thing) is part.thing
                 and self._plays(thing, role, part, place)
             )
-            states = self._bounded(every, place)
+            states = _bounded(every, place)
         return [bindings for bindings, _ in states]
-
-    def _bounded(self, every: Iterator[T], place: Place) -> list[T]:
-        found = list(islice(every, MOST + 1))
-        if len(found) > MOST:
-            raise place.error(f"`match` finds more than {MOST} answers; say which things are meant, by their names")
-        return found
 
     def _plays(self, relation: Thing, role: Word | None, part: Part, place: Place) -> bool:
         if role is None or relation.kind is None:
             return True
-        return part.role in self.store.schema.roles(relation.type, relation.kind, role, place)
+        return part.role in self.store.vocabulary.roles(relation.type, relation.kind, role, place)
 
     def _holds(self, bindings: Bindings) -> bool:
         for name, clause in self.comparisons:
-            other = self._operand(bindings, clause.value)
-            this = bindings.get(name)
-            if this is None or isinstance(this, Thing):
-                raise place_of(self.file, clause.value).error(f"{name} is compared, and no `has NAME {name}` gives it")
-            if not _compared(this, str(clause.operator), other):
+            place, word = place_of(self.file, clause.value), clause.value
+            other = literal(word, place) if word.type != "VARIABLE" else _value(bindings, word, place)
+            if not _compared(_value(bindings, name, place), str(clause.operator), other):
                 return False
         return True
 
-    def _operand(self, bindings: Bindings, word: Word) -> Literal:
-        place = place_of(self.file, word)
-        if word.type != "VARIABLE":
-            return literal(word, place)
-        value = bindings.get(str(word))
-        if value is None or isinstance(value, Thing):
-            raise place.error(f"{word} is compared, and no `has NAME {word}` gives it")
-        return value
-
-    def _nothing(self, node: _Node) -> ModelFileError:
-        name, kind = self._name(node, self.known), node.kind
+    def _nothing(self, pattern: _Pattern) -> ModelFileError:
+        name, kind = self._name(pattern, self.known), pattern.kind
         if name is not None and kind is not None and name not in self.store.named[kind]:
-            return node.place.error(f"`match` finds nothing: {UnknownName(kind, name, self.store.named[kind])}")
-        if not node.types:
-            return node.place.error("`match` finds nothing: no thing told so far is like this")
-        wanted = node.types[0][0]
+            return pattern.place.error(f"`match` finds nothing: {UnknownName(kind, name, self.store.named[kind])}")
+        if not pattern.types:
+            return pattern.place.error("`match` finds nothing: no thing told so far is like this")
+        wanted = pattern.types[0][0]
         number = sum(wanted in thing.type.lineage() for thing in self.store.things.get(kind, ()))
-        return node.place.error(f"`match` finds nothing: no {wanted.label} of the {number} told so far is like this")
+        return pattern.place.error(f"`match` finds nothing: no {wanted.label} of the {number} told so far is like this")
 
     def _unsupported(self, word: Word) -> ModelFileError:
         return place_of(self.file, word).error(
             f"`{word}` is not understood in a `match` that inserts; expected `isa`, `has`, the players of a relation "
             "or a comparison with = != < <= > >="
         )
+
+
+def _bounded(every: Iterator[T], place: Place) -> list[T]:
+    found = list(islice(every, MOST + 1))
+    if len(found) > MOST:
+        raise place.error(f"`match` finds more than {MOST} answers; say which things are meant, by their names")
+    return found
+
+
+def _value(bindings: Bindings, name: str, place: Place) -> Literal:
+    value = bindings.get(str(name))
+    if value is None or isinstance(value, Thing):
+        raise place.error(f"{name} is compared, and no `has NAME {name}` gives it")
+    return value
 
 
 def _compared(this: Literal, sign: str, other: Literal) -> bool:

@@ -1,39 +1,37 @@
 """What files say, statement by statement: things with their attributes, and which play which role in which relation."""
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+import math
+import re
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Final
+from datetime import UTC, datetime
+from typing import Final, NamedTuple
 
 from kb.exceptions import UnknownName
 from kb.files import DuplicateInFile, Place
-from kb.typeql.schema import Schema, Type, place_of
-from kb.typeql.syntax import (
-    Clause,
-    Comparison,
-    Has,
-    Insert,
-    Isa,
-    Match,
-    Player,
-    Players,
-    Statement,
-    Unsupported,
-    Word,
-)
-from kb.typeql.values import Literal, checked, literal
-from kb.typeql.words import FIELDS, Field, Kind, Role
+from kb.typeql.syntax import Clause, Comparison, Has, Isa, Player, Players, Statement, Unsupported, Word, place_of
+from kb.typeql.vocabulary import ATTRIBUTES, Field, Kind, Literal, Role, Type, Value, Vocabulary
 
-__all__ = ["ANONYMOUS", "Bindings", "Own", "Part", "Store", "Thing"]
+__all__ = ["ANONYMOUS", "Bindings", "Own", "Part", "Store", "Thing", "literal", "shown"]
 
 ANONYMOUS: Final = "$_"
 """A variable that stands for something else each time."""
 
 _REPEATABLE: Final = frozenset({"status", "required", "selected", "active"})
-"""What may be told again later: facts, of which the last one stands."""
+"""What may be said again later: facts, of which the last one stands."""
+_ESCAPE: Final = re.compile(r"\\(u[0-9a-fA-F]{4}|[\s\S])")
+_ESCAPED: Final = {"n": "\n", "t": "\t", "r": "\r", "0": "\0", "\\": "\\", '"': '"', "'": "'"}
+_TYPES: Final[Mapping[Value, tuple[type, ...]]] = {
+    Value.TEXT: (str,),
+    Value.FLAG: (bool,),
+    Value.WHOLE: (int,),
+    Value.NUMBER: (int, float),
+    Value.TIME: (datetime,),
+    Value.ANY: (str, bool, int, float),
+}
 
 
-@dataclass(frozen=True, slots=True)
-class Own:
+class Own(NamedTuple):
     """A thing has an attribute.
 
     Attributes:
@@ -51,13 +49,11 @@ class Own:
     order: int
 
 
-@dataclass(frozen=True, slots=True)
-class Part:
+class Part(NamedTuple):
     """A thing plays a role in a relation; the role is None in a relation that ROSA does not know."""
 
     role: Role | None
     thing: "Thing"
-    place: Place
 
 
 @dataclass(slots=True, eq=False)
@@ -66,7 +62,7 @@ class Thing:
 
     type: Type
     place: Place
-    order: int
+    order: int = 0
     owns: list[Own] = field(default_factory=list)
     parts: list[Part] = field(default_factory=list)
 
@@ -102,36 +98,29 @@ Bindings = Mapping[str, Thing | Literal]
 
 
 class Store:
-    """All that was told so far.
+    """All that was said so far.
 
     Attributes:
-        schema: the types.
+        vocabulary: the types, roles and attributes that there are.
         things: in order, by what we make of them.
         named: those that have a name, by kind and name.
         notes: what was passed over, and where.
     """
 
-    def __init__(self, schema: Schema) -> None:
-        self.schema = schema
+    def __init__(self, vocabulary: Vocabulary) -> None:
+        self.vocabulary = vocabulary
         self.things: dict[Kind | None, list[Thing]] = {}
         self.named: dict[Kind, dict[str, Thing]] = {kind: {} for kind in Kind}
         self.notes: list[str] = []
-        self._order = 0
+        self.order = 0
 
-    def tell(self, query: Insert | Match, file: str) -> None:
-        """Take in what a query inserts, once for each answer to what it matches."""
-        if isinstance(query, Insert):
-            _Insertion(self, file, {}).run(query.statements)
-            return
-        from kb.typeql.matching import answers
+    def insert(self, statements: Sequence[Statement], file: str, bindings: Bindings | None = None) -> None:
+        """Take in what is inserted, with what the variables stand for that were matched."""
+        _Insertion(self, file, bindings or {}).run(statements)
 
-        for bindings in answers(self, query.patterns, file):
-            _Insertion(self, file, bindings).run(query.statements)
-
-    def next_order(self) -> int:
-        """Count one statement."""
-        self._order += 1
-        return self._order
+    def of(self, kind: Kind) -> list[Thing]:
+        """Return the things of a kind."""
+        return self.things.get(kind, [])
 
     def note(self, place: Place, text: str) -> None:
         """Remember something that was passed over."""
@@ -139,7 +128,7 @@ class Store:
 
     def add(self, label: Word, place: Place) -> Thing:
         """Begin a new thing."""
-        thing = Thing(self.schema.type(label, place), place, 0)
+        thing = Thing(self.vocabulary.type(label, place), place)
         if thing.kind is None:
             self.note(place, f"{thing.type.label} is no sort of anything in ROSA; it is passed over")
         self.things.setdefault(thing.kind, []).append(thing)
@@ -147,33 +136,27 @@ class Store:
 
     def give(self, thing: Thing, label: str, value: Literal, place: Place) -> None:
         """Let a thing have an attribute."""
-        found = self.schema.field(thing.kind, label) if thing.kind else None
+        found = self.vocabulary.field(thing.kind, label) if thing.kind else None
         if found is None or thing.kind is None:
-            if thing.kind and not self.schema.declares(label):
-                known = [one.words[0] for one in FIELDS[thing.kind]]
+            if thing.kind and not self.vocabulary.declares(label):
+                known = [one.words[0] for one in ATTRIBUTES[thing.kind]]
                 self.note(place, f"{UnknownName(f'attribute of {thing.type.label}', label, known)}; passed over")
-            thing.owns.append(Own(None, label, value, place, self._order))
+            thing.owns.append(Own(None, label, value, place, self.order))
             return
-        own = Own(found, label, checked(found, value, label, place), place, self._order)
-        if found.name in _REPEATABLE or not self._said_before(thing, own):
-            thing.owns.append(own)
-            if found.name == "name":
-                self._name(thing.kind, str(own.value), thing, place)
-
-    def _said_before(self, thing: Thing, own: Own) -> bool:
-        before = thing.own(own.field.name) if own.field else None
-        if before is None:
-            return False
-        if before.value != own.value:
-            if before.label == own.label:
-                raise own.place.error(f"{own.label} is {own.value!r} here, and {before.value!r} at {before.place}")
-            self.note(own.place, f"{own.label} is passed over: {before.label} at {before.place} says it already")
-        return True
-
-    def _name(self, kind: Kind, name: str, thing: Thing, place: Place) -> None:
-        before = self.named[kind].setdefault(name, thing)
-        if before is not thing:
-            raise DuplicateInFile(f"{kind} {name!r} is declared already at {before.place}; a name is unique", *place)
+        own = Own(found, label, _checked(found, value, label, place), place, self.order)
+        before = thing.own(found.name)
+        if before is not None and found.name not in _REPEATABLE:
+            if before.value != own.value:
+                if before.label == label:
+                    raise place.error(f"{label} is {own.value!r} here, and {before.value!r} at {before.place}")
+                self.note(place, f"{label} is passed over: {before.label} at {before.place} says it already")
+            return
+        thing.owns.append(own)
+        if found.name == "name":
+            first = self.named[thing.kind].setdefault(str(own.value), thing)
+            if first is not thing:
+                message = f"{thing.kind} {own.value!r} is declared already at {first.place}; a name is unique"
+                raise DuplicateInFile(message, *place)
 
 
 class _Insertion:
@@ -189,7 +172,8 @@ class _Insertion:
         """Find what each variable is, then take in what is said of it, for it may be said before."""
         subjects = [self._subject(statement) for statement in statements]
         for statement, thing in zip(statements, subjects, strict=True):
-            order = self.store.next_order()
+            self.store.order += 1
+            order = self.store.order
             if thing is None and statement.variable not in self.values:
                 thing = self._thing(statement.word)
             if thing is not None:
@@ -203,7 +187,12 @@ class _Insertion:
         isa = [clause for clause in statement.clauses if isinstance(clause, Isa)]
         compared = [clause for clause in statement.clauses if isinstance(clause, Comparison)]
         if compared and name:
-            self._value(name, compared, isa)
+            for clause in compared:
+                place = place_of(self.file, clause.value)
+                if clause.operator not in (None, "=", "==") or clause.value.type == "VARIABLE":
+                    raise place.error(f"{name} is compared here; what is inserted is given a value, such as {name} 0.5")
+                self.values[name] = literal(clause.value, place)
+            self.labels.update((name, str(clause.label)) for clause in isa)
             return None
         for other in isa[1:]:
             raise place_of(self.file, other.label).error(f"a second type, `{other.label}`; a thing has one")
@@ -217,14 +206,6 @@ class _Insertion:
         if name:
             self.things[name] = thing
         return thing
-
-    def _value(self, name: str, compared: Iterable[Comparison], isa: Iterable[Isa]) -> None:
-        for clause in compared:
-            place = place_of(self.file, clause.value)
-            if clause.operator not in (None, "=", "==") or clause.value.type == "VARIABLE":
-                raise place.error(f"{name} is compared here; what is inserted is given a value, such as {name} 0.5")
-            self.values[name] = literal(clause.value, place)
-        self.labels.update((name, str(clause.label)) for clause in isa)
 
     def _take_in(self, thing: Thing, clause: Clause) -> None:
         if isinstance(clause, Has):
@@ -244,21 +225,18 @@ class _Insertion:
         label = str(clause.label or self.labels.get(str(word), ""))
         if not label:
             raise place.error(f"which attribute {word} is, is not said; write `has NAME {word}`")
-        if word.type != "VARIABLE":
-            value = literal(word, place_of(self.file, word))
-        elif str(word) in self.values:
-            value = self.values[str(word)]
-        else:
+        if word.type == "VARIABLE" and str(word) not in self.values:
             raise self._unknown(word, self.values, f'a value is given by `{word} "..."`')
+        value = self.values[word] if word.type == "VARIABLE" else literal(word, place_of(self.file, word))
         self.store.give(thing, label, value, place)
 
     def _player(self, thing: Thing, player: Player) -> None:
         one = self._thing(player.variable)
         place = place_of(self.file, player.role or player.variable)
-        role = self.store.schema.role(thing.type, thing.kind, player.role, one.type, place) if thing.kind else None
+        role = self.store.vocabulary.role(thing.type, thing.kind, player.role, one.type, place) if thing.kind else None
         if role is not None and role.most and len(thing.players(role.name)) >= role.most:
             raise place.error(f"a second {role.name}; a {thing.type.label} has one")
-        thing.parts.append(Part(role, one, place))
+        thing.parts.append(Part(role, one))
 
     def _thing(self, word: Word) -> Thing:
         if str(word) not in self.things:
@@ -268,3 +246,43 @@ class _Insertion:
     def _unknown(self, word: Word, known: Collection[str], advice: str) -> Exception:
         what = UnknownName("variable", str(word), known) if known else f"unknown variable '{word}'"
         return place_of(self.file, word).error(f"{what}; {advice}")
+
+
+def literal(word: Word, place: Place) -> Literal:
+    """Return what a written value stands for; a date without a zone is in UTC."""
+    text = str(word)
+    if word.type == "STRING":
+        return _ESCAPE.sub(_unescaped, text[1:-1])
+    if word.type == "BOOLEAN":
+        return text == "true"
+    try:
+        if word.type == "DATETIME":
+            moment = datetime.fromisoformat(text)
+            return moment if moment.tzinfo else moment.replace(tzinfo=UTC)
+        return int(text) if re.fullmatch(r"[+-]?\d+", text) else float(text)
+    except ValueError as error:
+        raise place.error(f"`{text:.40}` is no value: {error!s:.60}") from None
+
+
+def shown(value: Literal) -> str:
+    """Write a value for a message."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f"the date {value.isoformat()}" if isinstance(value, datetime) else f"{value!r:.60}"
+
+
+def _unescaped(found: re.Match[str]) -> str:
+    what = found.group(1)
+    return chr(int(what[1:], 16)) if len(what) > 1 else _ESCAPED.get(what, f"\\{what}")
+
+
+def _checked(field: Field, value: Literal, label: str, place: Place) -> Literal:
+    """Return the value of an attribute, of the type that the attribute has."""
+    if isinstance(value, float) and field.value is Value.WHOLE and value.is_integer():
+        return int(value)
+    allowed = _TYPES[field.value]
+    if not isinstance(value, allowed) or (isinstance(value, bool) and bool not in allowed):
+        raise place.error(f"{label} is {field.value}, not {shown(value)}")
+    if isinstance(value, float) and not math.isfinite(value):
+        raise place.error(f"{label} is a finite number, not {value!r}")
+    return value

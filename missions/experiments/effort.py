@@ -344,7 +344,7 @@ def _of_mission(name: str, mission: Mission) -> ModelEffort:
 
 
 def _typeql(model: Model) -> str:
-    from kb.typeql import typeql_text
+    from kb.typeql.writer import typeql_text
 
     return typeql_text(model)
 

@@ -55,7 +55,7 @@ LATE = {
 LATE_MODULES = {
     "kb/optimum/solver.py",
     "kb/owl.py",
-    "kb/typeql/reading.py",
+    "kb/typeql/syntax.py",
     "missions/views/picture.py",
     "missions/testing/plugin.py",
     "rosa_pddl/planning/up_engine.py",

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from kb import DuplicateName, Model, ModelError
 from kb.files import ModelFileError
-from kb.typeql.reading import MAX_DEPTH
+from kb.typeql.syntax import MAX_DEPTH
 
 FILES = sorted(Path(__file__).with_name("typeql_files").glob("*.tql"))
 ROBOT = """insert

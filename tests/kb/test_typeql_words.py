@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 from kb import Model
 from kb.facts import MeasurementFact, ProcessFact, RequiredActionFact
 from kb.files import ModelFileError
-from kb.typeql.schema import Schema
-from kb.typeql.values import quoted, seconds, written_time
-from kb.typeql.words import FIELDS, RELATIONS, ROLES, Kind
+from kb.typeql.vocabulary import ATTRIBUTES, ROLES, Kind, Vocabulary, seconds
+from kb.typeql.writer import quoted, written_time
 
 ROBOT = """insert
 $a isa Action, has action-name 'go'; $f isa Function, has function-name 'move';
@@ -33,22 +32,21 @@ def load(tmp_path):
 
 @pytest.mark.parametrize("kind", ROLES, ids=str)
 def test_every_role_is_known_by_its_own_name(kind):
-    (label,) = (label for label, one in RELATIONS.items() if one is kind)
-    schema = Schema()
-    relation = schema.type(label, None)
+    vocabulary = Vocabulary()
+    relation = vocabulary.type(kind.label, None)
     for role in ROLES[kind]:
-        assert role in schema.roles(relation, kind, role.name, None)
+        assert role in vocabulary.roles(relation, kind, role.name, None)
 
 
 @pytest.mark.parametrize("kind", Kind, ids=str)
 def test_every_attribute_is_known_by_its_endings(kind):
-    schema = Schema()
-    for field in FIELDS[kind]:
+    vocabulary = Vocabulary()
+    for field in ATTRIBUTES[kind]:
         for word in field.words:
-            assert schema.field(kind, word).name == field.name
-            assert schema.field(kind, f"anything-{word}").name == field.name
-            assert schema.field(kind, word.replace("-", "_").upper()).name == field.name
-    assert schema.field(kind, "colour") is None
+            assert vocabulary.field(kind, word).name == field.name
+            assert vocabulary.field(kind, f"anything-{word}").name == field.name
+            assert vocabulary.field(kind, word.replace("-", "_").upper()).name == field.name
+    assert vocabulary.field(kind, "colour") is None
 
 
 @pytest.mark.parametrize("label", ["ROSNode", "RosNode", "ros_node", "ros-node", "LifeCycleNode", "lifecyclenode"])

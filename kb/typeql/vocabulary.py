@@ -1,17 +1,156 @@
-"""Which types, roles and attributes there are: ROSA's, and those that the files define themselves."""
+"""Which types, roles and attributes there are: ROSA's, from `vocabulary.toml`, and those that the files define."""
 
-from collections.abc import Iterator
+import tomllib
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Final
+from datetime import UTC, datetime, timedelta
+from enum import StrEnum
+from importlib.resources import files
+from typing import Any, Final, NamedTuple
 
+from kb import elements, facts
 from kb.exceptions import UnknownName
 from kb.files import Place
-from kb.typeql.syntax import Define, Word
-from kb.typeql.words import ALIASES, ENTITIES, FIELDS, QUALIFIERS, RELATIONS, ROLES, Field, Kind, Role
+from kb.typeql.syntax import Define, Word, place_of
 
-__all__ = ["Schema", "Type", "place_of"]
+__all__ = [
+    "ATTRIBUTES",
+    "CLASSES",
+    "Field",
+    "Kind",
+    "Literal",
+    "PARAMETER_TYPES",
+    "ROLES",
+    "Role",
+    "SPECIAL",
+    "Type",
+    "Value",
+    "Vocabulary",
+    "seconds",
+]
 
+Literal = bool | int | float | str | datetime
+
+PARAMETER_TYPES: Final[Mapping[type, str]] = {bool: "boolean", float: "double", int: "long", str: "string"}
+"""ROSA's words for the types of parameters."""
+
+_WORDS: Final[dict[str, Any]] = tomllib.loads(files(__package__).joinpath("vocabulary.toml").read_text())
+_QUALIFIERS: Final = frozenset(_WORDS["qualifiers"].split())
 _ROOTS: Final = frozenset({"entity", "relation", "attribute", "thing"})
+
+
+class Kind(StrEnum):
+    """What a thing in a file is."""
+
+    ATTRIBUTE = "attribute"
+    COMPONENT = "component"
+    CONFIGURATION = "component configuration"
+    FUNCTION = "function"
+    DESIGN = "function design"
+    ACTION = "action"
+    CONSTRAINT = "constraint"
+    ESTIMATION = "estimation"
+    MODEL = "robot model"
+    PARAMETER = "component parameter"
+    REQUIREMENT = "functional requirement"
+    MEASUREMENT = "measurement"
+    REQUIRED_ACTION = "required action"
+    PLAN = "reconfiguration plan"
+    ACTIVATION = "component activation"
+    DEACTIVATION = "component deactivation"
+    STRUCTURAL = "structural adaptation"
+    ADAPTATION = "parameter adaptation"
+    PROCESS = "component process"
+
+    @property
+    def label(self) -> str:
+        """How it is spelled in the names of types and attributes."""
+        return self.replace(" ", "-")
+
+
+CLASSES: Final[Mapping[type, Kind]] = {
+    elements.Attribute: Kind.ATTRIBUTE,
+    elements.Component: Kind.COMPONENT,
+    elements.Configuration: Kind.CONFIGURATION,
+    elements.Function: Kind.FUNCTION,
+    elements.FunctionDesign: Kind.DESIGN,
+    elements.Action: Kind.ACTION,
+    elements.Constraint: Kind.CONSTRAINT,
+    elements.Estimation: Kind.ESTIMATION,
+    facts.MeasurementFact: Kind.MEASUREMENT,
+    facts.RequiredActionFact: Kind.REQUIRED_ACTION,
+    facts.ProcessFact: Kind.PROCESS,
+    facts.PlanFact: Kind.PLAN,
+}
+"""What each class of elements and facts is in a file, each after those that it refers to."""
+
+SPECIAL: Final[Mapping[str, str]] = {
+    elements.AttributeKind.QUALITY: "QualityAttribute",
+    elements.AttributeKind.ENVIRONMENTAL: "EnvironmentalAttribute",
+    elements.ComponentKind.PLAIN: "Component",
+    elements.ComponentKind.PROCESS: "ROSNode",
+    elements.ComponentKind.LIFECYCLE: "LifeCycleNode",
+}
+"""The type that says the kind of an attribute or component."""
+
+
+class Value(StrEnum):
+    """What sort of value an attribute has, as messages call it."""
+
+    TEXT = "a text in quotes"
+    FLAG = "true or false"
+    WHOLE = "a whole number"
+    NUMBER = "a number"
+    TIME = "a date and time such as 2024-05-01T12:30:00"
+    ANY = "a text, a number or true or false"
+
+
+class Field(NamedTuple):
+    """An attribute of a kind of thing: the field of an element or fact that it is, and how it is written."""
+
+    name: str
+    value: Value
+    label: str
+    words: tuple[str, ...]
+
+
+class Role(NamedTuple):
+    """A part that things play in a relation.
+
+    Attributes:
+        name: what messages call it, and how it is written.
+        field: which field of an element or fact the players are.
+        kinds: what can play it.
+        words: its spellings, without qualifiers, in the singular.
+        least, most: how many players it needs and can have; a `most` of 0 is any number.
+    """
+
+    name: str
+    field: str
+    kinds: tuple[Kind, ...]
+    words: tuple[str, ...]
+    least: int
+    most: int
+
+
+def _role(name: str, words: str, by: list[str], field: str = "", least: int = 1, most: int = 0) -> Role:
+    for group, members in _WORDS["groups"].items():
+        words = words.replace(f"@{group}", members)
+    return Role(name, field, tuple(map(Kind, by)), tuple(words.split()), least, most)
+
+
+ROLES: Final[Mapping[Kind, tuple[Role, ...]]] = {
+    Kind(kind): tuple(_role(name, **given) for name, given in roles.items()) for kind, roles in _WORDS["roles"].items()
+}
+"""The roles of each relation."""
+
+ATTRIBUTES: Final[Mapping[Kind, tuple[Field, ...]]] = dict.fromkeys(Kind, ()) | {
+    Kind(kind): tuple(
+        Field(name, Value[value.upper()], label, tuple(words.split())) for label, (name, value, words) in own.items()
+    )
+    for kind, own in _WORDS["attributes"].items()
+}
+"""The attributes that each kind of thing has."""
 
 
 @dataclass(slots=True, eq=False)
@@ -40,16 +179,15 @@ class Type:
             one = one.parent
 
 
-class Schema:
+class Vocabulary:
     """The types that files may use: first all files `define`, then `link` is called, then the rest is asked."""
 
     def __init__(self) -> None:
-        self._types: dict[str, Type] = {}
-        for label, (parent, kind) in ENTITIES.items():
-            self._types[_plain(label)] = Type(label, kind, self._types[_plain(parent)] if parent else None)
-        for label, kind in RELATIONS.items():
-            self._types[_plain(label)] = Type(label, kind)
-        for alias, label in ALIASES.items():
+        self._types: dict[str, Type] = {kind.label.replace("-", ""): Type(kind.label, kind) for kind in ROLES}
+        for label, above in _WORDS["entities"].items():
+            parent = self._types.get(_plain(above)) if above[0].isupper() else None
+            self._types[_plain(label)] = Type(label, parent.kind if parent else Kind(above), parent)
+        for alias, label in _WORDS["aliases"].items():
             self._types[_plain(alias)] = self._types[_plain(label)]
         self._parents: dict[str, tuple[Word, Place]] = {}
         self._roles: list[tuple[Word, Place, Word, Word | None]] = []
@@ -59,12 +197,10 @@ class Schema:
 
     def define(self, query: Define, file: str) -> None:
         """Take note of what a file declares."""
-        for definition in query.definitions:
-            label = definition.label
-            for clause in definition.clauses:
-                place = place_of(file, clause.label)
+        for label, clauses in query.definitions:
+            for clause in clauses:
                 if clause.keyword == "sub":
-                    self._parents[str(label)] = (clause.label, place)
+                    self._parents[str(label)] = (clause.label, place_of(file, clause.label))
                 elif clause.keyword == "relates":
                     self._roles.append((label, place_of(file, label), clause.label, clause.alias))
                 else:
@@ -73,7 +209,7 @@ class Schema:
     def link(self) -> None:
         """Work out what the declared types are sorts of."""
         for label in self._parents:
-            self._linked(label)
+            self._link(label)
         for label, place, role, alias in self._roles:
             self.type(label, place).roles[_word(role)] = _word(alias) if alias else None
 
@@ -126,12 +262,11 @@ class Schema:
             if name in one.roles:
                 declared = True
                 name = one.roles[name] or name
-        while True:
+        found: tuple[Role, ...] = ()
+        while name and not found:
             found = tuple(role for role in ROLES[kind] if name in role.words or name.removesuffix("s") in role.words)
             first, _, rest = name.partition("-")
-            if found or first not in QUALIFIERS or not rest:
-                break
-            name = rest
+            name = rest if first in _QUALIFIERS else ""
         if found or declared:
             return found or ROLES[kind]
         own = [role for one in of.lineage() for role in one.roles]
@@ -145,17 +280,15 @@ class Schema:
             yield label
             label = self._attributes.get(label, label)
 
-    def _is_attribute(self, label: str) -> bool:
-        return _plain(label) not in self._types and any(_field(kind, label) for kind in Kind)
-
-    def _linked(self, label: str) -> None:
+    def _link(self, label: str) -> None:
         chain = [label]
         while (top := str(self._parents[chain[-1]][0])) in self._parents and top not in _ROOTS:
             if top in chain:
                 raise self._parents[label][1].error(f"{label} is declared a sort of itself: {' sub '.join(chain)}")
             chain.append(top)
         parent, place = self._parents[chain[-1]]
-        if top == "attribute" or top in self._attributes or self._is_attribute(top):
+        is_known = _plain(top) not in self._types and any(_field(kind, top) for kind in Kind)
+        if top == "attribute" or top in self._attributes or is_known:
             self._attributes.update((one, str(self._parents[one][0])) for one in chain)
             return
         above = None if top in _ROOTS else self.type(parent, place)
@@ -166,14 +299,14 @@ class Schema:
             above = own
 
 
-def place_of(file: str, word: Word) -> Place:
-    """Return where a word stands."""
-    return Place(file, word.line or 1, word.column or 1)
+def seconds(moment: datetime) -> float:
+    """Return a time in seconds since 1970-01-01 UTC."""
+    return (moment - datetime(1970, 1, 1, tzinfo=UTC)) / timedelta(seconds=1)
 
 
 def _field(kind: Kind, label: str) -> Field | None:
     name = f"-{_word(label)}"
-    found = [(len(ending), field) for field in FIELDS[kind] for ending in field.words if name.endswith(f"-{ending}")]
+    found = [(len(one), field) for field in ATTRIBUTES[kind] for one in field.words if name.endswith(f"-{one}")]
     return max(found, key=lambda one: one[0])[1] if found else None
 
 

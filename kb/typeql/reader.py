@@ -1,0 +1,428 @@
+"""From what files tell to a model: elements in the order in which they are told, then what is so from the start."""
+
+import ast
+import json
+import math
+import re
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
+from contextlib import suppress
+from datetime import datetime
+from difflib import get_close_matches
+from itertools import count
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+from kb import facts
+from kb.contents import Contents
+from kb.declarations import finite_number
+from kb.elements import (
+    Action,
+    Attribute,
+    Component,
+    Configuration,
+    Constraint,
+    Element,
+    Expression,
+    Function,
+    FunctionDesign,
+    Parameter,
+)
+from kb.exceptions import InvalidValue, UnknownName
+from kb.files import Place, read_text
+from kb.status import STATUSES, Status
+from kb.typeql.matching import answers
+from kb.typeql.store import Own, Store, Thing, shown
+from kb.typeql.syntax import SLIPS, Define, Match, parse
+from kb.typeql.vocabulary import CLASSES, PARAMETER_TYPES, ROLES, SPECIAL, Kind, Literal, Vocabulary, seconds
+
+__all__ = ["load_typeql"]
+
+ModelT = TypeVar("ModelT", bound=Contents)
+Told = tuple[int, facts.Fact, Place]
+"""A fact, with the number of the statement that tells it, and where."""
+
+_CLASSES: Final = {cls: kind for cls, kind in CLASSES.items() if issubclass(cls, Element)}
+_KINDS: Final = {label: kind for kind, label in SPECIAL.items()}
+_STATED: Final = frozenset({"status", "required", "selected", "active", "pid", "value", "time", "latest"})
+"""The attributes of elements that say what is so from the start."""
+_RESULTS: Final[Mapping[str, str]] = {
+    **dict.fromkeys(("completed", "complete", "success", "succeeded", "successful", "done"), "completed"),
+    **dict.fromkeys(("failed", "failure", "error", "aborted"), "failed"),
+    **dict.fromkeys(("abandoned", "cancelled", "canceled", "interrupted"), "abandoned"),
+}
+
+
+def load_typeql(cls: Callable[[str], ModelT], files: Sequence[Path], name: str | None) -> ModelT:
+    """Read a model from files, each of which may add to those before it; see `Model.load`."""
+    parsed = [(str(file), query) for file in files for query in parse(read_text(file), str(file))]
+    vocabulary = Vocabulary()
+    for file, query in parsed:
+        if isinstance(query, Define):
+            vocabulary.define(query, file)
+    vocabulary.link()
+    store = Store(vocabulary)
+    for file, query in parsed:
+        if isinstance(query, Match):
+            for bindings in answers(store, query.patterns, file):
+                store.insert(query.statements, file, bindings)
+        elif not isinstance(query, Define):
+            store.insert(query.statements, file)
+    _complete(store)
+    said = (one.name for one in store.of(Kind.MODEL))
+    model = cls(name if name is not None else next(said, files[0].stem))
+    _Reading(model, store).run()
+    model.notes.extend(store.notes)
+    return model
+
+
+def _complete(store: Store) -> None:
+    """See that no relation lacks a part, and give a name to each design and configuration without one."""
+    for kind, roles in ROLES.items():
+        for thing in store.of(kind):
+            for role in roles:
+                if len(thing.players(role.name)) < role.least and not _only_states(thing):
+                    raise thing.place.error(f"this {thing.type.label} has no {role.name}; write ({role.name}: $x, ...)")
+    for kind, whole in ((Kind.DESIGN, "function"), (Kind.CONFIGURATION, "component")):
+        for thing in store.of(kind):
+            if thing.own("name") is None:
+                name = _unused(f"{thing.players(whole)[0].name} {kind.value.split()[1]}", store.named[kind])
+                store.give(thing, "name", name, thing.place)
+                store.note(thing.place, f"this {thing.type.label} has no name; it is called {name!r}")
+
+
+def _only_states(thing: Thing) -> bool:
+    """Tell whether a constraint is only there to carry a status, whatever it compares."""
+    return thing.kind is Kind.CONSTRAINT and thing.own("status") is not None and bool(thing.players("constrained"))
+
+
+class _Reading:
+    """A model in the making."""
+
+    def __init__(self, model: Contents, store: Store) -> None:
+        self.model, self.store = model, store
+        self.elements: dict[Thing, Element | Constraint] = {}
+
+    def run(self) -> None:
+        """Declare everything, each kind after those that it refers to, then state the facts as they were told."""
+        required = self._required_functions()
+        for cls, kind in _CLASSES.items():
+            for thing in self.store.of(kind):
+                with thing.place.blamed():
+                    given = {"functions": required.get(thing, [])} if cls is Action else self._fields(cls, thing)
+                    self._keep(thing, self.model.declare(cls, thing.name, **given))
+        for thing in self.store.of(Kind.CONSTRAINT):
+            with thing.place.blamed():
+                self._keep(thing, self._constraint(thing))
+        for thing in self.store.of(Kind.ESTIMATION):
+            with thing.place.blamed():
+                self._estimate(thing)
+        for _, fact, place in sorted(self._facts(), key=lambda one: one[0]):
+            with place.blamed():
+                self.model.add_fact(fact)
+
+    def _keep(self, thing: Thing, element: Element | Constraint) -> None:
+        self.elements[thing] = element
+        self.model.places[element] = str(thing.place)
+
+    def _required_functions(self) -> dict[Thing, list[str]]:
+        """Return the functions of each action; an action may stand in several requirements."""
+        required: dict[Thing, list[str]] = {}
+        for relation in self.store.of(Kind.REQUIREMENT):
+            for action in relation.players("action"):
+                required.setdefault(action, []).extend(_names(relation, "required-function"))
+        return required
+
+    def _fields(self, cls: type[Element], thing: Thing) -> dict[str, Any]:
+        """Return what is told of an element, by the fields of its class."""
+        owns = [own for own in thing.owns if own.field and own.field.name not in _STATED | {"name"}]
+        given: dict[str, Any] = {own.field.name: own.value for own in owns if own.field}
+        for role in ROLES.get(_CLASSES[cls], ()):
+            if role.field:
+                names = _names(thing, role.name)
+                given[role.field] = names[0] if role.most == 1 else names
+        if cls in (Attribute, Component):
+            kinds = [_KINDS[one.label] for one in thing.type.lineage() if one.label in _KINDS]
+            given |= {"kind": kinds[0]} if kinds else {}
+        if cls is Configuration:
+            given["parameters"] = _parameters(thing)
+        if own := thing.own("agreement"):
+            given["agreement"] = _agreement(own)
+        return given
+
+    def _constraint(self, thing: Thing) -> Constraint:
+        sign = str(thing.value("operator") or ">=").strip()
+        attributes = _names(thing, "attribute") or [self._stand_in(thing)]
+        value = _number(thing, "value", 0.0 if _only_states(thing) else None)
+        constrained = [self.elements[one] for one in thing.players("constrained")]
+        place = (thing.own("operator") or thing).place
+        if sign in SLIPS:
+            raise place.error(f"{sign!r} is no comparison; did you mean {SLIPS[sign]!r}?")
+        with place.blamed():
+            expression = Expression(attributes[0], sign, value, self.model).steady(
+                hysteresis=_number(thing, "hysteresis", 0.0), dwell=_number(thing, "dwell", 0.0)
+            )
+        return self.model.constrain(constrained, expression)  # type: ignore[arg-type]  # the role lets no other in
+
+    def _stand_in(self, thing: Thing) -> str:
+        name = _unused("unnamed attribute", self.store.named[Kind.ATTRIBUTE])
+        self.store.note(thing.place, f"this constraint has a status and no attribute; it is given {name!r}")
+        self.store.named[Kind.ATTRIBUTE][name] = thing
+        return self.model.declare(Attribute, name).name
+
+    def _estimate(self, thing: Thing) -> None:
+        value, kind = _number(thing, "value"), thing.own("kind")
+        for attribute in _names(thing, "affected"):
+            for causer in thing.players("causer"):
+                with (kind or thing).place.blamed():
+                    sense = str(kind.value).strip().lower() if kind else "positive"
+                    self.model.add_estimation(self.elements[causer], attribute, value, sense)  # type: ignore[arg-type]  # the role lets no other in
+
+    def _facts(self) -> Iterator[Told]:
+        for thing, element in self.elements.items():
+            for own in thing.owns:
+                fact = self._stated(thing, element, own)
+                if fact is not None:
+                    yield own.order, fact, own.place
+        yield from self._measurements()
+        for thing in self.store.of(Kind.REQUIRED_ACTION):
+            preference = _preference(thing)
+            for name in _names(thing, "action"):
+                requested = facts.RequiredActionFact(name, preference, **_period(thing), result=self._result(thing))
+                yield thing.order, requested, thing.place
+        for thing in self.store.of(Kind.PROCESS):
+            pid = thing.value("pid")
+            if isinstance(pid, int):
+                (name,) = _names(thing, "component")
+                yield thing.order, facts.ProcessFact(name, pid, **_period(thing)), thing.place
+            else:
+                self.store.note(thing.place, f"this {thing.type.label} has no pid; it is passed over")
+        for thing in self.store.of(Kind.PLAN):
+            yield thing.order, self._plan(thing), thing.place
+
+    def _stated(self, thing: Thing, element: Element | Constraint, own: Own) -> facts.Fact | None:
+        name = own.field.name if own.field else ""
+        if name == "status":
+            status = self._status(thing, own)
+            return facts.StatusFact(element, status) if status else None
+        if name == "pid" and isinstance(element, Component):
+            return facts.ProcessFact(element.name, own.value)  # type: ignore[arg-type]  # a whole number: checked
+        if own.value is not True:
+            return None
+        if name == "required" and isinstance(element, Action | Function | Component):
+            return facts.RequiredFact(element)
+        if name == "selected" and isinstance(element, FunctionDesign | Configuration):
+            return facts.SelectedFact(element)
+        return facts.ActiveFact(element.name) if name == "active" and isinstance(element, Component) else None
+
+    def _status(self, thing: Thing, own: Own) -> Status | None:
+        """Return the status that is meant; a word that is none is noted, for others load such files as well."""
+        word = " ".join(str(own.value).replace("_", " ").replace("-", " ").lower().split())
+        known = STATUSES["configuration" if thing.kind is Kind.CONFIGURATION else str(thing.kind)]
+        if word in known:
+            return Status(word)
+        near = get_close_matches(word, known, n=1)
+        hint = f"did you mean {str(near[0])!r}?" if near else f"there are {', '.join(known)}"
+        self.store.note(own.place, f"{own.value!r} is no status of a {thing.type.label}, and not asserted; {hint}")
+        return None
+
+    def _measurements(self) -> Iterator[Told]:
+        """Yield all measurements; where the files do not say which one is the latest, the newest one told last is."""
+        told: dict[str, list[Thing]] = {}
+        for thing in self.store.of(Kind.MEASUREMENT):
+            for name in _names(thing, "measured-attribute"):
+                told.setdefault(name, []).append(thing)
+        for thing in self.store.of(Kind.ATTRIBUTE):
+            if thing.own("value"):
+                told.setdefault(thing.name, []).append(thing)
+        for name, things in told.items():
+            unsaid = [thing for thing in things if thing.own("latest") is None]
+            if any(thing.value("latest") is True for thing in things):
+                unsaid = []
+            newest = max(unsaid, key=lambda thing: (_time(thing, "time") or 0.0, _order(thing)), default=None)
+            for thing in things:
+                own = thing.own("value")
+                if own is None:
+                    raise thing.place.error(f"this {thing.type.label} has no value; write `has measurement-value 0.5`")
+                latest = thing is newest or thing.value("latest") is True
+                fact = facts.MeasurementFact(name, own.value, _time(thing, "time"), latest)  # type: ignore[arg-type]  # a number: checked
+                yield _order(thing), fact, own.place
+
+    def _plan(self, thing: Thing) -> facts.PlanFact:
+        steps: dict[str, list[str]] = {"component-activation": [], "component-deactivation": []}
+        steps["parameter-adaptation"] = []
+        self._add_steps(steps, thing)
+        activate, deactivate, parameters = map(tuple, steps.values())
+        return facts.PlanFact(activate, deactivate, parameters, **_period(thing), result=self._result(thing))
+
+    def _add_steps(self, steps: dict[str, list[str]], whole: Thing) -> None:
+        for part in whole.parts:
+            step, role = part.thing, part.role.name if part.role else ""
+            if step.kind in (Kind.COMPONENT, Kind.CONFIGURATION):
+                steps[role].append(step.name)
+            elif step.kind is Kind.STRUCTURAL:
+                self._add_steps(steps, step)
+            elif step.kind in (Kind.ACTIVATION, Kind.DEACTIVATION):
+                steps[step.kind.label] += _names(step, "component")
+            elif step.kind is Kind.ADAPTATION:
+                chosen = _names(step, "component-configuration")
+                steps["parameter-adaptation"] += chosen
+                if not chosen:
+                    message = f"this {step.type.label} names no component-configuration; it is passed over"
+                    self.store.note(step.place, message)
+
+    def _result(self, thing: Thing) -> str | None:
+        own = thing.own("result")
+        word = str(own.value).strip().lower() if own else ""
+        if own is None or not word:
+            return None
+        if word not in _RESULTS:
+            message = f"{own.value!r} is no result and is taken as abandoned; there are completed, failed, abandoned"
+            self.store.note(own.place, message)
+        return _RESULTS.get(word, "abandoned")
+
+
+def _names(thing: Thing, role: str) -> list[str]:
+    return [one.name for one in thing.players(role)]
+
+
+def _number(thing: Thing, name: str, default: float | None = None) -> float:
+    value = thing.value(name)
+    if isinstance(value, int | float):
+        return value
+    if default is None and thing.kind:
+        raise thing.place.error(f"this {thing.type.label} has no {name}; write `has {thing.kind.label}-{name} 0.5`")
+    return default or 0.0
+
+
+def _agreement(own: Own) -> tuple[int, int]:
+    """Return (n, k) of "n of k"."""
+    found = re.fullmatch(r"\s*(\d+)\s+of\s+(\d+)\s*", str(own.value))
+    if found is None:
+        raise own.place.error(f"{own.value!r} is no agreement; write e.g. '2 of 3'")
+    return int(found[1]), int(found[2])
+
+
+def _order(measured: Thing) -> int:
+    own = measured.own("value")
+    return own.order if own and measured.kind is Kind.ATTRIBUTE else measured.order
+
+
+def _time(thing: Thing, name: str) -> float | None:
+    value = thing.value(name)
+    if isinstance(value, datetime):
+        return seconds(value)
+    return value if isinstance(value, int | float) else None
+
+
+def _period(thing: Thing) -> dict[str, Any]:
+    return {"start": _time(thing, "start"), "end": _time(thing, "end")}
+
+
+def _preference(thing: Thing) -> dict[str, float] | None:
+    """Return the weight of each attribute that is preferred, 1 by default; an estimation stands for its attribute."""
+    names: list[str] = []
+    for one in thing.players("preferred-attribute"):
+        names += _names(one, "affected") if one.kind is Kind.ESTIMATION else [one.name]
+    own = thing.own("weights")
+    if own is None:
+        return dict.fromkeys(names, 1.0) or None
+    try:
+        weights = json.loads(str(own.value))
+        if len(weights) != len(names):
+            raise InvalidValue("one weight per attribute is needed")
+        for weight in weights:
+            finite_number(weight)
+    except (ValueError, TypeError) as error:
+        raise own.place.error(f"{own.value!r} is no list of weights for {len(names)} attributes: {error}") from None
+    return dict(zip(names, weights, strict=True))
+
+
+def _parameters(configuration: Thing) -> dict[str, Parameter]:
+    values: dict[str, Parameter] = {}
+    for one in configuration.players("parameter"):
+        key, value, sort = one.own("key"), one.own("value"), one.value("type")
+        if key is None or value is None:
+            missing = "key" if key is None else "value"
+            raise one.place.error(f"this {one.type.label} has no {missing}; write `has parameter-{missing} '...'`")
+        read = _parameter(value.value, None if sort is None else str(sort), value.place)
+        if values.setdefault(str(key.value), read) != read:
+            raise one.place.error(f"parameter {key.value!r} has two values in one configuration")
+    return values
+
+
+def _parameter(value: Literal, type_name: str | None, place: Place) -> Parameter:
+    """Return the value of a component parameter, of its type.
+
+    Args:
+        value: as written; a text is read as the type says, e.g. `"[3.0, 5.0]"` as a `double_array`.
+        type_name: one of ROSA's types or ROS's names for them; None for a text, or what stands there without quotes.
+        place: where it is written.
+    """
+    if type_name is None:
+        return value  # type: ignore[return-value]  # no date: it was checked
+    word = re.sub(r"[-\s]", "_", type_name.strip().lower()).removeprefix("parameter_").replace("[]", "_array")
+    base = word.removesuffix("_array")
+    if base not in _READERS:
+        known = [*PARAMETER_TYPES.values(), *(f"{one}_array" for one in PARAMETER_TYPES.values())]
+        raise place.error(str(UnknownName("parameter type", type_name, known)))
+    try:
+        if word == base:
+            return _READERS[base](value)
+        return [_READERS[base](item) for item in _items(value, base)]  # type: ignore[return-value]  # all of one type
+    except (ValueError, KeyError):
+        raise place.error(f"{shown(value)} cannot be read as {type_name}") from None
+
+
+def _flag(value: object) -> bool:
+    return {"true": True, "false": False}[str(value).strip().lower()]
+
+
+def _whole(value: object) -> int:
+    number = value if isinstance(value, float) else int(str(value))
+    if number != int(number):
+        raise ValueError
+    return int(number)
+
+
+def _double(value: object) -> float:
+    number = float(str(value))
+    if not math.isfinite(number):
+        raise ValueError
+    return number
+
+
+def _text(value: object) -> str:
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+_READERS: Final[Mapping[str, Callable[[object], bool | int | float | str]]] = {
+    **dict.fromkeys(("boolean", "bool"), _flag),
+    **dict.fromkeys(("long", "integer", "int"), _whole),
+    **dict.fromkeys(("double", "float"), _double),
+    **dict.fromkeys(("string", "str"), _text),
+}
+
+
+def _items(value: Literal, base: str) -> list[object]:
+    """Split a written list; its texts may stand in quotes or not."""
+    if not isinstance(value, str):
+        return [value]
+    text = value.strip()
+    if not (text.startswith("[") and text.endswith("]")):
+        raise ValueError
+    if base in ("string", "str"):
+        for read in (json.loads, ast.literal_eval):
+            with suppress(ValueError, SyntaxError, RecursionError, MemoryError):
+                items = read(text)
+                if isinstance(items, list) and all(isinstance(item, str) for item in items):
+                    return list(items)
+    inner = text[1:-1].strip()
+    return [_unquoted(item.strip()) for item in inner.split(",")] if inner else []
+
+
+def _unquoted(item: str) -> str:
+    return item[1:-1] if len(item) > 1 and item[0] == item[-1] and item[0] in "'\"" else item
+
+
+def _unused(stem: str, taken: Container[str]) -> str:
+    return next(name for number in count(1) if (name := f"{stem} {number}") not in taken)

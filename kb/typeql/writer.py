@@ -1,0 +1,191 @@
+"""A model as TypeQL: one `insert` in ROSA's words, with a `define` of what ROSA's schema has no words for."""
+
+import json
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import MISSING, fields
+from datetime import UTC, datetime, timedelta
+from typing import Final
+
+from kb.contents import Contents, tables_of
+from kb.elements import Action, Changeable, Component, Configuration, Element, Estimation, Function, Parameter, called
+from kb.exceptions import ModelError
+from kb.facts import ActiveFact, Fact, PlanFact, RequiredFact, SelectedFact, StatusFact
+from kb.typeql.vocabulary import ATTRIBUTES, CLASSES, PARAMETER_TYPES, ROLES, SPECIAL, Field, Value, seconds
+
+__all__ = ["quoted", "typeql_text", "written_time"]
+
+_STEPS: Final = {
+    "component-activation": ("component", "activate", Component),
+    "component-deactivation": ("component", "deactivate", Component),
+    "parameter-adaptation": ("component-configuration", "parameters", Configuration),
+}
+"""The steps of a plan: the role in each, the field that lists who has it, and of which class they are."""
+_PERIODS: Final = ("required-action", "component-process", "reconfiguration-plan")
+_OWN: Final = {
+    "model-name": "string;\nRobotModel sub entity, owns model-name @key",
+    "max-age": "double;\nAttribute owns max-age",
+    "when-stale": "string;\nAttribute owns when-stale",
+    "agreement": "string;\nAttribute owns agreement",
+    "hysteresis": "double;\nconstraint owns hysteresis",
+    "dwell": "double;\nconstraint owns dwell",
+    "stops-to-configure": "boolean;\nComponent owns stops-to-configure",
+    "preference-weights": "string;\nrequired-action owns preference-weights",
+    "time-seconds": "double;\nmeasurement owns time-seconds",
+    "start-seconds": "double;\n" + "\n".join(f"{one} owns start-seconds;" for one in _PERIODS).rstrip(";"),
+    "end-seconds": "double;\n" + "\n".join(f"{one} owns end-seconds;" for one in _PERIODS).rstrip(";"),
+}
+"""What ROSA's schema has no words for: the type of each such attribute, and what has it."""
+_UNSAFE: Final = re.compile(r'[\\"\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]')
+_ESCAPES: Final = {"\n": "\\n", "\t": "\\t", "\r": "\\r", "\\": "\\\\", '"': '\\"'}
+
+
+def typeql_text(model: Contents) -> str:
+    """Write a model so that it is read back as it is; see `Model.save`."""
+    told = "\n".join(_Writer(model).lines())
+    own = [f"{label} sub attribute, value {rest};" for label, rest in _OWN.items() if f"has {label} " in told]
+    return "\n".join(["define", "# beyond ROSA's schema", *own, "", "insert", told, ""])
+
+
+class _Writer:
+    """The statements of a model; each element has a variable by which later ones speak of it."""
+
+    def __init__(self, model: Contents) -> None:
+        self.model = model
+        self.tables = tables_of(model)
+        self.variables: dict[object, str] = {}
+        self.taken: dict[str, int] = {}
+
+    def lines(self) -> Iterator[str]:
+        """Write everything, in an order in which it can be read without looking ahead."""
+        yield f"$model isa RobotModel, has model-name {quoted(self.model.name)};"
+        parts: dict[str, Iterable[Changeable]] = {
+            **{f"{CLASSES[cls]}s": table.values() for cls, table in self.tables.items()},
+            "constraints": self.model.constraints,
+            "estimations": self.model.estimations,
+        }
+        for title, listed in parts.items():
+            statements = [line for one in listed for line in self._element(one)]
+            yield from ["", f"# {title}", *statements] if statements else []
+        statements = [line for fact in self.model.facts for line in self._fact(fact)]
+        yield from ["", "# what is so from the start", *statements] if statements else []
+
+    def _element(self, one: Changeable) -> Iterator[str]:
+        players = []
+        for key, value in one.parameters.items() if isinstance(one, Configuration) else ():
+            text, sort = _written_parameter(value)
+            variable = self._fresh("parameter", key)
+            players.append(("parameter", variable))
+            given = {"parameter-key": quoted(key), "parameter-value": quoted(text), "parameter-type": quoted(sort)}
+            yield _statement(variable, (), "ComponentParameter", given)
+        variable = self.variables[one] = self._fresh(CLASSES[type(one)].split()[-1], called(one))
+        yield self._described(one, "" if isinstance(one, Estimation) else variable, players)
+        if isinstance(one, Action) and one.functions:
+            needs = [("required-function", self._of(Function, name)) for name in one.functions]
+            yield _statement("", [("action", variable), *needs], "functional-requirement", {})
+
+    def _fact(self, fact: Fact) -> Iterator[str]:
+        if isinstance(fact, StatusFact):
+            yield f"{self.variables[fact.element]} has status {quoted(fact.status)};"
+        elif isinstance(fact, RequiredFact | SelectedFact):
+            what = "is-required" if isinstance(fact, RequiredFact) else "is-selected"
+            yield f"{self.variables[fact.element]} has {what} true;"
+        elif isinstance(fact, ActiveFact):
+            yield f"{self._of(Component, fact.component)} has is-active true;"
+        elif isinstance(fact, PlanFact):
+            players = []
+            for relation, (role, field, cls) in _STEPS.items():
+                parts = [(role, self._of(cls, name)) for name in getattr(fact, field)]
+                if parts:
+                    players.append((relation, self._fresh("step", relation)))
+                    yield _statement(players[-1][1], parts, relation, {})
+            yield self._described(fact, self._fresh("plan", ""), players)
+        else:
+            yield self._described(fact, "", [])
+
+    def _described(self, one: Changeable | Fact, variable: str, players: Iterable[tuple[str, str]]) -> str:
+        """Write an element or fact by the roles and attributes of its kind."""
+        kind = CLASSES[type(one)]
+        classes = {of: cls for cls, of in CLASSES.items()}
+        named = []
+        for role in ROLES.get(kind, ()):
+            for player in _players(one, role.field):
+                known = self.variables.get(player)
+                named.append((role.name, known or self._of(classes[role.kinds[0]], player)))
+        label = kind.label if kind in ROLES else SPECIAL.get(str(getattr(one, "kind", "")), kind.title())
+        defaults = {field.name: field.default for field in fields(one)}
+        given = {field.label: _written(field, one, defaults) for field in ATTRIBUTES[kind]}
+        return _statement(variable, [*named, *players], label, given)
+
+    def _of(self, cls: type[Element], name: str) -> str:
+        return self.variables[self.tables[cls][name]]
+
+    def _fresh(self, prefix: str, name: str) -> str:
+        """Return a variable that no other has, and that still reads like the name."""
+        stem = re.sub(r"[^A-Za-z0-9]+", "_", f"{prefix}_{name}").strip("_")[:60]
+        number = self.taken[stem] = self.taken.get(stem, 0) + 1
+        return f"${stem}" if number == 1 else f"${stem}-{number}"
+
+
+def quoted(text: str) -> str:
+    """Write a text so that it is read back as it is."""
+    return f'"{_UNSAFE.sub(_escaped, text)}"'
+
+
+def _escaped(found: re.Match[str]) -> str:
+    return _ESCAPES.get(found[0]) or f"\\u{ord(found[0]):04x}"
+
+
+def written_time(time: float) -> str | None:
+    """Write a time [s since 1970-01-01 UTC] as a date, or return None where that would not say exactly the same."""
+    try:
+        moment = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(milliseconds=round(time * 1000))
+    except (OverflowError, ValueError):
+        return None
+    text = moment.replace(tzinfo=None).isoformat(timespec="milliseconds")
+    return text if seconds(datetime.fromisoformat(text).replace(tzinfo=UTC)) == time else None
+
+
+def _written_parameter(value: Parameter) -> tuple[str, str]:
+    """Write the value of a component parameter, and its type."""
+    if isinstance(value, list):
+        name = PARAMETER_TYPES[type(value[0])] if value else "string"
+        return json.dumps(value, ensure_ascii=False), f"{name}_array"
+    return (value if isinstance(value, str) else json.dumps(value)), PARAMETER_TYPES[type(value)]
+
+
+def _statement(variable: str, players: Iterable[tuple[str, str]], label: str, given: Mapping[str, str | None]) -> str:
+    relation = ", ".join(f"{role}: {player}" for role, player in players)
+    head = [variable, f"({relation})" if relation else "", f"isa {label}"]
+    owns = [f"has {label} {value}" for label, value in given.items() if value is not None]
+    return ", ".join([" ".join(part for part in head if part), *owns]) + ";"
+
+
+def _players(one: object, field: str) -> tuple[str, ...]:
+    """Return the elements that a field holds, by themselves or by name."""
+    value = getattr(one, field) if field else None
+    if isinstance(value, Mapping | tuple):
+        return tuple(value)
+    return () if value is None else (value,)
+
+
+def _written(field: Field, one: object, defaults: Mapping[str, object]) -> str | None:
+    """Write an attribute of an element or fact; None if it has none, or what it is by default."""
+    if field.name == "weights":
+        preference = getattr(one, "preference", None)
+        return None if preference is None else quoted(json.dumps(list(preference.values())))
+    value = getattr(one, field.name, None)
+    if value is None or (field.name != "latest" and value == defaults.get(field.name, MISSING)):
+        return None
+    if field.name == "agreement":
+        return quoted("{} of {}".format(*value))
+    if field.value is Value.TIME:
+        return written_time(value)
+    if field.name in ("time", "start", "end") and written_time(value):
+        return None
+    if field.value is Value.TEXT:
+        return quoted(value)
+    text = str(value).lower() if isinstance(value, bool) else repr(value)
+    if text.lstrip("-") in ("inf", "nan"):
+        raise ModelError(f"{text} cannot be written to a file; a finite number is needed")
+    return text
