@@ -1,22 +1,21 @@
-"""Designs of one function and configurations of one component, judged as rivals of which one is chosen."""
+"""Designs of one function and configurations of one component: which one is chosen, and what never is."""
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import groupby, pairwise
 from typing import Final
 
-from kb.checks.contradictions import bounds
 from kb.checks.findings import Finding, found, listing
 from kb.contents import Contents
 from kb.elements import Attribute, Configuration, Element, FunctionDesign, StalePolicy
-from kb.explanation.requirements import Interval
+from kb.explanation.requirements import Interval, bounds
 from kb.facts import RequiredActionFact
-from kb.inference.settling import Network, Node
+from kb.inference.network import Network, Node
 
 __all__ = ["doubtful_choices"]
 
 PREFERRED: Final = 32
-"""How many of the rivals that are preferred to one are compared with it."""
+"""How many of the alternatives that are preferred to one are compared with it."""
 
 Bounds = Mapping[str, Interval]
 
@@ -30,7 +29,7 @@ def doubtful_choices(model: Contents, network: Network) -> Iterator[Finding]:
         if len(whole.parts) < 2:
             continue
         yield from _ties(whole)
-        if not any(estimated.by(rival) for rival in whole.parts):  # a preference may choose what priority never would
+        if not any(estimated.by(part) for part in whole.parts):  # a preference may choose what priority never would
             yield from _dominated(whole)
         yield from _unevenly_estimated(whole, estimated)
         if whole.kind == "component":
@@ -43,19 +42,15 @@ def _priority(node: Node) -> float:
     return math.inf if node.element.priority is None else node.element.priority
 
 
-def _bounds_in_use(rival: Node) -> dict[str, Interval]:
-    """Return the values that a rival and what it is of or made of leave, where that is no matter of a choice."""
-    together = bounds(rival)
-    for component in rival.wholes if rival.kind == "configuration" else rival.parts:
-        for attribute, interval in bounds(component).items():
-            known = together.get(attribute)
-            together[attribute] = interval if known is None else known.meet(interval)
-    return together
+def _bounds_in_use(part: Node) -> dict[str, Interval]:
+    """Return the values that a design or configuration leaves together with its components."""
+    components = part.wholes if part.kind == "configuration" else part.parts
+    return bounds(part, *components)
 
 
 def _ties(whole: Node) -> Iterator[Finding]:
-    for priority, rivals in groupby(sorted(whole.parts, key=_priority), key=_priority):
-        tied = list(rivals)
+    for priority, group in groupby(sorted(whole.parts, key=_priority), key=_priority):
+        tied = list(group)
         if len(tied) < 2 or _exclude_one_another([_bounds_in_use(one) for one in tied]):
             continue
         which = "no priority" if priority == math.inf else f"the same priority, {priority:g}"
@@ -64,28 +59,31 @@ def _ties(whole: Node) -> Iterator[Finding]:
         yield found("tied-priorities", f"{whole.kind} {whole.name}", message)
 
 
-def _exclude_one_another(rivals: Sequence[Bounds]) -> bool:
-    """Tell whether there is an attribute that allows one rival at a time, so that a tie does not matter."""
-    for attribute in rivals[0]:
-        intervals = [rival.get(attribute) for rival in rivals]
-        known = sorted((one for one in intervals if one is not None), key=lambda one: (one.low, one.low_open))
-        if len(known) == len(rivals) and all(one.meet(after).is_empty for one, after in pairwise(known)):
+def _exclude_one_another(alternatives: Sequence[Bounds]) -> bool:
+    """Tell whether there is an attribute that allows one of them at a time, so that a tie does not matter."""
+    for attribute in alternatives[0]:
+        known = sorted((one[attribute] for one in alternatives if attribute in one), key=_low)
+        if len(known) == len(alternatives) and all(one.meet(after).is_empty for one, after in pairwise(known)):
             return True
     return False
+
+
+def _low(interval: Interval) -> tuple[float, bool]:
+    return interval.low, interval.low_open
 
 
 def _excluded(component: Node) -> Iterator[Finding]:
     """Yield the configurations that are feasible only where their component is not, unless that is so of all."""
     own = bounds(component)
-    rivals = {rival: bounds(rival) for rival in component.parts}
-    clashes = {rival: _clash(mine, own) for rival, mine in rivals.items() if not _is_contradictory(mine)}
+    parts = {part: mine for part in component.parts if not _is_contradictory(mine := bounds(part))}
+    clashes = {part: _clash(mine, own) for part, mine in parts.items()}
     if _is_contradictory(own) or all(clashes.values()):
         return
-    for rival, name in clashes.items():
+    for part, name in clashes.items():
         if name:
-            what, needs, allows = f"configuration {rival.name}", rivals[rival][name].text(name), own[name].text(name)
-            message = f"{what} needs {needs}, but its component {component.name} {allows}"
-            yield found("never-selected", what, message)
+            needs, allows = parts[part][name].text(name), own[name].text(name)
+            message = f"configuration {part.name} needs {needs}, but its component {component.name} {allows}"
+            yield found("never-selected", f"configuration {part.name}", message)
 
 
 def _clash(mine: Bounds, own: Bounds) -> str:
@@ -98,29 +96,26 @@ def _is_contradictory(values: Bounds) -> bool:
 
 
 def _dominated(whole: Node) -> Iterator[Finding]:
-    """Yield the rivals that are unfeasible whenever none of those preferred to them is feasible."""
+    """Yield the parts that are unfeasible whenever none of those preferred to them is feasible."""
     ranked = sorted(whole.parts, key=_priority)
-    offered = [(rival, _priority(rival), bounds(rival)) for rival in ranked[:PREFERRED]]
-    for rival in ranked:
-        needed = _bounds_in_use(rival)
-        if _is_contradictory(needed):
-            continue
-        rank = _priority(rival)
-        easier = [(one, own) for one, priority, own in offered if priority < rank and _is_part_of(one, rival)]
-        names = _covering(easier, needed)
+    offered = [(part, bounds(part)) for part in ranked[:PREFERRED]]
+    for part in ranked:
+        needed = _bounds_in_use(part)
+        easier = [(one, own) for one, own in offered if _priority(one) < _priority(part) and _is_part_of(one, part)]
+        names = "" if _is_contradictory(needed) else _covering(easier, needed)
         if names:
-            what = f"{rival.kind} {rival.name}"
+            what = f"{part.kind} {part.name}"
             message = f"{what} of {whole.kind} {whole.name} is never chosen: whenever it is feasible, so is {names}"
             yield found("never-selected", what, f"{message}, which is preferred")
 
 
-def _is_part_of(one: Node, rival: Node) -> bool:
-    """Tell whether all that one rival is made of is in another too, so that no failure tells them apart."""
-    return one.kind == "configuration" or set(one.parts) <= set(rival.parts)
+def _is_part_of(one: Node, other: Node) -> bool:
+    """Tell whether all that one is made of is in the other too, so that no failure tells them apart."""
+    return one.kind == "configuration" or set(one.parts) <= set(other.parts)
 
 
 def _covering(preferred: Sequence[tuple[Node, Bounds]], needed: Bounds) -> str:
-    """Name the preferred rivals of which at least one is feasible whenever the bounds hold; "" if there are none."""
+    """Name the preferred ones of which at least one is feasible whenever the bounds hold; "" if there are none."""
     by_attribute: dict[Node, list[tuple[Interval, str]]] = {}
     for one, own in preferred:
         if all(name in needed and interval.covers(needed[name]) for name, interval in own.items()):
@@ -145,23 +140,19 @@ def _can_be_violated_by_age(attribute: Node) -> bool:
 def _leave_no_gap(intervals: Iterable[Interval], wanted: Interval) -> bool:
     """Tell whether every value that is wanted lies in one of the intervals."""
     reached: Interval | None = None
-    for one in sorted(intervals, key=lambda interval: (interval.low, interval.low_open)):
-        if (
-            reached is None
-            or one.low > reached.high
-            or (one.low == reached.high and one.low_open and reached.high_open)
-        ):
+    for one in sorted(intervals, key=_low):
+        is_gap = reached is None or one.low > reached.high
+        if reached is None or is_gap or (one.low == reached.high and one.low_open and reached.high_open):
             reached = one
         else:
-            high, high_closed = max((reached.high, not reached.high_open), (one.high, not one.high_open))
-            reached = Interval(reached.low, high, reached.low_open, not high_closed)
+            reached = reached.hull(one)
         if reached.covers(wanted):
             return True
     return False
 
 
 class _Estimated:
-    """Which attributes are estimated for which elements."""
+    """Which attributes are estimated for which elements, in order."""
 
     def __init__(self, model: Contents) -> None:
         self._direct: dict[Element, dict[str, None]] = {}
@@ -170,15 +161,13 @@ class _Estimated:
         self._known: dict[Node, Mapping[str, None]] = {}
 
     def by(self, node: Node) -> Mapping[str, None]:
-        """Return the attributes that are estimated for an element or for what it is made of, in order."""
-        if not self._direct:
-            return {}
-        if node not in self._known:
+        """Return the attributes that are estimated for an element or for what it is made of."""
+        if self._direct and node not in self._known:
             names = dict(self.directly(node))
             for part in node.parts:
                 names |= self.by(part)
             self._known[node] = names
-        return self._known[node]
+        return self._known.get(node, {})
 
     def directly(self, node: Node) -> Mapping[str, None]:
         """Return the attributes that are estimated for an element itself."""
@@ -187,41 +176,30 @@ class _Estimated:
 
 
 def _unevenly_estimated(whole: Node, estimated: _Estimated) -> Iterator[Finding]:
-    by_rival = {rival: estimated.by(rival) for rival in whole.parts}
-    for attribute in dict.fromkeys(name for names in by_rival.values() for name in names):
-        without = [rival.name for rival, names in by_rival.items() if attribute not in names]
+    by_part = {part: estimated.by(part) for part in whole.parts}
+    for attribute in dict.fromkeys(name for names in by_part.values() for name in names):
+        without = [part.name for part, names in by_part.items() if attribute not in names]
         if without and attribute not in estimated.directly(whole):
-            what = f"{whole.kind} {whole.name}"
-            kind = whole.parts[0].kind
+            what, kind = f"{whole.kind} {whole.name}", whole.parts[0].kind
             message = f"{attribute} is estimated for some {kind}s of {what} but not for {listing(without)}"
             yield found("missing-estimation", what, message)
 
 
 def _preferences(model: Contents, network: Network, estimated: _Estimated) -> Iterator[Finding]:
-    wanted = {
-        (fact.action, attribute): None
-        for fact in model.facts
-        if isinstance(fact, RequiredActionFact)
-        for attribute in fact.preference or ()
-    }
-    for action, attribute in wanted:
+    requests = [fact for fact in model.facts if isinstance(fact, RequiredActionFact)]
+    for action, attribute in dict.fromkeys((one.action, name) for one in requests for name in one.preference or ()):
         if attribute not in estimated.by(network.actions[action]):
             message = f"action {action} is to favour {attribute}, which is estimated for nothing that it can use"
             yield found("missing-estimation", f"action {action}", message)
 
 
 def _missing_parameters(component: Node) -> Iterator[Finding]:
-    settings = {
-        part.name: part.element.parameters for part in component.parts if isinstance(part.element, Configuration)
-    }
-    setters: dict[str, int] = {}
-    for parameters in settings.values():
-        for key in parameters:
-            setters[key] = setters.get(key, 0) + 1
-    usual = [key for key, count in setters.items() if count == len(settings) - 1]
-    for name, parameters in settings.items():
-        left_out = [key for key in usual if key not in parameters]
+    parts = [part.element for part in component.parts if isinstance(part.element, Configuration)]
+    keys = dict.fromkeys(key for one in parts for key in one.parameters)
+    usual = [key for key in keys if sum(key in one.parameters for one in parts) == len(parts) - 1]
+    for one in parts:
+        left_out = [key for key in usual if key not in one.parameters]
         if left_out:
             others = f"all other configurations of component {component.name} do"
-            message = f"configuration {name} does not set {listing(left_out)}; {others}"
-            yield found("missing-parameter", f"configuration {name}", message)
+            message = f"configuration {one.name} does not set {listing(left_out)}; {others}"
+            yield found("missing-parameter", f"configuration {one.name}", message)

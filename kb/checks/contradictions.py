@@ -10,48 +10,33 @@ from typing import Final, NamedTuple
 
 from kb.checks.findings import Finding, found, listing
 from kb.elements import Constraint
-from kb.explanation.requirements import Alternatives, Box, Interval, Requirements
-from kb.inference.settling import Network, Node
+from kb.explanation.requirements import Box, Interval, Requirements, bounds, constraints_on
+from kb.inference.network import Network, Node
 
-__all__ = ["bounds", "contradictions"]
+__all__ = ["contradictions"]
 
 QUICK: Final = 4
 """How many alternatives suffice to see that most elements are possible; all are looked at only for the others."""
 MOST_ACTIONS: Final = 4
 
 
-def bounds(node: Node) -> dict[str, Interval]:
-    """Return the values that an element's own constraints leave, by name of the attribute; some may be empty."""
-    intervals: dict[str, Interval] = {}
-    for constraint in _own(node):
-        interval = Interval.of(constraint)
-        known = intervals.get(constraint.attribute)
-        intervals[constraint.attribute] = interval if known is None else known.meet(interval)
-    return intervals
-
-
 def contradictions(network: Network) -> Iterator[Finding]:
     """Yield what can never be feasible and is no mere consequence of something else that is found."""
-    needs = _Needs()
-    impossible = {
-        node.index
-        for table in (
-            network.configurations,
-            network.components,
-            network.designs,
-            network.functions,
-            network.actions,
-        )
-        for node in table.values()
-        if needs.are_impossible(node)
-    }
+    quick, thorough = Requirements(limit=QUICK), Requirements()
+    impossible = set()
     for node in network.nodes:
-        if node.index in impossible:
-            for code, message in _roots(node, impossible, needs):
-                yield found(code, f"{node.kind} {node.name}", message + _consequence(node, impossible))
+        if node.kind not in ("attribute", "constraint"):
+            ways = quick.of(node)
+            if not ways.boxes and not ways.complete:
+                ways = thorough.of(node)
+            if not ways.boxes and ways.complete:
+                impossible.add(node)
+    for node in network.nodes:
+        for code, message in _roots(node, impossible, thorough) if node in impossible else ():
+            yield found(code, f"{node.kind} {node.name}", message + _consequence(node, impossible))
 
 
-def _roots(node: Node, impossible: set[int], needs: "_Needs") -> Iterator[tuple[str, str]]:
+def _roots(node: Node, impossible: set[Node], requirements: Requirements) -> Iterator[tuple[str, str]]:
     """Yield code and message of each reason for which an element is impossible that is no reason of another one."""
     what = f"{node.kind} {node.name}"
     if node.kind == "function":
@@ -61,37 +46,32 @@ def _roots(node: Node, impossible: set[int], needs: "_Needs") -> Iterator[tuple[
     empty = [name for name, interval in bounds(node).items() if interval.is_empty]
     for attribute in empty:
         yield "contradictory-constraints", f"{what} is constrained by {_contradiction(node, attribute)}"
-    broken = [part.index in impossible for part in node.parts]
+    broken = [part in impossible for part in node.parts]
     is_consequence = any(broken) and (all(broken) or node.kind != "component")
     if not empty and not is_consequence:
-        yield "never-feasible", f"{what} can never be feasible: {_conflict(node, needs)}"
+        yield "never-feasible", f"{what} can never be feasible: {_conflict(node, requirements)}"
 
 
 def _contradiction(node: Node, attribute: str) -> str:
     """Name two constraints that exclude one another; one suffices if no number satisfies it."""
-    own = [constraint for constraint in _own(node) if constraint.attribute == attribute]
+    own = [constraint for constraint in constraints_on(node) if constraint.attribute == attribute]
     for one in own:
         if Interval.of(one).is_empty:
             return f"{one}, which no number satisfies"
-    for one, other in combinations(own, 2):
-        if Interval.of(one).meet(Interval.of(other)).is_empty:
-            return f"{one} and {other}, which no value satisfies both"
-    raise AssertionError(f"{attribute} is not contradictory")  # two bounds make an interval empty, never three
+    one, other = next(two for two in combinations(own, 2) if Interval.of(two[0]).meet(Interval.of(two[1])).is_empty)
+    return f"{one} and {other}, which no value satisfies both"  # two bounds make an interval empty, never three
 
 
-def _consequence(node: Node, impossible: set[int]) -> str:
+def _consequence(node: Node, impossible: set[Node]) -> str:
     """Say which actions an impossible element makes impossible."""
+    waiting = {node: None}
     actions: list[str] = []
-    seen = {node.index}
-    waiting = [node]
-    for one in waiting:
-        for whole in one.wholes:
-            if whole.index in impossible and whole.index not in seen:
-                seen.add(whole.index)
-                waiting.append(whole)
-                actions += [whole.name] if whole.kind == "action" else []
-        if len(actions) > MOST_ACTIONS:
-            return f", so {len(actions)} actions or more can never be feasible, e.g. {actions[0]}"
+    while waiting and len(actions) <= MOST_ACTIONS:
+        wholes = dict.fromkeys(whole for one in waiting for whole in one.wholes if whole in impossible)
+        actions += [whole.name for whole in wholes if whole.kind == "action" and whole.name not in actions]
+        waiting = wholes
+    if len(actions) > MOST_ACTIONS:
+        return f", so {len(actions)} actions or more can never be feasible, e.g. {actions[0]}"
     return f", so action {listing(actions)} can never be feasible" if actions else ""
 
 
@@ -110,45 +90,30 @@ class _Need(NamedTuple):
 
     def hull(self, attribute: str) -> Interval | None:
         """Return the narrowest interval for an attribute that holds the values of every way, None for all values."""
-        intervals = [box.intervals.get(attribute) for box in self.boxes]
-        known = [interval for interval in intervals if interval is not None]
-        if len(known) < len(intervals):
-            return None
-        low, low_open = min((one.low, one.low_open) for one in known)
-        high, high_closed = max((one.high, not one.high_open) for one in known)
-        return Interval(low, high, low_open, not high_closed)
+        hull: Interval | None = None
+        for box in self.boxes:
+            if attribute not in box.intervals:
+                return None
+            hull = hull.hull(box.intervals[attribute]) if hull else box.intervals[attribute]
+        return hull
 
 
-class _Needs:
-    """What elements need, looked at quickly first and thoroughly where that does not decide."""
-
-    def __init__(self) -> None:
-        self._quick = Requirements(limit=QUICK)
-        self._thorough = Requirements()
-
-    def are_impossible(self, node: Node) -> bool:
-        """Tell whether an element is certainly impossible."""
-        ways = self._ways(node)
-        return not ways.boxes and ways.complete
-
-    def of(self, node: Node) -> list[_Need]:
-        """Return what an element needs all of."""
-        needs = [_Need(f"its own constraint {one}", (), _box(one)) for one in _own(node)]
-        if node.kind == "component":
-            boxes = tuple(box for part in node.parts for box in self._thorough.of(part).boxes)
-            return [*needs, _Need("each of its configurations", tuple(node.parts), boxes)]
-        parts = [_Need(f"{part.kind} {part.name}", (part,), self._thorough.of(part).boxes) for part in node.parts]
-        return needs + parts
-
-    def _ways(self, node: Node) -> Alternatives:
-        ways = self._quick.of(node)
-        return ways if ways.boxes or ways.complete else self._thorough.of(node)
+def _needs(node: Node, requirements: Requirements) -> list[_Need]:
+    """Return what an element needs all of."""
+    own = [
+        _Need(f"its own constraint {one}", (), (Box({one.attribute: Interval.of(one)}),))
+        for one in constraints_on(node)
+    ]
+    if node.kind == "component":
+        boxes = tuple(box for part in node.parts for box in requirements.of(part).boxes)
+        return [*own, _Need("each of its configurations", tuple(node.parts), boxes)]
+    return own + [_Need(f"{part.kind} {part.name}", (part,), requirements.of(part).boxes) for part in node.parts]
 
 
-def _conflict(node: Node, needs: _Needs) -> str:
+def _conflict(node: Node, requirements: Requirements) -> str:
     """Name two needs that exclude one another, with the chain from each down to the constraint, as far as can be."""
-    listed = needs.of(node)
-    for one, other in combinations(listed, 2):
+    needs = _needs(node, requirements)
+    for one, other in combinations(needs, 2):
         if any(mine.meet(theirs) is not None for mine in one.boxes for theirs in other.boxes):
             continue
         for attribute in one.boxes[0].intervals:
@@ -156,7 +121,7 @@ def _conflict(node: Node, needs: _Needs) -> str:
             if mine is not None and theirs is not None and mine.meet(theirs).is_empty:
                 return f"{_chain(one, attribute, mine)}, but {_chain(other, attribute, theirs)}"
         return f"{one.name} and {other.name} exclude one another, whatever is measured"
-    return f"{listing((need.name for need in listed), 8)} cannot be met together, whatever is measured"
+    return f"{listing((need.name for need in needs), 8)} cannot be met together, whatever is measured"
 
 
 def _chain(need: _Need, attribute: str, interval: Interval) -> str:
@@ -169,32 +134,17 @@ def _chain(need: _Need, attribute: str, interval: Interval) -> str:
 
 def _path(nodes: Iterable[Node], attribute: str, interval: Interval) -> list[str]:
     """Return the way down to the first constraint with a bound of the interval, the lowest element first."""
-    above: dict[Node, Node | None] = dict.fromkeys(nodes)
-    waiting = list(above)
+    paths = {node: [f"{node.kind} {node.name}"] for node in nodes}
+    waiting = list(paths)
     for node in waiting:
-        if any(_is_bound(one, attribute, interval) for one in _own(node)):
-            path: list[str] = []
-            step: Node | None = node
-            while step is not None:
-                path.append(f"{step.kind} {step.name}")
-                step = above[step]
-            return path
+        if any(_is_bound(one, attribute, interval) for one in constraints_on(node)):
+            return paths[node]
         for part in node.parts:
-            if part not in above:
-                above[part] = node
+            if part not in paths:
+                paths[part] = [f"{part.kind} {part.name}", *paths[node]]
                 waiting.append(part)
     return []
 
 
 def _is_bound(constraint: Constraint, attribute: str, interval: Interval) -> bool:
     return constraint.attribute == attribute and constraint.value in (interval.low, interval.high)
-
-
-def _box(constraint: Constraint) -> tuple[Box, ...]:
-    return (Box({constraint.attribute: Interval.of(constraint)}),)
-
-
-def _own(node: Node) -> Iterator[Constraint]:
-    for one in node.constraints:
-        assert isinstance(one.element, Constraint)
-        yield one.element

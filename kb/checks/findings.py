@@ -1,6 +1,6 @@
-"""What the judge of models can find, how bad that is, and what to do about it."""
+"""What the checks of a model can find, how bad that is, and what to do about it."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from types import MappingProxyType
@@ -18,13 +18,7 @@ class Severity(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """One thing that the judge looks for.
-
-    Attributes:
-        severity: how bad it is.
-        meaning: what is found, in general.
-        advice: what to do about it.
-    """
+    """One thing that is looked for: how bad it is, what it is, in general, and what to do about it."""
 
     severity: Severity
     meaning: str
@@ -141,7 +135,7 @@ RULES: Final[Mapping[str, Rule]] = MappingProxyType(
     {code: Rule(Severity.ERROR, *texts) for code, texts in _ERRORS.items()}
     | {code: Rule(Severity.WARNING, *texts) for code, texts in _WARNINGS.items()}
 )
-"""What the judge looks for, by code."""
+"""What is looked for, by code."""
 
 
 def found(code: str, element: str, message: str) -> Finding:
@@ -152,7 +146,7 @@ def found(code: str, element: str, message: str) -> Finding:
 
 def listing(names: Iterable[str], most: int = 4) -> str:
     """Write names as a list of which only the first few are told, e.g. "a, b and c" or "a, b, c and 7 more"."""
-    known: Sequence[str] = list(names)
+    known = list(names)
     if len(known) > most:
         known = [*known[: most - 1], f"{len(known) - most + 1} more"]
     return " and ".join([", ".join(known[:-1]), known[-1]] if len(known) > 1 else known)

@@ -1,24 +1,25 @@
-"""A judge of models: what can never work, contradicts itself or is likely a slip."""
+"""Checks of a model as a whole: its names, what is used, and the facts that it states from the start."""
 
+from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import replace
 
 from kb.checks.choices import doubtful_choices
 from kb.checks.contradictions import contradictions
-from kb.checks.facts import doubtful_facts
-from kb.checks.findings import Finding, Severity, found
-from kb.contents import Contents
+from kb.checks.findings import Finding, Severity, found, listing
+from kb.contents import Contents, tables_of
 from kb.declarations import listed, text
-from kb.elements import KINDS, Constraint, Element
+from kb.elements import KINDS, Action, Component, Constraint, Element, Function, FunctionDesign
 from kb.exceptions import UnknownName
-from kb.facts import RequiredActionFact
-from kb.inference.settling import Network, Node
+from kb.facts import ActiveFact, MeasurementFact, RequiredActionFact, RequiredFact, SelectedFact, StatusFact
+from kb.inference.network import Network
+from kb.status import Status
 
 __all__ = ["check_model"]
 
 
 def check_model(model: Contents, names: Iterable[str] | None = None) -> tuple[Finding, ...]:
-    """Judge a model; see `Model.check`. Errors come first, and each rule goes through a model in order."""
+    """Check a model; see `Model.check`. Errors come first, and each rule goes through a model in order."""
     network = Network(model)
     findings = [
         *(() if names is None else _mismatches(model.actions, listed("names", names))),
@@ -26,17 +27,19 @@ def check_model(model: Contents, names: Iterable[str] | None = None) -> tuple[Fi
         *_incomplete(network),
         *_unused(model, network),
         *doubtful_choices(model, network),
-        *doubtful_facts(model),
-        *_similar_names(network),
+        *_hidden_statuses(model),
+        *_measured_twice(model),
+        *_selected_wrongly(model),
+        *_active_for_nothing(model),
+        *(finding for table in tables_of(model).values() for finding in _similar(table)),
         *(found("file-note", f"model {model.name}", note) for note in model.notes),
     ]
-    places = {f"{KINDS[type(element)]} {_name(element)}": place for element, place in model.places.items()}
+    places = {
+        f"{KINDS[type(one)]} {one.name if isinstance(one, Element) else one}": place
+        for one, place in model.places.items()
+    }
     placed = (replace(one, place=places.get(one.element, "")) for one in findings)
     return tuple(sorted(placed, key=lambda one: one.severity is not Severity.ERROR))
-
-
-def _name(element: Element | Constraint) -> str:
-    return element.name if isinstance(element, Element) else str(element)
 
 
 def _mismatches(actions: Collection[str], names: Iterable[str]) -> Iterator[Finding]:
@@ -75,22 +78,75 @@ def _unused(model: Contents, network: Network) -> Iterator[Finding]:
             yield found("unused-component", f"component {node.name}", f"no design uses component {node.name}")
 
 
-def _similar_names(network: Network) -> Iterator[Finding]:
-    for table in (
-        network.attributes,
-        network.components,
-        network.configurations,
-        network.functions,
-        network.designs,
-        network.actions,
-    ):
-        yield from _similar(table)
-
-
-def _similar(table: Mapping[str, Node]) -> Iterator[Finding]:
+def _similar(table: Mapping[str, Element]) -> Iterator[Finding]:
     first: dict[str, str] = {}
-    for name, node in table.items():
+    for name, element in table.items():
         other = first.setdefault("".join(name.replace("_", " ").split()).casefold(), name)
         if other != name:
-            what = f"{node.kind} {name}"
-            yield found("similar-names", what, f"{what} is called almost like {node.kind} {other}")
+            kind = KINDS[type(element)]
+            message = f"{kind} {name} is called almost like {kind} {other}"
+            yield found("similar-names", f"{kind} {name}", message)
+
+
+def _hidden_statuses(model: Contents) -> Iterator[Finding]:
+    for fact in model.facts:
+        if isinstance(fact, StatusFact) and fact.status is not Status.FAILURE:  # a failure is not inferred but reported
+            one = fact.element
+            what = f"{KINDS[type(one)]} {one.name if isinstance(one, Element) else one}"
+            if isinstance(one, Constraint):
+                what += f" of {listing(each.name for each in one.constrained)}"
+            yield found("hidden-status", what, f"{what} is stated to be {fact.status}")
+
+
+def _measured_twice(model: Contents) -> Iterator[Finding]:
+    latest = [fact.attribute for fact in model.facts if isinstance(fact, MeasurementFact) and fact.latest]
+    for name, count in Counter(latest).items():
+        if count > 1:
+            message = f"{count} measurements of attribute {name} are each stated to be the latest"
+            yield found("contradictory-facts", f"attribute {name}", message)
+
+
+def _selected_wrongly(model: Contents) -> Iterator[Finding]:
+    designs: dict[str, dict[str, None]] = {}
+    configurations: dict[str, dict[str, None]] = {}
+    wanted = _required(model, Component)
+    for fact in model.facts:
+        if not isinstance(fact, SelectedFact):
+            continue
+        if isinstance(fact.element, FunctionDesign):
+            wanted.update(fact.element.components)
+            designs.setdefault(fact.element.function, {})[fact.element.name] = None
+        else:
+            configurations.setdefault(fact.element.component, {})[fact.element.name] = None
+    for kind, parts, selected in (
+        ("function", "designs", designs),
+        ("component", "configurations", configurations),
+    ):
+        for name, chosen in selected.items():
+            if len(chosen) > 1:
+                message = f"{parts} {listing(chosen)} of {kind} {name} are selected at the same time"
+                yield found("contradictory-facts", f"{kind} {name}", message)
+    for component, (first, *_) in configurations.items():
+        if component not in wanted:
+            message = f"configuration {first} is selected, but component {component} is in no selected design"
+            yield found("contradictory-facts", f"configuration {first}", message)
+
+
+def _active_for_nothing(model: Contents) -> Iterator[Finding]:
+    """Yield what is active although other things are required; a robot of which nothing is required may just idle."""
+    functions, actions = _required(model, Function), _required(model, Action)
+    for fact in model.facts:
+        if isinstance(fact, RequiredActionFact) and fact.end is None and fact.result is None:
+            actions.add(fact.action)
+    for action in actions:
+        functions.update(model.actions[action].functions)
+    used = {name for one in model.designs.values() if one.function in functions for name in one.components}
+    for fact in model.facts:
+        if functions and isinstance(fact, ActiveFact) and fact.component not in used:
+            what = f"component {fact.component}"
+            yield found("contradictory-facts", what, f"{what} is active, but nothing that is required can use it")
+
+
+def _required(model: Contents, cls: type[Element]) -> set[str]:
+    facts = (fact for fact in model.facts if isinstance(fact, RequiredFact))
+    return {fact.element.name for fact in facts if isinstance(fact.element, cls)}

@@ -77,6 +77,12 @@ class Interval:
         high, high_closed = min((self.high, not self.high_open), (other.high, not other.high_open))
         return Interval(low, high, low_open, not high_closed)
 
+    def hull(self, other: "Interval") -> "Interval":
+        """Return the narrowest interval that holds both."""
+        low, low_open = min((self.low, self.low_open), (other.low, other.low_open))
+        high, high_closed = max((self.high, not self.high_open), (other.high, not other.high_open))
+        return Interval(low, high, low_open, not high_closed)
+
     def text(self, attribute: str) -> str:
         """Write it as comparisons of an attribute, e.g. "light >= 0.2 and light <= 0.8"."""
         bounds = []
@@ -85,6 +91,20 @@ class Interval:
         if self.high < math.inf:
             bounds.append(f"{attribute} {'<' if self.high_open else '<='} {exact(self.high)}")
         return " and ".join(bounds)
+
+
+def constraints_on(node: Node) -> list[Constraint]:
+    """Return an element's own constraints."""
+    return [one.element for one in node.constraints if isinstance(one.element, Constraint)]
+
+
+def bounds(*nodes: Node) -> dict[str, Interval]:
+    """Return the values that elements' own constraints leave together, by attribute; some may be empty."""
+    intervals: dict[str, Interval] = {}
+    for constraint in (one for node in nodes for one in constraints_on(node)):
+        interval, known = Interval.of(constraint), intervals.get(constraint.attribute)
+        intervals[constraint.attribute] = known.meet(interval) if known else interval
+    return intervals
 
 
 @dataclass(frozen=True, slots=True)
