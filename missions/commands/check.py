@@ -1,7 +1,7 @@
 """`rosa check`: a model, from files or of a mission, judged together with the trees and domains that use it."""
 
 import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import groupby
 from pathlib import Path
@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from kb import Model
     from kb.checks.findings import Finding
     from missions.engine.mission import Mission
-    from missions.views.names import Names
 
 __all__ = ["Judgement", "check", "judge"]
 
@@ -71,7 +70,7 @@ class Judgement:
         return json.dumps({"model": self.model, **counts, "findings": [asdict(one) for one in self.findings]}, indent=2)
 
 
-def judge(files: Sequence[Path], mission: "Mission | None", trees: Iterable[str], pddl: Sequence[Path]) -> Judgement:
+def judge(files: Sequence[Path], mission: "Mission | None", trees: Sequence[str], pddl: Sequence[Path]) -> Judgement:
     """Judge a model.
 
     Args:
@@ -86,19 +85,20 @@ def judge(files: Sequence[Path], mission: "Mission | None", trees: Iterable[str]
     from missions.views.names import names_in_pddl, names_in_tree, planned_names, tree_builder
 
     model = _model(files, mission)
-    used = [names_in_tree(tree_builder(tree), model, f"tree {tree}") for tree in trees]
-    if pddl:
-        used.append(names_in_pddl(pddl))
-    if mission is not None:
-        used.append(names_in_tree(mission.tree, model, f"the tree of {mission.name}"))
-        planned = planned_names(mission)
-        used += [] if planned is None else [planned]
-    if not used:
+    if not (trees or pddl or mission):
         return Judgement(model.name, model.check())
-    names = used[0]
-    for more in used[1:]:
-        names |= more
-    return Judgement(model.name, tuple(_placed(model.check(names.places), names)))
+    uses = [use for tree in trees for use in names_in_tree(tree_builder(tree), model, f"tree {tree}")]
+    if pddl:
+        uses += names_in_pddl(pddl)
+    if mission is not None:
+        uses += names_in_tree(mission.tree, model, f"the tree of {mission.name}")
+        uses += planned_names(mission)
+    places: dict[str, list[str]] = {}
+    for name, place in uses:
+        places.setdefault(name, []).append(place)
+    is_complete = "" not in places  # what a tree is given later may be any action
+    places.pop("", None)
+    return Judgement(model.name, tuple(_placed(model.check(places), places, is_complete)))
 
 
 def _model(files: Sequence[Path], mission: "Mission | None") -> "Model":
@@ -112,14 +112,16 @@ def _model(files: Sequence[Path], mission: "Mission | None") -> "Model":
     return mission.model()
 
 
-def _placed(findings: "Iterable[Finding]", names: "Names") -> "Iterator[Finding]":
-    """Yield the findings about names with their places; what a tree may be given later is no finding."""
+def _placed(
+    findings: "Iterable[Finding]", places: Mapping[str, Sequence[str]], is_complete: bool
+) -> "Iterator[Finding]":
+    """Yield the findings about names with their places."""
     for one in findings:
         if one.code == "unknown-action":
-            first, *others = names.places[one.element]
+            first, *others = places[one.element]
             more = f" and {len(others)} more" if others else ""
             yield replace(one, place=f"{first}{more}")
-        elif one.code != "unmentioned-action" or names.complete:
+        elif one.code != "unmentioned-action" or is_complete:
             yield one
 
 

@@ -324,6 +324,5 @@ def _write(contents: Mapping[str, str | bytes], folder: Path) -> list[Path]:
     for name, content in contents.items():
         paths.append(folder / name)
         with OutputFile(paths[-1]) as file:
-            file.write(content)
-            file.keep()
+            file.finish(content)
     return paths

@@ -207,8 +207,7 @@ def _begin(folder: Path, campaign: Campaign) -> None:
         raise MissionError(f"cannot make {folder}: {error.strerror or error}") from error
     data = {"format": FORMAT, "campaign": campaign.as_data(), "provenance": dict(provenance())}
     with OutputFile(folder / CAMPAIGN) as file:
-        file.write(json.dumps(data, indent=2, ensure_ascii=False) + "\n")
-        file.keep()
+        file.finish(json.dumps(data, indent=2, ensure_ascii=False) + "\n")
 
 
 def _same(folder: Path, campaign: Campaign | None) -> Campaign:
@@ -274,8 +273,7 @@ def write_tables(kept: Kept, folder: Path) -> list[Path]:
         for suffix, content in contents.items():
             path = folder / f"{name}{suffix}"
             with OutputFile(path) as file:
-                file.write(content)
-                file.keep()
+                file.finish(content)
             written.append(path)
     return written
 

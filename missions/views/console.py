@@ -52,11 +52,9 @@ class Narrator(Listener):
         self._progress.stop()
 
     def action(self, text: str, time_s: float) -> None:
-        """Say what the mission begins or ends."""
         self._say(time_s, escape(text))
 
     def adaptation(self, adaptation: Adaptation) -> None:
-        """Say what was changed, why, and how soon."""
         colour = COLOURS[adaptation.kind]
         reaction = adaptation.reaction_s
         soon = f"in force {reaction:.2f} s after the news" if reaction is not None else "not carried out"
@@ -64,19 +62,16 @@ class Narrator(Listener):
         self._console.print(f"{'':11}why: {escape(adaptation.why)}; {soon}", highlight=False)
 
     def plan(self, plan: "PlanRecord", time_s: float) -> None:
-        """Say what is planned, and why it was planned anew."""
         steps = ", then ".join(step.action or step.schema for step in plan.steps)
         found = steps if plan.outcome.is_solved else f"none, {plan.outcome} ({plan.engine})"
         self._say(time_s, f"[bold green]plan[/] ({escape(plan.reason)}): {escape(found)}")
 
     def problem(self, problem: DiagnosticProblem, time_s: float) -> None:
-        """Say what could not be used, the first time."""
         if (problem.key, problem.reason) not in self._known_problems:
             self._known_problems.add((problem.key, problem.reason))
             self._say(time_s, f"[bold red]diagnostics not used[/]: {escape(str(problem))}")
 
     def tick(self, run: MissionRun) -> None:
-        """Move the bar, and show what is being done and seen."""
         if self._progress.disable:
             return
         doing = ", ".join(one.action for one in run.actions if one.end is None) or "deciding"
@@ -95,7 +90,6 @@ class Recorder(Listener):
         self._output = output
 
     def message(self, message: Message) -> None:
-        """Write the message."""
         self._output.write(line_of(message))
 
 
@@ -106,7 +100,6 @@ class Pace(Listener):
         self._start = time.monotonic()
 
     def tick(self, run: MissionRun) -> None:
-        """Wait until the wall clock has come as far as the simulated one."""
         time.sleep(max(0.0, self._start + run.world.now - time.monotonic()))
 
 
@@ -139,7 +132,6 @@ class CampaignProgress:
             self._progress.stop()
 
     def begin(self, done: int, total: int) -> None:
-        """Start the clock."""
         self._started = time.perf_counter()
         self.count, self.total = done, total
         self._progress.update(self._bar, completed=done, total=total)
@@ -157,7 +149,6 @@ class CampaignProgress:
             self._print("dim", f"{self.count}/{self.total} runs, {rate:.2f} a second, {left:.0f} s left")
 
     def note(self, text: str) -> None:
-        """Say what keeps the runs from being done."""
         self._print("yellow", text)
 
     def _print(self, style: str, text: str) -> None:

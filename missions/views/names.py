@@ -1,7 +1,6 @@
 """Which ROSA actions a behaviour tree or PDDL files use, found without running either."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from importlib import import_module
 from inspect import Parameter, signature
 from pathlib import Path
@@ -14,33 +13,17 @@ from kb import KnowledgeBase, KnowledgeBaseError, Model
 from missions.engine.mission import Mission, MissionError, Percepts
 from missions.planning.declared import declarations_of
 from rosa_bt import IsActionFeasible, RosaAction
-from rosa_pddl import DeclaredProblem
 from rosa_pddl.domain import ACTION_TYPE
 from rosa_pddl.reading.declarations import declared_types
 from rosa_pddl.reading.syntax import Node, Source, read_source
 
-__all__ = ["Names", "names_in_pddl", "names_in_tree", "planned_names", "tree_builder"]
+__all__ = ["Uses", "names_in_pddl", "names_in_tree", "planned_names", "tree_builder"]
 
 ACTION_SUFFIX: Final = "_action"
 
 
-@dataclass(frozen=True, slots=True)
-class Names:
-    """The names of actions that something uses.
-
-    Attributes:
-        places: for each name where it stands, in words.
-        complete: whether these are all; a tree may also have names that it is only given while it runs.
-    """
-
-    places: Mapping[str, tuple[str, ...]]
-    complete: bool = True
-
-    def __or__(self, other: "Names") -> "Names":
-        merged = dict(self.places)
-        for name, places in other.places.items():
-            merged[name] = merged.get(name, ()) + places
-        return Names(merged, self.complete and other.complete)
+Uses = list[tuple[str, str]]
+"""Names of actions, each with the place where it stands; an empty name is one that a tree only gets as it runs."""
 
 
 class _Tolerant(KnowledgeBase):
@@ -69,7 +52,7 @@ def tree_builder(reference: str) -> Callable[..., object]:
     return built
 
 
-def names_in_tree(build: Callable[..., object], model: Model, title: str) -> Names:
+def names_in_tree(build: Callable[..., object], model: Model, title: str) -> Uses:
     """Return the actions that the behaviours of a tree are about.
 
     Args:
@@ -82,15 +65,8 @@ def names_in_tree(build: Callable[..., object], model: Model, title: str) -> Nam
         root = root.root
     if not isinstance(root, Behaviour):
         raise MissionError(f"{title} is {root!r}, not a py_trees behaviour")
-    places: dict[str, tuple[str, ...]] = {}
-    complete = True
-    for behaviour in root.iterate():
-        if isinstance(behaviour, IsActionFeasible | RosaAction):
-            name = _action(behaviour)
-            if name:
-                places[name] = (*places.get(name, ()), f"behaviour {behaviour.name!r} of {title}")
-            complete = complete and bool(name)
-    return Names(places, complete)
+    asking = [one for one in root.iterate() if isinstance(one, IsActionFeasible | RosaAction)]
+    return [(_action(one), f"behaviour {one.name!r} of {title}") for one in asking]
 
 
 def _built(build: Callable[..., object], given: tuple[object, ...], title: str) -> object:
@@ -113,7 +89,7 @@ def _action(behaviour: IsActionFeasible | RosaAction) -> str:
         return ""
 
 
-def names_in_pddl(paths: Iterable[Path]) -> Names:
+def names_in_pddl(paths: Iterable[Path]) -> Uses:
     """Return the actions that PDDL files are about: the constants and objects of type action or of a type below it.
 
     A domain by itself may have none; then each predicate `(NAME_action ?a)` of one action stands for the action NAME.
@@ -123,32 +99,30 @@ def names_in_pddl(paths: Iterable[Path]) -> Names:
     """
     sources = [read_source(path) for path in paths]
     parents = {name.lower: of for source in sources for name, of in _typed(source, ":types")}
-    places: dict[str, tuple[str, ...]] = {}
-    for source in sources:
-        for name, of in _typed(source, ":constants", ":objects"):
-            if _is_action(of, parents):
-                places[str(name)] = (*places.get(str(name), ()), _place(source, name))
-    return Names(places or {name: place for source in sources for name, place in _by_predicate(source, parents)})
+    found = [
+        (str(name), _place(source, name))
+        for source in sources
+        for name, of in _typed(source, ":constants", ":objects")
+        if _is_action(of, parents)
+    ]
+    return found or [use for source in sources for use in _by_predicate(source, parents)]
 
 
-def planned_names(mission: Mission) -> Names | None:
-    """Return the ROSA actions that the planned task layer of a mission is about; None if it has none."""
+def planned_names(mission: Mission) -> Uses:
+    """Return the ROSA actions that the planned task layer of a mission is about."""
     declared = declarations_of(mission)
     if declared is not None:
         objects = [name for name, kind in declared.problem.objects.items() if kind == ACTION_TYPE]
-        place = f"the schemas of {mission.name}"
-        return Names(dict.fromkeys([*declared.rosa_actions, *objects], (place,)))
-    files = [path for path in (mission.domain, mission.problem) if path is not None]
-    paths = [path for path in files if not isinstance(path, DeclaredProblem)]
-    return names_in_pddl(paths) if paths else None
+        return [(name, f"the schemas of {mission.name}") for name in dict.fromkeys([*declared.rosa_actions, *objects])]
+    return names_in_pddl(path for path in (mission.domain, mission.problem) if isinstance(path, Path))
 
 
-def _by_predicate(source: Source, parents: Mapping[str, str]) -> Iterator[tuple[str, tuple[str, ...]]]:
+def _by_predicate(source: Source, parents: Mapping[str, str]) -> Iterator[tuple[str, str]]:
     for predicate in (one for section in _sections(source, ":predicates") for one in section.children[1:]):
         name = predicate.children[0]
-        types = [_lower(of) for _, of in declared_types(predicate)]
+        types = [of for _, of in _declared(predicate)]
         if name.lower.endswith(ACTION_SUFFIX) and len(types) == 1 and _is_action(types[0], parents):
-            yield str(name)[: -len(ACTION_SUFFIX)], (_place(source, name),)
+            yield str(name)[: -len(ACTION_SUFFIX)], _place(source, name)
 
 
 def _sections(source: Source, *keywords: str) -> list[Node]:
@@ -156,13 +130,13 @@ def _sections(source: Source, *keywords: str) -> list[Node]:
 
 
 def _typed(source: Source, *keywords: str) -> Iterator[tuple[Node, str]]:
-    """Yield what sections declare, each with its type in lower case; what has no type is an object."""
     for section in _sections(source, *keywords):
-        yield from ((name, _lower(of)) for name, of in declared_types(section))
+        yield from _declared(section)
 
 
-def _lower(type_: Node | None) -> str:
-    return "object" if type_ is None else type_.lower
+def _declared(section: Node) -> Iterator[tuple[Node, str]]:
+    """Yield what a list declares, each with its type in lower case; what has no type is an object."""
+    yield from ((name, "object" if of is None else of.lower) for name, of in declared_types(section))
 
 
 def _is_action(name: str, parents: Mapping[str, str]) -> bool:

@@ -6,11 +6,10 @@ A file is tried before the run, and complete or not there at all after it.
 import json
 import math
 import os
-import tempfile
 from collections.abc import Mapping
 from contextlib import ExitStack, suppress
 from pathlib import Path
-from types import TracebackType
+from secrets import token_hex
 from typing import Any, BinaryIO, Final, Self
 
 from missions.engine.mission import MissionError, Verdict
@@ -46,18 +45,16 @@ class OutputFile:
                 self._file: BinaryIO = self._target.open("wb")
                 self._draft = self._target
             else:
-                handle, draft = tempfile.mkstemp(prefix=".rosa-", dir=self._target.parent)
-                self._file, self._draft = os.fdopen(handle, "wb"), Path(draft)
+                self._draft = self._target.with_name(f".rosa-{token_hex(8)}")
+                self._file = self._draft.open("xb")
         except OSError as error:
             raise self._failure(error) from error
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        with suppress(OSError):  # what could not be written is told by keep
+    def __exit__(self, *reason: object) -> None:
+        with suppress(OSError):  # what could not be written is for finish to say
             self._file.close()
         if not self._direct:
             self._draft.unlink(missing_ok=True)
@@ -73,28 +70,19 @@ class OutputFile:
         except OSError as error:
             raise self._failure(error) from error
 
-    def keep(self) -> None:
-        """Put the file, which is complete now, in its place.
-
-        Raises:
-            MissionError: that cannot be done.
-        """
-        try:
-            self._file.close()
-            if not self._direct:
-                self._draft.chmod(0o666 & ~_umask())
-                self._draft.replace(self._target)
-        except OSError as error:
-            raise self._failure(error) from error
-
-    def finish(self, content: str | bytes) -> None:
-        """Append the last text or bytes, and put the file in its place.
+    def finish(self, content: str | bytes = b"") -> None:
+        """Append the last text or bytes, and put the file, which is complete now, in its place.
 
         Raises:
             MissionError: that cannot be done.
         """
         self.write(content)
-        self.keep()
+        try:
+            self._file.close()
+            if not self._direct:
+                self._draft.replace(self._target)
+        except OSError as error:
+            raise self._failure(error) from error
 
     def _failure(self, error: OSError) -> MissionError:
         return MissionError(f"cannot write {self._path}: {error.strerror or error}")
@@ -119,12 +107,6 @@ def open_files(paths: Mapping[str, Path | None], stack: ExitStack) -> dict[str, 
     return {name: stack.enter_context(OutputFile(path)) for name, path in given.items()}
 
 
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
-
-
 def summary(run: MissionRun, verdict: Verdict, seed: int, changed: Mapping[str, str]) -> dict[str, Any]:
     """Return a finished run as plain data; times in [s], units in the names.
 
@@ -146,42 +128,29 @@ def summary(run: MissionRun, verdict: Verdict, seed: int, changed: Mapping[str, 
         "duration_s": run.world.now,
         **results,
         "adaptations": [
-            {
-                "at_s": one.at_s,
-                "kind": one.kind,
-                "trigger": one.trigger,
-                "reason": one.reason,
-                "change": one.change,
-                "reaction_s": one.reaction_s,
-            }
-            for one in run.adaptations
+            _fields(one, "at_s", "kind", "trigger", "reason", "change", "reaction_s") for one in run.adaptations
         ],
         "actions": [
-            {
-                "name": one.action,
-                "start_s": one.start,
-                "end_s": one.end,
-                "result": one.result,
-                "reason": one.reason,
-            }
+            {"name": one.action, "start_s": one.start, "end_s": one.end, **_fields(one, "result", "reason")}
             for one in run.actions
         ],
         "plans": [
             {
-                "at_s": plan.at_s,
-                "reason": plan.reason,
+                **_fields(plan, "at_s", "reason"),
                 "outcome": str(plan.outcome),
                 "engine": plan.engine,
                 "steps": [str(step) for step in plan.steps],
             }
             for plan in run.plans
         ],
-        "reactions": [
-            {"uncertainty": one.uncertainty, "start_s": one.start_s, "delay_s": one.delay_s} for one, _ in run.reactions
-        ],
+        "reactions": [_fields(one, "uncertainty", "start_s", "delay_s") for one, _ in run.reactions],
         "disturbances": [{"at_s": time, "what": text} for time, text in run.world.disturbances()],
         "diagnostics_problems": [{"at_s": time, "problem": str(problem)} for time, problem in run.problems],
     }
+
+
+def _fields(one: object, *names: str) -> dict[str, Any]:
+    return {name: getattr(one, name) for name in names}
 
 
 def as_json(data: Mapping[str, Any]) -> str:
@@ -197,8 +166,7 @@ def timing_of(run: MissionRun, wall_s: float) -> dict[str, Any]:
         "simulated_s_per_wall_s": run.world.now / wall_s,
         "compute_s": run.compute_s,
         "reactions": [
-            {"uncertainty": one.uncertainty, "start_s": one.start_s, "compute_s": computed_s}
-            for one, computed_s in run.reactions
+            _fields(one, "uncertainty", "start_s") | {"compute_s": computed_s} for one, computed_s in run.reactions
         ],
     }
 

@@ -97,12 +97,11 @@ def test_names_of_the_own_missions_are_found_in_tree_and_domain():
     model = mission.model()
     in_tree = names_in_tree(mission.tree, model, "the tree")
     in_pddl = planned_names(mission)
-    assert set(in_tree.places) == set(in_pddl.places) == set(model.actions)
-    assert in_tree.complete
-    assert in_tree.places["recharge"] == (
+    assert {name for name, _ in in_tree} == {name for name, _ in in_pddl} == set(model.actions)
+    assert [place for name, place in in_tree if name == "recharge"] == [
         "behaviour 'recharge feasible?' of the tree",
         "behaviour 'recharge' of the tree",
-    )
+    ]
 
 
 def test_sound_files_exit_with_0(rosa):
@@ -188,14 +187,14 @@ def test_names_of_several_trees_and_domains_are_taken_together(rosa):
 def test_domain_without_objects_tells_its_actions_by_its_predicates(rosa, tmp_path):
     (tmp_path / "bare.pddl").write_text(DOMAIN.replace("look - task", ""))
     names = names_in_pddl([tmp_path / "bare.pddl"])
-    assert dict(names.places) == {"explore": (f"{tmp_path / 'bare.pddl'}:5:47",)}
+    assert names == [("explore", f"{tmp_path / 'bare.pddl'}:5:47")]
     assert rosa("explorer.tql", "--pddl", "bare.pddl")[0] == 0
 
 
 def test_name_that_a_tree_is_given_only_while_it_runs_is_no_finding():
     model = explorer()
     names = names_in_tree(lambda kb: IsActionFeasible("later", kb), model, "the tree")
-    assert (dict(names.places), names.complete) == ({}, False)
+    assert [name for name, _ in names] == [""]
     given_later = dataclasses.replace(
         MISSIONS["suave"], model=explorer, tree=lambda kb, percepts: IsActionFeasible("later", kb), domain=None
     )
@@ -220,7 +219,7 @@ def test_mission_of_ones_own_with_a_misspelt_action_is_judged_although_it_cannot
 
 
 def test_tree_may_be_given_as_something_that_needs_nothing():
-    assert names_in_tree(lambda: py_trees.composites.Sequence("s", memory=False), explorer(), "it").places == {}
+    assert names_in_tree(lambda: py_trees.composites.Sequence("s", memory=False), explorer(), "it") == []
     with pytest.raises(MissionError, match="it is None, not a py_trees behaviour"):
         names_in_tree(lambda: None, explorer(), "it")
 

@@ -164,4 +164,4 @@ def test_large_building_without_a_way_says_which_corridors_are_in_the_way():
 
 def test_actions_that_are_objects_of_the_problem_are_known_to_the_judge():
     names = planned_names(find_mission("agv"))
-    assert set(names.places) == {"switch", "cross_c1", "cross_c2", "cross_c3", "cross_c4"}
+    assert {name for name, _ in names} == {"switch", "cross_c1", "cross_c2", "cross_c3", "cross_c4"}
