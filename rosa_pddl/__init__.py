@@ -1,6 +1,7 @@
 """What to do next: a replanning executor of PDDL plans on unified-planning, itself a py_trees behaviour."""
 
 from rosa_pddl.domain import Domain, Feasibility, Schema, State, Step, TimedStep
+from rosa_pddl.engines.unified_planning import register_engine
 from rosa_pddl.exceptions import (
     GoalError,
     MissingBehaviourError,
@@ -15,14 +16,8 @@ from rosa_pddl.exceptions import (
 from rosa_pddl.executor import PlanExecutor
 from rosa_pddl.generation import ActionSchema, Declarations, DeclaredProblem
 from rosa_pddl.goals import Goal, Goals
-from rosa_pddl.planning import (
-    Attempt,
-    Outcome,
-    Planner,
-    PlanningResult,
-    awaited,
-    register_engine,
-)
+from rosa_pddl.outcomes import Attempt, Outcome, PlanningResult
+from rosa_pddl.planner import Planner, awaited
 from rosa_pddl.problem import Problem, feasible_atoms, initial_state
 from rosa_pddl.reader import load_domain, parse_domain
 from rosa_pddl.replanning import PlanRecord, ReplanningPolicy

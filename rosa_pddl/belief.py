@@ -15,9 +15,8 @@ from typing import Protocol, runtime_checkable
 
 from rosa_pddl.domain import Domain, Feasibility, State, Step, UpThing, head_of
 from rosa_pddl.exceptions import SensingError, UnsupportedPddlError
-from rosa_pddl.planning.grounding import lock_of
-from rosa_pddl.planning.uses import Uses
-from rosa_pddl.problem import Problem, feasible_atoms, initial_state, with_costs, without_feasibility
+from rosa_pddl.problem import Problem, feasible_atoms, initial_state, lock_of, with_costs, without_feasibility
+from rosa_pddl.resource_usage import ResourceUsage
 from rosa_pddl.validate import affected_atoms, binding_of, changes, ended, started
 
 __all__ = ["Belief", "ExpectedEffects", "Sense", "Undo", "UnmetEffect", "without"]
@@ -79,7 +78,7 @@ class Belief:
         self._sensed = _Sensed()
         self._taken_in: tuple[State, Mapping[str, bool]] | None = None
         self._numbers: Mapping[str, float] = {}
-        self._uses = Uses(domain)
+        self._usage = ResourceUsage(domain)
 
     @property
     def domain(self) -> Domain:
@@ -128,8 +127,8 @@ class Belief:
         """Assume that a step, however it ended, used up what it may."""
         known = Problem(self._domain, frozenset(), costs=self._numbers)
         try:
-            numbers = self._uses.numbers(known)
-            used = [self._uses.value(amount, numbers) for amount in self._uses.of(step)]
+            numbers = self._usage.numbers(known)
+            used = [self._usage.value(amount, numbers) for amount in self._usage.uses_of(step)]
         except UnsupportedPddlError:
             return  # nothing can be planned within limits of which nothing is known
         for resource, amount in zip(self._domain.limited, used, strict=True):

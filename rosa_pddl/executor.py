@@ -11,7 +11,7 @@ from rosa_pddl.domain import Domain, Feasibility, State, Step
 from rosa_pddl.exceptions import MissingBehaviourError, UnknownNameError, nearest
 from rosa_pddl.goals import Goals, PlanningTask
 from rosa_pddl.plan_monitor import PlanExecution, PlanMonitor
-from rosa_pddl.planning import Planner
+from rosa_pddl.planner import Planner
 from rosa_pddl.problem import Problem
 from rosa_pddl.replanning import (
     Decision,

@@ -17,9 +17,8 @@ from rosa_pddl.belief import ExpectedEffects
 from rosa_pddl.domain import Domain, Schema, State, Step, UpThing, conjuncts, head_of
 from rosa_pddl.exceptions import GoalError, nearest
 from rosa_pddl.formulas import Condition, conditions
-from rosa_pddl.planning import PlanningResult
-from rosa_pddl.planning.grounding import lock_of
-from rosa_pddl.problem import Problem, action_costs, exact
+from rosa_pddl.outcomes import PlanningResult
+from rosa_pddl.problem import Problem, action_costs, exact, lock_of
 from rosa_pddl.validate import mentioned_atoms
 
 __all__ = ["Goal", "GoalSimplifier", "Goals", "PlanningTask", "SoftGoals"]

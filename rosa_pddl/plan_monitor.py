@@ -10,12 +10,9 @@ from rosa_pddl.belief import ExpectedEffects
 from rosa_pddl.domain import Domain, State, Step, TimedStep, UpThing, head_of
 from rosa_pddl.exceptions import UnsupportedPddlError
 from rosa_pddl.goals import Goal, Goals
-from rosa_pddl.planning import PlanningResult
-from rosa_pddl.planning.costs import Costs
-from rosa_pddl.planning.grounding import lock_of
-from rosa_pddl.planning.sums import template_of
-from rosa_pddl.planning.uses import Left, Uses
+from rosa_pddl.outcomes import PlanningResult
 from rosa_pddl.problem import Problem, exact
+from rosa_pddl.resource_usage import Remaining, ResourceUsage, template_of
 from rosa_pddl.validate import (
     SAME_TIME_S,
     StepEvent,
@@ -245,8 +242,8 @@ class ResourceLimits:
     """
 
     def __init__(self, domain: Domain) -> None:
-        self._domain, self._uses = domain, Uses(domain)
-        self._stated = self._uses.numbers(Problem(domain, frozenset()))
+        self._domain, self._usage = domain, ResourceUsage(domain)
+        self._stated = self._usage.numbers(Problem(domain, frozenset()))
         limited = domain.limited
         used = [amount for resource in limited for amount in resource.uses.values()]
         limits = [limit.amount for resource in limited for limit in resource.limits]
@@ -261,9 +258,9 @@ class ResourceLimits:
         if not self._domain.limited:
             return None
         listed = tuple(steps)
-        used = {text for step in listed for amount in self._uses.of(step) for _, text in amount.terms}
+        used = {text for step in listed for amount in self._usage.uses_of(step) for _, text in amount.terms}
         try:
-            return self._uses.overspent(self._asked(numbers, self._limiting | used), listed)
+            return self._usage.overspent(self._asked(numbers, self._limiting | used), listed)
         except UnsupportedPddlError:  # what is done without a plan, where a number is not known
             return None
 
@@ -285,8 +282,8 @@ class ResourceLimits:
         ]
         return all(new == old or (self._is_simple and old is not None and new > old) for new, old in pairs)
 
-    def _left(self, numbers: _Numbers) -> tuple[Left, ...]:
-        return self._uses.left(self._uses.numbers(self._asked(numbers, self._limiting)))
+    def _left(self, numbers: _Numbers) -> tuple[Remaining, ...]:
+        return self._usage.remaining(self._usage.numbers(self._asked(numbers, self._limiting)))
 
     def _asked(self, numbers: _Numbers, keys: AbstractSet[str]) -> Problem:
         costs = {key: numbers[key] for key in keys if key in numbers}  # of a large world it is a small part
@@ -325,8 +322,7 @@ class PlanMonitor:
         self._effects, self._numbers = effects, numbers
         domain = effects.domain
         self._limits = ResourceLimits(domain)
-        with lock_of(domain):
-            self._costs = Costs(domain, Problem(domain, frozenset()).build())
+        self._usage = ResourceUsage(domain)
 
     def is_no_easier(self, then: _Numbers) -> bool:
         """Whether what could not be reached with some numbers cannot be reached now, by its limits."""
@@ -362,8 +358,8 @@ class PlanMonitor:
         """Return the cost of what has not ended, and the worth of the goals that are forgone."""
         held = self._holding(goals.soft, plan.outlook(state).facts)
         forgone = sum(goal.worth or 0.0 for goal in goals.soft if goal not in held)
-        numbers = self._costs.numbers(Problem(self._effects.domain, frozenset(), costs=self._numbers()))
-        return forgone + self._costs.total(plan.unfinished_steps, numbers)
+        numbers = self._usage.numbers(Problem(self._effects.domain, frozenset(), costs=self._numbers()))
+        return forgone + self._usage.total_cost(plan.unfinished_steps, numbers)
 
     def _holding(self, goals: Iterable[Goal], facts: State) -> tuple[Goal, ...]:
         return tuple(goal for goal in goals if goal_holds(self._effects.domain, facts, [goal.expression]))

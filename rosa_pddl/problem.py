@@ -3,7 +3,9 @@
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
+from threading import Lock
 from typing import TypeAlias
+from weakref import WeakKeyDictionary
 
 from rosa_pddl.domain import Domain, Feasibility, Schema, State, UpThing, head_of
 from rosa_pddl.exceptions import UnknownNameError, UnsupportedPddlError, nearest
@@ -13,6 +15,7 @@ Exact: TypeAlias = int | Fraction
 
 # Below this a float that is whole is the whole number that is written.
 _ALL_WHOLE = 2**53
+_LOCKS: "WeakKeyDictionary[UpThing, Lock]" = WeakKeyDictionary()
 
 
 @dataclass(frozen=True)
@@ -85,6 +88,11 @@ def exact(value: float | Fraction) -> Exact:
         return int(value)
     written = value if isinstance(value, Fraction) else Fraction(str(float(value)))
     return written.numerator if written.denominator == 1 else written
+
+
+def lock_of(domain: Domain) -> Lock:
+    """Return the lock of a domain's environment: unified-planning's are not made for several threads at once."""
+    return _LOCKS.setdefault(domain.up_problem.environment, Lock())
 
 
 def limits_of(domain: Domain) -> Iterator[UpThing]:

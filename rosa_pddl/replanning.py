@@ -11,8 +11,9 @@ from rosa_pddl.belief import ExpectedEffects
 from rosa_pddl.domain import Domain, State, Step, UpThing
 from rosa_pddl.exceptions import PlannerSettingError, PlanningBudgetError
 from rosa_pddl.goals import Goal, Goals, PlanningTask
+from rosa_pddl.outcomes import Outcome, PlanningResult
 from rosa_pddl.plan_monitor import PlanExecution, PlanMonitor
-from rosa_pddl.planning import Outcome, PlanningResult, awaited
+from rosa_pddl.planner import awaited
 from rosa_pddl.problem import Problem, unlimited
 
 __all__ = [

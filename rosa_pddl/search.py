@@ -18,6 +18,7 @@ from typing import Generic, NamedTuple, TypeAlias, TypeVar
 
 __all__ = [
     "CapReached",
+    "Fact",
     "Found",
     "Graph",
     "Move",
@@ -33,10 +34,12 @@ __all__ = [
 T = TypeVar("T")
 S = TypeVar("S")
 Fact: TypeAlias = tuple[int, int]
+"""A variable and one of its values, both counted from 0."""
 State: TypeAlias = tuple[int, ...]
+"""The value of each variable."""
 
 # Beyond this many states a graph forgets what it has worked out.
-_MOST_KNOWN = 100_000
+_MOST_KNOWN = 20_000
 
 
 class CapReached(Exception):
@@ -239,14 +242,17 @@ class Task(NamedTuple):
 class TaskGraph:
     """A task as a graph. Without axioms it serves any start and limits; what it works out is kept for the next one.
 
-    What a fact of the goal takes at least, all variables but its own being left aside, guides the search.
+    What a fact of the goal takes at least, all variables but its own being left aside, guides the search. Unguided, it
+    finds of equally good plans the one that Fast Downward's blind A* finds: operations are tried in the order of what
+    they need.
 
     Args:
         task: what is searched.
+        is_guided: whether estimates of the cost that is left decide what is looked at next.
     """
 
-    def __init__(self, task: Task) -> None:
-        self._task = task
+    def __init__(self, task: Task, *, is_guided: bool = True) -> None:
+        self._task, self._is_guided = task, is_guided
         self._moves: dict[State, tuple[Move[State, int], ...]] = {}
         self._least: dict[State, tuple[float, tuple[float, ...]]] = {}
         self._by_need = _by_need(task)
@@ -299,20 +305,19 @@ class TaskGraph:
         least = self._least.get(state)
         if least is None:
             costs, *uses = [max([left[state[one]] for one, left in each], default=0) for each in self._left]
-            least = self._least[state] = costs, tuple(uses)
+            least = self._least[state] = (costs if self._is_guided or costs == inf else 0), tuple(uses)
         return least
 
     def _possible(self, state: State) -> Iterator[Move[State, int]]:
-        for fact in (None, *enumerate(state)):
-            for operation in self._by_need.get(fact, ()):
-                if _hold(operation.needs, state):
-                    after = list(state)
-                    for given, variable, value in operation.effects:
-                        if not given or _hold(given, state):
-                            after[variable] = value
-                    to = self._closed(after)
-                    if to != state:
-                        yield Move(to, operation.cost, operation.uses, operation.number)
+        candidates = [one for fact in (None, *enumerate(state)) for one in self._by_need.get(fact, ())]
+        for _, operation in sorted([one for one in candidates if _hold(one[1].needs, state)]):
+            after = list(state)
+            for given, variable, value in operation.effects:
+                if not given or _hold(given, state):
+                    after[variable] = value
+            to = self._closed(after)
+            if to != state:
+                yield Move(to, operation.cost, operation.uses, operation.number)
 
     def _closed(self, state: list[int]) -> State:
         """Return a state with everything derived that the axioms derive."""
@@ -331,12 +336,12 @@ def _hold(facts: Sequence[Fact], state: Sequence[int]) -> bool:
     return all([state[variable] == value for variable, value in facts])  # noqa: C419  # a list is quicker: few facts
 
 
-def _by_need(task: Task) -> dict[Fact | None, list[Operation]]:
-    """Return the operations by the rarest fact that they need."""
-    found: dict[Fact | None, list[Operation]] = {}
-    for operation in task.operations:
+def _by_need(task: Task) -> dict[Fact | None, list[tuple[int, Operation]]]:
+    """Return the operations with their rank by the rarest fact that they need."""
+    found: dict[Fact | None, list[tuple[int, Operation]]] = {}
+    for rank, operation in enumerate(sorted(task.operations, key=lambda one: one.needs)):
         rarest = max(operation.needs, key=lambda fact: task.sizes[fact[0]], default=None)
-        found.setdefault(rarest, []).append(operation)
+        found.setdefault(rarest, []).append((rank, operation))
     return found
 
 

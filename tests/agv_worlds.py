@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import Final
 
 from numpy.random import Generator
+from rosa_pddl.planning import Planner, PlanningResult
 
 from missions.agv.building import Building, BuildingError, Corridor
 from missions.agv.joint import Place, Task
@@ -20,7 +21,6 @@ from missions.agv.pddl import (
 )
 from rosa_pddl.domain import FEASIBLE
 from rosa_pddl.generation import Declarations
-from rosa_pddl.planning import Planner, PlanningResult
 from rosa_pddl.problem import Problem, initial_state
 
 _GRID_M: Final = 12.0

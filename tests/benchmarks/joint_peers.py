@@ -16,7 +16,7 @@ from kb import Model
 from kb.status import OPERATORS
 from missions.agv.building import Building, Corridor
 from missions.agv.joint import Place, Question, Task
-from rosa_pddl.planning import downward
+from rosa_pddl.engines import fast_downward as downward
 from rosa_pddl.search import distances
 
 GOALS = {"time": 1e3, "energy": 1e3, "collisions": 1e6}
@@ -174,9 +174,9 @@ def by_axioms(robot: Robot, question: Question, folder: Path) -> int | None:
     (folder / "domain.pddl").write_text(DOMAIN)
     (folder / "problem.pddl").write_text(problem_pddl(robot, question))
     command = [sys.executable, "-m", "fast_downward.translate", "domain.pddl", "problem.pddl", "--sas-file", "task.sas"]
-    environment = {"PYTHONPATH": str(downward._translator())}
+    environment = {"PYTHONPATH": str(downward.translator())}
     subprocess.run(command, cwd=folder, env=environment, capture_output=True, check=True)
-    search = [str(downward._program()), "--search", "astar(blind())"]
+    search = [str(downward.program()), "--search", "astar(blind())"]
     task = (folder / "task.sas").read_text()
     done = subprocess.run(search, cwd=folder, input=task, capture_output=True, text=True, check=False)
     costs = [int(line.split(": ")[1]) for line in done.stdout.splitlines() if "Plan cost: " in line]

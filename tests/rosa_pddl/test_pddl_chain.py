@@ -24,8 +24,8 @@ from rosa_pddl import (
     load_domain,
     schedule_flaw,
 )
-from rosa_pddl.planning import downward
-from rosa_pddl.planning.cache import PlanCache
+from rosa_pddl.engines import fast_downward as downward
+from rosa_pddl.planner import PlanCache
 
 NAUGHTY = """
 import os, subprocess, sys, time
@@ -189,13 +189,13 @@ def broken_search(monkeypatch, tmp_path):
     file = tmp_path / "search"
     file.write_text("#!/bin/sh\necho oh dear; exit 1\n")
     file.chmod(0o755)
-    monkeypatch.setattr(downward, "_program", lambda: file)
+    monkeypatch.setattr(downward, "program", lambda: file)
 
 
 def test_another_engine_plans_when_fast_downward_fails(extended, broken_search):
     # aries now and then recharges on the way, as it does not look for the shortest plan: here it cannot
     state = feasible(extended).state - {extended.feasible_atom("recharge")}
-    result = Planner(timeout_s=120.0, fallback=("aries",)).plan(Problem(extended, state))
+    result = Planner(moves=0, timeout_s=120.0, fallback=("aries",)).plan(Problem(extended, state))
     crashed = Outcome.ENGINE_CRASHED
     assert told(result) == [("warm", crashed), ("cold", crashed), ("aries", Outcome.SOLVED)]
     assert result.engine == "aries"
@@ -205,7 +205,7 @@ def test_another_engine_plans_when_fast_downward_fails(extended, broken_search):
 
 
 def test_a_fallback_that_is_not_installed_is_passed_over_and_told(naughty, broken_search):
-    result = Planner(fallback=("tamer", "givesup"), timeout_s=60.0).plan(feasible(naughty))
+    result = Planner(moves=0, fallback=("tamer", "givesup"), timeout_s=60.0).plan(feasible(naughty))
     assert told(result)[2:] == [
         ("tamer", Outcome.ENGINE_MISSING),
         ("givesup", Outcome.UNSOLVABLE_AS_FAR_AS_KNOWN),
@@ -223,8 +223,8 @@ def test_a_budget_leaves_time_for_what_comes_after(extended, monkeypatch, tmp_pa
     slow = tmp_path / "slow"
     slow.write_text("#!/bin/sh\nexec sleep 1000\n")
     slow.chmod(0o755)
-    monkeypatch.setattr(downward, "_program", lambda: slow)
-    planner = Planner(timeout_s=60.0, fallback=("aries",), budgets_s={"warm": 0.3, "cold": 0.3})
+    monkeypatch.setattr(downward, "program", lambda: slow)
+    planner = Planner(moves=0, timeout_s=60.0, fallback=("aries",), budgets_s={"warm": 0.3, "cold": 0.3})
     result = planner.plan(feasible(extended))
     late = Outcome.OUT_OF_TIME
     assert told(result) == [("warm", late), ("cold", late), ("aries", Outcome.SOLVED)]
@@ -237,6 +237,7 @@ def test_a_budget_leaves_time_for_what_comes_after(extended, monkeypatch, tmp_pa
         ({"budgets_s": {"wram": 1.0}}, "nearest: warm"),
         ({"budgets_s": {"warm": 0.0}}, "expected more than 0"),
         ({"timeout_s": float("nan")}, "expected more than 0"),
+        ({"moves": -1}, "expected 0 or more"),
         ({"overlapping": True}, "rosa-taca\\[temporal\\]"),
     ],
 )
@@ -249,7 +250,7 @@ def test_settings_that_make_no_sense_are_refused(settings, words):
 
 
 def test_the_safe_step_is_there_when_a_plan_is_not(extended, broken_search):
-    planner = Planner(safe_step="(recharge recharge search_pipeline inspect_pipeline bluerov)")
+    planner = Planner(moves=0, safe_step="(recharge recharge search_pipeline inspect_pipeline bluerov)")
     result = planner.plan(feasible(extended))
     assert result.outcome is Outcome.ENGINE_CRASHED
     assert result.safe_step.schema == "recharge"
@@ -295,9 +296,9 @@ def test_in_lock_step_an_answer_that_hangs_on_the_clock_ends_the_run():
 
 
 def test_the_same_question_is_answered_at_once(extended, monkeypatch):
-    planner = Planner()
+    planner = Planner(moves=0)
     first = planner.plan(feasible(extended))
-    monkeypatch.setattr(downward, "_program", lambda: "/nowhere")
+    monkeypatch.setattr(downward, "program", lambda: "/nowhere")
     again = planner.plan(feasible(extended))
     assert told(again) == [("cache", Outcome.SOLVED_OPTIMALLY)]
     assert (again.steps, again.cost) == (first.steps, first.cost)
@@ -305,11 +306,11 @@ def test_the_same_question_is_answered_at_once(extended, monkeypatch):
 
 
 def test_trouble_is_not_remembered(extended, tmp_path, monkeypatch):
-    planner, there = Planner(), downward._program()
+    planner, there = Planner(moves=0), downward.program()
     with monkeypatch.context() as patched:
-        patched.setattr(downward, "_program", lambda: "/nowhere")
+        patched.setattr(downward, "program", lambda: "/nowhere")
         assert planner.plan(feasible(extended)).outcome is Outcome.ENGINE_MISSING
-    assert downward._program() == there
+    assert downward.program() == there
     assert planner.plan(feasible(extended)).outcome is Outcome.SOLVED_OPTIMALLY
 
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from pddl_world import ROOMS_DOMAIN, ROOMS_PROBLEM, FakeKb, load_mission, load_text
 
 from rosa_pddl import Outcome, Planner, Problem, Step, UnsupportedPddlError, feasible_atoms, initial_state
-from rosa_pddl.planning import downward
+from rosa_pddl.engines import fast_downward as downward
 from rosa_pddl.reader import _as_global
 from rosa_pddl.validate import ended, flaw, goal_holds, missing_at_start, started
 
@@ -102,7 +102,7 @@ def test_a_metric_that_cannot_be_kept_is_refused_at_load(tmp_path):
 
 
 def test_an_engine_that_is_not_installed_is_named_with_what_to_install(extended, monkeypatch):
-    monkeypatch.setattr(downward, "_program", lambda: None)
+    monkeypatch.setattr(downward, "program", lambda: None)
     result = Planner().plan(problem_of(extended))
     assert result.outcome is Outcome.ENGINE_MISSING
     assert "pip install up-fast-downward" in result.message
@@ -146,8 +146,8 @@ def program(tmp_path, script):
 
 def test_a_plan_that_does_not_work_is_the_engines_fault(rooms, monkeypatch, tmp_path):
     search = program(tmp_path, "echo '0 (1)'; echo 'Plan length: 1 step(s).'")
-    monkeypatch.setattr(downward, "_program", lambda: search)
-    result = Planner().plan(problem_of(rooms))
+    monkeypatch.setattr(downward, "program", lambda: search)
+    result = Planner(moves=0).plan(problem_of(rooms))
     assert result.outcome is Outcome.ENGINE_CRASHED
     assert "does not work" in result.message
 
@@ -171,8 +171,8 @@ def test_a_plan_that_does_not_work_is_the_engines_fault(rooms, monkeypatch, tmp_
 )
 def test_whatever_the_search_does_has_a_name(extended, monkeypatch, tmp_path, script, outcome, words):
     search = program(tmp_path, script)
-    monkeypatch.setattr(downward, "_program", lambda: search)
-    result = Planner().plan(problem_of(extended))
+    monkeypatch.setattr(downward, "program", lambda: search)
+    result = Planner(moves=0).plan(problem_of(extended))
     assert (result.outcome, result.steps) == (outcome, ())
     assert words in result.message
     assert [attempt.way for attempt in result.attempts] == ["warm", "cold"]
@@ -224,9 +224,9 @@ def test_out_of_time_ends_every_process_of_the_engine(extended, monkeypatch, tmp
 
 
 def test_cancelling_ends_every_process_of_the_engine(extended, monkeypatch, tmp_path):
-    monkeypatch.setattr(downward, "_program", lambda: slow_program(tmp_path))
+    monkeypatch.setattr(downward, "program", lambda: slow_program(tmp_path))
     before = set(threading.enumerate())
-    future = Planner(timeout_s=1000.0).start(problem_of(extended))
+    future = Planner(moves=0, timeout_s=1000.0).start(problem_of(extended))
     worker = next(thread for thread in set(threading.enumerate()) - before if thread.name.startswith("planner fast"))
     child = child_of(tmp_path)
     assert future.cancel()
@@ -252,8 +252,8 @@ def test_cancelling_does_not_wait_for_the_translation(extended, monkeypatch, tmp
 
 
 def test_closing_the_planner_ends_what_runs(extended, monkeypatch, tmp_path):
-    monkeypatch.setattr(downward, "_program", lambda: slow_program(tmp_path))
-    planner = Planner(timeout_s=1000.0)
+    monkeypatch.setattr(downward, "program", lambda: slow_program(tmp_path))
+    planner = Planner(moves=0, timeout_s=1000.0)
     future = planner.start(problem_of(extended))
     child = child_of(tmp_path)
     planner.close()

@@ -9,11 +9,11 @@ import pytest
 from pddl_world import load_mission
 
 from rosa_pddl import Planner, Problem, initial_state
-from rosa_pddl.planning.processes import Cut, Leash
+from rosa_pddl.engines.processes import Cancelled, ProcessHandle
 
 
 def run(script, **settings):
-    return Leash().run(["/bin/sh", "-c", script], **{"limit_s": 60.0, **settings})
+    return ProcessHandle().run(["/bin/sh", "-c", script], **{"limit_s": 60.0, **settings})
 
 
 def programs_running():
@@ -56,30 +56,30 @@ def test_a_late_program_is_killed():
 
 def test_a_program_may_hold_so_much_and_no_more():
     fat = [sys.executable, "-c", "x = bytearray(1 << 29)"]
-    assert Leash().run(fat, limit_s=60.0).code == 0
-    assert b"MemoryError" in Leash().run(fat, limit_s=60.0, memory_bytes=1 << 27).complaints
+    assert ProcessHandle().run(fat, limit_s=60.0).code == 0
+    assert b"MemoryError" in ProcessHandle().run(fat, limit_s=60.0, memory_bytes=1 << 27).complaints
 
 
-def test_a_cut_leash_lets_nothing_run():
-    leash = Leash()
-    leash.cut()
-    with pytest.raises(Cut):
-        leash.run(["/bin/true"], limit_s=1.0)
+def test_a_cancelled_handle_lets_nothing_run():
+    handle = ProcessHandle()
+    handle.cancel()
+    with pytest.raises(Cancelled):
+        handle.run(["/bin/true"], limit_s=1.0)
 
 
-def test_cutting_the_leash_ends_what_runs_and_what_waits():
-    leash = Leash()
-    timer = threading.Timer(0.1, leash.cut)
+def test_cancelling_ends_what_runs_and_what_waits():
+    handle = ProcessHandle()
+    timer = threading.Timer(0.1, handle.cancel)
     timer.start()
-    with pytest.raises(Cut):
-        leash.run(["/bin/sleep", "1000"], limit_s=600.0)
+    with pytest.raises(Cancelled):
+        handle.run(["/bin/sleep", "1000"], limit_s=600.0)
     timer.join()
 
 
 def test_what_cannot_be_started_says_so_and_leaves_nothing():
     before = files()
     with pytest.raises(FileNotFoundError):
-        Leash().run(["/no/such/program"], limit_s=1.0)
+        ProcessHandle().run(["/no/such/program"], limit_s=1.0)
     assert files() == before
 
 

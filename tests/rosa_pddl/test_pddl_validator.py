@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from pddl_world import load_text
 
 from rosa_pddl import Problem, TimedStep, initial_state, schedule_flaw
-from rosa_pddl.planning.engines import _timed
+from rosa_pddl.engines.unified_planning import _timed
 from rosa_pddl.reader import _as_global
 from rosa_pddl.validate import ended, flaw, missing_at_start, started
 

@@ -8,15 +8,18 @@ from pathlib import Path
 from typing import Any
 
 from rosa_pddl.domain import Domain, TimedStep, UpThing
+from rosa_pddl.engines.fast_downward import INSTALL_ADVICE, SEARCHES, missing_part
+from rosa_pddl.engines.processes import ProcessHandle
 from rosa_pddl.exceptions import nearest
-from rosa_pddl.planning.downward import Trouble, install_advice, missing_part
-from rosa_pddl.planning.grounding import lock_of
-from rosa_pddl.planning.labelling import LABEL_SETTING, TRANSLATED
-from rosa_pddl.planning.outcomes import Outcome
-from rosa_pddl.planning.processes import Leash
-from rosa_pddl.problem import Problem, limits_of
+from rosa_pddl.outcomes import Answer, Outcome, Trouble
+from rosa_pddl.problem import Problem, limits_of, lock_of
 
-__all__ = ["asked", "missing", "register_engine"]
+__all__ = ["LABEL_SETTING", "TRANSLATED", "asked", "missing", "register_engine"]
+
+LABEL_SETTING = "label-setting"
+"""The engine that is the exact search, within limits."""
+TRANSLATED = (*SEARCHES, LABEL_SETTING)
+"""The engines that search what Fast Downward's translator wrote."""
 
 _OUTCOMES = {
     "SOLVED_SATISFICING": Outcome.SOLVED,
@@ -43,16 +46,16 @@ def register_engine(environment: UpThing = None) -> None:
 
     factory = get_environment(environment).factory
     if LABEL_SETTING not in factory.engines:
-        factory.add_engine(LABEL_SETTING, "rosa_pddl.planning.up_engine", "LabelSetting")
+        factory.add_engine(LABEL_SETTING, "rosa_pddl.engines.label_setting", "LabelSetting")
 
 
 def missing(engine: str, domain: Domain) -> str | None:
     """Return what to install if an engine is not there, None if it is."""
-    factory = domain.up_problem.environment.factory
+    environment = domain.up_problem.environment  # its factory is slow to make, and only made where it is needed
     if engine in TRANSLATED:
         part = missing_part()
-        return None if part is None else _missing(engine, factory, f"{part} is not installed")
-    return None if engine in factory.engines else _missing(engine, factory, "is not installed")
+        return None if part is None else _missing(engine, environment.factory, f"{part} is not installed")
+    return None if engine in environment.factory.engines else _missing(engine, environment.factory, "is not installed")
 
 
 def _missing(engine: str, factory: UpThing, what: str) -> str:
@@ -68,25 +71,28 @@ def _missing(engine: str, factory: UpThing, what: str) -> str:
 
 
 def asked(
-    engine: str, problem: Problem, leash: Leash, *, limit_s: float, memory_bytes: int | None, overlapping: bool
-) -> tuple[Outcome, tuple[TimedStep, ...]]:
+    engine: str,
+    problem: Problem,
+    process: ProcessHandle,
+    *,
+    limit_s: float,
+    memory_bytes: int | None,
+    overlapping: bool,
+) -> Answer:
     """Ask an engine for a plan.
 
     Args:
         engine: its name in unified-planning.
         problem: what is to be planned.
-        leash: runs the process.
+        process: runs it.
         limit_s: wall-clock time that it may take [s].
         memory_bytes: how much data it may hold [B].
         overlapping: whether steps may overlap: durations are kept then, else each step is an instant.
 
-    Returns:
-        How it ended, and the plan; its times mean nothing unless steps may overlap.
-
     Raises:
         UnsupportedPddlError: the problem cannot be told.
         Trouble: there is no answer.
-        Cut: the leash was cut.
+        Cancelled: it is not wanted any more.
     """
     with lock_of(problem.domain):
         up_problem = _timed(problem) if overlapping else problem.build()
@@ -97,15 +103,15 @@ def asked(
             raise Trouble(Outcome.UNSUPPORTED, message)
         given = pickle.dumps({"engine": engine, "problem": up_problem})
     try:
-        ended = leash.run(
-            [sys.executable, "-P", str(Path(__file__).with_name("child.py"))],
+        ended = process.run(
+            [sys.executable, "-P", str(Path(__file__).with_name("worker.py"))],
             given=given,
             limit_s=limit_s,
             memory_bytes=memory_bytes,
             environment={"PYTHONPATH": os.pathsep.join(sys.path)},
         )
     except OSError as error:
-        message = f"no process for it can be started ({error}); {install_advice()}"
+        message = f"no process for it can be started ({error}); {INSTALL_ADVICE}"
         raise Trouble(Outcome.ENGINE_MISSING, message) from error
     if ended.is_late:
         message = f"no answer after {limit_s:.3g} s; allow more time or ask for less"
@@ -113,7 +119,7 @@ def asked(
     try:
         answer = json.loads(ended.output)
         outcome = _OUTCOMES.get(answer["status"], Outcome.ENGINE_CRASHED)
-        plan = tuple(_timed_step(problem, *written) for written in answer.get("plan") or ())
+        schedule = tuple(_timed_step(problem, *written) for written in answer.get("plan") or ())
         has_plan = answer.get("plan") is not None
     except (ValueError, KeyError, TypeError) as error:
         message = f"it ended with exit code {ended.code} and no answer. It said: {ended.last_words}"
@@ -121,10 +127,9 @@ def asked(
     if outcome.is_solved and not has_plan:
         raise Trouble(Outcome.ENGINE_CRASHED, "it promised a plan but gave none")
     if outcome.is_trouble:
-        raise Trouble(
-            outcome, f"it said: {' / '.join(answer.get('said', '').split(chr(10))[-3:]).strip() or 'nothing'}"
-        )
-    return outcome, plan
+        said = " / ".join(answer.get("said", "").split("\n")[-3:]).strip() or "nothing"
+        raise Trouble(outcome, f"it said: {said}")
+    return Answer(outcome, tuple(timed.step for timed in schedule), schedule if overlapping else ())
 
 
 def _timed_step(

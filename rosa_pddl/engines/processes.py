@@ -1,0 +1,198 @@
+"""Programs of others: started quickly, fed, read, and ended with everything that they started."""
+
+import atexit
+import os
+import resource
+import select
+import signal
+import subprocess
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from threading import Lock
+from typing import Any, TypeVar
+from weakref import WeakSet
+
+__all__ = ["Cancelled", "Ended", "ProcessHandle"]
+
+T = TypeVar("T")
+
+# A plan of a million steps is smaller than this; what is longer is an engine that prints without end.
+_MOST_OUTPUT = 256 << 20
+_GRACE_S = 2
+_LONGEST_MS = 2**31 - 1
+_NO_PYTHON_NOISE = {"PYTHONWARNINGS": "ignore", "PYTHONHASHSEED": "0"}
+
+
+class Cancelled(Exception):
+    """Who wanted the answer wants it no more; raised where a program runs or is to start."""
+
+
+@dataclass(frozen=True)
+class Ended:
+    """A program that has ended.
+
+    Args:
+        code: exit code; negative for the signal that killed it.
+        output: what it wrote to its standard output.
+        complaints: what it wrote to its standard error.
+        is_late: whether it was killed because its time was over.
+    """
+
+    code: int
+    output: bytes
+    complaints: bytes
+    is_late: bool = False
+
+    @property
+    def is_endless(self) -> bool:
+        """Whether it was killed because it printed without end."""
+        return max(len(self.output), len(self.complaints)) >= _MOST_OUTPUT
+
+    @property
+    def last_words(self) -> str:
+        """The last lines that it wrote, for a message."""
+        said = (self.output[-2000:] + b"\n" + self.complaints[-2000:]).decode(errors="replace")
+        text = "".join(letter if letter.isprintable() or letter == "\n" else "?" for letter in said)
+        lines = [line.strip() for line in text.splitlines() if line.strip()]
+        return " / ".join(lines[-3:])[-400:] or "nothing"
+
+
+class ProcessHandle:
+    """Runs programs, one at a time; cancelling kills the one that runs, and lets none start any more.
+
+    Each program leads a process group of its own, which is killed when the program has ended, however it ended:
+    no child of it survives, and one that keeps the output open is not waited for.
+    """
+
+    def __init__(self) -> None:
+        _HANDLES.add(self)
+        self._lock = Lock()
+        self._process: subprocess.Popen[bytes] | None = None
+        self._is_cancelled: Future[None] = Future()
+
+    def cancel(self) -> None:
+        """End what runs, as its answer is no longer wanted. Returns at once."""
+        with self._lock:
+            if not self._is_cancelled.done():
+                self._is_cancelled.set_result(None)
+            if self._process is not None:
+                _kill_group(self._process)
+
+    def wait(self, future: "Future[T]", limit_s: float) -> T:
+        """Wait for something that another thread makes, unless this is cancelled.
+
+        Raises:
+            Cancelled: it is.
+            TimeoutError: it was not there in time.
+        """
+        either: list[Future[Any]] = [future, self._is_cancelled]
+        wait(either, limit_s, FIRST_COMPLETED)
+        self._check()
+        return future.result(0)
+
+    def run(
+        self,
+        command: Sequence[str],
+        *,
+        given: bytes = b"",
+        limit_s: float,
+        memory_bytes: int | None = None,
+        environment: Mapping[str, str] | None = None,
+        folder: str | None = None,
+    ) -> Ended:
+        """Run a program to its end.
+
+        Args:
+            command: the program and its arguments.
+            given: what it reads from its standard input.
+            limit_s: wall-clock time after which it is killed [s].
+            memory_bytes: how much data it may hold [B]; None for no limit.
+            environment: variables to add to those of this process.
+            folder: its working directory; by default that of this process.
+
+        Raises:
+            Cancelled: it is or was cancelled.
+            OSError: the program cannot be started.
+        """
+        with _in_memory(given) as read, _in_memory() as output, _in_memory() as complaints:
+            with self._lock:
+                self._check()
+                process = self._process = subprocess.Popen(
+                    command,
+                    stdin=read,
+                    stdout=output,
+                    stderr=complaints,
+                    start_new_session=True,
+                    cwd=folder,
+                    env={**os.environ, **_NO_PYTHON_NOISE, **(environment or {})},
+                )
+            try:
+                _limit(process.pid, limit_s, memory_bytes)
+                is_late = not _has_ended(process.pid, limit_s)
+            finally:
+                # before it is reaped, as until then its number is that of no other group
+                with self._lock:
+                    _kill_group(process)
+                    process.wait()
+                    self._process = None
+            self._check()
+            return Ended(process.returncode, _content(output), _content(complaints), is_late)
+
+    def _check(self) -> None:
+        if self._is_cancelled.done():
+            raise Cancelled
+
+
+@contextmanager
+def _in_memory(content: bytes = b"") -> Iterator[int]:
+    """Make a file without a name: quicker than a pipe, needs nobody to read on, and nothing is left of it."""
+    file = os.memfd_create("rosa_pddl", os.MFD_CLOEXEC)
+    try:
+        rest = memoryview(content)
+        while rest:
+            rest = rest[os.write(file, rest) :]
+        os.lseek(file, 0, os.SEEK_SET)
+        yield file
+    finally:
+        os.close(file)
+
+
+def _content(file: int) -> bytes:
+    return os.pread(file, os.fstat(file).st_size, 0)
+
+
+def _limit(pid: int, limit_s: float, memory_bytes: int | None) -> None:
+    with suppress(ProcessLookupError):
+        # a program that outlives this process, because that was killed, still comes to its end
+        seconds = int(limit_s) + _GRACE_S
+        resource.prlimit(pid, resource.RLIMIT_CPU, (seconds, seconds))
+        resource.prlimit(pid, resource.RLIMIT_FSIZE, (_MOST_OUTPUT, _MOST_OUTPUT))
+        if memory_bytes is not None:
+            resource.prlimit(pid, resource.RLIMIT_DATA, (memory_bytes, memory_bytes))
+
+
+def _has_ended(pid: int, limit_s: float) -> bool:
+    """Wait for a program to end; whether it has."""
+    file = os.pidfd_open(pid)
+    try:
+        poll = select.poll()
+        poll.register(file, select.POLLIN)
+        return bool(poll.poll(min(limit_s * 1e3, _LONGEST_MS)))
+    finally:
+        os.close(file)
+
+
+def _kill_group(process: "subprocess.Popen[bytes]") -> None:
+    with suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)
+
+
+def _cancel_all() -> None:
+    for handle in tuple(_HANDLES):
+        handle.cancel()
+
+
+_HANDLES: WeakSet[ProcessHandle] = WeakSet()
+atexit.register(_cancel_all)

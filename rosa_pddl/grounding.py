@@ -1,0 +1,549 @@
+"""A domain translated once, beside everything else, such that any state, goal and numbers can be put in."""
+
+import math
+import threading
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Future
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+from itertools import product
+from typing import NamedTuple, TypeAlias
+from weakref import WeakKeyDictionary
+
+from rosa_pddl.domain import FEASIBLE, Domain, State, Step, UpThing, head_of
+from rosa_pddl.engines.fast_downward import (
+    ADDED,
+    Axiom,
+    Effect,
+    Operator,
+    SasTask,
+    translate,
+    written_domain,
+    written_problem,
+)
+from rosa_pddl.engines.processes import Cancelled, ProcessHandle
+from rosa_pddl.exceptions import RosaPddlError, UnsupportedPddlError
+from rosa_pddl.outcomes import Outcome, Trouble
+from rosa_pddl.problem import Exact, Problem, lock_of
+from rosa_pddl.resource_usage import Numbers, ResourceUsage, Sum, whole
+from rosa_pddl.search import Fact, Operation, Rule, Task, TaskGraph
+from rosa_pddl.validate import literals
+
+__all__ = [
+    "Grounded",
+    "Grounding",
+    "Groundings",
+    "NotRepresentableError",
+    "SearchTask",
+    "UnreachableGoalError",
+    "translated",
+    "usage_of",
+]
+
+# Fast Downward adds up costs in 32 bits; this leaves room for plans of a thousand of the dearest steps.
+_MOST_COST = 2_000_000
+# Costs that are no whole numbers are written in thousandths, as Fast Downward knows whole numbers only.
+_FINENESS = 1000
+# Looking at every state is quicker than estimating while they are this few; beyond, estimates pay.
+_FEW_STATES = 1e6
+# In this process estimates pay earlier.
+_FEWEST_STATES = 500
+# Beyond this many, only the atoms of a predicate that held or were named are kept alive.
+_MOST_ATOMS = 5000
+_MOST_DOMAINS = 8
+_INSTANTANEOUS: "WeakKeyDictionary[Domain, _Instantaneous]" = WeakKeyDictionary()
+
+
+class NotRepresentableError(RosaPddlError):
+    """A translated task does not fit this state or goal; the message says why."""
+
+
+class UnreachableGoalError(RosaPddlError):
+    """A fact of the goal cannot become true from any state that the translated task fits; the message names it."""
+
+
+# ---------------------------------------------------------------- the translated task
+
+
+@dataclass(frozen=True, eq=False)
+class _Ready:
+    """An operator; what it needs of the variables that no operator changes is asked before the search.
+
+    Args:
+        number: by which `Grounded.step` knows it.
+        step: what it does.
+        needs: what it needs of the frozen variables.
+        prevail: what it needs of the others, and leaves so.
+        effects: as those of an `Operator`, on the others.
+        cost: what it costs.
+        uses: what it uses up of each limited resource.
+    """
+
+    number: int
+    step: Step
+    needs: tuple[Fact, ...]
+    prevail: tuple[Fact, ...]
+    effects: tuple[Effect, ...]
+    cost: Sum
+    uses: tuple[Sum, ...]
+
+    def operation(self, cost: int, uses: Sequence[int]) -> Operation:
+        before = [(variable, value) for _, variable, value, _ in self.effects if value >= 0]
+        effects = tuple([(given, variable, after) for given, variable, _, after in self.effects])
+        return Operation(self.number, tuple(sorted({*self.prevail, *before})), effects, cost, tuple(uses))
+
+    @cached_property
+    def text(self) -> str:
+        """As Fast Downward reads it, but for its cost."""
+        kept = [f"{variable} {value}" for variable, value in self.prevail]
+        lines = ["begin_operator", str(self.number), str(len(kept)), *kept, str(len(self.effects))]
+        for given, variable, before, after in self.effects:
+            conditions = [f"{one} {value}" for one, value in given]
+            lines.append(" ".join([str(len(given)), *conditions, f"{variable} {before} {after}"]))
+        return "\n".join([*lines, ""])
+
+
+class _Fitted(NamedTuple):
+    """A state and a goal put in: the value of each variable, the facts that shall hold, the values of frozen ones."""
+
+    state: tuple[int, ...]
+    goal: tuple[Fact, ...]
+    frozen: tuple[int, ...]
+
+
+class SearchTask(NamedTuple):
+    """What the exact search is asked; all numbers are whole.
+
+    Attributes:
+        graph: keeps what it has worked out for as long as neither what is possible, nor the goal, nor costs change.
+        task: the same, to be written.
+        scales: by what the amounts of each resource were multiplied.
+    """
+
+    graph: TaskGraph
+    task: Task
+    scales: tuple[int, ...]
+
+
+class Grounded:
+    """A translated task. Variables that no operator changes are frozen: they are looked at before the search.
+
+    Args:
+        domain: what `load_domain` returned.
+        task: what the translator wrote.
+        usage: what steps cost and use up.
+        base: the state that was translated.
+        is_patchable: whether the task was translated to fit other states than `base`.
+    """
+
+    def __init__(self, domain: Domain, task: SasTask, usage: ResourceUsage, base: State, is_patchable: bool) -> None:
+        self._domain, self._task, self._usage = domain, task, usage
+        self.is_patchable = is_patchable and not task.has_axioms
+        operators = [operator for operator in task.operators if not operator.name.startswith(ADDED)]
+        written = _changing(operators) if self.is_patchable else range(len(task.variables))
+        self._number = {variable: number for number, variable in enumerate(written)}
+        self._frozen = [variable for variable in range(len(task.variables)) if variable not in self._number]
+        self._sizes = tuple([len(task.variables[variable].values) for variable in written])
+        # a task with axioms fits one state only, so all its variables are written, under their own numbers
+        self._axioms: tuple[Axiom, ...] = task.rules() if task.has_axioms and not self.is_patchable else ()
+        self._is_conditional = any(given for operator in operators for given, *_ in operator.effects)
+        self._facts = dict(_named_facts(domain, task))
+        self._none = [_none_of(variable.values) for variable in task.variables]
+        self._mutexes = [group for group in task.mutexes if len({variable for variable, _ in group}) > 1]
+        self._constants = base - self._facts.keys()
+        self._operators = [self._operator(index, operator) for index, operator in enumerate(operators)]
+        amounts = [amount for one in self._operators for amount in (one.cost, *one.uses)]
+        self._mentioned = tuple(dict.fromkeys(text for amount in amounts for _, text in amount.terms))
+        self._possible = lru_cache(maxsize=64)(self._possible_with)
+        self._graph = lru_cache(maxsize=8)(self._graph_of)
+
+    def step(self, number: int) -> Step:
+        """Return the step of a number that a search names."""
+        return self._operators[number].step
+
+    def search_task(self, problem: Problem) -> SearchTask:
+        """Put the state and the goal of a problem in, and the values that its costs and limits are made of.
+
+        Raises:
+            NotRepresentableError: the task does not fit.
+            UnreachableGoalError: a fact of the goal cannot become true.
+            UnsupportedPddlError: an amount has no value, or one below 0.
+        """
+        fitted, numbers = self._fitted(problem), self._usage.numbers(problem)
+        mentioned = tuple([numbers.get(text) for text in self._mentioned])
+        graph, task, scales = self._graph(fitted.frozen, fitted.goal, mentioned, fitted.state if self._axioms else ())
+        left = self._usage.remaining(numbers)
+        limits = tuple([one.whole(scale) for one, scale in zip(left, scales, strict=True)])
+        return SearchTask(graph, task._replace(start=fitted.state, limits=limits), scales)
+
+    def written(self, problem: Problem) -> tuple[str, str] | None:
+        """Write the task for Fast Downward, and how to search it optimally; None if the goal holds already.
+
+        Raises:
+            NotRepresentableError: the task does not fit.
+            UnreachableGoalError: a fact of the goal cannot become true.
+            UnsupportedPddlError: a cost has no value, or one that Fast Downward cannot be told.
+        """
+        fitted, numbers = self._fitted(problem), self._usage.numbers(problem)
+        ready = self._possible(fitted.frozen)
+        costs = self._whole_costs([one.cost for one in ready], numbers)
+        if not fitted.goal:
+            return None
+        text = [self._head, "begin_state\n", *(f"{value}\n" for value in fitted.state), "end_state\nbegin_goal\n"]
+        text += [f"{len(fitted.goal)}\n", *(f"{variable} {value}\n" for variable, value in fitted.goal)]
+        text += ["end_goal\n", f"{len(ready)}\n"]
+        text += [f"{one.text}{cost}\nend_operator\n" for one, cost in zip(ready, costs, strict=True)]
+        text.append(self._task.axioms if self._task.has_axioms else "0\n")
+        is_blind = math.prod(map(float, self._sizes)) <= _FEW_STATES or self._is_conditional or self._task.has_axioms
+        return "".join(text), "blind" if is_blind else "lmcut"
+
+    def _graph_of(
+        self, frozen: tuple[int, ...], goal: tuple[Fact, ...], mentioned: Sequence[Exact | None], start: tuple[int, ...]
+    ) -> tuple[TaskGraph, Task, tuple[int, ...]]:
+        """Return a task without its start (but for axioms) and limits, as a graph."""
+        numbers = {text: value for text, value in zip(self._mentioned, mentioned, strict=True) if value is not None}
+        ready = self._possible(frozen)
+        costs, _ = self._column([one.cost for one in ready], "costs", numbers)
+        columns, scales = [costs], []
+        for index, resource in enumerate(self._domain.limited):
+            amounts, scale = self._column([one.uses[index] for one in ready], f"uses of {resource.name}", numbers)
+            columns.append(amounts)
+            scales.append(scale)
+        spent = zip(*columns, strict=True)
+        operations = tuple([one.operation(cost, uses) for one, (cost, *uses) in zip(ready, spent, strict=True)])
+        layers = [variable.layer for variable in self._task.variables]
+        rules = tuple([Rule(layers[one.variable], *one) for one in self._axioms])
+        task = Task(self._sizes, start, goal, operations, (0,) * len(scales), rules)
+        is_guided = math.prod(map(float, self._sizes)) > _FEWEST_STATES
+        return TaskGraph(task, is_guided=is_guided), task, tuple(scales)
+
+    def _column(self, sums: Sequence[Sum], what: str, numbers: Numbers) -> tuple[list[int], int]:
+        amounts = self._values_of(sums, what, numbers)
+        return whole(amounts)
+
+    def _values_of(self, sums: Sequence[Sum], what: str, numbers: Numbers) -> list[Exact]:
+        amounts = [self._usage.value(one, numbers) if one.terms else one.constant for one in sums]
+        least = min(amounts, default=0)
+        if least < 0:
+            told = " + ".join(text for _, text in sums[amounts.index(least)].terms)
+            raise UnsupportedPddlError(
+                f"{told} comes to {float(least):g}; {what} are 0 or more", self._domain.problem_file
+            )
+        return amounts
+
+    def _possible_with(self, frozen: tuple[int, ...]) -> tuple[_Ready, ...]:
+        values = dict(zip(self._frozen, frozen, strict=True))
+        return tuple([one for one in self._operators if all(values[fact[0]] == fact[1] for fact in one.needs)])
+
+    def _fitted(self, problem: Problem) -> _Fitted:
+        values = self._values(problem.state) if self.is_patchable else list(self._task.initial)
+        goal = self._goal(problem, values) if self.is_patchable else self._task.goal
+        state = tuple([values[variable] for variable in self._number])
+        inside = tuple([(self._number[variable], value) for variable, value in goal])
+        return _Fitted(state, inside, tuple([values[variable] for variable in self._frozen]))
+
+    def _values(self, state: State) -> list[int]:
+        """Return the value of each variable in a state."""
+        constants = state - self._facts.keys()
+        if constants != self._constants:
+            odd = min(constants ^ self._constants)
+            was = "true for good" if odd in self._constants else "out of reach"
+            raise NotRepresentableError(f"{odd} was found to be {was}")
+        values = [-1] * len(self._none)
+        for atom in state - constants:
+            variable, value = self._facts[atom]
+            if values[variable] >= 0:
+                raise NotRepresentableError(f"{atom} holds together with another fact that was found to exclude it")
+            values[variable] = value
+        for variable, value in enumerate(values):
+            if value < 0:
+                values[variable] = self._none[variable]
+                if values[variable] < 0:
+                    raise NotRepresentableError(f"none of {', '.join(self._task.variables[variable].values)} holds")
+        for group in self._mutexes:
+            if sum([values[variable] == value for variable, value in group]) > 1:
+                names = ", ".join(self._task.variables[variable].values[value] for variable, value in group)
+                raise NotRepresentableError(f"several of {names} hold, which were found to exclude one another")
+        return values
+
+    def _goal(self, problem: Problem, values: Sequence[int]) -> list[Fact]:
+        goal: dict[int, int] = {}
+        for atom, wanted in _literals(self._domain, problem.wanted):
+            text = atom if wanted else f"(not {atom})"
+            if atom not in self._facts:
+                if (atom in self._constants) != wanted:
+                    raise UnreachableGoalError(f"nothing that can be done makes {text} so")
+                continue
+            variable, value = self._facts[atom]
+            if not wanted:
+                if len(self._task.variables[variable].values) != 2:
+                    raise NotRepresentableError(f"the goal {text} leaves several ways open")
+                value = 1 - value
+            if goal.setdefault(variable, value) != value:
+                raise UnreachableGoalError(f"{text} excludes another fact of the goal")
+            if variable not in self._number and values[variable] != value:
+                raise UnreachableGoalError(f"nothing that can be done makes {text} so")
+        return [(variable, value) for variable, value in sorted(goal.items()) if variable in self._number]
+
+    def _whole_costs(self, sums: Sequence[Sum], numbers: Numbers) -> list[int]:
+        costs = self._values_of(sums, "costs", numbers)
+        if any(cost.denominator != 1 for cost in costs):
+            costs = [round(cost * _FINENESS) for cost in costs]
+        if max(costs, default=0) > _MOST_COST:
+            dearest = f"a step costs {float(max(costs)):g} (in thousandths if not all are whole)"
+            message = f"{dearest}, more than {_MOST_COST:g}, which Fast Downward adds up wrongly"
+            raise UnsupportedPddlError(message, self._domain.problem_file)
+        return [int(cost) for cost in costs]
+
+    @cached_property
+    def _head(self) -> str:
+        # unit costs are told as costs of 1
+        lines = ["begin_version", "3", "end_version", "begin_metric", "1", "end_metric", str(len(self._number))]
+        for variable, number in self._number.items():
+            known = self._task.variables[variable]
+            lines += ["begin_variable", f"var{number}", str(known.layer), str(len(known.values))]
+            lines += [*known.values, "end_variable"]
+        return "\n".join([*lines, "0", ""])
+
+    def _operator(self, index: int, operator: Operator) -> _Ready:
+        head, *words = operator.name.split()
+        outside, number = self._domain.outside, self._number
+        step = self._domain.step(outside[head], [outside[word] for word in words])
+        needs = tuple([fact for fact in operator.prevail if fact[0] not in number])
+        prevail = tuple([(number[variable], value) for variable, value in operator.prevail if variable in number])
+        effects = tuple(
+            [
+                (tuple([(number[one], value) for one, value in given]), number[variable], before, after)
+                for given, variable, before, after in operator.effects
+            ]
+        )
+        return _Ready(index, step, needs, prevail, effects, self._usage.cost_of(step), self._usage.uses_of(step))
+
+
+def _changing(operators: Iterable[Operator]) -> list[int]:
+    """Return the variables that an operator changes, or that it looks at to see what to change."""
+    found: set[int] = set()
+    for operator in operators:
+        for conditions, variable, _, _ in operator.effects:
+            found.add(variable)
+            found.update(one for one, _ in conditions)
+    return sorted(found)
+
+
+def _named_facts(domain: Domain, task: SasTask) -> Iterable[tuple[str, Fact]]:
+    for number, variable in enumerate(task.variables):
+        for value, text in enumerate(variable.values):
+            if text.startswith("Atom "):
+                head, _, arguments = text.removeprefix("Atom ").removesuffix(")").partition("(")
+                words = [head, *(word.strip() for word in arguments.split(",") if word.strip())]
+                if all(word in domain.outside for word in words):
+                    yield f"({' '.join(domain.outside[word] for word in words)})", (number, value)
+
+
+def _none_of(values: Sequence[str]) -> int:
+    """Return the value that says that no other atom of the variable holds; -1 if one always does."""
+    return next((value for value, text in enumerate(values) if not text.startswith("Atom ")), -1)
+
+
+def _literals(domain: Domain, goals: Iterable[UpThing]) -> Iterable[tuple[str, bool]]:
+    """Return the atoms that a conjunction asks for, and whether they shall be true.
+
+    Raises:
+        NotRepresentableError: it is no conjunction.
+    """
+    for goal in goals:
+        found = literals(domain, goal)
+        if found is None:
+            raise NotRepresentableError(f"the goal {goal} leaves several ways open")
+        yield from found
+
+
+# ---------------------------------------------------------------- translation
+
+Grounding: TypeAlias = Future[Grounded | Trouble]
+"""The translated task, or why there is none: a value, as an exception that many raise would keep their frames."""
+
+
+class _Instantaneous(NamedTuple):
+    """A domain whose steps follow one another: unified-planning's problem, and what steps cost and use up."""
+
+    up_problem: UpThing
+    usage: ResourceUsage
+
+
+def _instantaneous(domain: Domain) -> _Instantaneous:
+    with lock_of(domain):
+        if domain not in _INSTANTANEOUS:
+            up_problem = Problem(domain, frozenset()).build()
+            _INSTANTANEOUS[domain] = _Instantaneous(up_problem, ResourceUsage(domain))
+        return _INSTANTANEOUS[domain]
+
+
+def usage_of(domain: Domain) -> ResourceUsage:
+    """Return what the steps of a domain cost and use up.
+
+    Raises:
+        UnsupportedPddlError: the domain cannot be planned for with steps that follow one another.
+    """
+    return _instantaneous(domain).usage
+
+
+def translated(
+    problem: Problem,
+    alive: Mapping[str, tuple[str, ...]] | None,
+    process: ProcessHandle,
+    limit_s: float,
+    memory_bytes: int | None,
+) -> Grounded:
+    """Translate a problem.
+
+    Args:
+        problem: its state is where the translation starts from.
+        alive: atoms that may change, by the predicate in the names of unified-planning; None to keep none alive, which
+            is for this problem only.
+        process: runs the translator.
+        limit_s: wall-clock time that it may take [s].
+        memory_bytes: how much data it may hold [B].
+
+    Raises:
+        UnsupportedPddlError: Fast Downward cannot be told of this.
+        Trouble: the translator gave no task.
+        Cancelled: it is not wanted any more.
+    """
+    domain = problem.domain
+    up_problem, usage = _instantaneous(domain)
+    kept = [atom for atoms in (alive or {}).values() for atom in atoms]
+    task = translate(
+        written_domain(domain, up_problem, alive),
+        written_problem(problem, problem.wanted if alive is None else None, kept),
+        process,
+        limit_s=limit_s,
+        memory_bytes=memory_bytes,
+        for_any_state=alive is not None,
+    )
+    return Grounded(domain, task, usage, problem.state, is_patchable=alive is not None)
+
+
+@dataclass(frozen=True)
+class _Begun:
+    base: Problem
+    changing: frozenset[str]
+    future: Grounding = field(default_factory=Future)
+
+
+class Groundings:
+    """The translated task of each domain, made in a thread of its own when first asked for.
+
+    Which atoms are kept alive depends on what was asked for and named so far, never on how long anything takes. What
+    the translator finds reachable from the first state is alive anyway. Atoms of predicates that the actions only make
+    true, only make false, or that say what is feasible are kept alive by themselves; atoms of predicates that no action
+    changes are so once they were named, or were found to have changed.
+
+    Args:
+        limit_s: wall-clock time that a translation may take [s].
+        memory_bytes: how much data the translator may hold [B].
+    """
+
+    def __init__(self, limit_s: float, memory_bytes: int | None) -> None:
+        self._limit_s = limit_s
+        self._memory_bytes = memory_bytes
+        self._begun: dict[Domain, _Begun] = {}
+        self._processes: set[ProcessHandle] = set()
+        self._lock = threading.Lock()
+
+    def ask(self, problem: Problem, changing: Iterable[str] = ()) -> Grounding:
+        """Begin to translate if that is needed, without waiting.
+
+        Args:
+            problem: what is to be planned.
+            changing: atoms that may change, such as those that are sensed.
+        """
+        with self._lock:
+            begun, named = self._begun.get(problem.domain), frozenset(changing)
+            if begun is not None:
+                named |= _untouched(problem.domain, (problem.state ^ begun.base.state) - begun.changing)
+                if named <= begun.changing:
+                    return begun.future
+                named |= begun.changing
+                problem = begun.base
+            begun = _Begun(problem, named)
+            self._begun.pop(problem.domain, None)
+            self._begun[problem.domain] = begun
+            if len(self._begun) > _MOST_DOMAINS:
+                del self._begun[next(iter(self._begun))]
+            name = f"translator of {problem.domain.name}"
+            threading.Thread(target=self._work, args=(begun,), name=name, daemon=True).start()
+            return begun.future
+
+    def close(self) -> None:
+        """Stop what is being translated, and forget the rest."""
+        with self._lock:
+            self._begun.clear()
+            for process in self._processes:
+                process.cancel()
+
+    def _work(self, begun: _Begun) -> None:
+        process = ProcessHandle()
+        self._processes.add(process)
+        try:
+            alive = _alive(begun.base, begun.changing)
+            begun.future.set_result(translated(begun.base, alive, process, self._limit_s, self._memory_bytes))
+        except Trouble as trouble:
+            begun.future.set_result(trouble)
+        except UnsupportedPddlError as error:
+            begun.future.set_result(Trouble(Outcome.UNSUPPORTED, str(error)))
+        except Cancelled:
+            begun.future.set_result(Trouble(Outcome.ENGINE_CRASHED, "the planner was closed"))
+        except Exception as error:  # whatever it is, it belongs to those who wait for the task
+            begun.future.set_result(Trouble(Outcome.ENGINE_CRASHED, f"{type(error).__name__}: {error}"))
+        finally:
+            self._processes.discard(process)
+
+
+def _untouched(domain: Domain, atoms: frozenset[str]) -> frozenset[str]:
+    """Return the atoms of predicates that no action changes."""
+    if not atoms:
+        return atoms
+    added, deleted = _directions(domain)
+    touched = {domain.outside[name] for name in added | deleted}
+    return frozenset(atom for atom in atoms if head_of(atom) not in touched)
+
+
+def _alive(problem: Problem, changing: Iterable[str]) -> dict[str, tuple[str, ...]]:
+    """Return the atoms to keep alive, by predicate."""
+    domain = problem.domain
+    added, deleted = _directions(domain)
+    alive: dict[str, set[str]] = {}
+    for fluent in domain.up_problem.fluents:
+        is_one_way = (fluent.name in added) != (fluent.name in deleted)
+        if fluent.type.is_bool_type() and (domain.outside[fluent.name].lower() == FEASIBLE or is_one_way):
+            alive[fluent.name] = set(_instances(problem, fluent))
+    for atom in changing:
+        name = domain.inside["predicate", head_of(atom).lower()]
+        if not (name in added and name in deleted):
+            alive.setdefault(name, set()).add(atom)
+    return {name: tuple(sorted(atoms)) for name, atoms in alive.items()}
+
+
+def _directions(domain: Domain) -> tuple[set[str], set[str]]:
+    """Return the predicates that actions make true, and those that they make false."""
+    added: set[str] = set()
+    deleted: set[str] = set()
+    for schema in domain.schema_of.values():
+        for effect in schema.start_effects + schema.end_effects:
+            name = effect.fluent.fluent().name
+            if not effect.value.is_false():
+                added.add(name)
+            if not effect.value.is_true():
+                deleted.add(name)
+    return added, deleted
+
+
+def _instances(problem: Problem, fluent: UpThing) -> Iterator[str]:
+    domain = problem.domain
+    head = domain.outside[fluent.name]
+    choices = [domain.objects_of(domain.outside[parameter.type.name]) for parameter in fluent.signature]
+    if math.prod(map(len, choices)) > _MOST_ATOMS:
+        yield from (atom for atom in problem.state if head_of(atom) == head)
+        return
+    yield from (f"({' '.join((head, *words))})" for words in product(*choices))

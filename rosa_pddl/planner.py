@@ -1,0 +1,622 @@
+"""The planner: several ways tried in order, each with its own budget; whatever happens, the outcome has a name."""
+
+import sys
+import threading
+import time
+from collections import OrderedDict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, wait
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from itertools import product
+from math import isinf
+from typing import TypeAlias
+
+from rosa_pddl import search
+from rosa_pddl.domain import Domain, Schema, Step, UpThing
+from rosa_pddl.engines import fast_downward
+from rosa_pddl.engines.processes import Cancelled, ProcessHandle
+from rosa_pddl.engines.unified_planning import LABEL_SETTING, TRANSLATED, asked, missing
+from rosa_pddl.exceptions import (
+    PlannerSettingError,
+    PlanningBudgetError,
+    UnknownNameError,
+    UnsupportedPddlError,
+    nearest,
+)
+from rosa_pddl.grounding import (
+    Grounded,
+    Grounding,
+    Groundings,
+    NotRepresentableError,
+    SearchTask,
+    UnreachableGoalError,
+    translated,
+    usage_of,
+)
+from rosa_pddl.outcomes import Answer, Attempt, Outcome, PlanningResult, Trouble
+from rosa_pddl.problem import Problem
+from rosa_pddl.validate import flaw, missing_at_start, schedule_flaw
+
+__all__ = ["PlanCache", "Planner", "awaited"]
+
+_MEGABYTE = 1 << 20
+# What the search in this process looks at within a tick; some milliseconds.
+_MOVES_IN_A_TICK = 1000
+# A state of a large domain has tens of thousands of atoms: their number counts too.
+_MOST_ATOMS = 1_000_000
+_EXACT = ("fast-downward-opt", LABEL_SETTING)
+_OVERLAP = "steps may overlap with Planner('aries', overlapping=True), pip install 'rosa-taca[temporal]'"
+# Of several troubles, the first of these that was met is the outcome of all.
+_WORST_FIRST = (
+    Outcome.OUT_OF_TIME,
+    Outcome.OUT_OF_MEMORY,
+    Outcome.ENGINE_CRASHED,
+    Outcome.UNSUPPORTED,
+    Outcome.ENGINE_MISSING,
+)
+
+
+class Planner:
+    """Plans with the exact search in this process, and beyond its cap with Fast Downward and other engines.
+
+    Tried in order, until one says that there is a plan, or proves that there is none:
+
+    - `warm` (not other engines): the task was translated once, only state, goal and numbers are put in and searched;
+    - `cold` (not other engines): the task is translated and searched;
+    - each engine of unified-planning that is named, in a process of its own.
+
+    With `fast-downward-opt` and `label-setting` the plan has the least cost, or the fewest steps if there is no metric.
+    Either way the task is searched in this process first; if that takes too many moves, by Fast Downward's A*, or by
+    the same search in a process of its own. `label-setting` keeps to the limits of the domain's resources.
+    `fast-downward` is quicker on large tasks and gives some plan. Every plan is replayed before it is returned.
+
+    Args:
+        engine: `fast-downward-opt`, `fast-downward`, `label-setting`, or a name of unified-planning's factory, such as
+            `aries`.
+        timeout_s: wall-clock time for everything that is tried [s]; then what runs is killed. Each way may take half
+            of what is left, the last all of it, unless `budgets_s` says otherwise.
+        fallback: engines of unified-planning to try afterwards; those that are not installed are passed over.
+        budgets_s: wall-clock time for single ways [s], by their names.
+        overlapping: whether steps may overlap: the engine gets durations, and the plan is a schedule. It must be a
+            temporal engine of unified-planning, such as `aries`.
+        safe_step: what to do while there is no plan, such as `(surface)`.
+        warm: whether a task is tried that was translated before.
+        moves: how many moves the search in this process may look at; 0 to leave it to other programs.
+        memory_mb: how much data each program may hold [MB].
+        translate_s: wall-clock time for the translation that the warm way needs once [s]. It goes on beside everything
+            else when a planning that waited for it is out of time.
+        cached: how many answers are remembered; 0 for none.
+
+    Raises:
+        PlannerSettingError: a setting that makes no sense.
+    """
+
+    def __init__(
+        self,
+        engine: str = "fast-downward-opt",
+        timeout_s: float = 10.0,
+        *,
+        fallback: Sequence[str] = (),
+        budgets_s: Mapping[str, float] | None = None,
+        overlapping: bool = False,
+        safe_step: str | None = None,
+        warm: bool = True,
+        moves: int = 50_000,
+        memory_mb: int = 4096,
+        translate_s: float = 60.0,
+        cached: int = 256,
+    ) -> None:
+        self.engine = engine
+        self.timeout_s = timeout_s
+        own = (("warm",) if warm else ()) + ("cold",) if engine in TRANSLATED else (engine,)
+        memory_bytes = memory_mb * _MEGABYTE
+        ways = (*own, *fallback)
+        self._settings = _Settings(engine, ways, timeout_s, dict(budgets_s or {}), overlapping, moves, memory_bytes)
+        _check(self._settings)
+        self._safe_step = safe_step
+        self._groundings = Groundings(translate_s, memory_bytes)
+        self._cache = PlanCache(cached)
+        self._processes: set[ProcessHandle] = set()
+
+    def missing(self, domain: Domain) -> str | None:
+        """Return what to install if the engine is not there, None if it is; asked before a mission begins."""
+        return missing(self.engine, domain)
+
+    def prepare(self, problem: Problem, changing: Iterable[str] = ()) -> None:
+        """Begin to translate, beside everything else; without this it begins with the first planning.
+
+        Args:
+            problem: the state that the mission begins with.
+            changing: atoms that may change though no action changes them, such as those that are sensed.
+
+        Raises:
+            UnknownNameError: an atom is not one of the domain.
+        """
+        if "warm" in self._settings.ways and self.missing(problem.domain) is None:
+            self._groundings.ask(problem, [problem.domain.atom(text) for text in changing])
+
+    def plan_now(self, problem: Problem) -> PlanningResult | None:
+        """Return the answer if it is remembered, or found within a tick on the translated task; None else. Never waits.
+
+        What is found is what `plan` would find.
+        """
+        return self._portfolio(problem).at_once()
+
+    def plan(self, problem: Problem) -> PlanningResult:
+        """Plan now and wait for the answer; trouble with an engine is an outcome, never an exception."""
+        return self._portfolio(problem).result()
+
+    def start(self, problem: Problem) -> "Future[PlanningResult]":
+        """Plan in a thread of its own, unless a tick is enough. Cancelling the future kills the engine's processes."""
+        future: Future[PlanningResult] = Future()
+        # what is translated must depend on the order of questions only, so it is asked for here and now
+        portfolio = self._portfolio(problem)
+        at_once = portfolio.at_once()
+        if at_once is not None:
+            future.set_result(at_once)
+            return future
+        future.add_done_callback(lambda done: portfolio.cancel() if done.cancelled() else None)
+
+        def work() -> None:
+            result = portfolio.result()
+            # the future counts as running only now, as a running one could not be cancelled
+            if future.set_running_or_notify_cancel():
+                future.set_result(result)
+
+        threading.Thread(target=work, name=f"planner {self.engine}", daemon=True).start()
+        return future
+
+    def close(self) -> None:
+        """End every program that still runs for this planner, and forget what was prepared."""
+        self._groundings.close()
+        for process in tuple(self._processes):
+            process.cancel()
+
+    def _portfolio(self, problem: Problem) -> "_Portfolio":
+        grounding = None
+        if "warm" in self._settings.ways and self.missing(problem.domain) is None:
+            grounding = self._groundings.ask(problem)
+        safe_step = None if self._safe_step is None else _step(problem.domain, self._safe_step)
+        return _Portfolio(self._settings, problem, grounding, safe_step, self._cache, self._processes)
+
+
+def awaited(future: "Future[PlanningResult]", budget_s: float) -> PlanningResult:
+    """Wait for an answer that is due, in lock-step simulation; for the time between ticks, as a tick never waits.
+
+    Args:
+        future: what `Planner.start` returned.
+        budget_s: wall-clock time to wait at most [s]; then the planning is cancelled.
+
+    Raises:
+        PlanningBudgetError: the answer was not there in time, or part of what was tried for it ran out of wall-clock
+            time, so that a quicker machine might have decided otherwise.
+    """
+    finished, _ = wait([future], timeout=budget_s)
+    if not finished:
+        future.cancel()
+        raise PlanningBudgetError(
+            f"no plan after {budget_s:g} s of waiting, and going on without would make the run depend on the machine; "
+            "allow more time or ask for less"
+        )
+    result = future.result()
+    if result.hangs_on_the_clock:
+        tried = "; ".join(str(attempt) for attempt in result.attempts) or result.message
+        raise PlanningBudgetError(
+            f"planning ran out of wall-clock time, and going on would make the run depend on the machine: {tried}"
+        )
+    return result
+
+
+class PlanCache:
+    """The answers that were last asked for, by state, goal and costs. May be used by several threads.
+
+    Args:
+        size: how many are kept at most.
+    """
+
+    def __init__(self, size: int) -> None:
+        self._size = size
+        self._results: OrderedDict[tuple[object, ...], tuple[PlanningResult, int]] = OrderedDict()
+        self._weight = 0
+        self._lock = threading.Lock()
+
+    def __len__(self) -> int:
+        return len(self._results)
+
+    def get(self, problem: Problem, found_with: object = None) -> PlanningResult | None:
+        """Return the answer to a problem; None if it is not remembered.
+
+        Args:
+            problem: what is asked.
+            found_with: what else the answer depends on.
+        """
+        key = _key(problem, found_with)
+        with self._lock:
+            if key not in self._results:
+                return None
+            self._results.move_to_end(key)
+            return self._results[key][0]
+
+    def put(self, problem: Problem, result: PlanningResult, found_with: object = None) -> None:
+        """Remember an answer, and forget what was not asked for the longest."""
+        key, weight = _key(problem, found_with), len(problem.state) + len(problem.costs) + 1
+        with self._lock:
+            if key in self._results:
+                return
+            self._results[key] = result, weight
+            self._weight += weight
+            while len(self._results) > self._size or self._weight > _MOST_ATOMS:
+                _, (_, oldest) = self._results.popitem(last=False)
+                self._weight -= oldest
+
+
+def _key(problem: Problem, found_with: object) -> tuple[object, ...]:
+    return found_with, problem.domain, problem.state, problem.wanted, frozenset(problem.costs.items())
+
+
+# ---------------------------------------------------------------- one planning
+
+
+@dataclass(frozen=True)
+class _Settings:
+    """How to plan; the arguments are those of `Planner`, and the ways in order."""
+
+    engine: str
+    ways: tuple[str, ...]
+    timeout_s: float
+    budgets_s: Mapping[str, float]
+    overlapping: bool
+    moves: int
+    memory_bytes: int
+
+
+_Found: TypeAlias = tuple[Answer, str]
+"""What a way gave, and what to say if that is no plan."""
+
+
+class _Portfolio:
+    """One planning: the ways in order, each within its budget, and what is reported of all of them.
+
+    Args:
+        settings: how.
+        problem: what.
+        grounding: the translated task of the domain, or what will be it; None if there is no warm way.
+        safe_step: what to do if there is no plan.
+        cache: what was answered before.
+        running: what runs programs for the planner; added to while this plans.
+    """
+
+    def __init__(
+        self,
+        settings: _Settings,
+        problem: Problem,
+        grounding: Grounding | None,
+        safe_step: Step | None,
+        cache: PlanCache,
+        running: set[ProcessHandle],
+    ) -> None:
+        self._settings, self._problem, self._grounding = settings, problem, grounding
+        self._safe_step, self._cache, self._running = safe_step, cache, running
+        self._process = ProcessHandle()
+
+    def cancel(self) -> None:
+        """End what runs; the answer is not wanted any more."""
+        self._process.cancel()
+
+    def at_once(self) -> PlanningResult | None:
+        """Return the answer if it is there without waiting, in the work of a tick."""
+        known = self._remembered()
+        if known is not None:
+            return known
+        is_translated = self._grounding is not None and self._grounding.done()
+        if not is_translated or self._settings.engine not in _EXACT or not self._settings.moves:
+            return None
+        began = time.monotonic()
+        try:
+            answer, message = self._checked("warm", self._exact(self._warm_task(0.0), _MOVES_IN_A_TICK))
+        except Exception:  # whatever keeps from an answer here is reported by the ways
+            return None
+        if answer.outcome.is_trouble:
+            return None
+        attempt = Attempt("warm", answer.outcome, message, time.monotonic() - began)
+        return self._kept(self._report(answer, "warm", [attempt]))
+
+    def result(self) -> PlanningResult:
+        """Try one way after the other until there is a plan, or none is possible."""
+        known = self._remembered()
+        if known is not None:
+            return known
+        self._running.add(self._process)
+        try:
+            return self._kept(self._tried_in_order())
+        except Cancelled:
+            return PlanningResult(
+                Outcome.ENGINE_CRASHED, engine=self._settings.engine, message="the planner was closed"
+            )
+        finally:
+            self._running.discard(self._process)
+
+    def _remembered(self) -> PlanningResult | None:
+        # of equally good plans another may be found once the task is translated anew
+        known = self._cache.get(self._problem, self._grounding)
+        return None if known is None else replace(known, attempts=(Attempt("cache", known.outcome),))
+
+    def _kept(self, result: PlanningResult) -> PlanningResult:
+        if not result.outcome.is_trouble and not result.hangs_on_the_clock:
+            self._cache.put(self._problem, result, self._grounding)
+        return result
+
+    def _tried_in_order(self) -> PlanningResult:
+        attempts: list[Attempt] = []
+        for way, budget_s in self._budgeted():
+            began = time.monotonic()
+            answer, message = self._tried(way, budget_s)
+            attempts.append(Attempt(way, answer.outcome, message, time.monotonic() - began))
+            if answer.outcome.is_solved or answer.outcome is Outcome.UNSOLVABLE_PROVEN:
+                return self._report(answer, way, attempts)
+        return self._report(Answer(_outcome_of(attempts)), self._settings.engine, attempts)
+
+    def _budgeted(self) -> Iterator[tuple[str, float]]:
+        """Yield each way with the wall-clock time that it may take [s]."""
+        settings = self._settings
+        deadline = time.monotonic() + settings.timeout_s
+        # without a translation to wait for, what keeps the warm way keeps the cold one, which says so
+        ways = [way for way in settings.ways if way != "warm" or self._grounding is not None]
+        for number, way in enumerate(ways, start=1):
+            left_s = _left_s(deadline)
+            yield way, min(settings.budgets_s.get(way, left_s if number == len(ways) else left_s / 2), left_s)
+
+    def _tried(self, way: str, budget_s: float) -> _Found:
+        missed = missing(self._engine_of(way), self._problem.domain)
+        if missed is not None:
+            return Answer(Outcome.ENGINE_MISSING), missed
+        if budget_s <= 0.0:
+            return Answer(Outcome.OUT_OF_TIME), f"of {self._settings.timeout_s:g} s no time was left for it"
+        try:
+            return self._checked(way, self._answer(way, time.monotonic() + budget_s))
+        except Trouble as trouble:
+            return Answer(trouble.outcome), trouble.message
+        except UnsupportedPddlError as error:
+            return Answer(Outcome.UNSUPPORTED), str(error)
+        except Cancelled:
+            raise
+        except Exception as error:  # whatever goes wrong here must not stop the tree; it is told by name
+            return Answer(Outcome.ENGINE_CRASHED), f"{type(error).__name__}: {error}"
+
+    def _engine_of(self, way: str) -> str:
+        return self._settings.engine if way in ("warm", "cold") else way
+
+    def _answer(self, way: str, deadline: float) -> Answer:
+        limited = ", ".join(resource.name for resource in self._problem.domain.limited)
+        if limited and self._engine_of(way) in fast_downward.SEARCHES:
+            message = f"Fast Downward keeps no limits (of {limited}); Planner({LABEL_SETTING!r}) does"
+            raise Trouble(Outcome.UNSUPPORTED, message)
+        memory_bytes = self._settings.memory_bytes
+        if way == "warm":
+            return self._searched(self._warm_task(_left_s(deadline)), deadline, self._settings.engine)
+        if way in ("cold", LABEL_SETTING):
+            task = translated(self._problem, None, self._process, _left_s(deadline), memory_bytes)
+            return self._searched(task, deadline, self._engine_of(way))
+        return asked(
+            way,
+            self._problem,
+            self._process,
+            limit_s=_left_s(deadline),
+            memory_bytes=memory_bytes,
+            overlapping=self._settings.overlapping,
+        )
+
+    def _warm_task(self, limit_s: float) -> Grounded:
+        assert self._grounding is not None
+        try:
+            task = self._process.wait(self._grounding, limit_s)
+        except TimeoutError as error:
+            message = f"the task of {self._problem.domain.name} was not translated in time; allow more or ask for less"
+            raise Trouble(Outcome.OUT_OF_TIME, message) from error
+        if isinstance(task, Trouble):
+            raise Trouble(task.outcome, task.message)
+        if not task.is_patchable:
+            raise Trouble(Outcome.UNSUPPORTED, "the translated task has axioms, which hold for one state only")
+        return task
+
+    def _searched(self, task: Grounded, deadline: float, engine: str) -> Answer:
+        try:
+            if engine in _EXACT and self._settings.moves:
+                try:
+                    return self._exact(task, self._settings.moves)
+                except search.CapReached:
+                    pass
+            if engine == LABEL_SETTING:
+                return self._exact_elsewhere(task, deadline)
+            return self._by_fast_downward(task, deadline, engine)
+        except UnreachableGoalError:
+            return Answer(Outcome.UNSOLVABLE_PROVEN)
+        except NotRepresentableError as error:
+            raise Trouble(Outcome.UNSUPPORTED, f"the translated task does not fit: {error}") from error
+
+    def _exact(self, grounded: Grounded, cap: int) -> Answer:
+        """Search in this process.
+
+        Raises:
+            CapReached: that takes too many moves.
+        """
+        asked_for = grounded.search_task(self._problem)
+        start, limits = asked_for.task.start, asked_for.task.limits
+        found = asked_for.graph.plan(start, limits, cap)
+        if found is None:
+            return self._unsolvable(asked_for, asked_for.graph.least_uses(start))
+        return Answer(Outcome.SOLVED_OPTIMALLY, tuple([grounded.step(move.what) for move in found.moves]))
+
+    def _exact_elsewhere(self, grounded: Grounded, deadline: float) -> Answer:
+        """Search in a process of its own, which may be killed."""
+        asked_for, limit_s = grounded.search_task(self._problem), _left_s(deadline)
+        ended = self._process.run(
+            [sys.executable, "-I", "-S", search.__file__],
+            given=search.written(asked_for.task),
+            limit_s=limit_s,
+            memory_bytes=self._settings.memory_bytes,
+        )
+        if ended.is_late:
+            raise Trouble(Outcome.OUT_OF_TIME, f"no answer after {limit_s:.3g} s; allow more time or ask for less")
+        kind, *numbers = ended.output.decode(errors="replace").split() or [""]
+        if kind == "plan":
+            return Answer(Outcome.SOLVED_OPTIMALLY, tuple([grounded.step(int(number)) for number in numbers]))
+        if kind == "least":
+            return self._unsolvable(asked_for, tuple([float(number) for number in numbers]))
+        if MemoryError.__name__ in ended.last_words:
+            raise Trouble(Outcome.OUT_OF_MEMORY, "the search ran out of memory; allow more or ask for less")
+        message = f"the search ended with exit code {ended.code} and no answer. It said: {ended.last_words}"
+        raise Trouble(Outcome.ENGINE_CRASHED, message)
+
+    def _unsolvable(self, asked_for: SearchTask, least: Sequence[float]) -> Answer:
+        """Say which limits keep from the goal, given what it takes at least of each resource."""
+        limited = self._problem.domain.limited
+        if not limited or any(isinf(amount) for amount in least):
+            return Answer(Outcome.UNSOLVABLE_PROVEN)
+        usage = usage_of(self._problem.domain)
+        remaining = usage.remaining(usage.numbers(self._problem))
+        amounts = [Fraction(int(one), scale) for one, scale in zip(least, asked_for.scales, strict=True)]
+        broken = [
+            f"{resource.name} takes {float(amount):.12g} at least, {float(left.amount):.12g} are left"
+            for resource, amount, left in zip(limited, amounts, remaining, strict=True)
+            if left.is_exceeded_by(amount)
+        ]
+        together = f"no plan keeps the limits of {', '.join(resource.name for resource in limited)}"
+        return Answer(Outcome.UNSOLVABLE_PROVEN, why="; ".join(broken) or together)
+
+    def _by_fast_downward(self, grounded: Grounded, deadline: float, engine: str) -> Answer:
+        written = grounded.written(self._problem)
+        if written is None:
+            return Answer(Outcome.SOLVED_OPTIMALLY)
+        text, estimate = written
+        # each line that is written wakes this process up
+        quiet = "verbosity=silent"
+        optimally = f"astar({estimate}(), {quiet})"
+        some = f"lazy_greedy([ff()], preferred=[ff()], {quiet})"
+        found = fast_downward.search(
+            text,
+            optimally if engine == "fast-downward-opt" else some,
+            self._process,
+            limit_s=_left_s(deadline),
+            memory_bytes=self._settings.memory_bytes,
+        )
+        if isinstance(found, Outcome):
+            return Answer(found)
+        try:
+            steps = tuple([grounded.step(number) for number in found])
+        except IndexError as error:
+            raise Trouble(Outcome.ENGINE_CRASHED, "the search named steps that the task does not have") from error
+        return Answer(Outcome.SOLVED_OPTIMALLY if engine == "fast-downward-opt" else Outcome.SOLVED, steps)
+
+    def _checked(self, way: str, answer: Answer) -> _Found:
+        """Replay a plan."""
+        if not answer.outcome.is_solved:
+            return answer, ""
+        problem = self._problem
+        if answer.schedule:
+            wrong = schedule_flaw(problem.domain, answer.schedule, problem.state, problem.wanted)
+        else:
+            wrong = flaw(problem.domain, answer.steps, problem.state, problem.wanted)
+        if wrong is None and problem.domain.limited:
+            wrong = usage_of(problem.domain).overspent(problem, answer.steps)
+        if wrong is None:
+            return answer, ""
+        message = f"{self._engine_of(way)} returned a plan that does not work: {wrong}"
+        return Answer(Outcome.ENGINE_CRASHED), message
+
+    def _report(self, answer: Answer, way: str, attempts: list[Attempt]) -> PlanningResult:
+        engine, domain, outcome = self._engine_of(way), self._problem.domain, answer.outcome
+        if outcome.is_solved:
+            cost = self._cost(answer.steps)
+            return PlanningResult(outcome, answer.steps, engine, "", cost, answer.schedule, tuple(attempts))
+        message = f"{engine}: {outcome}" + (f": {answer.why}" if answer.why else "")
+        if outcome is Outcome.UNSOLVABLE_PROVEN and not self._settings.overlapping and _may_have_to_overlap(domain):
+            outcome = Outcome.UNSOLVABLE_AS_FAR_AS_KNOWN
+            message = f"{engine}: {outcome}: there is no plan of one step after the other; {_OVERLAP}"
+        if outcome.is_trouble:
+            message = "; ".join(
+                f"{engine}, {attempt}" if engine != attempt.way else str(attempt) for attempt in attempts
+            )
+        safe = self._safe_step
+        if safe is not None and missing_at_start(domain, safe, self._problem.state) is not None:
+            safe = None
+        return PlanningResult(outcome, (), engine, message, attempts=tuple(attempts), safe_step=safe)
+
+    def _cost(self, steps: Sequence[Step]) -> float | None:
+        try:
+            usage = usage_of(self._problem.domain)
+            return usage.total_cost(steps, usage.numbers(self._problem))
+        except UnsupportedPddlError:
+            return None
+
+
+def _may_have_to_overlap(domain: Domain) -> bool:
+    """Whether a step provides something only while it lasts, and others need that."""
+    return any(
+        start.fluent.fluent() in _needed(other)
+        for schema in domain.schema_of.values()
+        for start, end in product(schema.start_effects, schema.end_effects)
+        if start.fluent == end.fluent and start.value.is_true() and end.value.is_false()
+        for other in domain.schema_of.values()
+        if other is not schema
+    )
+
+
+def _needed(schema: Schema) -> set[UpThing]:
+    """Return the predicates that the conditions of an action mention."""
+    left, found = [*schema.start, *schema.over_all, *schema.end], set()
+    while left:
+        formula = left.pop()
+        left += formula.args
+        if formula.is_fluent_exp():
+            found.add(formula.fluent())
+    return found
+
+
+def _left_s(deadline: float) -> float:
+    return max(deadline - time.monotonic(), 0.0)
+
+
+def _outcome_of(attempts: list[Attempt]) -> Outcome:
+    outcomes = [attempt.outcome for attempt in attempts]
+    if Outcome.UNSOLVABLE_AS_FAR_AS_KNOWN in outcomes:
+        return Outcome.UNSOLVABLE_AS_FAR_AS_KNOWN
+    return next(outcome for outcome in _WORST_FIRST if outcome in outcomes)
+
+
+# ---------------------------------------------------------------- settings
+
+
+def _step(domain: Domain, text: str) -> Step:
+    """Return the safe step."""
+    words = text.strip().removeprefix("(").removesuffix(")").split()
+    schemas = {name.lower(): name for name in domain.schemas}
+    if not words or words[0].lower() not in schemas:
+        hint = nearest(words[0] if words else "", domain.schemas)
+        raise UnknownNameError(f"the safe step {text!r} is no action of {domain.file}; {hint}")
+    schema = domain.schema_of[schemas[words[0].lower()]]
+    if len(words) - 1 != len(schema.parameters):
+        expected = " ".join(f"?{name}" for name, _ in schema.parameters)
+        raise UnknownNameError(f"the safe step {text!r} is not of the form ({schema.name} {expected})")
+    for word in words[1:]:
+        if ("object", word.lower()) not in domain.inside:
+            raise UnknownNameError(f"{domain.file} has no object {word!r}; {nearest(word, domain.types)}")
+    return domain.step(schema.name, [domain.outside[domain.inside["object", word.lower()]] for word in words[1:]])
+
+
+def _check(settings: _Settings) -> None:
+    sequential = [name for name in (settings.engine, *settings.ways) if name in TRANSLATED]
+    if settings.overlapping and sequential:
+        message = f"{sequential[0]} plans one step after the other; for overlapping steps use a temporal engine"
+        raise PlannerSettingError(f"{message} such as 'aries' (pip install 'rosa-taca[temporal]')")
+    for way, budget_s in settings.budgets_s.items():
+        if way not in settings.ways:
+            hint = nearest(way, settings.ways)
+            raise PlannerSettingError(f"a budget is given for {way!r}, which is not among what is tried; {hint}")
+        if not budget_s > 0.0:
+            raise PlannerSettingError(f"the budget of {way!r} is {budget_s:g} s, expected more than 0")
+    if not settings.timeout_s > 0.0:
+        raise PlannerSettingError(f"timeout_s is {settings.timeout_s:g}, expected more than 0")
+    if settings.moves < 0:
+        raise PlannerSettingError(f"moves is {settings.moves}, expected 0 or more")

@@ -1,0 +1,224 @@
+"""What steps cost and use up, in exact sums of numbers and of numeric facts, whose values may differ each time."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import reduce
+from math import ceil, floor, lcm
+from typing import TypeAlias
+
+from rosa_pddl.domain import Domain, Step, UpThing
+from rosa_pddl.exceptions import UnsupportedPddlError, nearest
+from rosa_pddl.problem import Exact, Problem, action_costs, exact
+
+__all__ = ["Numbers", "Remaining", "ResourceUsage", "Sum", "template_of", "whole"]
+
+Numbers: TypeAlias = Mapping[str, Exact]
+"""The values of numeric facts such as `(travel_cost a b)` by their text, decimals taken as they are written."""
+
+
+@dataclass(frozen=True)
+class Sum:
+    """A constant, and numeric facts with their factors.
+
+    Args:
+        constant: added to the rest.
+        terms: factor and text of each numeric fact.
+    """
+
+    constant: Exact
+    terms: tuple[tuple[Exact, str], ...] = ()
+
+
+@dataclass(frozen=True)
+class Template:
+    """A sum with parameters.
+
+    Args:
+        constant: added to the rest.
+        terms: factor and words of each numeric fact; words with a mark are parameters.
+    """
+
+    constant: Exact
+    terms: tuple[tuple[Exact, tuple[str, ...]], ...] = ()
+
+    def bound(self, binding: Mapping[str, str]) -> Sum:
+        """Return the sum with its parameters, such as `?x`, replaced by what they are bound to."""
+        terms = [(factor, " ".join([binding.get(word, word) for word in words])) for factor, words in self.terms]
+        return Sum(self.constant, tuple([(factor, f"({text})") for factor, text in terms]))
+
+    def times(self, factor: Exact) -> "Template":
+        return Template(factor * self.constant, tuple((factor * weight, words) for weight, words in self.terms))
+
+    def plus(self, other: "Template") -> "Template":
+        return Template(self.constant + other.constant, self.terms + other.terms)
+
+
+@dataclass(frozen=True)
+class Remaining:
+    """What may still be used up of a resource.
+
+    Args:
+        amount: so much.
+        is_strict: whether it has to be less than that.
+    """
+
+    amount: Exact
+    is_strict: bool = False
+
+    def is_exceeded_by(self, used: Exact) -> bool:
+        """Whether so much is too much."""
+        return used > self.amount or (self.is_strict and used == self.amount)
+
+    def whole(self, scale: int) -> int:
+        """Return the most that is not too much, of amounts that are whole when multiplied by a scale."""
+        scaled = self.amount * scale
+        return ceil(scaled) - 1 if self.is_strict else floor(scaled)
+
+
+class ResourceUsage:
+    """What the steps of a domain cost, and what they use up of its limited resources, in the order of `domain.limited`.
+
+    A step costs what the metric says, or 1 if there is none.
+
+    Args:
+        domain: what `load_domain` returned.
+
+    Raises:
+        UnsupportedPddlError: an amount is no sum of numbers and numeric facts, or the metric cannot be kept.
+    """
+
+    def __init__(self, domain: Domain) -> None:
+        self._domain = domain
+        self._in_file = dict(_numbers_of_the_file(domain))
+        metric = action_costs(domain)
+        self._costs: dict[str, Template] = {}
+        for action in domain.up_problem.actions:
+            cost = None if metric is None else metric.get_action_cost(action)
+            fixed = Template(1 if metric is None else 0)
+            self._costs[domain.outside[action.name]] = fixed if cost is None else template_of(domain, cost)
+        self._uses = [
+            {name: template_of(domain, amount) for name, amount in resource.uses.items()} for resource in domain.limited
+        ]
+
+    def cost_of(self, step: Step) -> Sum:
+        """Return what a step costs."""
+        return self._costs[step.schema].bound(self._binding(step))
+
+    def uses_of(self, step: Step) -> tuple[Sum, ...]:
+        """Return what a step uses up of each limited resource."""
+        binding, nothing = self._binding(step), Template(0)
+        return tuple([each.get(step.schema, nothing).bound(binding) for each in self._uses])
+
+    def numbers(self, problem: Problem) -> Numbers:
+        """Return the values of numeric facts: those of the problem file, or what the problem says instead.
+
+        Raises:
+            UnsupportedPddlError: one is no finite number.
+        """
+        numbers = dict(self._in_file)
+        for text, value in problem.costs.items():
+            try:
+                numbers[problem.domain.atom(text)] = exact(value)
+            except (ValueError, OverflowError) as error:
+                message = f"{text} is {value}, expected a finite number"
+                raise UnsupportedPddlError(message, self._domain.problem_file) from error
+        return numbers
+
+    def value(self, amount: Sum, numbers: Numbers) -> Exact:
+        """Return what a sum comes to.
+
+        Raises:
+            UnsupportedPddlError: a numeric fact has no value.
+        """
+        try:
+            return amount.constant + sum([factor * numbers[key] for factor, key in amount.terms])
+        except KeyError as error:
+            key = str(error.args[0])
+            message = f"{key} is needed but has no value; state '(= {key} NUMBER)' in :init, or hand it in with the"
+            known = nearest(key, list(numbers)[:1000])
+            raise UnsupportedPddlError(f"{message} problem ({known})", self._domain.problem_file) from error
+
+    def total_cost(self, steps: Iterable[Step], numbers: Numbers) -> float:
+        """Return what a plan costs.
+
+        Raises:
+            UnsupportedPddlError: a numeric fact has no value.
+        """
+        return float(sum(self.value(self.cost_of(step), numbers) for step in steps))
+
+    def remaining(self, numbers: Numbers) -> tuple[Remaining, ...]:
+        """Return what may still be used up of each limited resource.
+
+        Raises:
+            UnsupportedPddlError: a numeric fact has no value.
+        """
+        found = []
+        for resource in self._domain.limited:
+            used = self._value_of(resource.fluent, numbers)
+            left = [Remaining(self._value_of(one.amount, numbers) - used, one.is_strict) for one in resource.limits]
+            found.append(min(left, key=lambda one: (one.amount, not one.is_strict)))
+        return tuple(found)
+
+    def overspent(self, problem: Problem, steps: Iterable[Step]) -> str | None:
+        """Return which limit a plan breaks, in words; None if it keeps them all.
+
+        Raises:
+            UnsupportedPddlError: a numeric fact has no value.
+        """
+        numbers = self.numbers(problem)
+        used: list[Exact] = [0] * len(self._domain.limited)
+        for step in steps:
+            for number, one in enumerate(self.uses_of(step)):
+                used[number] += self.value(one, numbers)
+        for resource, amount, left in zip(self._domain.limited, used, self.remaining(numbers), strict=True):
+            if left.is_exceeded_by(amount):
+                return f"it uses {float(amount):.12g} of {resource.name}, {float(left.amount):.12g} are left"
+        return None
+
+    def _binding(self, step: Step) -> Mapping[str, str]:
+        names = [f"?{name}" for name, _ in self._domain.schema_of[step.schema].parameters]
+        return dict(zip(names, step.arguments, strict=True))
+
+    def _value_of(self, amount: UpThing, numbers: Numbers) -> Exact:
+        return self.value(template_of(self._domain, amount).bound({}), numbers)
+
+
+def template_of(domain: Domain, amount: UpThing) -> Template:
+    """Return an amount, an expression of unified-planning, as a sum.
+
+    Raises:
+        UnsupportedPddlError: it is none.
+    """
+    if amount.is_constant():
+        return Template(exact(amount.constant_value()))
+    if amount.is_fluent_exp():
+        words = [domain.outside[amount.fluent().name]]
+        for part in amount.args:
+            is_parameter = part.is_parameter_exp()
+            words.append(f"?{part.parameter().name}" if is_parameter else domain.outside[part.object().name])
+        return Template(0, ((1, tuple(words)),))
+    parts = [template_of(domain, part) for part in amount.args]
+    if amount.is_plus():
+        return reduce(Template.plus, parts)
+    if amount.is_minus():
+        return parts[0].plus(parts[1].times(-1))
+    factors = [part for part in parts if not part.terms]
+    if amount.is_times() and len(factors) >= len(parts) - 1:
+        product = next((part for part in parts if part.terms), Template(1))
+        return reduce(lambda one, factor: one.times(factor.constant), factors, product)
+    message = f"the cost {amount} is no sum of numbers and numeric facts; Fast Downward plans with those only"
+    raise UnsupportedPddlError(message, domain.file)
+
+
+def whole(amounts: Iterable[Exact]) -> tuple[list[int], int]:
+    """Return amounts as whole numbers, and by what they were multiplied."""
+    listed = list(amounts)
+    scale = lcm(*{amount.denominator for amount in listed})
+    return [int(amount * scale) for amount in listed], scale
+
+
+def _numbers_of_the_file(domain: Domain) -> Iterable[tuple[str, Exact]]:
+    for expression, value in domain.up_problem.explicit_initial_values.items():
+        if not value.is_bool_constant():
+            words = [expression.fluent().name, *(argument.object().name for argument in expression.args)]
+            yield f"({' '.join(domain.outside[word] for word in words)})", exact(value.constant_value())
