@@ -60,10 +60,9 @@ class Effect(NamedTuple):
 
 
 class Option(NamedTuple):
-    """One possibility.
+    """One possibility: a design or configuration, or None for a component that has nothing to be chosen.
 
     Attributes:
-        node: the design or configuration; None for a component that has nothing to be chosen.
         effect: what it adds if it is chosen; that of a configuration includes that its component runs.
         is_now: it is selected now.
         needs: positions of the slots of the components of a design, of those that make a difference.
@@ -79,7 +78,6 @@ class Slot(NamedTuple):
     """A function, or a component of some design.
 
     Attributes:
-        node: the function or component.
         options: one of these is chosen if it is needed; the first by priority first.
         idle: what it adds if nothing needs it.
         idle_node: the configuration to select even then, if any.
@@ -238,9 +236,8 @@ class _Encoder:
         self._designs = {node: self._ranked(node) for node in functions}
         stuck = [node for node, designs in self._designs.items() if not designs]
         self._kept = [design for node in stuck for design in node.parts if self._is_selected(design)]
-        self._parts = list(
-            dict.fromkeys(part for node in self._designs for design in node.parts for part in design.parts)
-        )
+        all_designs = [design for node in self._designs for design in node.parts]
+        self._parts = list(dict.fromkeys(part for design in all_designs for part in design.parts))
         self._obsolete = [] if self._afresh else [one for one in state.obsolete.nodes() if one.kind == "component"]
         self._nothing = Effect(0, (0,) * len(criterion.budgets))
         self._estimated: dict[Node, Effect] = {}
@@ -278,10 +275,10 @@ class _Encoder:
         amounts = [*gains, *costs.values()]
         self._unit, is_exact = _unit(amounts)
         self._resolution = 0.0 if is_exact else float(self._unit * len(amounts))
-        loads = {
-            name: [v for one, v in zip(estimations, values, strict=True) if one.attribute == name] for name in limits
-        }
-        self._load_units = tuple(_unit([limit, *loads[name]])[0] for name, limit in limits.items())
+        loads = {name: [limit] for name, limit in limits.items()}
+        for one, value in zip(estimations, values, strict=True):
+            loads.get(one.attribute, []).append(value)
+        self._load_units = tuple(_unit(amounts)[0] for amounts in loads.values())
         units = list(zip(limits, self._load_units, strict=True))
         self._limits = tuple(_whole(limits[name], unit, ROUND_FLOOR) for name, unit in units)
         self._costs = {node: _whole(cost, self._unit) for node, cost in costs.items()}

@@ -3,7 +3,6 @@
 import logging
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -26,15 +25,10 @@ _RESOLUTION = 1e-6
 
 
 class _Last(NamedTuple):
-    """What was decided last.
-
-    Attributes:
-        weights: what was preferred.
-        nothing: why nothing could be chosen; empty if something could.
-    """
+    """What was decided last: by which weights, and why nothing could be chosen; empty if something could."""
 
     weights: Mapping[str, float]
-    nothing: str
+    nothing: str = ""
 
 
 class OptimalPlanner:
@@ -170,22 +164,12 @@ class OptimalPlanner:
         if self._background is not None:
             self._background.forget()
         nothing = found.reason if found is not None and found.choice is None else ""
-        before = self._last[kb].nothing if kb in self._last else ""
+        before = self._last.get(kb, _Last({})).nothing
         self._last[kb] = _Last(self.criterion(kb).weights, nothing)
         if nothing != before:
             kb.note_no_choice(nothing)
             if nothing:
                 _log.warning("nothing can be selected: %s", nothing)
-
-
-@dataclass(frozen=True, slots=True)
-class _Question:
-    problem: Problem
-    due: float
-    answer: "Future[Optimum]"
-
-    def is_due(self, now: float) -> bool:
-        return now >= self.due - _RESOLUTION
 
 
 class BackgroundSolver:
@@ -200,7 +184,9 @@ class BackgroundSolver:
         self._solve = solve
         self._delay = delay
         self._thread: ThreadPoolExecutor | None = None
-        self._question: _Question | None = None
+        self._problem: Problem | None = None
+        self._due = 0.0
+        self._answer: Future[Optimum] | None = None
 
     def answer(self, problem: Problem, now: float) -> Optimum | None:
         """Return the answer, without waiting; None while there is none yet.
@@ -209,24 +195,24 @@ class BackgroundSolver:
             problem: as it is now. If it is another than the last time, that question is dropped.
             now: the present time [s].
         """
-        question = self._question
-        if question is None or question.problem != problem:
+        if self._answer is None or self._problem != problem:
             self.forget()
             self._thread = self._thread or ThreadPoolExecutor(1, "best configuration")
-            self._question = _Question(problem, now + self._delay, self._thread.submit(self._solve, problem))
+            self._problem, self._due = problem, now + self._delay - _RESOLUTION
+            self._answer = self._thread.submit(self._solve, problem)
             return None
-        return question.answer.result() if question.is_due(now) and question.answer.done() else None
+        return self._answer.result() if now >= self._due and self._answer.done() else None
 
     def catch_up(self, now: float) -> None:
         """Wait for an answer that is due by now."""
-        if self._question is not None and self._question.is_due(now):
-            self._question.answer.exception()
+        if self._answer is not None and now >= self._due:
+            self._answer.exception()
 
     def forget(self) -> None:
         """Drop the question."""
-        if self._question is not None:
-            self._question.answer.cancel()
-            self._question = None
+        if self._answer is not None:
+            self._answer.cancel()
+            self._answer = None
 
 
 def _choice(kb: KnowledgeBase, found: Optimum | None) -> Choice | None:

@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from threading import RLock
-from types import MappingProxyType, TracebackType
+from types import MappingProxyType
 from typing import Any, Final
 
 from kb.elements import Parameters
@@ -191,11 +191,11 @@ class ProcessComponents:
             if not self._is_open:
                 raise KnowledgeBaseError(f"{component!r} cannot be started: its processes are closed for good")
             self._have_guardian()
-            return _begun(_Switch(handle, self._lock, self._mark))
+            return _Switch(handle, self._lock, self._mark)
 
     def deactivate(self, component: str) -> "_Switch":
         """End a component: tell it to, and kill its process group after its grace."""
-        return _begun(_Switch(self._handle(component), self._lock))
+        return _Switch(self._handle(component), self._lock)
 
     def set_parameters(self, component: str, parameters: Parameters) -> None:
         """Give a component its parameters, for its next start if it has no way to take them while it runs."""
@@ -252,9 +252,7 @@ class ProcessComponents:
     def __enter__(self) -> "ProcessComponents":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _handle(self, component: str) -> "_Handle":
@@ -262,12 +260,16 @@ class ProcessComponents:
             raise UnknownName("process component", component, self._handles)
         return self._handles[component]
 
-    def _meet(self, kb: KnowledgeBase) -> None:
-        """Tell a knowledge base what is true of what it believes to run."""
+    def _pids(self) -> dict[str, int]:
+        """Return the numbers of the processes that are there, by component."""
         with self._lock:
             for handle in self._handles.values():
                 handle.look()
-            mine = {name: one.process.pid for name, one in self._handles.items() if one.process is not None}
+            return {name: one.process.pid for name, one in self._handles.items() if one.process is not None}
+
+    def _meet(self, kb: KnowledgeBase) -> None:
+        """Tell a knowledge base what is true of what it believes to run."""
+        mine = self._pids()
         for process in kb.processes:
             name, pid = process.component, process.pid
             if name in self._handles and process.end is None and mine.get(name) != pid:
@@ -289,8 +291,7 @@ class ProcessComponents:
 
     def _tell(self, kb: KnowledgeBase) -> None:
         with self._lock:
-            for handle in self._handles.values():
-                handle.look()
+            self._pids()
             reports = tuple(self._reports)
             self._reports.clear()
         for verb, arguments in reports:
@@ -318,12 +319,6 @@ class ProcessComponents:
 
 class _Handle:
     """A component on its way to running, or to an end; each call does what can be done without waiting.
-
-    Args:
-        name: of the component.
-        program: what is run.
-        clock: gives the time [s].
-        reports: where everything that happens is entered.
 
     Attributes:
         process: as which it runs; None if it does not.
@@ -491,6 +486,9 @@ class _Switch:
     mark: str | None = None
     pid: int | None = None
 
+    def __post_init__(self) -> None:
+        self.done()  # so it has begun
+
     def done(self) -> bool:
         with self.lock:
             if self.mark is None:
@@ -503,11 +501,6 @@ class _Switch:
             self.handle.look()
             pid, text = self.handle.crash
             return KnowledgeBaseError(text) if pid == self.pid else None
-
-
-def _begun(operation: _Switch) -> _Switch:
-    operation.done()
-    return operation
 
 
 def _guard(mark: str, grace: float, parent: int) -> subprocess.Popen[bytes]:
