@@ -29,7 +29,6 @@ __all__ = [
     "IsActionFeasible",
     "KbBehaviour",
     "Measurement",
-    "Readiness",
     "RosaAction",
     "StatusView",
     "WaitForArchitecture",
@@ -107,66 +106,53 @@ def why(kb: KnowledgeBase, action: str) -> str:
     return found[1]
 
 
-class Readiness:
-    """Whether the robot is configured for an action; waited for, but not for ever.
+class ActionRequest:
+    """One behaviour's part in the request of an action, from `open` to the first `close`; waits for the robot.
 
     Args:
-        kb: the knowledge base to ask.
-        timeout: how long to wait [s], by the clock of the knowledge base.
-        wait: whether to wait at all; otherwise it is taken to be ready.
-
-    Attributes:
-        waits: as given.
+        kb: the knowledge base to ask and to tell.
+        timeout: how long to wait until the robot is configured [s], by the clock of the knowledge base; None if the
+            behaviour does not wait for that.
     """
 
-    def __init__(self, kb: KnowledgeBase, timeout: float, *, wait: bool = True) -> None:
-        if wait and not timeout > 0:
+    def __init__(self, kb: KnowledgeBase, timeout: float | None) -> None:
+        if timeout is not None and not timeout > 0:
             raise ValueError(f"a time-out is more than 0 s, or math.inf for none; not {timeout!r}")
-        self.waits = wait
+        self.timeout: Final = timeout
         self._kb = kb
-        self._timeout = timeout
         self._since = math.nan
-
-    def begin(self) -> None:
-        """Count the time from now."""
-        if self.waits:
-            self._since = self._kb.now
-
-    def look(self, action: str) -> tuple[Status, str]:
-        """Return SUCCESS when the robot is ready, RUNNING while it is not, FAILURE when it will not be; and why."""
-        if not self.waits:
-            return Status.SUCCESS, ""
-        if not self._kb.is_feasible(action):
-            return Status.FAILURE, why(self._kb, action)
-        lacking = self._lacking(action)
-        if not lacking:
-            return Status.SUCCESS, ""
-        if self._kb.now - self._since >= self._timeout:
-            return Status.FAILURE, f"not ready within {self._timeout:g} s: {lacking}"
-        return Status.RUNNING, f"waiting: {lacking}"
-
-    def _lacking(self, action: str) -> str:
-        """Why it cannot start yet: its functions are not solved, or a plan is still being executed."""
-        if self._kb.actions[action].status is not ElementStatus.SOLVED:
-            return why(self._kb, action)
-        plan = self._kb.pending_plan
-        return "" if plan is None else f"the robot is being reconfigured ({plan})"
-
-
-class ActionRequest:
-    """One behaviour's part in the request of an action: held from `open` to the first `close` after it."""
-
-    def __init__(self, kb: KnowledgeBase) -> None:
-        self._kb = kb
         self._held: str | None = None
 
     def open(self, action: str, preference: str | None) -> Reply:
         """Request an action, or join those who hold it."""
+        self.begin()
         reply = self._kb.request_action(action, preference)
         if reply:
             self._held = action
             _ledger(self._kb).holders[action] += 1
         return reply
+
+    def begin(self) -> None:
+        """Count the time from now."""
+        if self.timeout is not None:
+            self._since = self._kb.now
+
+    def look(self, action: str) -> tuple[Status, str]:
+        """Return SUCCESS when the behaviour may begin, RUNNING before that, FAILURE if it never may; and why."""
+        kb = self._kb
+        if self.timeout is None:
+            return Status.SUCCESS, ""
+        if not kb.is_feasible(action):
+            return Status.FAILURE, why(kb, action)
+        if kb.actions[action].status is not ElementStatus.SOLVED:
+            lacking = why(kb, action)
+        elif kb.pending_plan is not None:
+            lacking = f"the robot is being reconfigured ({kb.pending_plan})"
+        else:
+            return Status.SUCCESS, ""
+        if kb.now - self._since >= self.timeout:
+            return Status.FAILURE, f"not ready within {self.timeout:g} s: {lacking}"
+        return Status.RUNNING, f"waiting: {lacking}"
 
     def close(self, status: Status, reason: str) -> None:
         """Let go of the action; the last one who holds it tells the knowledge base how it ended.
@@ -198,10 +184,6 @@ class KbBehaviour(PortsMixin, Behaviour):
         kb: the knowledge base to ask.
         behaviour_class_name: as in py_trees.
         port_arguments: what the constructor was given of the ports; None where the port carries the value.
-
-    Attributes:
-        kb: the knowledge base.
-        port_arguments: as given.
     """
 
     INPUT_PORTS: dict[str, PortInformation] = {}  # noqa: RUF012  # py_trees declares it so
@@ -474,13 +456,13 @@ class WaitForArchitecture(ActionBehaviour):
         behaviour_class_name: str | None = None,
     ) -> None:
         super().__init__(name, kb, action, behaviour_class_name=behaviour_class_name)
-        self._readiness = Readiness(kb, timeout)
+        self._request = ActionRequest(kb, timeout)
 
     def initialise(self) -> None:
-        self._readiness.begin()
+        self._request.begin()
 
     def update(self) -> Status:
-        status, self.feedback_message = self._readiness.look(self.action)
+        status, self.feedback_message = self._request.look(self.action)
         return status
 
 
@@ -526,8 +508,7 @@ class RosaAction(ActionBehaviour):
     ) -> None:
         super().__init__(name, kb, action, behaviour_class_name=behaviour_class_name)
         self._preference = preference
-        self._request = ActionRequest(kb)
-        self._readiness = Readiness(kb, timeout, wait=wait)
+        self._request = ActionRequest(kb, timeout if wait else None)
         self._has_begun = False
 
     @property
@@ -543,7 +524,7 @@ class RosaAction(ActionBehaviour):
     @property
     def waits(self) -> bool:
         """Whether it waits until the robot is configured for the action."""
-        return self._readiness.waits
+        return self._request.timeout is not None
 
     def save_progress(self) -> object | None:
         """Return where the action is, or None (the default) if it starts afresh next time.
@@ -585,9 +566,8 @@ class RosaAction(ActionBehaviour):
             if not reply:
                 self.feedback_message = reply.reason
                 return Status.FAILURE
-            self._readiness.begin()
         if not self._has_begun:
-            status, self.feedback_message = self._readiness.look(self.action)
+            status, self.feedback_message = self._request.look(self.action)
             if status is not Status.SUCCESS:
                 return status
             self._begin()

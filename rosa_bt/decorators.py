@@ -8,7 +8,7 @@ from py_trees.common import Status
 from py_trees.decorators import Decorator
 
 from kb import KnowledgeBase
-from rosa_bt.behaviours import ActionRequest, Readiness, halt, why
+from rosa_bt.behaviours import ActionRequest, halt, why
 from rosa_bt.exceptions import in_words
 
 __all__ = ["ForAction", "UntilSuccess"]
@@ -51,8 +51,7 @@ class ForAction(Decorator):
         self.kb = kb
         self.action = action
         self.preference = preference
-        self._request = ActionRequest(kb)
-        self._readiness = Readiness(kb, timeout, wait=wait)
+        self._request = ActionRequest(kb, timeout if wait else None)
         self._is_ready = False
 
     def tick(self) -> Iterator[Behaviour]:
@@ -101,9 +100,8 @@ class ForAction(Decorator):
         if self.status is not Status.RUNNING:
             self._is_ready = False
             self._request.open(self.action, self.preference)
-            self._readiness.begin()
         if not self._is_ready:
-            status, self.feedback_message = self._readiness.look(self.action)
+            status, self.feedback_message = self._request.look(self.action)
             if status is not Status.SUCCESS:
                 return status
             self._is_ready = True

@@ -28,6 +28,13 @@ _FILLS: Final = {
     Status.RUNNING: "#cfe0f5",
     Status.INVALID: "#f2f2f2",
 }
+_SIGNS: Final = (
+    ("->", (Sequence, SafeSwitch)),
+    ("?", Selector),
+    ("?!", DoUntilUnfeasible),
+    ("=>", Parallel),
+    ("^", Decorator),
+)
 _FEASIBLE, _UNFEASIBLE, _PLAIN = "#2e7d32", "#c62828", "#8a8a8a"
 _WIDTH: Final = 44
 """After how many characters a line of a note is broken."""
@@ -38,16 +45,14 @@ class _Drawn:
     """What is drawn of a behaviour.
 
     Attributes:
-        kind: what it is, e.g. "->" for a sequence; empty for a leaf.
-        name: its name.
+        title: its status, what it is (e.g. "->" for a sequence) and its name.
         status: of the last tick.
         edge: colour: whether its action is feasible.
         notes: feasibility with the reason, and feedback that says something else.
         children: what is drawn below it.
     """
 
-    kind: str
-    name: str
+    title: str
     status: Status
     edge: str
     notes: tuple[str, ...]
@@ -69,7 +74,7 @@ def dot_tree(root: Behaviour) -> str:
     pending, number = [(_drawn(root), -1)], 0
     while pending:
         drawn, parent = pending.pop(0)
-        label = "\\n".join(_quoted(line) for line in _text(drawn))
+        label = "\\n".join(line.replace("\\", "\\\\").replace('"', '\\"') for line in _text(drawn))
         lines.append(f'  n{number} [label="{label}", fillcolor="{_FILLS[drawn.status]}", color="{drawn.edge}"];')
         if parent >= 0:
             lines.append(f"  n{parent} -> n{number};")
@@ -102,9 +107,9 @@ def _drawn(behaviour: Behaviour, said: set[str] | None = None, *, is_idle: bool 
     feedback = _plain(behaviour.feedback_message)
     notes = [feasibility, feedback] if feedback not in said and not reason.endswith(feedback) else [feasibility]
     edge = _PLAIN if not feasibility else _FEASIBLE if feasibility == "feasible" else _UNFEASIBLE
+    title = " ".join(filter(None, [f"[{_MARKS[status]}]", _kind(behaviour), _plain(behaviour.name)]))
     return _Drawn(
-        _kind(behaviour),
-        _plain(behaviour.name),
+        title,
         status,
         edge,
         tuple(note for note in notes if note),
@@ -129,39 +134,23 @@ def _feasibility(behaviour: Behaviour) -> str:
 
 
 def _kind(behaviour: Behaviour) -> str:
-    memory = "m" if getattr(behaviour, "memory", False) else ""
-    for kind, sign in (
-        (Sequence, "->"),
-        (Selector, "?"),
-        (DoUntilUnfeasible, "?!"),
-        (SafeSwitch, "->"),
-        (Parallel, "=>"),
-        (Decorator, "^"),
-    ):
+    for sign, kind in _SIGNS:
         if isinstance(behaviour, kind):
-            return sign + memory
+            return f"{sign}m" if getattr(behaviour, "memory", False) else sign
     return "+" if behaviour.children else ""
 
 
 def _lines(drawn: _Drawn, lead: str, below: str) -> Iterator[str]:
     notes = f"  ({'; '.join(drawn.notes)})" if drawn.notes else ""
-    yield f"{lead}{_title(drawn)}{notes}"
+    yield f"{lead}{drawn.title}{notes}"
     for child in drawn.children:
         is_last = child is drawn.children[-1]
         yield from _lines(child, below + ("`-- " if is_last else "|-- "), below + ("    " if is_last else "|   "))
 
 
-def _title(drawn: _Drawn) -> str:
-    return " ".join(filter(None, [f"[{_MARKS[drawn.status]}]", drawn.kind, drawn.name]))
-
-
 def _text(drawn: _Drawn) -> list[str]:
     """Return the lines in a box: what it is first, then its notes, broken."""
-    return [_title(drawn), *(line for note in drawn.notes for line in wrap(note, _WIDTH))]
-
-
-def _quoted(text: str) -> str:
-    return text.replace("\\", "\\\\").replace('"', '\\"')
+    return [drawn.title, *(line for note in drawn.notes for line in wrap(note, _WIDTH))]
 
 
 _FONT: Final = 'font-family="sans-serif" font-size="12"'

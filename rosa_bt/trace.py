@@ -290,36 +290,38 @@ def read_trace(path: str | Path) -> Trace:
             raise TraceError(f"{where}: not JSON ({error.msg}); one object per line is expected") from None
         except _NO_LINE as error:
             raise TraceError(f"{path}:{number}: no line of a trace ({type(error).__name__}: {error})") from None
-    return Trace(reader.model, tuple(reader.ticks))
+    return Trace(reader.model or "", tuple(reader.ticks))
 
 
 class _Reader:
     """Takes the lines of a trace, one after the other."""
 
     def __init__(self) -> None:
-        self.model = ""
+        self.model: str | None = None
         self.ticks: list[Tick] = []
-        self._version = 0
         self._tree: tuple[Node, ...] = ()
         self._visited: tuple[Visit, ...] = ()
         self._events: list[Event] = []
 
     def take(self, line: dict[str, Any]) -> None:
-        if not self._version:
-            self._version, self.model = int(line["rosa_bt_trace"]), str(line["model"])
-            if self._version != _VERSION:
-                raise ValueError(f"a trace of version {self._version}; this program reads version {_VERSION}")
+        if self.model is None:
+            if line["rosa_bt_trace"] != _VERSION:
+                raise ValueError(f"version {line['rosa_bt_trace']}; this program reads version {_VERSION}")
+            self.model = str(line["model"])
         elif "verb" in line:
             self._events.append(Event.from_json(line))
         elif "tree" in line:
             self._tree = tuple(Node(*node) for node in line["tree"])
         else:
-            if "visited" in line:
-                self._visited = tuple(Visit(*visit) for visit in line["visited"])
-            own = tuple(map(Event.from_json, line.get("events", ())))
-            events, self._events = tuple(self._events), []
-            number, time, reasons = int(line["tick"]), float(line["time"]), tuple(map(str, line.get("reasons", ())))
-            self.ticks.append(Tick(number, time, self._tree, self._visited, events, own, reasons))
+            self.ticks.append(self._tick(line))
+
+    def _tick(self, line: dict[str, Any]) -> Tick:
+        if "visited" in line:
+            self._visited = tuple(Visit(*visit) for visit in line["visited"])
+        own = tuple(map(Event.from_json, line.get("events", ())))
+        events, self._events = tuple(self._events), []
+        reasons = tuple(map(str, line.get("reasons", ())))
+        return Tick(int(line["tick"]), float(line["time"]), self._tree, self._visited, events, own, reasons)
 
 
 def replay_trace(trace: Trace, model: Model, build: Callable[[KnowledgeBase], Behaviour]) -> Trace:

@@ -94,7 +94,7 @@ class GuardedTree(BehaviourTree):
             found += 1
             if behaviour not in guarded:
                 is_free = behaviour is not self.root and _is_trusted(behaviour)
-                guarded[behaviour] = _do_nothing if is_free else _guard(behaviour)
+                guarded[behaviour] = (lambda: None) if is_free else _guard(behaviour)
             if behaviour.children:
                 pending += behaviour.children
         if found != len(guarded):
@@ -114,12 +114,8 @@ class GuardedTree(BehaviourTree):
 def _is_trusted(behaviour: Behaviour) -> bool:
     """Tell whether a behaviour needs no guard, which costs a little of each tick."""
     kind = type(behaviour)
-    if kind in _HARMLESS:
-        return True
-    return any(
-        isinstance(behaviour, careful) and kind.tick is careful.tick and kind.stop is careful.stop
-        for careful in _CAREFUL
-    )
+    as_ours = [one for one in _CAREFUL if issubclass(kind, one) and (kind.tick, kind.stop) == (one.tick, one.stop)]
+    return kind in _HARMLESS or bool(as_ours)
 
 
 class _EndedBadly(Exception):
@@ -174,10 +170,6 @@ def _fail(behaviour: Behaviour, stop: Callable[[Status], None], error: Exception
         except Exception as another:
             behaviour.feedback_message += f"; then {in_words(another)} (at the end)"
     behaviour.status = Status.FAILURE
-
-
-def _do_nothing() -> None:
-    """Release what was not guarded."""
 
 
 class TreeRunner:

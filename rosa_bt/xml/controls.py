@@ -1,13 +1,13 @@
 """The control nodes, each with the semantics of BehaviorTree.CPP 4.10, not of py_trees' namesake."""
 
-from collections.abc import Sequence as Listed
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import ClassVar, Final
 
 from py_trees.common import Status
 from py_trees.ports import PortInformation
 
 from rosa_bt.xml.nodes import DONE, FAILURE, RUNNING, SKIPPED, SUCCESS, Control, NodeError, Slot, Ticking
-from rosa_bt.xml.ports import Ports
 
 __all__ = ["CONTROLS"]
 
@@ -131,14 +131,8 @@ class ReactiveFallback(_Reactive):
 class _Together(Control):
     """All children at each tick, but those that have finished."""
 
-    _ended: dict[Slot, Status]
-
-    def __init__(self, name: str, slots: Listed[Slot], ports: Ports) -> None:
-        super().__init__(name, slots, ports)
-        self._ended = {}
-
-    def forget(self) -> None:
-        self._ended = {}
+    FORGETS = ("_ended",)
+    _ended: Mapping[Slot, Status] = MappingProxyType({})
 
     def _number(self, port: str) -> int:
         """Return the number of children that a port says; a negative one counts from all of them: -1 is all."""
@@ -154,7 +148,7 @@ class _Together(Control):
             return self._ended[slot]
         verdict = yield from slot.tick()
         if verdict in DONE:
-            self._ended[slot] = verdict
+            self._ended = {**self._ended, slot: verdict}
         return verdict
 
     def _ended_with(self, verdict: Status) -> int:
@@ -215,10 +209,8 @@ class _Conditional(Control):
 class IfThenElse(_Conditional):
     """The condition once, then the second child or the third to its end."""
 
+    FORGETS = ("_chosen",)
     _chosen = 0
-
-    def forget(self) -> None:
-        self._chosen = 0
 
     def decide(self) -> Ticking:
         slots = self.slots
@@ -253,10 +245,8 @@ class Switch(Control):
     """The child whose case equals the variable, or else the last; a subclass says how many cases there are."""
 
     runs = False
+    FORGETS = ("_running",)
     _running: Slot | None = None
-
-    def forget(self) -> None:
-        self._running = None
 
     def decide(self) -> Ticking:
         chosen = self._matching()

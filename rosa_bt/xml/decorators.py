@@ -38,10 +38,8 @@ class _Again(OneChild):
 
     once_more: ClassVar[Status]
     port: ClassVar[str]
+    FORGETS = ("_count",)
     _count = 0
-
-    def forget(self) -> None:
-        self._count = 0
 
     def decide(self) -> Ticking:
         child = self.child
@@ -103,10 +101,8 @@ class Timed(OneChild):
     """A decorator that looks at the clock; the time counts from the tick in which it begins."""
 
     port: ClassVar[str]
+    FORGETS: ClassVar[tuple[str, ...]] = ("_since",)
     _since: float | None = None
-
-    def forget(self) -> None:
-        self._since = None
 
     def is_over(self) -> bool:
         """Begin if need be, and tell whether the time is over."""
@@ -137,10 +133,8 @@ class Timeout(Timed):
 
     port = "msec"
     PORTS: ClassVar = {"msec": PortInformation(int)}
+    FORGETS = ("_since", "_is_spent")
     _is_spent = False
-
-    def forget(self) -> None:
-        self._since, self._is_spent = None, False
 
     def decide(self) -> Ticking:
         if self.is_over() and not self._is_spent and self.ports.get("msec") > 0:
@@ -172,14 +166,12 @@ class Precondition(OneChild):
         "else": PortInformation(Otherwise, default_value=Otherwise.FAILURE),
     }
     runs = False
+    FORGETS = ("_is_begun",)
     _is_begun = False
 
     def __init__(self, name: str, slots: Sequence[Slot], ports: Ports) -> None:
         super().__init__(name, slots, ports)
         self._condition = parse_script(ports.get("if"))
-
-    def forget(self) -> None:
-        self._is_begun = False
 
     def decide(self) -> Ticking:
         self._is_begun = self._is_begun or truth(self._condition(self.ports.blackboard))

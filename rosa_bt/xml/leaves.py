@@ -1,11 +1,13 @@
 """The leaves that BehaviorTree.CPP brings along."""
 
+from collections.abc import Sequence
 from typing import ClassVar, Final
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 from py_trees.ports import PortInformation
 
+from rosa_bt.xml.nodes import Slot
 from rosa_bt.xml.ports import Declared, Ports
 from rosa_bt.xml.scripts import parse_script, truth
 
@@ -13,16 +15,12 @@ __all__ = ["LEAVES", "XmlLeaf"]
 
 
 class XmlLeaf(Behaviour):
-    """A leaf of BehaviorTree.CPP.
-
-    Args:
-        name: what it is called.
-        ports: what is said in its attributes.
-    """
+    """A leaf of BehaviorTree.CPP: made of what other nodes are made of, but has no children."""
 
     PORTS: ClassVar[Declared] = {}
+    CHILDREN: ClassVar = (0, 0)
 
-    def __init__(self, name: str, ports: Ports) -> None:
+    def __init__(self, name: str, slots: Sequence[Slot], ports: Ports) -> None:
         super().__init__(name)
         self.ports = ports
 
@@ -30,15 +28,16 @@ class XmlLeaf(Behaviour):
 class AlwaysSuccess(XmlLeaf):
     """SUCCESS."""
 
+    always: ClassVar = Status.SUCCESS
+
     def update(self) -> Status:
-        return Status.SUCCESS
+        return self.always
 
 
-class AlwaysFailure(XmlLeaf):
+class AlwaysFailure(AlwaysSuccess):
     """FAILURE."""
 
-    def update(self) -> Status:
-        return Status.FAILURE
+    always = Status.FAILURE
 
 
 class Script(XmlLeaf):
@@ -46,8 +45,8 @@ class Script(XmlLeaf):
 
     PORTS: ClassVar = {"code": PortInformation(str)}
 
-    def __init__(self, name: str, ports: Ports) -> None:
-        super().__init__(name, ports)
+    def __init__(self, name: str, slots: Sequence[Slot], ports: Ports) -> None:
+        super().__init__(name, slots, ports)
         self.script = parse_script(ports.get("code"))
 
     def update(self) -> Status:

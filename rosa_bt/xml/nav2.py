@@ -15,11 +15,9 @@ class RecoveryNode(Control):
 
     CHILDREN = (2, 2)
     PORTS: ClassVar = {"number_of_retries": PortInformation(int, default_value=1)}
+    FORGETS = ("_retries", "_is_recovering")
     _retries = 0
     _is_recovering = False
-
-    def forget(self) -> None:
-        self._retries, self._is_recovering = 0, False
 
     def decide(self) -> Ticking:
         task, recovery = self.slots
@@ -48,10 +46,8 @@ class RecoveryNode(Control):
 class PipelineSequence(Control):
     """A sequence that ticks what it has passed again, and is not held up by what is running there."""
 
-    _furthest: int = 0
-
-    def forget(self) -> None:
-        self._furthest = 0
+    FORGETS = ("_furthest",)
+    _furthest = 0
 
     def decide(self) -> Ticking:
         skipped = 0
@@ -69,11 +65,9 @@ class PipelineSequence(Control):
 class RoundRobin(Control):
     """The next child at each turn, until one succeeds or all have failed."""
 
-    _next: int = 0
-    _failed: int = 0
-
-    def forget(self) -> None:
-        self._next = self._failed = 0
+    FORGETS = ("_next", "_failed")
+    _next = 0
+    _failed = 0
 
     def decide(self) -> Ticking:
         slots = self.slots

@@ -146,16 +146,18 @@ class Slot:
 
 
 class XmlNode(Behaviour):
-    """A node of BehaviorTree.CPP with children.
+    """A node of BehaviorTree.CPP with children: made of a name, the places of its children and its ports.
 
     Attributes:
         PORTS: what can be said in its attributes.
         CHILDREN: how many it takes, at least and at most.
+        FORGETS: names of attributes that begin anew, with the value in the class, when the node has ended or is halted.
         runs: whether a tick makes it RUNNING before it does anything else, so that it has to be reset if skipped.
     """
 
     PORTS: ClassVar[Declared] = {}
     CHILDREN: ClassVar[tuple[int, int]] = (1, MAX_NODES)
+    FORGETS: ClassVar[tuple[str, ...]] = ()
     runs = True
 
     ports: Ports
@@ -176,7 +178,9 @@ class XmlNode(Behaviour):
         raise NotImplementedError
 
     def forget(self) -> None:
-        """Begin anew next time: counters and places that halting resets."""
+        """Begin anew next time."""
+        for name in self.FORGETS:
+            vars(self).pop(name, None)
 
     def settle(self) -> None:
         """Do what is to be done after each tick."""
@@ -217,13 +221,7 @@ class XmlNode(Behaviour):
 
 
 class Control(XmlNode, Composite):
-    """A node with several children.
-
-    Args:
-        name: what the node is called.
-        slots: the places of its children.
-        ports: what is said in its attributes.
-    """
+    """A node with several children."""
 
     def __init__(self, name: str, slots: Sequence[Slot], ports: Ports) -> None:
         Composite.__init__(self, name, [slot.node for slot in slots])
@@ -231,13 +229,7 @@ class Control(XmlNode, Composite):
 
 
 class OneChild(XmlNode, Decorator):
-    """A node with one child.
-
-    Args:
-        name: what the node is called.
-        slots: the place of its child.
-        ports: what is said in its attributes.
-    """
+    """A node with one child."""
 
     CHILDREN = (1, 1)
 

@@ -25,7 +25,8 @@ MAX_SIZE: Final = 1_000_000
 MAX_DEPTH: Final = 100
 """Levels of elements in a file, and of nodes in a tree with all its subtrees."""
 
-_MODELS: Final = ("Action", "Condition", "Control", "Decorator", "SubTree")
+_EXPLICIT: Final = ("Action", "Condition", "Control", "Decorator")
+_MODELS: Final = (*_EXPLICIT, "SubTree")
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,16 @@ class Element:
     attributes: Mapping[str, str]
     children: tuple["Element", ...]
     where: str
+
+    @property
+    def node(self) -> str:
+        """What node it is: of an explicit element such as `<Action ID=...>` its ID, or else the tag."""
+        return self.get("ID") if self.tag in _EXPLICIT else self.tag
+
+    @property
+    def ports(self) -> dict[str, str]:
+        """The attributes that are ports."""
+        return {key: text for key, text in self.attributes.items() if key not in ("name", "ID") and key[:1] != "_"}
 
     def get(self, attribute: str) -> str:
         """Return an attribute that has to be there."""
@@ -211,8 +222,8 @@ class _Target:
         return self._open[0][2][0]
 
 
-_NODES: Final[Mapping[str, type[Control] | type[OneChild]]] = {**CONTROLS, **NAV2, **DECORATORS}
-_EXPLICIT: Final = ("Action", "Condition", "Control", "Decorator")
+_Kinds = Mapping[str, type[Control] | type[OneChild] | type[XmlLeaf]]
+_NODES: Final[_Kinds] = {**CONTROLS, **NAV2, **DECORATORS, **LEAVES}
 _OWN: Final = "it is BehaviorTree.CPP's, but not read here; register a behaviour of your own under another name"
 _NOT_READ: Final = {
     "SubTreePlus": 'version 4 writes <SubTree ID="..." _autoremap="true"/> instead',
@@ -309,57 +320,54 @@ class _Builder:
             raise
         except Exception as error:  # whatever behaviours of the user raise when they are made
             problem = str(error) if isinstance(error, RosaBtError) else in_words(error)
-            raise element.error(f"<{_tag(element)}> cannot be made: {problem}") from error
+            raise element.error(f"<{element.node}> cannot be made: {problem}") from error
         return Slot(node, is_condition, (element.tag, element.attributes), rules)
 
     def _node(self, element: Element, place: _Place) -> tuple[Behaviour, bool]:
         """Return the node, and whether it is a condition."""
-        tag, written = _tag(element), _written(element)
+        tag = element.node
         name = element.attributes.get("name") or tag
         if tag == "SubTree":
-            return self._subtree(element, written, place), False
+            return self._subtree(element, place), False
         if tag in self._registry:
-            return self._registered(element, tag, name, place)
-        if tag in LEAVES:
-            _check_children(element, 0, 0)
-            leaf = LEAVES[tag](name, _ports(LEAVES[tag], written, place))
-            return leaf, is_plain(leaf)
+            return self._registered(element, name, place)
         kind = _NODES.get(tag)
         if kind is None:
             raise element.error(self._unknown(tag))
         _check_children(element, *kind.CHILDREN)
-        _check_reactive(element, tag)
-        ports = _ports(kind, written, place)
-        return kind(name, [self._slot(child, place) for child in element.children], ports), False
+        ports = Ports(kind.PORTS, element.ports, place.board)
+        ports.check_required()
+        node = kind(name, [self._slot(child, place) for child in element.children], ports)
+        return node, is_plain(node)
 
-    def _registered(self, element: Element, tag: str, name: str, place: _Place) -> tuple[Behaviour, bool]:
-        entry = self._registry[tag]
+    def _registered(self, element: Element, name: str, place: _Place) -> tuple[Behaviour, bool]:
+        entry = self._registry[element.node]
         _check_children(element, *entry.children())
         slots = [self._slot(child, place) for child in element.children]
         branches = [Branch(slot.node.name, [slot], Ports({}, {}, place.board)) for slot in slots]
-        node = entry.make(name, _written(element), branches, place.board)
-        return node, not slots and self._is_condition(entry, element, tag, node)
+        node = entry.make(name, element.ports, branches, place.board)
+        return node, not slots and self._is_condition(entry, element, node)
 
-    def _is_condition(self, entry: Entry, element: Element, tag: str, leaf: Behaviour) -> bool:
+    def _is_condition(self, entry: Entry, element: Element, leaf: Behaviour) -> bool:
         if entry.kind is not None:
             return entry.kind == "condition"
-        model = self._document.models.get(tag)
+        model = self._document.models.get(element.node)
         said = element.tag if element.tag in _EXPLICIT else model.tag if model is not None else ""
         return said == "Condition" or (said != "Action" and is_plain(leaf))
 
-    def _subtree(self, element: Element, written: dict[str, str], place: _Place) -> SubTree:
+    def _subtree(self, element: Element, place: _Place) -> SubTree:
         tree = element.get("ID")
         _check_children(element, 0, 0)
         autoremap = element.attributes.get("_autoremap", "false").lower()
         if autoremap not in ("true", "false", "1", "0"):
             raise element.error(f"_autoremap is true or false, not {autoremap!r}")
-        written = {**self._defaults(element, tree, written), **written}
+        written = {**self._defaults(element, tree), **element.ports}
         keys = {name: key for name, text in written.items() if (key := key_of(text, name)) is not None}
         constants = {name: text for name, text in written.items() if name not in keys}
         board = Blackboard(place.board.clock, place.board, keys, constants, autoremap=autoremap in ("true", "1"))
         return self.tree(tree, element, element.attributes.get("name"), replace(place, board=board))
 
-    def _defaults(self, element: Element, tree: str, written: Mapping[str, str]) -> dict[str, str]:
+    def _defaults(self, element: Element, tree: str) -> dict[str, str]:
         """Return what the model of a tree says of ports that are not written."""
         model = self._document.models.get(tree)
         found = {}
@@ -369,7 +377,7 @@ class _Builder:
             name = port.get("name")
             if "default" in port.attributes:
                 found[name] = port.attributes["default"]
-            elif name not in written:
+            elif name not in element.ports:
                 raise element.error(f"the tree {tree!r} needs {name}=..., its model ({port.where}) says")
         return found
 
@@ -378,25 +386,9 @@ class _Builder:
             return f"<{tag}> is not read: {_NOT_READ[tag]}"
         if tag in self._document.trees:
             return f'<{tag}> is a tree; write <SubTree ID="{tag}"/>'
-        own = hint(tag, [*_NODES, *LEAVES, "SubTree"], "nodes")
+        own = hint(tag, [*_NODES, "SubTree"], "nodes")
         guess = f"did you mean the node {own.split('?')[0].removeprefix('did you mean ')}? " if "?" in own else ""
         return f"<{tag}> is unknown; {guess}{hint(tag, self._registry, 'registered behaviours')}"
-
-
-def _tag(element: Element) -> str:
-    return element.get("ID") if element.tag in _EXPLICIT else element.tag
-
-
-def _written(element: Element) -> dict[str, str]:
-    """Return the attributes that are ports."""
-    own = ("name", "ID")
-    return {key: text for key, text in element.attributes.items() if key not in own and not key.startswith("_")}
-
-
-def _ports(kind: type[Control] | type[OneChild] | type[XmlLeaf], written: Mapping[str, str], place: _Place) -> Ports:
-    ports = Ports(kind.PORTS, written, place.board)
-    ports.check_required()
-    return ports
 
 
 def _rules(element: Element, board: Blackboard) -> Rules | None:
@@ -414,16 +406,13 @@ def _rules(element: Element, board: Blackboard) -> Rules | None:
 
 
 def _check_children(element: Element, least: int, most: int) -> None:
+    several = [child for child in element.children if child.node == "AsyncSequence"]
+    if element.node == "ReactiveSequence" and len(several) > 1:
+        raise several[1].error("a ReactiveSequence has at most one asynchronous child; use Sequence in it")
     count = len(element.children)
     if least <= count <= most:
         return
     wanted = f"{least}" if least == most else f"at least {least}" if most >= MAX_NODES else f"{least} to {most}"
     advice = "; put a Sequence around them" if most == 1 and count > 1 else ""
     has = f"{count} {'child' if count == 1 else 'children'}"
-    raise element.error(f"<{_tag(element)}> has {has}; it takes {wanted}{advice}")
-
-
-def _check_reactive(element: Element, tag: str) -> None:
-    several = [child for child in element.children if _tag(child) == "AsyncSequence"]
-    if tag == "ReactiveSequence" and len(several) > 1:
-        raise several[1].error("a ReactiveSequence has at most one asynchronous child; use Sequence in it")
+    raise element.error(f"<{element.node}> has {has}; it takes {wanted}{advice}")

@@ -66,33 +66,26 @@ class Entry:
             PortError: an attribute has no meaning for it, is missing, or is of another type.
         """
         ports = self._class_ports or {}
-        declared: dict[str, PortInformation] = {}
-        if self._takes_more and self._class_ports is None:
-            declared.update(dict.fromkeys(written, _FREE))
-        declared.update({key: _both(port, ports.get(key)) for key, port in self._arguments.items()})
+        declared = self._declared(written)
         mine = {key: text for key, text in written.items() if key in declared}
         for key in ports:  # what has a key is read from the port, unless the constructor cannot do without it
             if key in mine and not declared[key].required and key_of(mine[key], key) is not None:
                 del mine[key]
         rest = {key: text for key, text in written.items() if key not in declared or key in ports}
-        taken = Ports(declared, mine, board)
-        for key, port in declared.items():
-            if port.required and key not in mine:
-                raise PortError(f"{key!r} is missing; write {key}=... in the element, or hand it to BehaviourRegistry")
-        given = {key: _argument(key, declared[key], taken) for key in mine}
-        behaviour = self.factory(**self._offered(name, branches), **given)
-        if not isinstance(behaviour, PortsMixin):
+        behaviour = self.factory(**self._offered(name, branches), **_arguments(declared, mine, board))
+        if isinstance(behaviour, PortsMixin):
+            _connect(behaviour, rest, declared, mine, board)
+        else:
             Ports(declared, rest, board)  # raises if there is any, and says which ports there are
-            return behaviour
-        known = {**behaviour.input_ports(), **behaviour.output_ports()}
-        if not rest.keys() <= known.keys():
-            Ports({**declared, **known}, rest, board)  # says which there are, those of the constructor, too
-        connected = Ports(known, rest, board)
-        connected.check_required(frozenset(behaviour.output_ports()) | mine.keys())
-        connected.connect(behaviour)
-        if isinstance(behaviour, KbBehaviour):
-            _check_leaf(behaviour, rest, mine, connected)
         return behaviour
+
+    def _declared(self, written: Mapping[str, str]) -> Declared:
+        """Return the arguments that attributes can give; of a class with ports, those have the types of the ports."""
+        declared = dict(self._arguments)
+        for key, port in (self._class_ports or {}).items():
+            if key in declared and declared[key].data_type is not Port:
+                declared[key] = PortInformation(port.data_type, required=declared[key].required)
+        return {**dict.fromkeys(written, _FREE), **declared} if self._takes_any else declared
 
     @cached_property
     def _maker(self) -> Factory:
@@ -107,8 +100,9 @@ class Entry:
         return inspect.signature(self.factory).parameters
 
     @cached_property
-    def _takes_more(self) -> bool:
-        return any(one.kind is one.VAR_KEYWORD for one in self._parameters.values())
+    def _takes_any(self) -> bool:
+        """Whether it takes whatever is written, in `**ports`; those of a class with ports are not for that."""
+        return self._class_ports is None and any(one.kind is one.VAR_KEYWORD for one in self._parameters.values())
 
     @cached_property
     def _class_ports(self) -> Declared | None:
@@ -147,18 +141,18 @@ class Entry:
         offered: dict[str, Any] = {**self.bound, self._name_parameter: name, "children": list(branches)}
         if branches:
             offered["child"] = branches[0]
+        takes_name = any(one.kind is one.VAR_KEYWORD for one in self._parameters.values())
         return {
-            key: value
-            for key, value in offered.items()
-            if key in self._parameters or (key == "name" and self._takes_more)
+            key: value for key, value in offered.items() if key in self._parameters or (key == "name" and takes_name)
         }
 
 
-def _both(parameter: PortInformation, port: PortInformation | None) -> PortInformation:
-    """Return a parameter of the constructor; one that is a port of the class, too, has the type of the port."""
-    if port is None or parameter.data_type is Port:
-        return parameter
-    return PortInformation(port.data_type, required=parameter.required)
+def _arguments(declared: Declared, mine: Mapping[str, str], board: Blackboard) -> dict[str, Any]:
+    for key, port in declared.items():
+        if port.required and key not in mine:
+            raise PortError(f"{key!r} is missing; write {key}=... in the element, or hand it to BehaviourRegistry")
+    ports = Ports(declared, mine, board)
+    return {key: _argument(key, declared[key], ports) for key in mine}
 
 
 def _argument(name: str, port: PortInformation, ports: Ports) -> Any:  # noqa: ANN401  # of the type that is declared
@@ -171,6 +165,19 @@ def _argument(name: str, port: PortInformation, ports: Ports) -> Any:  # noqa: A
             "parameter as Port, or declare it in INPUT_PORTS (py_trees.ports) and let the constructor do without it"
         )
     return ports.get(name)
+
+
+def _connect(
+    behaviour: PortsMixin, rest: Mapping[str, str], declared: Declared, mine: Mapping[str, str], board: Blackboard
+) -> None:
+    known = {**behaviour.input_ports(), **behaviour.output_ports()}
+    if not rest.keys() <= known.keys():
+        Ports({**declared, **known}, rest, board)  # says which there are, those of the constructor, too
+    ports = Ports(known, rest, board)
+    ports.check_required(frozenset(behaviour.output_ports()) | mine.keys())
+    ports.connect(behaviour)
+    if isinstance(behaviour, KbBehaviour):
+        _check_leaf(behaviour, rest, mine, ports)
 
 
 def _check_leaf(leaf: KbBehaviour, rest: Mapping[str, str], mine: Mapping[str, str], ports: Ports) -> None:
