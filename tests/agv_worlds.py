@@ -5,7 +5,6 @@ from dataclasses import replace
 from typing import Final
 
 from numpy.random import Generator
-from rosa_pddl.planning import Planner, PlanningResult
 
 from missions.agv.building import Building, BuildingError, Corridor
 from missions.agv.joint import Place, Task
@@ -21,6 +20,7 @@ from missions.agv.pddl import (
 )
 from rosa_pddl.domain import FEASIBLE
 from rosa_pddl.generation import Declarations
+from rosa_pddl.planning import Planner, PlanningResult
 from rosa_pddl.problem import Problem, initial_state
 
 _GRID_M: Final = 12.0

@@ -3,6 +3,7 @@
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from math import inf
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from kb import ComponentKind, Event, EventKind, KnowledgeBase, ReconfigurationPlan, Status
@@ -122,6 +123,11 @@ class Adaptation:
     news_s: float = field(default=0.0, repr=False)
     before: str = field(default="", repr=False)
     action: str = field(default="", repr=False)
+
+    @property
+    def in_force_s(self) -> float:
+        """When it was in force [s]; infinity if it never was."""
+        return inf if self.reaction_s is None else self.news_s + self.reaction_s
 
     @property
     def why(self) -> str:

@@ -30,9 +30,8 @@ from missions.engine.recording import read_recording
 from missions.engine.registry import find_mission
 from missions.engine.runner import MissionRun
 from missions.engine.settings import RunSettings
-from missions.testing.clock import FakeClock
 from missions.testing.decisions import Decisions, Moment, seconds, timeline
-from missions.testing.managed import ScriptedManaged
+from missions.testing.managed import FakeClock, ScriptedManaged
 from rosa_bt import TraceVisitor
 
 if TYPE_CHECKING:

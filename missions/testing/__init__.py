@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from missions.engine.components import CommandFailed
     from missions.engine.replay import replay
-    from missions.testing.clock import FakeClock
     from missions.testing.decisions import Decisions
     from missions.testing.golden import check_golden
     from missions.testing.leaves import LeafMock, mock_leaf
-    from missions.testing.managed import ScriptedManaged
+    from missions.testing.managed import FakeClock, ScriptedManaged
 
 __all__ = [
     "CommandFailed",
@@ -29,7 +28,7 @@ __all__ = [
 _HOMES = {
     "CommandFailed": "missions.engine.components",
     "Decisions": "missions.testing.decisions",
-    "FakeClock": "missions.testing.clock",
+    "FakeClock": "missions.testing.managed",
     "LeafMock": "missions.testing.leaves",
     "ScriptedManaged": "missions.testing.managed",
     "check_golden": "missions.testing.golden",

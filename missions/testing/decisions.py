@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from rosa_bt import Trace
     from rosa_pddl import PlanRecord
 
-__all__ = ["Decisions", "Moment", "TaskChange", "seconds", "timeline"]
+__all__ = ["Decisions", "Moment", "seconds", "timeline"]
 
 SLACK_S: Final = 1e-6
 """Sums of ticks miss a time by rounding [s]."""
@@ -26,7 +26,7 @@ MOST: Final = 18
 
 Names = str | Iterable[str]
 Steps = list[tuple[str, tuple[str, ...]]]
-"""What plans do: names of components or configurations by verb."""
+"""What plans may do: verbs, each with names of components or configurations."""
 
 
 class Moment(NamedTuple):
@@ -47,27 +47,6 @@ class Moment(NamedTuple):
     def __str__(self) -> str:
         line = f"{seconds(self.time):>11}  {self.what:<8}  {self.text}"
         return f"{line}\n{'':23}because {self.reason}" if self.reason else line
-
-
-class TaskChange(NamedTuple):
-    """One action took the place of another, because that had become unfeasible, or because it is feasible again.
-
-    Attributes:
-        at: when the new action was begun [s].
-        from_: the action that was given up, or has ended.
-        to: the new action.
-        in_force: when the robot was configured for it [s]; infinity for never.
-        reason: why.
-    """
-
-    at: float
-    from_: str
-    to: str
-    in_force: float
-    reason: str
-
-    def __str__(self) -> str:
-        return f"{self.from_} -> {self.to}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,19 +85,9 @@ class Decisions:
         return tuple((start, name) for name, start, _, _ in self.actions)
 
     @property
-    def changes(self) -> tuple[TaskChange, ...]:
-        """Every change of the task: one action for another, with its reason."""
-        return tuple(
-            TaskChange(
-                one.at_s,
-                one.before,
-                one.action,
-                math.inf if one.reaction_s is None else one.news_s + one.reaction_s,
-                one.why,
-            )
-            for one in self.adaptations
-            if one.action in self.kb.actions
-        )
+    def changes(self) -> tuple[Adaptation, ...]:
+        """Every change of the task: one action in the place of another, with its reason."""
+        return tuple(one for one in self.adaptations if one.action in self.kb.actions)
 
     def assert_actions(self, *names: str) -> None:
         """Assert that exactly these actions were begun, in this order."""
@@ -153,7 +122,7 @@ class Decisions:
 
     def assert_adapts(
         self, *, at: float, from_: str | None = None, to: str | None = None, within: float = 1.0
-    ) -> TaskChange:
+    ) -> Adaptation:
         """Assert that the robot gives up what it is doing for something else, and that this is in force in time.
 
         Args:
@@ -169,11 +138,11 @@ class Decisions:
         for name in (from_, to):
             if name is not None:
                 self._check("actions", name)
-        found = [one for one in self.changes if from_ in (None, one.from_) and to in (None, one.to)]
+        found = [one for one in self.changes if from_ in (None, one.before) and to in (None, one.action)]
         for one in found:
-            if one.at >= at - SLACK_S and one.in_force <= at + within + SLACK_S:
+            if one.at_s >= at - SLACK_S and one.in_force_s <= at + within + SLACK_S:
                 return one
-        raise self._failure(f"{from_ or 'any'} -> {to or 'any'}", at, within, [_told(one) for one in found])
+        raise self._failure(f"{from_ or 'any'} -> {to or 'any'}", at, within, [_shown_change(one) for one in found])
 
     def assert_reconfigures(
         self,
@@ -203,7 +172,7 @@ class Decisions:
             is_done = plan.result == "completed" and plan.end is not None
             if is_done and plan.start >= at - SLACK_S and (plan.end or 0.0) <= at + within + SLACK_S:
                 return plan
-        raise self._failure(_worded(wanted), at, within, [_ended(plan) for plan in found])
+        raise self._failure("; ".join(_phrases(wanted)), at, within, [_ended(plan) for plan in found])
 
     def assert_never(
         self,
@@ -240,13 +209,7 @@ class Decisions:
                 f"expected: {never}", f"{_list(told)}\n\nwhat happened:\n{_around(self.timeline, time, time, never)}"
             )
 
-    def _steps(
-        self,
-        activate: Names,
-        deactivate: Names,
-        configure: Names,
-        least: int = 1,
-    ) -> list[tuple[str, tuple[str, ...]]]:
+    def _steps(self, activate: Names, deactivate: Names, configure: Names, least: int = 1) -> Steps:
         """Return what is asked for by verb, with names that the model has."""
         steps = [("activate", activate), ("deactivate", deactivate), ("configure", configure)]
         asked = [(verb, _names(names)) for verb, names in steps if names]
@@ -293,9 +256,10 @@ def timeline(events: Iterable[Event], adaptations: Iterable[Adaptation]) -> tupl
     moments = []
     for event in events:
         if event.plan is not None:
-            moments.append(
-                Moment(event.time, "plan", f"{_commanded(event.plan)}: {_ending(event.plan)}", event.plan.reason)
-            )
+            plan = event.plan
+            commanded = str(plan).partition("; note as ")[0]  # what a plan only notes is left out
+            ending = "still open" if plan.end is None else f"{plan.result} at {seconds(plan.end)}"
+            moments.append(Moment(event.time, "plan", f"{commanded}: {ending}", plan.reason))
         elif event.kind is EventKind.ACTION_UPDATE:
             is_begun = event.verb == "request_action"
             reason = reasons.get((event.time, event.subject), "") if is_begun else ""
@@ -315,15 +279,6 @@ def _around(moments: Sequence[Moment], begin: float, end: float, expected: str) 
     if len(within) > MOST:
         shown.append(f"{'':13}... and {len(within) - MOST} more until {seconds(end)}")
     return "\n".join([*shown, *map(str, after[:AROUND])])
-
-
-def _commanded(plan: ReconfigurationPlan) -> str:
-    """Return what a plan commands; what it only notes is left out, unless there is nothing else."""
-    return str(plan).partition("; note as ")[0]
-
-
-def _ending(plan: ReconfigurationPlan) -> str:
-    return f"{plan.result} at {seconds(plan.end)}" if plan.end is not None else "still open"
 
 
 def _is_our_own(event: Event) -> bool:
@@ -348,22 +303,18 @@ def _is_in(time: float, at: float, within: float) -> bool:
     return at - SLACK_S <= time <= at + within + SLACK_S
 
 
-def _told(change: TaskChange) -> str:
-    never = math.isinf(change.in_force)
-    soon = "is never in force" if never else f"is in force at {seconds(change.in_force)}"
-    return f"{change} is decided at {seconds(change.at)} and {soon} (because {change.reason})"
+def _shown_change(change: Adaptation) -> str:
+    never = math.isinf(change.in_force_s)
+    soon = "is never in force" if never else f"is in force at {seconds(change.in_force_s)}"
+    return f"{change.before} -> {change.action} is decided at {seconds(change.at_s)} and {soon} (because {change.why})"
 
 
 def _done(plan: ReconfigurationPlan) -> dict[str, tuple[str, ...]]:
     return {"activate": plan.activate, "deactivate": plan.deactivate, "configure": plan.parameters}
 
 
-def _phrases(steps: Iterable[tuple[str, tuple[str, ...]]]) -> list[str]:
+def _phrases(steps: Steps) -> list[str]:
     return [f"{verb} {', '.join(names)}" for verb, names in steps]
-
-
-def _worded(steps: Iterable[tuple[str, tuple[str, ...]]]) -> str:
-    return "; ".join(_phrases(steps))
 
 
 def _ended(plan: ReconfigurationPlan) -> str:

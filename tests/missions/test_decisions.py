@@ -178,7 +178,7 @@ def test_change_that_is_never_in_force_is_told_so():
     decisions = replay(ENERGY_DROP, rover_model(), rover_tree, managed=stuck)
     message = failure_of(decisions.assert_adapts, at=20.0, to="charge", within=9.0)
     assert "explore -> charge is decided at 20.00 s and is never in force" in message
-    assert math.isinf(decisions.changes[0].in_force)
+    assert math.isinf(decisions.changes[0].in_force_s)
     assert decisions.kb.components["dock"].is_active is False
 
 
@@ -205,10 +205,12 @@ def test_what_is_told_of_a_replay_is_so_and_the_same_each_time(news):
     assert str(decisions) == str(again)
     decisions.assert_actions(*(name for name, *_ in decisions.actions))
     for change in decisions.changes:
-        decisions.assert_begins(change.to, at=change.at, within=0.0)
-        assert change.from_ != change.to
-        if math.isfinite(change.in_force):
-            decisions.assert_adapts(at=change.at, from_=change.from_, to=change.to, within=change.in_force - change.at)
+        decisions.assert_begins(change.action, at=change.at_s, within=0.0)
+        assert change.before != change.action
+        if math.isfinite(change.in_force_s):
+            decisions.assert_adapts(
+                at=change.at_s, from_=change.before, to=change.action, within=change.in_force_s - change.at_s
+            )
     times = [moment.time for moment in decisions.timeline]
     assert times == sorted(times)
 
