@@ -107,14 +107,16 @@ def note_nothing(state: State, reason: str) -> None:
         state.give_reason(_NOTED, node, reason if node in concerned else "")
 
 
+def _possible(state: State, whole: Node) -> list[Node]:
+    return [part for part in whole.parts if state.status[part.index] is not Status.UNFEASIBLE]
+
+
 def _first_designs(state: State) -> list[Node]:
     """Return the first design by priority for each adaptable function, but for what is selected for another reason."""
     chosen = []
     for function in state.adaptable.nodes():
-        if function.kind == "function":
-            possible = [part for part in function.parts if state.status[part.index] is not Status.UNFEASIBLE]
-            if any(state.selected[part.index] and state.reason("selected", part).text for part in possible):
-                continue
+        possible = _possible(state, function) if function.kind == "function" else []
+        if not any(state.selected[part.index] and state.reason("selected", part).text for part in possible):
             name = first_by_priority(_element(part) for part in possible)
             chosen += [part for part in possible if part.name == name]
     return chosen
@@ -139,7 +141,7 @@ class _Chooser:
         self._now = now
         self._verdicts = verdicts
         self._nothing = nothing
-        self._possible = [part for part in node.parts if state.status[part.index] is not Status.UNFEASIBLE]
+        self._possible = _possible(state, node)
         self._selected = next((part for part in node.parts if state.selected[part.index]), None)
         self._said = state.reason("selected", self._selected).text if self._selected else ""
         self._first = self._preferred(preferred)
@@ -156,37 +158,30 @@ class _Chooser:
 
     def explanation(self) -> ChoiceExplanation:
         """Explain the choice."""
-        others = [part for part in self._node.parts if part is not self._chosen]
+        others = tuple(
+            Alternative(part.name, self._state.status[part.index], _element(part).priority, self._why_not(part))
+            for part in self._node.parts
+            if part is not self._chosen
+        )
+        name = self._chosen.name if self._chosen else None
         return ChoiceExplanation(
-            self._node.kind,
-            self._node.name,
-            self._chosen.name if self._chosen else None,
-            self._selected is not None,
-            self._why_chosen(),
-            tuple(
-                Alternative(part.name, self._state.status[part.index], _element(part).priority, self._why_not(part))
-                for part in others
-            ),
+            self._node.kind, self._node.name, name, self._selected is not None, self._why_chosen(), others
         )
 
     def _why_chosen(self) -> str:
-        chosen, what = self._chosen, _PARTS[self._node.kind]
-        if chosen is None and self._nothing:
-            return self._nothing
+        chosen, what, node = self._chosen, _PARTS[self._node.kind], self._node
         if chosen is None:
-            return f"each {what} of it is unfeasible" if self._node.parts else f"it has no {what}"
+            return self._nothing or (f"each {what} of it is unfeasible" if node.parts else f"it has no {what}")
         if chosen not in self._possible:
             return f"it was possible before; now {why(self._state, chosen, self._now)}"
-        if not self._following.required[self._node.index]:
-            return f"{self._advantage(chosen)}; {self._idle()}"
+        advantage = self._advantage(chosen)
+        if not self._following.required[node.index]:
+            given_up = self._state.required[node.index]
+            idle = f"the {node.kind} is about to be given up" if given_up else f"nothing requires the {node.kind} now"
+            return f"{advantage}; {idle}"
         if self._selected is None and self._is_useless():
-            return f"{self._advantage(chosen)}; it is not, for no required function could use the component"
-        return self._advantage(chosen)
-
-    def _idle(self) -> str:
-        if self._state.required[self._node.index]:
-            return f"the {self._node.kind} is about to be given up"
-        return f"nothing requires the {self._node.kind} now"
+            return f"{advantage}; it is not, for no required function could use the component"
+        return advantage
 
     def _is_useless(self) -> bool:
         """Tell whether a configuration that were selected would be obsolete at once."""
@@ -204,9 +199,9 @@ class _Chooser:
             return self._said
         if len(self._possible) == 1:
             return f"it is the only {what}" if len(self._node.parts) == 1 else f"no other {what} is feasible"
-        if any(_element(rival).priority == priority for rival in self._possible if rival is not chosen):
-            return f"of those with {_told(priority)} it comes first by name"
-        return f"{_told(priority)} is the lowest of those that are feasible"
+        if any(_element(other).priority == priority for other in self._possible if other is not chosen):
+            return f"of those with {_in_words(priority)} it comes first by name"
+        return f"{_in_words(priority)} is the lowest of those that are feasible"
 
     def _why_not(self, part: Node) -> str:
         if part not in self._possible:
@@ -222,8 +217,8 @@ class _Chooser:
         assert self._first is not None  # something is possible, so something is preferred
         mine, best = _element(part).priority, _element(self._first).priority
         if mine == best:
-            return f"it has {_told(mine)} too, and comes after {self._first.name} by name"
-        return f"it has {_told(mine)}, which comes after {best}"
+            return f"it has {_in_words(mine)} too, and comes after {self._first.name} by name"
+        return f"it has {_in_words(mine)}, which comes after {best}"
 
     def _why_not_yet(self) -> str:
         """Say why the one that is preferred is not the one selected."""
@@ -242,5 +237,5 @@ def _element(part: Node) -> FunctionDesign | Configuration:
     return part.element
 
 
-def _told(priority: float | None) -> str:
+def _in_words(priority: float | None) -> str:
     return "no priority number" if priority is None else f"priority number {priority}"

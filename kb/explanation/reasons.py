@@ -5,12 +5,12 @@ from dataclasses import dataclass, field, replace
 from itertools import chain
 from typing import Final
 
-from kb.elements import Constraint
-from kb.explanation.comparison import Comparison, compared, reading, shortest, told
-from kb.explanation.remedies import Remedy, remedies
+from kb.elements import Attribute, Constraint, exact
+from kb.explanation.requirements import Remedy, remedies
 from kb.inference.network import Node
 from kb.inference.state import Reason, State
-from kb.status import Status
+from kb.inference.steadiness import turning_point
+from kb.status import OPERATORS, Status
 
 __all__ = ["Comparison", "Explanation", "explain", "shortest", "why", "why_selected"]
 
@@ -27,6 +27,27 @@ _POSSIBLE: Final = {
     "component": "it has not failed, and no constraint rules it out",
     "configuration": "none of its constraints is violated",
 }
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """What a constraint compares.
+
+    Attributes:
+        attribute: name of what is measured.
+        operator: one of `>=`, `>`, `<=`, `<`.
+        threshold: what it is compared with, in the attribute's unit.
+        value: the latest measurement, None before the first.
+        time: when that was measured [s]; None before, and where the value is only supposed.
+        is_stale: it is older than it may be, and so not compared.
+    """
+
+    attribute: str
+    operator: str
+    threshold: float
+    value: float | None
+    time: float | None
+    is_stale: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,48 +88,52 @@ class Explanation:
 
     @property
     def sentence(self) -> str:
-        """Why, in short: what are too many causes to tell are counted, and no remedy is told."""
-        return self._sentence(self.name)
+        """Why, in short: too many causes are only counted, and remedies are left out."""
+        return self.text(self.name)
 
     def __str__(self) -> str:
         selected = f"; why it was selected: {self.choice}" if self.choice else ""
-        return f"{self.sentence}{self._outlook()}{selected}"
+        return f"{self.sentence}{self._what_would_help()}{selected}"
 
-    def _outlook(self) -> str:
-        if self.kind == "constraint" or self.status not in _IMPOSSIBLE:
-            return ""
-        if not self.remedies:
-            return "; nothing that can be measured or repaired would make it feasible" if self.has_all_remedies else ""
-        told = [str(remedy) for remedy in self.remedies[:_MOST_REMEDIES]]
-        untold = len(self.remedies) - len(told)
-        if untold:
-            told.append(f"{untold} more" if self.has_all_remedies else f"at least {untold} more")
-        joined = ", or " if any(len(remedy.facts) > 1 for remedy in self.remedies) else " or "
-        return f"; it would be feasible with {joined.join(told)}"
-
-    def _sentence(self, subject: str) -> str:
+    def text(self, subject: str) -> str:
+        """Return the sentence about the element, called as one likes."""
         if self.kind in ("constraint", "attribute"):
             return self.fact
         if self.status is Status.FAILURE and not self.fact:
             return f"{subject} has failed ({self.reason})" if self.reason else f"{subject} has failed"
         verb = "is in" if self.status in _IN else "is"
         statement = f"{subject} is not unfeasible" if self.possible_only else f"{subject} {verb} {self.status}"
-        why = self.fact or self._told_causes()
+        why = self.fact or self._causes_in_words()
         return f"{statement} because {why}" if why else statement
 
-    def _told_causes(self) -> str:
+    def _what_would_help(self) -> str:
+        if self.kind == "constraint" or self.status not in _IMPOSSIBLE:
+            return ""
+        if not self.remedies:
+            return "; nothing that can be measured or repaired would make it feasible" if self.has_all_remedies else ""
+        texts = [str(remedy) for remedy in self.remedies[:_MOST_REMEDIES]]
+        left = len(self.remedies) - len(texts)
+        if left:
+            texts.append(f"{left} more" if self.has_all_remedies else f"at least {left} more")
+        joined = ", or " if any(len(remedy.facts) > 1 for remedy in self.remedies) else " or "
+        return f"; it would be feasible with {joined.join(texts)}"
+
+    def _causes_in_words(self) -> str:
         count = len(self.causes)
         left = _MOST if count <= _MOST else _MOST - 1
-        told = []
+        reasons = []
         for reason in self.reasons:
-            texts = list(dict.fromkeys(cause._sentence(f"{cause.kind} {cause.name}") for cause in reason[:left]))
+            texts = list(dict.fromkeys(cause.text(f"{cause.kind} {cause.name}") for cause in reason[:left]))
             left -= len(texts)
             if texts:
-                told.append(" and ".join(texts))
+                reasons.append(" and ".join(texts))
         if count > _MOST:
             rest = f"{count - _MOST + 1} more"
-            told = [f"{told[0]} and {rest}"] if len(self.reasons) == 1 else [*told, rest]
-        return "; also ".join(dict.fromkeys(told))
+            reasons = [f"{reasons[0]} and {rest}"] if len(self.reasons) == 1 else [*reasons, rest]
+        return "; also ".join(dict.fromkeys(reasons))
+
+
+Reasons = tuple[tuple[Explanation, ...], ...]
 
 
 def explain(state: State, node: Node, now: float) -> Explanation:
@@ -139,15 +164,8 @@ class _Explainer:
         self._now = now
         self._known: dict[tuple[int, bool], Explanation] = {}
 
-    def status(self, node: Node) -> Explanation:
-        """Explain which status an element has."""
-        return self._explained(node, possible_only=False)
-
-    def possible(self, node: Node) -> Explanation:
-        """Explain that an element is not unfeasible, whichever status it has."""
-        return self._explained(node, possible_only=self._state.status[node.index] is not Status.FEASIBLE)
-
-    def _explained(self, node: Node, possible_only: bool) -> Explanation:
+    def status(self, node: Node, *, possible_only: bool = False) -> Explanation:
+        """Explain which status an element has, or only that it is not unfeasible."""
         found = self._known.get((node.index, possible_only))
         if found is None:
             found = self._known[node.index, possible_only] = self._explain(node, possible_only)
@@ -156,38 +174,33 @@ class _Explainer:
     def _explain(self, node: Node, possible_only: bool) -> Explanation:
         if node.kind == "attribute":
             return self._attribute(node)
-        status = self._state.status[node.index]
-        if isinstance(node.element, Constraint):
-            return self._constraint(node, status)
-        choice = self._state.reason("selected", node).text if self._state.selected[node.index] else ""
-        if self._state.asserted[node.index] is not None:
-            said = self._state.reason("asserted", node)
-            fact = f"it is asserted so{said}"
-            return Explanation(node.kind, node.name, status, fact, reason=said.text, choice=choice)
-        if possible_only or status is Status.FEASIBLE:
+        state, status = self._state, self._state.status[node.index]
+        reason, measurement, reasons = "", None, Reasons()
+        if node.kind == "constraint":
+            measurement = _comparison(state, node)
+        if state.asserted[node.index] is not None:
+            said = state.reason("asserted", node)
+            reason = said.text
+            fact = f"{node.name} is asserted {status}{said}" if measurement else f"it is asserted so{said}"
+        elif measurement:
+            fact = _compared(measurement, node, self._now, state.verdict[node.index])
+        elif possible_only or status is Status.FEASIBLE:
             fact, reasons = _POSSIBLE[node.kind], _together(self._witnesses(node))
         else:
             fact, reasons = self._grounds(node, status)
-        reported = self._state.reason("failed", node).text if status is Status.FAILURE else ""
+            reason = state.reason("failed", node).text if status is Status.FAILURE else ""
+        choice = state.reason("selected", node).text if state.selected[node.index] else ""
         return Explanation(
             node.kind,
             node.name,
             status,
             fact,
             reasons,
-            possible_only=possible_only,
-            reason=reported,
+            measurement,
+            possible_only and state.asserted[node.index] is None,
+            reason=reason,
             choice=choice,
         )
-
-    def _constraint(self, node: Node, status: Status) -> Explanation:
-        found = compared(self._state, node)
-        if self._state.asserted[node.index] is not None:
-            said = self._state.reason("asserted", node)
-            fact = f"{node.name} is asserted {status}{said}"
-            return Explanation(node.kind, node.name, status, fact, measurement=found, reason=said.text)
-        fact = told(found, node, self._now, self._state.verdict[node.index])
-        return Explanation(node.kind, node.name, status, fact, measurement=found)
 
     def _attribute(self, node: Node) -> Explanation:
         """Say what is known of an attribute, and what depends on it."""
@@ -198,10 +211,10 @@ class _Explainer:
         ]
         if len(users) > _MOST:
             users = [*users[: _MOST - 1], f"{len(users) - _MOST + 1} more constraints"]
-        fact = "; ".join([reading(self._state, node, self._now), *(users or ["no constraint compares it"])])
+        fact = "; ".join([_reading(self._state, node, self._now), *(users or ["no constraint compares it"])])
         return Explanation(node.kind, node.name, None, fact, self._each(node.constraints))
 
-    def _grounds(self, node: Node, status: Status) -> tuple[str, "Reasons"]:
+    def _grounds(self, node: Node, status: Status) -> tuple[str, Reasons]:
         """Return the fact and the reasons of a status that is inferred and not "feasible"."""
         selected = [part for part in node.parts if self._state.selected[part.index]]
         if status is Status.UNFEASIBLE:
@@ -213,15 +226,14 @@ class _Explainer:
             return "", self._each(part for part in choices if self._is(part, *_ERRORS))
         if status is Status.SOLVED:
             parts = selected if node.kind in ("function", "component") else node.parts
-            needed = [self.status(one) for one in (*node.constraints, *parts)]
-            return "it is required, and all that it needs is in place", _together(needed)
+            return "it is required, and all that it needs is in place", self._all((*node.constraints, *parts))
         if status is Status.UNSOLVED and node.kind == "component":
             if self._state.active[node.index]:
                 return f"none of its configurations is selected{self._why_none(node)}", ()
             return f"it is required and not active{self._state.reason('active', node)}", ()
         if status is Status.UNSOLVED and node.kind == "function":
             without = f"none of its designs is selected{self._why_none(node)}"
-            return "" if selected else without, _together(map(self.status, selected))
+            return "" if selected else without, self._all(selected)
         if status is Status.UNSOLVED:
             return "", self._each(part for part in node.parts if not self._is(part, Status.SOLVED))
         return "", ()  # a failure says it all
@@ -231,15 +243,13 @@ class _Explainer:
         taken_back = self._state.reason("unselected", node)
         return taken_back if taken_back.text else self._state.reason("selected", node)
 
-    def _faults(self, node: Node) -> "Reasons":
+    def _faults(self, node: Node) -> Reasons:
         """Return why an element is unfeasible."""
         violated = self._each(one for one in node.constraints if self._is(one, Status.VIOLATED))
         impossible = [part for part in node.parts if self._is(part, *_IMPOSSIBLE)]
         if node.kind in ("action", "function design"):
             return *violated, *self._each(impossible)
-        if len(impossible) < len(node.parts):
-            return violated
-        return *violated, *_together(map(self.status, impossible))
+        return *violated, *(self._all(impossible) if len(impossible) == len(node.parts) else ())
 
     def _witnesses(self, node: Node) -> list[Explanation]:
         """Return what suffices for an element not to be unfeasible."""
@@ -248,21 +258,109 @@ class _Explainer:
             possible = [part for part in parts if not self._is(part, *_IMPOSSIBLE)]
             selected = [part for part in possible if self._state.selected[part.index]]
             parts = (selected or possible)[:1]
-        return [*map(self.status, node.constraints), *map(self.possible, parts)]
+        feasible = [self.status(part, possible_only=not self._is(part, Status.FEASIBLE)) for part in parts]
+        return [*map(self.status, node.constraints), *feasible]
 
-    def _each(self, nodes: Iterable[Node]) -> "Reasons":
+    def _each(self, nodes: Iterable[Node]) -> Reasons:
         return tuple((self.status(node),) for node in nodes)
+
+    def _all(self, nodes: Iterable[Node]) -> Reasons:
+        return _together(map(self.status, nodes))
 
     def _is(self, node: Node, *statuses: Status) -> bool:
         return self._state.status[node.index] in statuses
 
 
-Reasons = tuple[tuple[Explanation, ...], ...]
-
-
 def _together(causes: Iterable[Explanation]) -> Reasons:
     reason = tuple(causes)
     return (reason,) if reason else ()
+
+
+def _comparison(state: State, node: Node) -> Comparison:
+    constraint, attribute = node.element, node.parts[0]
+    assert isinstance(constraint, Constraint)
+    value, time, is_stale = state.value[attribute.index], state.time[attribute.index], state.stale[attribute.index]
+    return Comparison(constraint.attribute, constraint.operator, constraint.value, value, time, is_stale)
+
+
+def _compared(one: Comparison, node: Node, now: float, verdict: Status | None) -> str:
+    """Write a comparison, with the age of the measurement, and what a steady constraint makes of it.
+
+    Args:
+        one: what is compared.
+        node: the constraint.
+        now: the present time [s].
+        verdict: what the constraint is after all that was measured, if it is a steady one.
+    """
+    bound = f"{one.operator} {exact(one.threshold)}"
+    if one.value is None:
+        return f"{one.attribute} is not measured (wanted {bound})"
+    shown = f"{one.attribute} {shortest(one.value, [one.threshold])}"
+    if one.is_stale:
+        return f"{shown} {_stale(one.time, node.parts[0], now)}"
+    if verdict is Status.NOT_EVALUATED:
+        return f"{shown} is not confirmed: {_votes(_attribute(node.parts[0]))} have to agree"
+    holds = OPERATORS[one.operator](one.value, one.threshold)
+    fact = f"{shown} {'satisfies' if holds else 'violates'} {bound} ({_age(one.time, now)})"
+    if verdict is None or holds == (verdict is Status.SATISFIED):
+        return fact
+    return f"{fact}, but {bound} stays {verdict} {_hold(one.value, node, verdict)}"
+
+
+def _hold(value: float, node: Node, verdict: Status) -> str:
+    """Say how long a steady constraint stays as it is although the latest measurement says otherwise."""
+    constraint, attribute = node.element, _attribute(node.parts[0])
+    assert isinstance(constraint, Constraint)
+    turn = turning_point(constraint, verdict)
+    beyond = f"{constraint.operator} {exact(turn)}"
+    is_beyond = verdict is Status.SATISFIED or OPERATORS[constraint.operator](value, turn)
+    held = [f"for {exact(constraint.dwell)} s at least"] if constraint.dwell else []
+    if attribute.agreement != (1, 1):
+        held.append(f"until {_votes(attribute)} {'say otherwise' if is_beyond else f'are {beyond}'}")
+    elif not is_beyond:
+        held.append(f"until {attribute.name} {beyond}")
+    return ", and ".join(held)
+
+
+def _reading(state: State, attribute: Node, now: float) -> str:
+    """Write what is known of an attribute."""
+    value, time = state.value[attribute.index], state.time[attribute.index]
+    if value is None:
+        return f"{attribute.name} is not measured"
+    shown = shortest(value, state.network.thresholds(attribute).around(value))
+    if state.stale[attribute.index]:
+        return f"{attribute.name} {shown} {_stale(time, attribute, now)}"
+    return f"{attribute.name} is {shown} ({_age(time, now)})"
+
+
+def shortest(value: float, thresholds: Iterable[float]) -> str:
+    """Write a number with as few digits as leave it on its side of every threshold; hardly beside one, in words."""
+    bounds = tuple(thresholds)
+    for digits in (3, 6, 9):
+        text = f"{value:.{digits}g}"
+        if all((float(text) < bound, float(text) > bound) == (value < bound, value > bound) for bound in bounds):
+            return text
+    nearest = min(bounds, key=lambda bound: abs(bound - value))
+    if nearest == value:
+        return exact(value)
+    return f"just {'below' if value < nearest else 'above'} {exact(nearest)}"
+
+
+def _age(time: float | None, now: float) -> str:
+    return "supposed" if time is None else f"measured {max(0.0, now - time):.1f} s ago"
+
+
+def _stale(time: float | None, attribute: Node, now: float) -> str:
+    return f"is stale: {_age(time, now)}, at most {exact(_attribute(attribute).max_age)} s"
+
+
+def _votes(attribute: Attribute) -> str:
+    return "{} of the last {} measurements".format(*attribute.agreement)
+
+
+def _attribute(node: Node) -> Attribute:
+    assert isinstance(node.element, Attribute)
+    return node.element
 
 
 def why_selected(state: State, chosen: Sequence[Node], now: float, said: str = "", ended: Iterable[str] = ()) -> str:
@@ -283,7 +381,7 @@ def why_selected(state: State, chosen: Sequence[Node], now: float, said: str = "
     reasons = []
     for node in chosen:
         whole = node.wholes[0]
-        before = next((rival for rival in whole.parts if state.selected[rival.index]), None)
+        before = next((part for part in whole.parts if state.selected[part.index]), None)
         if before is node:
             continue
         if before is None:
@@ -293,34 +391,28 @@ def why_selected(state: State, chosen: Sequence[Node], now: float, said: str = "
         elif not said:
             reasons.append(f"{node.name} is feasible and preferred to {before.name}")
     reasons += [said] if said else []
-    reasons += _why_lacking(state, chosen, only_told=bool(reasons))
+    reasons += _why_lacking(state, chosen, only_explained=bool(reasons))
     return "; ".join(dict.fromkeys(reasons or [*ended, "what was active or selected is no longer needed"]))
 
 
-def _why_lacking(state: State, chosen: Sequence[Node], *, only_told: bool) -> list[str]:
-    """Say why components of designs that stay selected are to be activated: all of them, or where that was told."""
-    if not state.lacking:
-        return []
-    anew = {node.wholes[0] for node in chosen}
-    untold: list[Node] = []
-    sentences = []
+def _why_lacking(state: State, chosen: Sequence[Node], *, only_explained: bool) -> list[str]:
+    """Say why components of designs that stay selected are to be activated: all, or those that a reason is known of."""
+    anew = {node.wholes[0] for node in chosen} if state.lacking else set()
+    sentences, others = [], []
     for component in state.lacking.nodes():
         stay = (one for one in state.users[component.index] if one in chosen or one.wholes[0] not in anew)
-        if not any(state.required[one.wholes[0].index] for one in stay):
-            continue
-        text = state.reason("active", component).text
-        if text:
-            sentences.append(f"{text}; {component.name} is needed by {_needed_by(state, component, ())}")
-        else:
-            untold.append(component)
-    if only_told or not untold:
+        if any(state.required[one.wholes[0].index] for one in stay):
+            needed = f"needed by {_needed_by(state, component, ())}"
+            text = state.reason("active", component).text
+            if text:
+                sentences.append(f"{text}; {component.name} is {needed}")
+            else:
+                others.append((component.name, needed))
+    if only_explained or not others:
         return sentences
-    names = [component.name for component in untold[:_MOST]]
-    if len(untold) > _MOST:
-        names.append(f"{len(untold) - _MOST} more")
+    names = [name for name, _ in others[:_MOST]] + ([f"{len(others) - _MOST} more"] if len(others) > _MOST else [])
     are = "is" if len(names) == 1 else "are"
-    needed = _needed_by(state, untold[0], ())
-    return [*sentences, f"{' and '.join(names)} {are} not active, and {are} needed by {needed}"]
+    return [*sentences, f"{' and '.join(names)} {are} not active, and {are} {others[0][1]}"]
 
 
 def _needed_by(state: State, node: Node, about: Iterable[Node]) -> str:

@@ -1,4 +1,4 @@
-"""What an element needs to be possible: under which measurements, and after which repairs, it is not unfeasible.
+"""What an element needs to be possible, and the smallest sets of facts that would have to be others for that.
 
 The status tables make an and/or structure of a model: an action needs all its functions, a function one of its
 designs, a design all its components, a component one of its configurations, and each of them its own constraints.
@@ -9,9 +9,10 @@ import math
 import sys
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from itertools import islice
 from typing import Final, NamedTuple
 
-from kb.elements import Attribute, Component, Constraint, Element, Function, StalePolicy, exact
+from kb.elements import Attribute, Component, Constraint, Element, Function, StalePolicy, called, exact
 from kb.inference.network import Node
 from kb.inference.state import State
 from kb.inference.steadiness import turning_point
@@ -21,20 +22,26 @@ __all__ = [
     "Alternatives",
     "Box",
     "Interval",
+    "Measured",
     "MissingDesign",
     "Recovered",
-    "Repair",
+    "Remedies",
+    "Remedy",
     "Requirements",
     "Retracted",
-    "alternatives",
-    "is_counted_violated",
-    "is_outside",
+    "bounds",
+    "constraints_on",
+    "remedies",
 ]
 
 LIMIT: Final = 64
 """How many boxes are kept for one element."""
 WORK: Final = 20_000
 """How many pairs of boxes are looked at for one element before fewer are kept on the way."""
+MOST_REMEDIES: Final = 16
+"""How many remedies are told at most."""
+LOOKS: Final = 1_000_000
+"""How many elements are looked at to make remedies smaller, when there are too many to look at all."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,12 +92,9 @@ class Interval:
 
     def text(self, attribute: str) -> str:
         """Write it as comparisons of an attribute, e.g. "light >= 0.2 and light <= 0.8"."""
-        bounds = []
-        if self.low > -math.inf:
-            bounds.append(f"{attribute} {'>' if self.low_open else '>='} {exact(self.low)}")
-        if self.high < math.inf:
-            bounds.append(f"{attribute} {'<' if self.high_open else '<='} {exact(self.high)}")
-        return " and ".join(bounds)
+        low = [f"{attribute} {'>' if self.low_open else '>='} {exact(self.low)}"] if self.low > -math.inf else []
+        high = [f"{attribute} {'<' if self.high_open else '<='} {exact(self.high)}"] if self.high < math.inf else []
+        return " and ".join(low + high)
 
 
 def constraints_on(node: Node) -> list[Constraint]:
@@ -124,7 +128,7 @@ class Retracted:
     element: Element | Constraint
 
     def __str__(self) -> str:
-        name = self.element.name if isinstance(self.element, Element) else self.element
+        name = self.element if isinstance(self.element, Constraint) else called(self.element)
         return f"asserted status of {name} retracted"
 
 
@@ -189,11 +193,6 @@ FREE: Final = Alternatives((Box(),), True)
 NOTHING: Final = Alternatives((), True)
 
 
-def alternatives(node: Node, state: State | None = None, limit: int = LIMIT) -> Alternatives:
-    """Return the ways in which an element can be possible; see `Requirements` for the arguments."""
-    return Requirements(state, limit).of(node)
-
-
 class Requirements:
     """What the elements of one network need; what is found out about one is kept for the others.
 
@@ -203,15 +202,20 @@ class Requirements:
             and a function without a design is impossible.
         limit: how many boxes are kept for each element.
         changing: if given, only these attributes (by name) and repairs may change.
+        free: the elements, by index, that are known to need nothing.
     """
 
     def __init__(
-        self, state: State | None = None, limit: int = LIMIT, changing: Collection[str | Repair] | None = None
+        self,
+        state: State | None = None,
+        limit: int = LIMIT,
+        changing: Collection[str | Repair] | None = None,
+        free: Iterable[int] = (),
     ) -> None:
         self._state = state
         self._limit = limit
         self._changing = changing
-        self._known: dict[int, Alternatives] = {}
+        self._known = dict.fromkeys(free, FREE)
         self._fixed: dict[int, bool] = {}
 
     def of(self, node: Node) -> Alternatives:
@@ -228,9 +232,8 @@ class Requirements:
 
     def only(self, changing: Collection[str | Repair]) -> "Requirements":
         """Return the same with less that may change; what needs nothing is not looked at again."""
-        fewer = Requirements(self._state, self._limit, changing)
-        fewer._known = {index: found for index, found in self._known.items() if found is FREE}
-        return fewer
+        free = (index for index, found in self._known.items() if found is FREE)
+        return Requirements(self._state, self._limit, changing, free)
 
     def _with_assertion(self, node: Node) -> Alternatives:
         asserted = None if self._state is None else self._state.asserted[node.index]
@@ -246,20 +249,18 @@ class Requirements:
         element = node.element
         if isinstance(element, Constraint):
             return self._bound(node, node.parts[0])
-        needed = [self.of(constraint) for constraint in node.constraints]
         if isinstance(element, Function):
-            return self._any_of(self.of(part) for part in node.parts) if node.parts else self._lacking(element)
+            if node.parts:
+                return self._any_of(self.of(part) for part in node.parts)
+            return NOTHING if self._state is None else self._repaired(MissingDesign(element.name))
+        needed = [self.of(constraint) for constraint in node.constraints]
         if not isinstance(element, Component):
-            needed += [self.of(part) for part in node.parts]
-            return self._all_of(needed)
+            return self._all_of([*needed, *(self.of(part) for part in node.parts)])
         if self._state is not None and self._state.failed[node.index]:
             needed.append(self._repaired(Recovered(node.name)))
         if node.parts:
             needed.append(self._any_of(self.of(part) for part in node.parts))
         return self._all_of(needed)
-
-    def _lacking(self, function: Function) -> Alternatives:
-        return NOTHING if self._state is None else self._repaired(MissingDesign(function.name))
 
     def _repaired(self, repair: Repair) -> Alternatives:
         if self._changing is not None and repair not in self._changing:
@@ -267,12 +268,14 @@ class Requirements:
         return Alternatives((Box(repairs=frozenset((repair,))),), True)
 
     def _bound(self, node: Node, attribute: Node) -> Alternatives:
-        interval = _wanted(node, None if self._state is None else self._state.verdict[node.index])
-        if self._state is not None:
-            if not _is_known(self._state, attribute):
+        state = self._state
+        if state is not None:
+            is_known = state.value[attribute.index] is not None and not state.stale[attribute.index]
+            if not is_known and not _is_counted_violated(state, attribute):
                 return FREE
-            if self._is_fixed(self._state, attribute):
-                return FREE if _holds(self._state, attribute, node) else NOTHING
+            if self._is_fixed(state, attribute):
+                return FREE if _holds(state, attribute, node) else NOTHING
+        interval = _wanted(node, None if state is None else state.verdict[node.index])
         return NOTHING if interval.is_empty else Alternatives((Box({attribute.name: interval}),), True)
 
     def _is_fixed(self, state: State, attribute: Node) -> bool:
@@ -280,9 +283,8 @@ class Requirements:
         fixed = self._fixed.get(attribute.index)
         if fixed is None:
             may = self._changing is None or attribute.name in self._changing
-            fixed = self._fixed[attribute.index] = not may or all(
-                _holds(state, attribute, one) for one in attribute.constraints
-            )
+            fixed = not may or all(_holds(state, attribute, one) for one in attribute.constraints)
+            self._fixed[attribute.index] = fixed
         return fixed
 
     def _any_of(self, choices: Iterable[Alternatives]) -> Alternatives:
@@ -302,11 +304,9 @@ class Requirements:
         limit = min(self._limit, max(2, WORK // max(1, sum(len(one.boxes) for one in restricting))))
         together = FREE
         for one in restricting:
-            if together is FREE:
-                together = one
-                continue
             complete = together.complete and one.complete
-            together = self._kept(_meetings(together.boxes, one.boxes), complete, limit)
+            boxes = _meetings(together.boxes, one.boxes)
+            together = one if together is FREE else self._kept(boxes, complete, limit)
         return together
 
     def _kept(self, boxes: Iterable[Box], complete: bool, limit: int) -> Alternatives:
@@ -326,27 +326,20 @@ class Requirements:
         if state is None:
             return 0, len(box.intervals)
         table = state.network.attributes
-        changed = sum(is_outside(state, table[name], interval) for name, interval in box.intervals.items())
+        changed = sum(_is_outside(state, table[name], interval) for name, interval in box.intervals.items())
         return changed + len(box.repairs), len(box.intervals)
 
 
-def _is_known(state: State, attribute: Node) -> bool:
-    """Tell whether the constraints on an attribute are evaluated: it is measured, or its staleness violates them."""
-    if state.stale[attribute.index]:
-        return is_counted_violated(state, attribute)
-    return state.value[attribute.index] is not None
-
-
-def is_counted_violated(state: State, attribute: Node) -> bool:
+def _is_counted_violated(state: State, attribute: Node) -> bool:
     """Tell whether an attribute violates its constraints because its measurement is too old."""
     assert isinstance(attribute.element, Attribute)
     return state.stale[attribute.index] and attribute.element.when_stale is StalePolicy.VIOLATED
 
 
-def is_outside(state: State, attribute: Node, interval: Interval) -> bool:
+def _is_outside(state: State, attribute: Node, interval: Interval) -> bool:
     """Tell whether an attribute has to be measured anew to be within an interval."""
     value = state.value[attribute.index]
-    if is_counted_violated(state, attribute) or (value is not None and value not in interval):
+    if _is_counted_violated(state, attribute) or (value is not None and value not in interval):
         return True
     return any(
         state.verdict[one.index] is Status.VIOLATED and _wanted(one, Status.VIOLATED).covers(interval)
@@ -356,14 +349,13 @@ def is_outside(state: State, attribute: Node, interval: Interval) -> bool:
 
 def _wanted(node: Node, verdict: Status | None) -> Interval:
     """Return the values that satisfy a constraint, after what it was."""
-    constraint = node.element
-    assert isinstance(constraint, Constraint)
-    return Interval.of(constraint, turning_point(constraint, verdict))
+    assert isinstance(node.element, Constraint)
+    return Interval.of(node.element, turning_point(node.element, verdict))
 
 
 def _holds(state: State, attribute: Node, node: Node) -> bool:
     value, constraint = state.value[attribute.index], node.element
-    if value is None or is_counted_violated(state, attribute):
+    if value is None or _is_counted_violated(state, attribute):
         return False
     assert isinstance(constraint, Constraint)
     if state.verdict[node.index] is not None:
@@ -377,7 +369,115 @@ def _meetings(ones: tuple[Box, ...], others: tuple[Box, ...]) -> Iterator[Box]:
         if any(other.covers(one) for other in others):
             yield one
             continue
-        for other in others:
-            both = one.meet(other)
-            if both is not None:
-                yield both
+        yield from (both for other in others if (both := one.meet(other)) is not None)
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """An attribute is measured with a value in an interval.
+
+    Attributes:
+        attribute: its name.
+        interval: in its unit.
+        again: what is known of it is too old.
+        longer: it was measured so already, but not for as long or as often as a steady constraint asks for.
+    """
+
+    attribute: str
+    interval: Interval
+    again: bool = False
+    longer: bool = False
+
+    def __str__(self) -> str:
+        bounds = self.interval.text(self.attribute)
+        return f"{bounds} measured anew" if self.again else f"{bounds} for longer" if self.longer else bounds
+
+
+@dataclass(frozen=True, slots=True)
+class Remedy:
+    """Facts that together would make an element feasible; no fewer of them would, whatever their values.
+
+    Attributes:
+        facts: what is to be measured, by name, and then what is to be repaired.
+    """
+
+    facts: tuple[Measured | Repair, ...]
+
+    def __str__(self) -> str:
+        return " and ".join(str(fact) for fact in self.facts)
+
+    @property
+    def subjects(self) -> frozenset[str | Repair]:
+        """What has to change, whatever to."""
+        return frozenset(fact.attribute if isinstance(fact, Measured) else fact for fact in self.facts)
+
+    def covers(self, other: "Remedy") -> bool:
+        """Tell whether the other one asks for more: other facts too, or the same in narrower intervals."""
+        if self.subjects != other.subjects:
+            return self.subjects < other.subjects
+        pairs = zip(self.facts, other.facts, strict=True)
+        return all(
+            mine.interval.covers(theirs.interval)
+            for mine, theirs in pairs
+            if isinstance(mine, Measured) and isinstance(theirs, Measured)
+        )
+
+
+class Remedies(NamedTuple):
+    """What would make an element feasible.
+
+    Attributes:
+        found: the smallest first; empty if it is not unfeasible, or if nothing would help.
+        complete: these are all.
+    """
+
+    found: tuple[Remedy, ...]
+    complete: bool
+
+
+def remedies(state: State, node: Node) -> Remedies:
+    """Return what would make an element feasible that is unfeasible or in failure."""
+    if state.status[node.index] not in (Status.UNFEASIBLE, Status.FAILURE):
+        return Remedies((), True)
+    requirements = Requirements(state)
+    ways = requirements.of(node)
+    found = _smallest(_remedy(state, box) for box in ways.boxes)
+    if not ways.complete:
+        found = _reduced(state, node, requirements, found)
+    return Remedies(tuple(found[:MOST_REMEDIES]), ways.complete and len(found) <= MOST_REMEDIES)
+
+
+def _remedy(state: State, box: Box) -> Remedy:
+    """Return what of a box is not so already."""
+    measured = []
+    for name, interval in sorted(box.intervals.items(), key=lambda one: one[0]):
+        attribute = state.network.attributes[name]
+        if _is_outside(state, attribute, interval):
+            value, again = state.value[attribute.index], _is_counted_violated(state, attribute)
+            measured.append(Measured(name, interval, again, not again and value is not None and value in interval))
+    return Remedy((*measured, *sorted(box.repairs, key=str)))
+
+
+def _smallest(candidates: Iterable[Remedy]) -> list[Remedy]:
+    """Return the remedies that no other covers, the smallest first."""
+    kept: list[Remedy] = []
+    for remedy in sorted(candidates, key=lambda one: (len(one.facts), str(one))):
+        if not any(other.covers(remedy) for other in kept):
+            kept = [*(other for other in kept if not remedy.covers(other)), remedy]
+    return kept
+
+
+def _reduced(state: State, node: Node, requirements: Requirements, found: list[Remedy]) -> list[Remedy]:
+    """Take from remedies what is not needed: where not every way was looked at, a smaller one may have been missed."""
+    looks = LOOKS // requirements.size
+    reduced: list[Remedy] = []
+    for remedy in islice(found, MOST_REMEDIES):
+        looks -= len(remedy.facts)
+        if looks < 0:
+            break
+        subjects = remedy.subjects
+        for subject in sorted(subjects, key=str):
+            if requirements.only(subjects - {subject}).of(node).boxes:
+                subjects -= {subject}
+        reduced += [_remedy(state, box) for box in requirements.only(subjects).of(node).boxes]
+    return _smallest(reduced) or found

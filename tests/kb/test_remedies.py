@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from models import NUMBERS, OPERATORS, Clock, amount, compare, subsets
 
 from kb import KnowledgeBase, Model, Status
-from kb.explanation.remedies import Measured, remedies
-from kb.explanation.requirements import MissingDesign, Recovered, Retracted
+from kb.explanation.requirements import Measured, MissingDesign, Recovered, Retracted, remedies
 from kb.inference.network import Network
 from kb.inference.settling import initial_state, settle
 from kb.inference.state import Overlay

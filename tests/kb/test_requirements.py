@@ -9,13 +9,17 @@ from models import OPERATORS, models
 
 from kb import Model, Status
 from kb.elements import Constraint
-from kb.explanation.requirements import Interval, Requirements, alternatives
+from kb.explanation.requirements import Interval, Requirements
 from kb.inference.network import Network
 from kb.inference.settling import initial_state, settle
 
 GRID = (-0.25, 0.0, 0.25, 0.5, 0.75, 1.0, 1.25)
 """The thresholds of random models, and numbers between and beyond them."""
 IMPOSSIBLE = (Status.UNFEASIBLE, Status.FAILURE, Status.VIOLATED)
+
+
+def alternatives(node, **options):
+    return Requirements(**options).of(node)
 
 
 def measured(network, values):
