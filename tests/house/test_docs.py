@@ -3,7 +3,6 @@
 import contextlib
 import io
 import json
-import os
 import re
 import shutil
 import subprocess
@@ -12,6 +11,9 @@ from itertools import zip_longest
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
+
+from missions import cli
 
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -58,13 +60,13 @@ def test_document_does_what_it_says(path, tmp_path, monkeypatch):
         pass  # tests/missions/test_replay_tests_page.py runs it
     else:
         run_python(path)
+    monkeypatch.syspath_prepend(tmp_path)
     for line in shell_lines(path):
         program, *arguments = line.split()
         assert program == "rosa", line
-        command = [sys.executable, "-m", "missions", *arguments]
-        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-        done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
-        assert done.returncode == 0, done.stdout + done.stderr
+        done = CliRunner().invoke(cli.app, arguments)
+        assert done.exit_code == 0, f"{line}\n{done.output}\n{done.exception!r}"
+    sys.modules.pop("rover", None)
     for language, text in blocks(path):
         if language == "json":
             json.loads(text)
