@@ -23,6 +23,10 @@ class Choice(NamedTuple):
     configurations: Mapping[str, str]
     reason: str = ""
 
+    def __repr__(self) -> str:
+        why = f", reason={self.reason!r}" if self.reason else ""
+        return f"Choice(designs={dict(self.designs)}, configurations={dict(self.configurations)}{why})"
+
 
 @dataclass(frozen=True, slots=True)
 class Criterion:
