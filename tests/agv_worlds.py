@@ -18,9 +18,9 @@ from missions.agv.pddl import (
     switch_schema,
     switching_of,
 )
+from rosa_pddl import Planner, PlanningResult
 from rosa_pddl.domain import FEASIBLE
 from rosa_pddl.generation import Declarations
-from rosa_pddl.planning import Planner, PlanningResult
 from rosa_pddl.problem import Problem, initial_state
 
 _GRID_M: Final = 12.0
