@@ -10,7 +10,7 @@ from kb import InvalidValue, KnowledgeBase, KnowledgeBaseError, Model, Status, U
 slow_to_generate = settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large], max_examples=60)
 
 
-def told(story):
+def lived(story):
     model, happenings = story
     twins = Twins(model)
     for event in happenings:
@@ -18,7 +18,25 @@ def told(story):
     return twins
 
 
-def settled(twins):
+def check_selected(kb, designs, configurations):
+    """Assert that what is chosen is the only one selected of its function or component."""
+    for function, chosen in designs.items():
+        of_it = [one.name for one in kb.designs.values() if one.function == function and one.is_selected]
+        assert of_it == ([chosen] if kb.functions[function].is_required else [])
+    for component, chosen in configurations.items():
+        of_it = [one.name for one in kb.configurations.values() if one.component == component and one.is_selected]
+        assert of_it in ([chosen], [])
+
+
+def check_sound(model, plan):
+    """Assert that a plan is not empty and contradicts itself in nothing."""
+    assert plan.activate or plan.deactivate or plan.parameters
+    assert not set(plan.activate) & set(plan.deactivate)
+    components = [model.configurations[name].component for name in plan.parameters]
+    assert len(set(components)) == len(components)
+
+
+def check_reached(twins):
     """Assert that the components are in the state that is selected."""
     needed = twins.naive.needed_components()
     for name in needed:
@@ -41,7 +59,7 @@ def test_plans_are_those_of_the_naive_twin(model, data):
 @slow_to_generate
 @given(stories(), st.data())
 def test_carrying_out_a_plan_leads_to_the_state_that_is_selected_from_any_state(story, data):
-    twins = told(story)
+    twins = lived(story)
     designs, configurations = data.draw(choices(twins.model))
     replaced = {
         part
@@ -51,10 +69,13 @@ def test_carrying_out_a_plan_leads_to_the_state_that_is_selected_from_any_state(
     }
     plan = twins.kb.select(designs, configurations)
     twins.naive.select(designs, configurations)
+    check_selected(twins.kb, designs, configurations)
+    for one in twins.kb.plans:
+        check_sound(twins.model, one)
     if plan is not None:
         twins.carry_out(plan)
         assert twins.kb.finish_plan(plan, "completed")
-    settled(twins)
+    check_reached(twins)
     for name in replaced - twins.naive.needed_components():
         assert not twins.kb.components[name].is_active
     assert twins.kb.select(designs, configurations) is None
@@ -63,34 +84,9 @@ def test_carrying_out_a_plan_leads_to_the_state_that_is_selected_from_any_state(
 
 
 @slow_to_generate
-@given(stories(), st.data())
-def test_a_chosen_one_is_the_only_selected_of_its_function_or_component(story, data):
-    twins = told(story)
-    designs, configurations = data.draw(choices(twins.model))
-    twins.kb.select(designs, configurations)
-    for function, chosen in designs.items():
-        of_it = [one.name for one in twins.kb.designs.values() if one.function == function and one.is_selected]
-        assert of_it == ([chosen] if twins.kb.functions[function].is_required else [])
-    for component, chosen in configurations.items():
-        of_it = [one.name for one in twins.kb.configurations.values() if one.component == component and one.is_selected]
-        assert of_it in ([chosen], [])
-
-
-@slow_to_generate
-@given(stories())
-def test_a_plan_is_never_empty_and_never_activates_what_it_deactivates(story):
-    twins = told(story)
-    for plan in twins.kb.plans:
-        assert plan.activate or plan.deactivate or plan.parameters
-        assert not set(plan.activate) & set(plan.deactivate)
-        components = [twins.model.configurations[name].component for name in plan.parameters]
-        assert len(set(components)) == len(components)
-
-
-@slow_to_generate
 @given(stories(max_size=25))
 def test_a_plan_that_completes_leaves_no_older_plan_open(story):
-    twins = told(story)
+    twins = lived(story)
     for event in story[1]:
         before = [plan for plan in twins.kb.plans if plan.end is None]
         assert twins.kb.pending_plan is (before[-1] if before else None)

@@ -1,4 +1,4 @@
-"""Looking for the best configuration beside the updates: no update waits, and every run is the same."""
+"""Looking for the best configuration in the background: no update waits, and every run is the same."""
 
 from threading import Event
 
@@ -112,18 +112,18 @@ def test_update_does_not_wait_for_an_answer_that_is_late():
         return answers[0]
 
     answers.append(OptimalPlanner()._solve(problem))
-    beside = BackgroundSolver(solve, 0.2)
-    assert [beside.answer(problem, time) for time in (0.0, 0.1, 0.2, 0.3)] == [None] * 4
+    background = BackgroundSolver(solve, 0.2)
+    assert [background.answer(problem, time) for time in (0.0, 0.1, 0.2, 0.3)] == [None] * 4
     free.set()
-    beside.catch_up(0.3)
-    assert beside.answer(problem, 0.3) is answers[0]
+    background.catch_up(0.3)
+    assert background.answer(problem, 0.3) is answers[0]
 
 
 def test_answer_that_is_not_due_is_not_waited_for():
-    beside, free = BackgroundSolver(lambda problem: free.wait(30.0), 0.2), Event()
+    background, free = BackgroundSolver(lambda problem: free.wait(30.0), 0.2), Event()
     problem = OptimalPlanner()._encoded(intricate())
-    assert beside.answer(problem, 0.0) is None
-    beside.catch_up(0.1)
+    assert background.answer(problem, 0.0) is None
+    background.catch_up(0.1)
     free.set()
 
 
