@@ -174,7 +174,7 @@ class Domain:
             if action not in kb.actions:
                 file, line = self.places["object", action]
                 hint = nearest(action, kb.actions)
-                raise PddlError(f"the knowledge base does not know the action {action!r}; {hint}", file, line)
+                raise PddlError(f"the knowledge base does not know the action {action!r}; {hint}", file, line or None)
         unplanned = [name for name in kb.actions if name not in self.rosa_actions]
         findings = [f"the action {name!r} of the knowledge base is never planned: {self.file}" for name in unplanned]
         idle = [action for action in self.rosa_actions if not self._doers(action)]

@@ -1,15 +1,29 @@
-"""Conditions written as text, such as `(and (lit hall) (not (broken hall)))`, in the words of a domain."""
+"""Formulas and numbers written as PDDL, such as `(and (lit hall) (not (broken hall)))`, in the names of a domain."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from fractions import Fraction
+from typing import Final
 
-from rosa_pddl.domain import Domain, UpThing
-from rosa_pddl.exceptions import PddlError, UnknownNameError, UnsupportedPddlError, nearest
-from rosa_pddl.reading.syntax import Node, parse
+from rosa_pddl.domain import Domain, UpThing, conjuncts
+from rosa_pddl.exceptions import PddlError, UnknownNameError, nearest
+from rosa_pddl.syntax import ANY, Node, Source, parse, start_of, typed
+from rosa_pddl.validate import text_of
 
-__all__ = ["Condition", "conditions"]
+__all__ = ["COMPARISONS", "Condition", "Formulas", "NUMBERS", "Scope", "conditions"]
 
-_NUMERIC = ("<", ">", "<=", ">=", "+", "-", "*", "/")
+COMPARISONS: Final = ("<", ">", "<=", ">=")
+_CHANGES = ("assign", "increase", "decrease", "scale-up", "scale-down")
+_CONNECTIVES = ("and", "or", "not", "imply", "when", "forall", "exists")
+NUMBERS: Final = (
+    "numbers may be costs only, or resources: effects use them up by (increase (NAME) AMOUNT), the goal limits them "
+    "by (<= (NAME) LIMIT), and no action changes what AMOUNT and LIMIT are made of. For more than that, a numeric "
+    "engine such as ENHSP (up-enhsp) would do"
+)
+"""What messages say may be done with numbers."""
+
+Scope = Mapping[str, UpThing]
+"""Variables, such as `?x`, and what they are as unified-planning's expressions."""
 
 
 @dataclass(frozen=True)
@@ -37,109 +51,148 @@ def conditions(domain: Domain, text: str) -> tuple[Condition, ...]:
         UnsupportedPddlError: it computes with numbers.
     """
     where = f"condition {text.strip()!r}"
-    root = parse(text, where, "(predicate object)").root
-    return tuple(Condition(*_Reader(domain, where).read(node, {})) for node in _conjuncts(root))
+    source = parse(text, where, "(predicate object)")
+    if not source.root.children:
+        raise PddlError("found (), expected a list such as '(predicate object)'", where)
+    formulas = Formulas(domain, source, lambda _, message: UnknownNameError(f"{where}: {message}"))
+    parts = conjuncts([formulas.condition(source.root, {}, "a goal")])
+    return tuple(Condition(text_of(domain, part, {}), part) for part in parts)
 
 
-def _conjuncts(node: Node) -> tuple[Node, ...]:
-    if node.head != "and":
-        return (node,)
-    return tuple(part for child in node.children[1:] for part in _conjuncts(child))
+class Formulas:
+    """Makes unified-planning's expressions of formulas.
 
+    Args:
+        domain: its types, predicates and objects.
+        source: where the formulas stand.
+        unknown: makes the error for a name that the domain does not have, or has otherwise.
+    """
 
-class _Reader:
-    def __init__(self, domain: Domain, where: str) -> None:
-        self._domain, self._where = domain, where
+    def __init__(self, domain: Domain, source: Source, unknown: Callable[[Node, str], Exception] | None = None) -> None:
+        self._domain, self._source, self._unknown = domain, source, unknown or source.error
+        self._problem = domain.up_problem
         self._manager = domain.up_problem.environment.expression_manager
 
-    def read(self, node: Node, scope: Mapping[str, UpThing]) -> tuple[str, UpThing]:
+    def condition(self, node: Node, scope: Scope, place: str) -> UpThing:
+        """Read a condition, without times and numbers.
+
+        Args:
+            node: the formula.
+            scope: the variables that it may mention.
+            place: what it belongs to, for messages.
+
+        Raises:
+            PddlError: it is none, or uses a name otherwise than it is declared.
+            UnsupportedPddlError: it computes with numbers.
+        """
         head, rest = node.head, node.children[1:]
-        if not head:
-            raise PddlError(f"found {node}, expected a list such as '(predicate object)'", self._where)
-        if head in _NUMERIC:
-            raise UnsupportedPddlError(f"{node} computes with numbers; a goal is about what is true", self._where)
+        if not node.is_list:
+            raise self._source.error(node, f"found {node.word!r}, expected a list such as '({node.word})'")
+        if not node.children:
+            return self._manager.TRUE()
+        if head in (*COMPARISONS, *_CHANGES) or (head == "=" and any(part.is_list for part in rest)):
+            raise self.numeric(node, place, "computes with numbers")
+        if head == "preference":
+            message = f"found {start_of(node)!r}: no installed engine takes preferences; LPG (up-lpg) by itself would "
+            message += "do. Leave it out and add it as a soft goal: goals.add(TEXT, worth=COST)"
+            raise self._source.unsupported(node, message)
         if head in ("forall", "exists"):
-            return self._quantified(node, scope)
+            inner, body = self.quantified(node)
+            make = self._manager.Forall if head == "forall" else self._manager.Exists
+            variables = [variable.variable() for variable in inner.values()]
+            return make(self.condition(body, {**scope, **inner}, place), *variables)
         if head == "=":
-            return self._equality(node, scope)
-        makers = {"and": self._manager.And, "or": self._manager.Or}
-        if head in makers:
-            parts = [self.read(child, scope) for child in rest]
-            return _written(head, [text for text, _ in parts]), makers[head]([made for _, made in parts])
-        fixed = {"not": (self._manager.Not, 1), "imply": (self._manager.Implies, 2)}
-        if head in fixed:
-            make, count = fixed[head]
-            self._expect(node, count)
-            parts = [self.read(child, scope) for child in rest]
-            return _written(head, [text for text, _ in parts]), make(*[made for _, made in parts])
-        return self._atom(node, scope)
+            self._expect(node, 2)
+            return self._manager.Equals(*(self._term(part, scope) for part in rest))
+        if head in ("and", "or", "not", "imply"):
+            parts = [self.condition(part, scope, place) for part in rest]
+            if head in ("and", "or"):
+                return (self._manager.And if head == "and" else self._manager.Or)(parts)
+            self._expect(node, 1 if head == "not" else 2)
+            return (self._manager.Not if head == "not" else self._manager.Implies)(*parts)
+        return self.atom(node, scope)
+
+    def quantified(self, node: Node) -> tuple[Scope, Node]:
+        """Return the variables of a quantifier, and the formula that is about them."""
+        from unified_planning.model import Variable
+
+        if len(node.children) != 3 or not node.children[1].is_list:
+            raise self._source.error(node, f"found {start_of(node)!r}, expected '({node.head} (?x - type) (...))'")
+        environment = self._problem.environment
+        scope = {
+            name.lower: self._manager.VariableExp(Variable(name.lower[1:], self.type_of(kind or ANY), environment))
+            for name, kind in typed(self._source, node.children[1].children, are_variables=True)
+        }
+        return scope, node.children[2]
+
+    def type_of(self, node: Node) -> UpThing:
+        """Return a type by its name."""
+        name = self._domain.inside.get(("type", node.lower), node.lower)
+        kinds = {kind.name: kind for kind in self._problem.user_types}
+        if name not in kinds:
+            raise self._unknown_name("type", node, ())
+        return kinds[name]
+
+    def atom(self, node: Node, scope: Scope) -> UpThing:
+        """Read a predicate, or a numeric fact, with its arguments."""
+        if not node.head:
+            raise self._source.error(node, f"found {start_of(node)!r}, expected the name of a predicate first")
+        inside = self._domain.inside.get(("predicate", node.head))
+        if inside is None:
+            raise self._unknown_name("predicate", node.children[0], (*_CONNECTIVES, *_CHANGES))
+        fluent = self._problem.fluent(inside)
+        arguments = [self._term(part, scope) for part in node.children[1:]]
+        name, signature = self._domain.outside[inside], fluent.signature
+        if len(arguments) != len(signature):
+            file, line = self._domain.places.get(("predicate", name), (self._domain.file, None))
+            message = f"found {len(arguments)} arguments of {str(node.children[0])!r}, expected {len(signature)}"
+            place = f" as declared in line {line} of {file}" if line else ""
+            raise self._unknown(node.children[0], message + place)
+        if not all(one.type.is_compatible(given.type) for given, one in zip(arguments, signature, strict=True)):
+            typed_as = (f"?{one.name} - {self._domain.outside[one.type.name]}" for one in signature)
+            message = f"the arguments of {name!r} are of other types than declared: ({' '.join([name, *typed_as])})"
+            raise self._unknown(node, message)
+        return fluent(*arguments)
+
+    def number(self, node: Node, scope: Scope) -> UpThing:
+        """Read a number, a numeric fact, or what is computed of both."""
+        manager = self._manager
+        operators = {"+": manager.Plus, "-": manager.Minus, "*": manager.Times, "/": manager.Div}
+        if node.head in operators:
+            parts = [self.number(part, scope) for part in node.children[1:]]
+            return manager.Times(-1, *parts) if node.head == "-" and len(parts) == 1 else operators[node.head](*parts)
+        if node.is_list:
+            return self.atom(node, scope)
+        try:
+            value = Fraction(node.lower)
+        except ValueError:
+            raise self._source.error(node, f"found {node.word!r}, expected a number") from None
+        return manager.Int(value.numerator) if value.denominator == 1 else manager.Real(value)
+
+    def numeric(self, node: Node, place: str, why: str) -> PddlError:
+        """Make the error for something that may not be done with numbers."""
+        return self._source.unsupported(node, f"{start_of(node)!r} in {place} {why}; {NUMBERS}")
+
+    def _term(self, node: Node, scope: Scope) -> UpThing:
+        if node.is_list:
+            raise self._source.unsupported(node, f"{start_of(node)} is no object; a formula is about what is true")
+        if node.lower.startswith("?"):
+            if node.lower not in scope:
+                message = f"found the variable {node.word!r}, expected a parameter; {nearest(node.lower, scope)}"
+                raise self._unknown(node, message)
+            return scope[node.lower]
+        inside = self._domain.inside.get(("object", node.lower))
+        if inside is None:
+            raise self._unknown_name("object", node, ())
+        return self._manager.ObjectExp(self._problem.object(inside))
 
     def _expect(self, node: Node, count: int) -> None:
         if len(node.children) != count + 1:
-            given = len(node.children) - 1
-            raise PddlError(f"found {given} parts in {node}, expected {count}", self._where)
+            raise self._source.error(
+                node, f"found {len(node.children) - 1} parts in {start_of(node)}, expected {count}"
+            )
 
-    def _quantified(self, node: Node, scope: Mapping[str, UpThing]) -> tuple[str, UpThing]:
-        self._expect(node, 2)
-        declared, body = node.children[1:]
-        inner, waiting = dict(scope), []
-        words = [child.lower for child in declared.children]
-        while words:
-            word = words.pop(0)
-            if word != "-":
-                waiting.append(word)
-                continue
-            type_ = self._type(words.pop(0) if words else "", node)
-            inner |= {name: self._variable(name, type_) for name in waiting}
-            waiting = []
-        inner |= {name: self._variable(name, self._type("object", node)) for name in waiting}
-        text, made = self.read(body, inner)
-        make = self._manager.Forall if node.head == "forall" else self._manager.Exists
-        variables = [inner[word] for word in dict.fromkeys(child.lower for child in declared.children) if word in inner]
-        return f"({node.head} {declared} {text})", make(made, *variables)
-
-    def _variable(self, name: str, type_: UpThing) -> UpThing:
-        from unified_planning.model import Variable
-
-        return Variable(name.removeprefix("?"), type_, self._domain.up_problem.environment)
-
-    def _type(self, word: str, node: Node) -> UpThing:
-        types = {self._domain.outside[type_.name].lower(): type_ for type_ in self._domain.up_problem.user_types}
-        if word not in types:
-            raise UnknownNameError(f"{self._domain.file} has no type {word!r} (in {node}); {nearest(word, types)}")
-        return types[word]
-
-    def _equality(self, node: Node, scope: Mapping[str, UpThing]) -> tuple[str, UpThing]:
-        self._expect(node, 2)
-        parts = [self._term(child, scope, node) for child in node.children[1:]]
-        return _written("=", [text for text, _ in parts]), self._manager.Equals(*[made for _, made in parts])
-
-    def _atom(self, node: Node, scope: Mapping[str, UpThing]) -> tuple[str, UpThing]:
-        if not scope:
-            text = self._domain.atom(str(node))
-            return text, self._domain.expression(text)
-        from unified_planning.exceptions import UPException
-
-        predicate = self._domain.spelling("predicate", node.head, str(node))
-        parts = [self._term(child, scope, node) for child in node.children[1:]]
-        fluent = self._domain.up_problem.fluent(self._domain.inside["predicate", node.head])
-        try:
-            made = fluent(*[made for _, made in parts])
-        except (UPException, AssertionError) as error:
-            wanted = " ".join(self._domain.outside[parameter.type.name] for parameter in fluent.signature)
-            raise UnknownNameError(f"{node} does not fit, expected ({predicate} {wanted})") from error
-        return _written(predicate, [text for text, _ in parts]), made
-
-    def _term(self, node: Node, scope: Mapping[str, UpThing], within: Node) -> tuple[str, UpThing]:
-        if node.is_list:
-            raise UnsupportedPddlError(f"{node} in {within} is no object; a goal is about what is true", self._where)
-        if node.lower in scope:
-            return node.lower, self._manager.VariableExp(scope[node.lower])
-        if node.lower.startswith("?"):
-            raise UnknownNameError(f"{within} mentions {node} without (forall ...); {nearest(node.lower, scope)}")
-        name = self._domain.spelling("object", node.lower, str(within))
-        return name, self._manager.ObjectExp(self._domain.up_problem.object(self._domain.inside["object", node.lower]))
-
-
-def _written(head: str, parts: list[str]) -> str:
-    return "(" + " ".join([head, *parts]) + ")"
+    def _unknown_name(self, kind: str, node: Node, others: tuple[str, ...]) -> Exception:
+        known = [self._domain.outside[inside] for (other, _), inside in self._domain.inside.items() if other == kind]
+        message = f"found the unknown {kind} {node.word!r}, expected a declared one; "
+        return self._unknown(node, message + nearest(node.lower, [*known, *others]))

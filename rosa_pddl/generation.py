@@ -1,24 +1,30 @@
 """From declarations in Python to PDDL: what an action needs and does is said once, beside the behaviour that does it.
 
-What is generated follows ROSA's convention: a type `action` with one object for each ROSA action, a predicate
+What is made follows ROSA's convention: a type `action` with one object for each ROSA action, a predicate
 `(NAME_action ?a)` that tells which object is which, and `(action_feasible ?a)`, which the knowledge base answers.
 """
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from decimal import Decimal
-from typing import Final
+from typing import Any, Final
 
-from rosa_pddl.domain import ACTION_TYPE, FEASIBLE, Domain
+from rosa_pddl.domain import ACTION_TYPE, FEASIBLE, Domain, UpThing
 from rosa_pddl.exceptions import PddlError, nearest
-from rosa_pddl.reader import parse_domain
-from rosa_pddl.reading.signatures import Signatures, Uses, typed_names
+from rosa_pddl.problem import limits_of
+from rosa_pddl.reader import build_domain
+from rosa_pddl.syntax import Node, Source, listed, parse, typed
 
 __all__ = ["ActionSchema", "Declarations", "DeclaredProblem"]
 
 _NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
-_SIMPLE: Final = frozenset({"and"})
+_CONNECTIVES: Final = frozenset({"and", "or", "not", "imply", "when"})
+_NUMERIC: Final = frozenset({"<", ">", "<=", ">=", "assign", "increase", "decrease", "scale-up", "scale-down"})
+_TIMED: Final = frozenset({("at", "start"), ("at", "end"), ("over", "all")})
+
+_Kinds = tuple[str, ...]
+_Scope = Mapping[str, str]
 
 
 @dataclass(frozen=True)
@@ -107,7 +113,7 @@ class Declarations:
         for one in self.schemas:
             _check(one)
         self._check_names()
-        self._uses = self._used()
+        self._signatures = self._used()
 
     @property
     def rosa_actions(self) -> tuple[str, ...]:
@@ -117,58 +123,23 @@ class Declarations:
 
     @property
     def domain_pddl(self) -> str:
-        """The text of the domain file."""
-        constants = [name for name in self.problem.objects if name.lower() in self._uses.constants]
-        functions = list(self._functions())
-        parts = [
-            f"; Generated from the {self._place}.",
-            f"(define (domain {self.name})",
-            f"  (:requirements {' '.join(self._requirements())})",
-            f"  (:types {' '.join(self._types())})",
-            *([f"  (:constants {self._typed_objects(constants)})"] if constants else []),
-            "  (:predicates",
-            *(f"    {_signature(name, kinds)}" for name, kinds in self._uses.predicates.items()),
-            "  )",
-            *([f"  (:functions {' '.join(functions)})"] if functions else []),
-            *(_action(one, self._has_costs) for one in self.schemas),
-            ")",
-        ]
-        return "\n".join([*parts, ""])
+        """The text of the domain file, as unified-planning writes it."""
+        return f"; Generated from the {self._place}.\n{self._writer().get_domain()}"
 
     @property
     def problem_pddl(self) -> str:
-        """The text of the problem file."""
-        problem = self.problem
-        objects = [name for name in problem.objects if name.lower() not in self._uses.constants]
-        facts = [f"({action}_action {action})" for action in self.rosa_actions]
-        told = {**{f"({name})": 0.0 for name in self._resources}, **problem.numbers}
-        numbers = [f"(= {atom} {_number(value)})" for atom, value in told.items()]
-        if self._has_costs:
-            numbers.append("(= (total-cost) 0)")
-        limits = [f"(<= ({name}) {_number(limit)})" for name, limit in problem.limits.items()]
-        actions = f"{' '.join(self.rosa_actions)} - {ACTION_TYPE} " if self.rosa_actions else ""
-        parts = [
-            f"; Generated from the {self._place}.",
-            f"(define (problem {self.name})",
-            f"  (:domain {self.name})",
-            f"  (:objects {actions}{self._typed_objects(objects)})",
-            "  (:init",
-            *(f"    {fact}" for fact in (*facts, *problem.facts, *numbers)),
-            "  )",
-            f"  (:goal (and {' '.join([*problem.goal, *limits])}))",
-            *(["  (:metric minimize (total-cost))"] if self._has_costs else []),
-            ")",
-        ]
-        return "\n".join([*parts, ""])
+        """The text of the problem file, as unified-planning writes it."""
+        return f"; Generated from the {self._place}.\n{self._writer().get_problem()}"
 
     def load(self) -> Domain:
-        """Read what is generated, as `load_domain` reads files.
+        """Make the domain, as `load_domain` makes that of files.
 
         Raises:
-            PddlError: it is no PDDL, or none that can be planned here; the place is that in the generated text.
+            PddlError: it has no meaning in PDDL, or none that can be planned here.
         """
-        domain, problem = (f"{kind}.pddl generated from the {self._place}" for kind in ("domain", "problem"))
-        return parse_domain(self.domain_pddl, self.problem_pddl, names=(domain, problem))
+        file = "{}.pddl generated from the " + self._place
+        domain = Source(file.format("domain"), "", self._domain_lists())
+        return build_domain(domain, Source(file.format("problem"), "", self._problem_lists()))
 
     # ---------------------------------------------------------------- checks
 
@@ -193,37 +164,33 @@ class Declarations:
             taken.add(one.name.lower())
             for action in one.makes_feasible:
                 if action not in known:
-                    raise PddlError(
-                        f"makes {action!r} feasible, which no action does; {nearest(action, known)}", _of(one)
-                    )
+                    message = f"makes {action!r} feasible, which no action does; {nearest(action, known)}"
+                    raise PddlError(message, _of(one))
 
-    def _used(self) -> Uses:
+    def _used(self) -> "_Signatures":
         """Find out what the predicates and numeric facts are about, from how they are used."""
         objects = {**self.problem.objects, **dict.fromkeys(self.rosa_actions, ACTION_TYPE)}
         own = (FEASIBLE, *(f"{action}_action".lower() for action in self.rosa_actions))
-        signatures = Signatures(objects, self.problem.types, dict.fromkeys(own, (ACTION_TYPE,)))
+        used = _Signatures(objects, self.problem.types, dict.fromkeys(own, (ACTION_TYPE,)))
         for one in self.schemas:
-            scope = _scope(one)
-            for condition in (*one.start, *one.over_all, *one.end):
-                signatures.read(condition, scope, _of(one))
-            for effect in (*one.start_effects, *one.end_effects):
-                signatures.read(effect, scope, _of(one), is_effect=True)
-            for amount in (one.cost, *one.uses.values()):
+            scope, place = _scope(one), _of(one)
+            for text in (*one.start, *one.over_all, *one.end, *one.start_effects, *one.end_effects):
+                used.read(_parsed(text, place), scope, place)
+            for amount in (one.cost, *one.uses.values(), *(f"({name})" for name in one.uses)):
                 if isinstance(amount, str):
-                    signatures.read_number(amount, scope, _of(one))
-            for name in one.uses:
-                signatures.read_number(f"({name})", {}, _of(one))
+                    used.join(used.numbers, _parsed(amount, place), scope, place)
         for amount in self.problem.limits.values():
             if isinstance(amount, str):
-                signatures.read_number(amount, {}, self._place)
-        uses = signatures.uses()
-        for text in (*self.problem.goal, *self.problem.facts):
-            signatures.check(text, uses, self._place)
-        for text in self.problem.numbers:
-            signatures.check(text, uses, self._place, is_number=True)
-        return uses
+                used.join(used.numbers, _parsed(amount, self._place), {}, self._place)
+        for kind, known, texts in (
+            ("predicate", used.predicates, (*self.problem.goal, *self.problem.facts)),
+            ("numeric fact", used.numbers, self.problem.numbers),
+        ):
+            for text in texts:
+                used.check(_parsed(text, self._place), known, self._place, kind)
+        return used
 
-    # ---------------------------------------------------------------- parts of the text
+    # ---------------------------------------------------------------- what files would say
 
     @property
     def _has_costs(self) -> bool:
@@ -233,36 +200,196 @@ class Declarations:
     def _resources(self) -> tuple[str, ...]:
         return tuple(dict.fromkeys(name for one in self.schemas for name in one.uses))
 
-    def _requirements(self) -> Iterator[str]:
-        yield from (":strips", ":typing")
-        if self._uses.connectives - _SIMPLE:
-            yield ":adl"
-        if any(one.duration_s is not None for one in self.schemas):
-            yield ":durative-actions"
-        if self._has_costs:
-            yield ":action-costs"
-        if self._resources:
-            yield ":numeric-fluents"
+    def _domain_lists(self) -> Node:
+        used = self._signatures
+        functions = [_signature(name, kinds) for name, kinds in used.numbers.items()]
+        return listed(
+            "define",
+            listed("domain", self.name),
+            listed(":types", *self._types()),
+            listed(":predicates", *(_signature(name, kinds) for name, kinds in used.predicates.items())),
+            listed(":functions", *functions, *([listed("total-cost")] if self._has_costs else [])),
+            *(_action(one, self._has_costs) for one in self.schemas),
+        )
+
+    def _problem_lists(self) -> Node:
+        problem = self.problem
+        objects = [*((name, ACTION_TYPE) for name in self.rosa_actions), *self._in_order(problem.objects)]
+        facts = [listed(f"{action}_action", action) for action in self.rosa_actions]
+        numbers = {**{f"({name})": 0.0 for name in self._resources}, **problem.numbers}
+        facts += [_parsed(fact, self._place) for fact in problem.facts]
+        facts += [listed("=", _parsed(atom, self._place), _number(value)) for atom, value in numbers.items()]
+        goals = [_parsed(text, self._place) for text in problem.goal]
+        goals += [listed("<=", listed(name), _number(limit)) for name, limit in problem.limits.items()]
+        return listed(
+            "define",
+            listed("problem", self.name),
+            listed(":domain", self.name),
+            listed(":objects", *(word for name, kind in objects for word in (name, "-", kind))),
+            listed(":init", *facts),
+            listed(":goal", listed("and", *goals)),
+            *([listed(":metric", "minimize", listed("total-cost"))] if self._has_costs else []),
+        )
+
+    def _writer(self) -> UpThing:
+        """Return unified-planning's writer of the model, in the names that were declared."""
+        from unified_planning.io.pddl_writer import ConverterToPDDLString, PDDLWriter
+
+        ConverterToPDDLString.DECIMAL_PRECISION = 17  # as many as a float has; 10, as it is set, are not exact
+        domain = self.load()
+        up_problem = domain.up_problem.clone()
+        for limit in limits_of(domain):
+            up_problem.add_goal(limit)
+        writer = PDDLWriter(_AsStated(up_problem))
+        writer.otn_renamings = _Names(domain)
+        constants = [thing for thing in up_problem.all_objects if thing.name.lower() in self._signatures.constants]
+        writer.domain_objects = {
+            kind: _InOrder(thing for thing in constants if thing.type == kind) for kind in up_problem.user_types
+        }
+        return writer
 
     def _types(self) -> Iterator[str]:
         above = self.problem.types
         used = [ACTION_TYPE, *(kind for one in self.schemas for kind in _scope(one).values())]
         used += [*self.problem.objects.values(), *above.values()]
-        roots = [kind for kind in dict.fromkeys(used) if kind not in above and kind != "object"]
-        yield " ".join(roots) + (" - object" if above else "")
-        yield from (f"{kind} - {parent}" for kind, parent in above.items())
+        yield from (kind for kind in dict.fromkeys(used) if kind not in above and kind != "object")
+        yield from ["-", "object"]
+        yield from (word for kind, parent in above.items() for word in (kind, "-", parent))
 
-    def _typed_objects(self, names: Iterable[str]) -> str:
-        return " ".join(f"{name} - {self.problem.objects[name]}" for name in names)
-
-    def _functions(self) -> Iterator[str]:
-        yield from (_signature(name, kinds) for name, kinds in self._uses.numbers.items())
-        if self._has_costs:
-            yield "(total-cost)"
+    def _in_order(self, objects: Mapping[str, str]) -> Iterator[tuple[str, str]]:
+        """Yield the objects with their types, those that formulas name first, as constants of a domain file are."""
+        named = self._signatures.constants
+        yield from ((name, kind) for name, kind in objects.items() if name.lower() in named)
+        yield from ((name, kind) for name, kind in objects.items() if name.lower() not in named)
 
 
-def _signature(name: str, kinds: Iterable[str]) -> str:
-    return " ".join([f"({name}", *(f"?x{number} - {kind}" for number, kind in enumerate(kinds, start=1))]) + ")"
+class _Signatures:
+    """Keeps of each predicate and number the least types that fit all its uses; names are in lower case.
+
+    Args:
+        objects: the type of each object.
+        above: for each subtype the type above it.
+        predicates: those that are known beforehand, with the types of their arguments.
+    """
+
+    def __init__(self, objects: Mapping[str, str], above: Mapping[str, str], predicates: Mapping[str, _Kinds]) -> None:
+        self._objects = {name.lower(): kind.lower() for name, kind in objects.items()}
+        self._spelled = tuple(objects)
+        self._above = {kind.lower(): parent.lower() for kind, parent in above.items()}
+        self.predicates = dict(predicates)
+        self.numbers: dict[str, _Kinds] = {}
+        self.constants: set[str] = set()
+
+    def read(self, node: Node, scope: _Scope, place: str) -> None:
+        """Take in a condition or an effect whose variables have the types of the scope.
+
+        Raises:
+            PddlError: it is no formula, or uses a predicate otherwise than another one does.
+        """
+        for atom, inner in _atoms(node, scope, place):
+            if atom.head == "=":
+                self._kinds(atom, inner, place)
+            else:
+                self.join(self.predicates, atom, inner, place)
+
+    def join(self, known: dict[str, _Kinds], atom: Node, scope: _Scope, place: str) -> None:
+        """Take in one use of a predicate or a number."""
+        kinds = self._kinds(atom, scope, place)
+        before = known.setdefault(atom.head, kinds)
+        joined = self._joined(before, kinds)
+        if joined is None:
+            message = f"{atom} is about {_in_words(kinds)}, but elsewhere {atom.head!r} is about {_in_words(before)}"
+            raise PddlError(f"{message}; declare a type above both in types={{...}}", place)
+        known[atom.head] = joined
+
+    def check(self, node: Node, known: Mapping[str, _Kinds], place: str, what: str) -> None:
+        """Raise unless a formula of the problem uses only what actions use, and in that way."""
+        constants = set(self.constants)
+        for atom, scope in _atoms(node, {}, place):
+            kinds = self._kinds(atom, scope, place)
+            if atom.head not in ("=", *known):
+                hint = nearest(atom.head, known)
+                raise PddlError(f"{atom}: no action mentions the {what} {atom.head!r}; {hint}", place)
+            if atom.head != "=" and self._joined(known[atom.head], kinds) != known[atom.head]:
+                raise PddlError(f"{atom} is about {_in_words(kinds)}, expected {_in_words(known[atom.head])}", place)
+        self.constants = constants
+
+    def _kinds(self, atom: Node, scope: _Scope, place: str) -> _Kinds:
+        """Return the types of what an atom is about."""
+        kinds = []
+        for argument in atom.children[1:]:
+            is_variable = argument.lower.startswith("?")
+            kind = (scope if is_variable else self._objects).get(argument.lower)
+            if kind is None:
+                what, names = ("parameter", tuple(scope)) if is_variable else ("object", self._spelled)
+                raise PddlError(f"{atom}: unknown {what} {str(argument)!r}; {nearest(str(argument), names)}", place)
+            if not is_variable:
+                self.constants.add(argument.lower)
+            kinds.append(kind)
+        return tuple(kinds)
+
+    def _joined(self, one: _Kinds, other: _Kinds) -> _Kinds | None:
+        """Return the least types above both; None if there are none."""
+        if len(one) != len(other):
+            return None
+        joined = [self._least(left, right) for left, right in zip(one, other, strict=True)]
+        return None if None in joined else tuple(kind for kind in joined if kind is not None)
+
+    def _least(self, one: str, other: str) -> str | None:
+        if "object" in (one, other):
+            return "object"
+        others = self._lineage(other)
+        return next((kind for kind in self._lineage(one) if kind in others), None)
+
+    def _lineage(self, kind: str) -> list[str]:
+        lineage = [kind]
+        while (kind := self._above.get(kind, kind)) not in lineage:
+            lineage.append(kind)
+        return lineage
+
+
+def _atoms(node: Node, scope: _Scope, place: str) -> Iterator[tuple[Node, _Scope]]:
+    """Yield each atom of a formula with the types of the variables there; refuse what is declared elsewhere."""
+    head, rest = node.head, node.children[1:]
+    if not node.is_list:
+        raise PddlError(f"found {node.word!r}, expected a list such as '({node.word})'", place)
+    if len(rest) == 2 and rest[1].is_list and (head, rest[0].lower) in _TIMED:
+        raise PddlError(f"found {node}; say only {rest[1]}, where it belongs (start, over_all, end)", place)
+    if head in _NUMERIC:
+        raise PddlError(f"found {node}, which computes with numbers; state a cost as cost=...", place)
+    if head in _CONNECTIVES:
+        for child in rest:
+            yield from _atoms(child, scope, place)
+    elif head in ("forall", "exists"):
+        if len(rest) != 2 or not rest[0].is_list:
+            raise PddlError(f"found {node}, expected '({head} (?x - type) (...))'", place)
+        yield from _atoms(rest[1], {**scope, **_typed(rest[0], place)}, place)
+    elif head:
+        yield node, scope
+
+
+def _parsed(text: str, place: str) -> Node:
+    """Return a formula, which stands at no line of a file."""
+    if not text.strip().startswith("("):
+        raise PddlError(f"found {text!r}, expected a formula such as '({text.strip() or 'lit ?room'})'", place)
+    return _unplaced(parse(text, f"{place}, in {text!r}").root)
+
+
+def _unplaced(node: Node) -> Node:
+    return replace(node, children=tuple(map(_unplaced, node.children)), line=0, column=0)
+
+
+def _typed(node: Node, place: str) -> _Scope:
+    """Return the types of variables, in lower case."""
+    found = typed(Source(place, "", node), node.children, are_variables=True)
+    missing = next((name for name, kind in found if kind is None), None)
+    if missing is not None:
+        raise PddlError(f"found the parameter {missing}, expected one with its type such as '?x - place'", place)
+    return {name.lower: kind.lower for name, kind in found if kind is not None}
+
+
+def _in_words(kinds: _Kinds) -> str:
+    return f"({' '.join(kinds)})" if kinds else "nothing"
 
 
 def _of(schema: ActionSchema) -> str:
@@ -280,14 +407,13 @@ def _check(schema: ActionSchema) -> None:
     for key in ("parameters", "start", "over_all", "end", "start_effects", "end_effects", "makes_feasible"):
         if isinstance(getattr(schema, key), str):
             raise PddlError(f"{key} is one text, expected several; write ({getattr(schema, key)!r},)", place)
-    for name in (schema.name, *schema.makes_feasible, *([] if schema.rosa_action is None else [schema.rosa_action])):
+    action = [] if schema.rosa_action is None else [schema.rosa_action]
+    for name in (schema.name, *schema.makes_feasible, *action, *schema.uses):
         _check_name(name, place)
-    for name, kind in typed_names(schema.parameters, place):
+    for name, kind in _parameters(schema).items():
         _check_name(kind, place)
-        if name.lower() in _reserved(schema):
+        if name in _reserved(schema):
             raise PddlError(f"the parameter {name} is taken: it stands for a ROSA action; choose another name", place)
-    for name in schema.uses:
-        _check_name(name, place)
     amounts = {f"uses[{name!r}]": value for name, value in schema.uses.items()}
     for key, value in {"duration_s": schema.duration_s, "cost": schema.cost, **amounts}.items():
         if isinstance(value, int | float) and not 0.0 <= value < float("inf"):
@@ -303,51 +429,89 @@ def _reserved(schema: ActionSchema) -> list[str]:
     return own + [f"?a{number}" for number in range(1, len(schema.makes_feasible) + 1)]
 
 
-def _scope(schema: ActionSchema) -> dict[str, str]:
+def _parameters(schema: ActionSchema) -> _Scope:
+    return {
+        name: kind
+        for text in schema.parameters
+        for name, kind in _typed(_parsed(f"({text})", _of(schema)), _of(schema)).items()
+    }
+
+
+def _scope(schema: ActionSchema) -> _Scope:
     """Return the types of the parameters, those for ROSA actions first."""
-    return {**dict.fromkeys(_reserved(schema), ACTION_TYPE), **dict(typed_names(schema.parameters, _of(schema)))}
+    return {**dict.fromkeys(_reserved(schema), ACTION_TYPE), **_parameters(schema)}
 
 
-def _action(schema: ActionSchema, has_costs: bool) -> str:
-    own = [f"({schema.rosa_action}_action ?a)", f"({FEASIBLE} ?a)"] if schema.rosa_action is not None else []
-    expected = [
-        (f"({action}_action ?a{number})", f"?a{number}") for number, action in enumerate(schema.makes_feasible, start=1)
-    ]
-    start = [*schema.start, *(condition for condition, _ in expected)]
-    effects = [*schema.end_effects, *(f"({FEASIBLE} {parameter})" for _, parameter in expected)]
-    if has_costs:
-        effects.append(f"(increase (total-cost) {_number(schema.cost or 0)})")
-    effects += [f"(increase ({name}) {_number(amount)})" for name, amount in schema.uses.items()]
-    parameters = " ".join(f"{name} - {kind}" for name, kind in _scope(schema).items())
+def _signature(name: str, kinds: Iterable[str]) -> Node:
+    return listed(name, *(word for number, kind in enumerate(kinds, 1) for word in (f"?x{number}", "-", kind)))
+
+
+def _action(schema: ActionSchema, has_costs: bool) -> Node:
+    def formulas(*texts: str) -> list[Node]:
+        return [_parsed(text, _of(schema)) for text in texts]
+
+    own = formulas(f"({schema.rosa_action}_action ?a)", f"({FEASIBLE} ?a)") if schema.rosa_action is not None else []
+    start, effects = formulas(*schema.start), formulas(*schema.end_effects)
+    for number, action in enumerate(schema.makes_feasible, start=1):
+        start += formulas(f"({action}_action ?a{number})")
+        effects += formulas(f"({FEASIBLE} ?a{number})")
+    amounts = {**({"total-cost": schema.cost or 0} if has_costs else {}), **schema.uses}
+    effects += [listed("increase", listed(name), _number(amount)) for name, amount in amounts.items()]
+    parameters = listed(*(word for name, kind in _scope(schema).items() for word in (name, "-", kind)))
     if schema.duration_s is None:
-        lines = [
-            f"  (:action {schema.name}",
-            f"    :parameters ({parameters})",
-            *_block(":precondition", [*own, *start]),
-            *_block(":effect", effects),
-        ]
-        return "\n".join([*lines, "  )"])
-    conditions = [*_timed("at start", start), *_timed("over all", [*own, *schema.over_all])]
-    lines = [
-        f"  (:durative-action {schema.name}",
-        f"    :parameters ({parameters})",
-        f"    :duration (= ?duration {_number(schema.duration_s)})",
-        *_block(":condition", [*conditions, *_timed("at end", schema.end)]),
-        *_block(":effect", [*_timed("at start", schema.start_effects), *_timed("at end", effects)]),
-    ]
-    return "\n".join([*lines, "  )"])
+        parts = (":precondition", listed("and", *own, *start), ":effect", listed("and", *effects))
+        return listed(":action", schema.name, ":parameters", parameters, *parts)
+    over_all, end = (*own, *formulas(*schema.over_all)), formulas(*schema.end)
+    conditions = (*_at("at start", start), *_at("over all", over_all), *_at("at end", end))
+    changes = (*_at("at start", formulas(*schema.start_effects)), *_at("at end", effects))
+    duration = listed("=", "?duration", _number(schema.duration_s))
+    parts = (":condition", listed("and", *conditions), ":effect", listed("and", *changes))
+    return listed(":durative-action", schema.name, ":parameters", parameters, ":duration", duration, *parts)
 
 
-def _timed(when: str, formulas: Iterable[str]) -> list[str]:
-    return [f"({when} {formula})" for formula in formulas]
+def _at(when: str, formulas: Iterable[Node]) -> list[Node]:
+    return [listed(*when.split(), formula) for formula in formulas]
 
 
-def _block(keyword: str, formulas: Iterable[str]) -> list[str]:
-    return [f"    {keyword} (and", *(f"      {formula}" for formula in formulas), "    )"]
-
-
-def _number(value: float | str) -> str:
+def _number(value: float | str) -> Node | str:
     if isinstance(value, str):
-        return value
+        return _parsed(value, value)
     short = f"{value:.12g}"
     return short if float(short) == value else format(Decimal(str(value)), "f")
+
+
+# ---------------------------------------------------------------- as text
+
+
+class _AsStated:
+    """A problem with the facts that are stated only: unified-planning's writer wants a value for each that could be."""
+
+    def __init__(self, up_problem: UpThing) -> None:
+        self._problem = up_problem
+        self.initial_values = up_problem.explicit_initial_values
+
+    def __getattr__(self, name: str) -> UpThing:
+        return getattr(self._problem, name)
+
+
+class _Names(dict[Any, str]):
+    """What things are called: unified-planning's writer wants no two names to be the same, which PDDL does not."""
+
+    def __init__(self, domain: Domain) -> None:
+        super().__init__()
+        self._outside = domain.outside
+
+    def __contains__(self, thing: object) -> bool:
+        return True
+
+    def __missing__(self, thing: UpThing) -> str:
+        from unified_planning.model import Parameter, Variable
+
+        return f"?{thing.name}" if isinstance(thing, Parameter | Variable) else self._outside[thing.name]
+
+
+class _InOrder(set[Any]):
+    """Objects in the order of their names, as a set decides no order."""
+
+    def __iter__(self) -> Iterator[Any]:
+        return iter(sorted(super().__iter__(), key=str))

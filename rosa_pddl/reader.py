@@ -1,35 +1,37 @@
-"""Reads PDDL files through unified-planning, and tolerates what its reader does not."""
+"""Reads PDDL into unified-planning's model; what cannot be read or planned for is refused with its place."""
 
 import re
-import threading
-import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
-from itertools import chain, pairwise
+from dataclasses import replace
 from pathlib import Path
 
-from rosa_pddl.domain import ACTION_TYPE, Domain, Schema, UpThing, conjuncts
-from rosa_pddl.exceptions import PddlError, UnsupportedPddlError
+from rosa_pddl.domain import ACTION_TYPE, FEASIBLE, Domain, Limit, Resource, Schema, UpThing, conjuncts
+from rosa_pddl.exceptions import UnknownNameError, UnsupportedPddlError, nearest
+from rosa_pddl.formulas import COMPARISONS, Formulas, Scope
 from rosa_pddl.problem import Problem
-from rosa_pddl.reading.conventions import rosa_action_of, with_told
-from rosa_pddl.reading.declarations import Kind, Mention, declared_types, mentions
-from rosa_pddl.reading.resources import resources_of, without_limits
-from rosa_pddl.reading.sections import BODY, doubtful_requirements, in_order
-from rosa_pddl.reading.syntax import Node, Source, parse, read_source
-from rosa_pddl.reading.timing import is_timed
-
-__all__ = ["lineage_of", "load_domain", "parse_domain", "schema_of"]
-
-_GLOBAL = threading.Lock()
-_LINE = re.compile(r"line:?\s*(\d+)")
-# Places in what unified-planning was given, and how its objects look in memory.
-_NOISE = re.compile(
-    r"<[\w.]+ object at 0x\w+>,? ?|\(at char \d+\),? ?|\(?(found |from |Error from )?line: ?\d+, col:? ?\d+\)?( to )?"
+from rosa_pddl.syntax import (
+    ANY,
+    BODY,
+    Node,
+    Source,
+    body_of,
+    check_frames,
+    doubtful_requirements,
+    listed,
+    parse,
+    read_source,
+    section,
+    start_of,
+    typed,
 )
-_ILL_TYPED = re.compile(r"expression '([\w-]+)\(.*\)' is not well-formed")
 
-Edit = tuple[int, int, str]
+__all__ = ["build_domain", "lineage_of", "load_domain", "parse_domain", "resources_of", "schema_of"]
+
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?")
+_TIMES = {("at", "start"): "start", ("at", "end"): "end", ("over", "all"): "over_all"}
+_COST = "total-cost"
 
 
 def load_domain(domain: str | Path, problem: str | Path, *, actions: Mapping[str, str] | None = None) -> Domain:
@@ -51,7 +53,7 @@ def load_domain(domain: str | Path, problem: str | Path, *, actions: Mapping[str
         UnknownNameError: `actions` names a PDDL action or a parameter that is not in the files.
         UnsupportedPddlError: correct PDDL that cannot be planned or executed here.
     """
-    return _load(read_source(domain), read_source(problem), actions or {})
+    return build_domain(read_source(domain), read_source(problem), actions or {})
 
 
 def parse_domain(
@@ -72,243 +74,563 @@ def parse_domain(
     Raises:
         PddlError, UnknownNameError, UnsupportedPddlError: as `load_domain`.
     """
-    return _load(parse(domain, names[0]), parse(problem, names[1]), actions or {})
+    return build_domain(parse(domain, names[0]), parse(problem, names[1]), actions or {})
 
 
-def _load(domain: Source, problem: Source, actions: Mapping[str, str]) -> Domain:
-    found = mentions(domain, problem)
-    inside = _unique_names(found)
-    up_problem = _read(_rewritten(domain, found, inside), _rewritten(problem, found, inside))
-    read = _domain(domain, problem, up_problem, found, inside)
-    loaded = with_told(read, actions) if actions else read
-    # what cannot be planned for is refused here, not at the first planning
-    Problem(loaded, frozenset()).build()
-    return loaded
-
-
-@dataclass(frozen=True)
-class _Rewritten:
-    """What unified-planning reads: unique names, sections in order, none of what its grammar stumbles over.
+def build_domain(domain: Source, problem: Source, actions: Mapping[str, str] | None = None) -> Domain:
+    """Make the domain of two PDDL files, as `load_domain` does.
 
     Args:
-        source: the file.
-        title: such as `(domain rover)`.
-        sections: each as it stands in the file, and as it is read; lines within it are kept.
+        domain: the lists of the domain file.
+        problem: those of the problem file.
+        actions: for PDDL actions the ROSA action that they do, as for `load_domain`.
     """
-
-    source: Source
-    title: Node
-    sections: tuple[tuple[Node, str], ...]
-
-    @property
-    def text(self) -> str:
-        return "\n".join([f"(define {self.title}", *(text for _, text in self.sections), ")"])
-
-    def line(self, read: int) -> int | None:
-        """Return the line of the file that became a line of the text, both counted from 1."""
-        lines = [self.title.line]
-        for node, text in self.sections:
-            lines += range(node.line, node.line + text.count("\n") + 1)
-        return lines[read - 1] if 0 < read <= len(lines) else None
-
-    def with_action(self, wanted: Node) -> "_Rewritten":
-        """Return the same with one only of the actions."""
-        kept = tuple(one for one in self.sections if one[0].head not in BODY or one[0] is wanted)
-        return replace(self, sections=kept)
+    check_frames(domain, problem)
+    read = _Reader(_with_rosa_actions(domain, problem, actions or {}), problem, actions or {}).domain()
+    # what cannot be planned for is refused here, not at the first planning
+    Problem(read, frozenset()).build()
+    return read
 
 
-def _unique_names(found: Iterable[Mention]) -> dict[tuple[Kind, str], str]:
-    """Return a name for each kind and word such that no two are the same, as unified-planning wants it."""
-    inside: dict[tuple[Kind, str], str] = {}
-    taken = {"object"}
-    for kind in (Kind.TYPE, Kind.PREDICATE, Kind.OBJECT, Kind.SCHEMA):
-        for word in _declared_words(found, kind):
-            name = word
-            while name in taken:
-                name += f"_{kind.name.lower()}"
-            taken.add(name)
-            inside[kind, word] = name
-    return inside
+# ---------------------------------------------------------------- which ROSA action a PDDL action does
 
 
-def _declared_words(found: Iterable[Mention], kind: Kind) -> list[str]:
-    words = dict.fromkeys(m.node.lower for m in found if m.declares and m.kind is kind)
-    return [word for word in words if (kind, word) != (Kind.TYPE, "object")]
+def _rosa_action_of(
+    name: str, conditions: Iterable[UpThing], parameters: Iterable[UpThing], outside: Mapping[str, str]
+) -> str | None:
+    """Return the parameter (without its mark) or the constant that is the ROSA action; None if there is none.
+
+    Args:
+        name: of the PDDL action.
+        conditions: of it, as unified-planning expressions.
+        parameters: of it, as unified-planning has them.
+        outside: the files' spelling by unified-planning's names.
+    """
+    said = {outside[one.fluent().name].lower(): one for one in conditions if one.is_fluent_exp() and len(one.args) == 1}
+    for predicate in (f"{name.lower()}_action", FEASIBLE):
+        if predicate in said:
+            argument = said[predicate].arg(0)
+            return str(argument.parameter().name) if argument.is_parameter_exp() else outside[argument.object().name]
+    actions = [
+        one.name for one in parameters if one.type.is_user_type() and outside[one.type.name].lower() == ACTION_TYPE
+    ]
+    return actions[0] if len(actions) == 1 else None
 
 
-def _rewritten(source: Source, found: Iterable[Mention], inside: Mapping[tuple[Kind, str], str]) -> _Rewritten:
-    edits: dict[int, Edit] = {}
-    for mention in found:
-        new = inside.get((mention.kind, mention.node.lower))
-        if mention.source is source and new is not None and new != mention.node.lower:
-            edits[mention.node.start] = (mention.node.start, mention.node.end, new)
-    for start, end, new in _tolerated(source):
-        edits[start] = (start, end, new + "\n" * source.text.count("\n", start, end))
-    texts = [(node, _edited(source.text, node, edits.values())) for node in in_order(source) if not _is_needless(node)]
-    return _Rewritten(source, source.root.children[1], tuple(texts))
+def _with_rosa_actions(domain: Source, problem: Source, actions: Mapping[str, str]) -> Source:
+    """Return a domain whose actions need the feasibility of the ROSA actions that they are said to do.
+
+    Raises:
+        UnknownNameError: there is no such PDDL action or parameter, or an object of that name is of another type.
+    """
+    root = domain.root
+    schemas = {str(node.children[1]): node for node in root.children[2:] if node.head in BODY}
+    objects = typed(domain, section(domain, ":constants")) + typed(problem, section(problem, ":objects"))
+    kinds = {name.lower: kind.lower if kind else "object" for name, kind in objects}
+    added: list[str] = []
+    for name, action in actions.items():
+        if name not in schemas:
+            raise UnknownNameError(f"{domain.file} has no PDDL action {name!r}; {nearest(name, schemas)}")
+        parameters = [str(node) for node in body_of(domain, schemas[name]).get(":parameters", listed()).children]
+        parameters = [word for word in parameters if word.startswith("?")]
+        if action.startswith("?") and action not in parameters:
+            hint = nearest(action, parameters)
+            raise UnknownNameError(f"the PDDL action {name!r} has no parameter {action!r}; {hint}")
+        if not action.startswith("?") and kinds.get(action.lower(), ACTION_TYPE) != ACTION_TYPE:
+            raise UnknownNameError(f"the object {action!r} of {domain.file} is not of type {ACTION_TYPE!r}")
+        if not action.startswith("?") and action.lower() not in kinds:
+            kinds[action.lower()] = ACTION_TYPE
+            added += [action, "-", ACTION_TYPE]
+        guarded = _guarded(schemas[name], action)
+        root = replace(root, children=tuple(guarded if node is schemas[name] else node for node in root.children))
+    if added:
+        root = _with_words(root, ":constants", listed(*added))
+    if actions and ACTION_TYPE not in [str(node).lower() for node in section(domain, ":types")]:
+        root = _with_words(root, ":types", listed(ACTION_TYPE, "-", "object"))
+    if actions and FEASIBLE not in [node.head for node in section(domain, ":predicates")]:
+        root = _with_words(root, ":predicates", listed(listed(FEASIBLE, "?a", "-", ACTION_TYPE)))
+    return replace(domain, root=root)
 
 
-def _is_needless(node: Node) -> bool:
-    """Requirements promise what the sections then show; unified-planning refuses ones it does not know."""
-    return node.head == ":requirements" or (len(node.children) == 1 and node.head not in (":init", ":goal"))
+def _with_words(root: Node, head: str, words: Node) -> Node:
+    """Return a domain with more words at the beginning of a section, which is there then."""
+    if all(node.head != head for node in root.children[2:]):
+        return replace(root, children=(*root.children, listed(head, *words.children)))
+    more = [
+        replace(node, children=(node.children[0], *words.children, *node.children[1:])) if node.head == head else node
+        for node in root.children
+    ]
+    return replace(root, children=tuple(more))
 
 
-def _edited(text: str, node: Node, edits: Iterable[Edit]) -> str:
-    parts, at = [], node.start
-    for start, end, new in sorted(edit for edit in edits if node.start <= edit[0] < node.end):
-        parts += [text[at:start], new]
-        at = end
-    return "".join([*parts, text[at : node.end]])
+def _guarded(schema: Node, action: str) -> Node:
+    """Return an action that needs the feasibility of a ROSA action, if it needs none yet."""
+    is_timed, words = schema.head == ":durative-action", list(schema.children)
+    keyword = ":condition" if is_timed else ":precondition"
+    needed = listed("over", "all", listed(FEASIBLE, action)) if is_timed else listed(FEASIBLE, action)
+    at = next((number for number, node in enumerate(words) if node.lower == keyword), None)
+    if at is None:
+        return replace(schema, children=(*words, *listed(keyword, needed).children))
+    if f"({FEASIBLE} " not in str(words[at + 1]).lower():
+        words[at + 1] = listed("and", words[at + 1], needed)
+    return replace(schema, children=tuple(words))
 
 
-def _tolerated(source: Source) -> Iterator[Edit]:
-    """Yield what can be said otherwise so that the reader of unified-planning 1.3 understands it."""
-    yield from _untyped(source.root)
-    for node in source.root.children[2:]:
-        if node.head == ":types":
-            yield from _above_itself(node)
-        elif node.head in BODY:
-            yield from _body(node)
+# ---------------------------------------------------------------- from lists to the model
 
 
-def _above_itself(section: Node) -> Iterator[Edit]:
-    """Put a type above itself, as in `dock charger - dock`, on top."""
-    listed = [(name.lower, up.lower if up is not None else "object") for name, up in declared_types(section)]
-    if any(up == name for name, up in listed):
-        text = " ".join(f"{name} - {'object' if up == name else up}" for name, up in listed)
-        yield section.start, section.end, f"(:types {text})"
+class _Reader:
+    """Builds unified-planning's problem, in names of which no two are the same, as it wants it."""
 
+    def __init__(self, domain: Source, problem: Source, actions: Mapping[str, str]) -> None:
+        from unified_planning.environment import Environment
+        from unified_planning.model import Problem as UpProblem
 
-def _body(schema: Node) -> Iterator[Edit]:
-    if ":parameters" not in [child.lower for child in schema.children]:
-        yield schema.children[1].end, schema.children[1].end, " :parameters ()"
-    for keyword, part in pairwise(schema.children):
-        if keyword.lower in (":precondition", ":condition", ":effect") and not part.children:
-            yield part.start, part.end, "(and)"
-        elif keyword.lower == ":duration":
-            yield from _duration(part)
+        environment = Environment()
+        environment.credits_stream = None
+        self._manager, self._types = environment.expression_manager, environment.type_manager
+        defaults = {self._types.BoolType(): self._manager.FALSE()}
+        self._up_problem = UpProblem(str(problem.root.children[1].children[1]), environment, initial_defaults=defaults)
+        self._sources, self._actions = (domain, problem), actions
+        self._inside: dict[tuple[str, str], str] = {}
+        self._outside = {"object": "object"}
+        self._places: dict[tuple[str, str], tuple[str, int]] = {}
+        self._lineages: dict[str, tuple[str, ...]] = {}
+        self._schemas: dict[str, Schema] = {}
+        self._costs: dict[UpThing, UpThing] = {}
+        additions = [node for schema in domain.root.children[2:] for node in _increases(schema) if schema.head in BODY]
+        targets = [node.children[1] for node in additions if len(node.children) == 3]
+        self._resources = {target.head for target in targets if len(target.children) == 1 and target.head != _COST}
+        self._has_cost = any(node.head == _COST for node in section(domain, ":functions"))
+        self._draft = Domain(
+            name=str(domain.root.children[1].children[1]),
+            file=domain.file,
+            problem_file=problem.file,
+            rosa_actions=(),
+            schemas=(),
+            up_problem=self._up_problem,
+            schema_of=self._schemas,
+            outside=self._outside,
+            inside=self._inside,
+            goals=(),
+            places=self._places,
+            types=self._lineages,
+        )
+        self._formulas = {source.file: Formulas(self._draft, source) for source in self._sources}
 
+    def domain(self) -> Domain:
+        domain, problem = self._sources
+        self._read_types(domain)
+        for node in self._signatures(domain, ":predicates"):
+            self._read_fluent(domain, node, self._types.BoolType())
+        for node in self._signatures(domain, ":functions"):
+            if node.head != _COST:
+                self._read_fluent(domain, node, self._types.RealType())
+        self._read_objects(domain, ":constants")
+        self._read_objects(problem, ":objects")
+        for node in domain.root.children[2:]:
+            if node.head in BODY:
+                with _located(domain, node):
+                    self._read_action(domain, node)
+        for node in section(problem, ":init"):
+            for fact in node.children[1:] if node.head == "and" else (node,):
+                with _located(problem, fact):
+                    self._read_fact(problem, fact)
+        goals = [goal for node in section(problem, ":goal") for goal in _parts(node)]
+        texts = [str(goal) for goal in goals if self._read_goal(problem, goal)]
+        self._read_metric(problem)
+        self._places |= {("section", node.head): (problem.file, node.line) for node in problem.root.children[2:]}
+        return replace(
+            self._draft,
+            rosa_actions=tuple(name for name, lineage in self._lineages.items() if ACTION_TYPE in lineage),
+            schemas=tuple(self._schemas),
+            goals=tuple(texts),
+            oversights=(*doubtful_requirements(domain), *doubtful_requirements(problem)),
+            resources=resources_of(self._up_problem, self._outside),
+        )
 
-def _duration(node: Node) -> Iterator[Edit]:
-    """Yield a single duration in place of a bound on one side: any that is allowed will do."""
-    if not node.children:
-        yield node.start, node.end, "(= ?duration 1)"
-    elif is_timed(node) or (node.head == "and" and len(node.children) == 2):
-        inner = node.children[-1]
-        yield node.start, inner.start, ""
-        yield from _duration(inner)
-        yield inner.end, node.end, ""
-    elif node.head in (">=", "<="):
-        yield node.children[0].start, node.children[0].end, "="
+    # ---------------------------------------------------------------- names
 
+    def _declare(self, source: Source, kind: str, node: Node) -> str:
+        """Note a name, and return what it is called in the model."""
+        if not _NAME.fullmatch(str(node)):
+            message = f"found the {kind} {str(node)!r}, expected a name: a letter, then letters, digits, '_' or '-'"
+            raise source.error(node, message)
+        if (kind, node.lower) in self._inside:
+            file, line = self._places[kind, self._outside[self._inside[kind, node.lower]]]
+            where = f", in line {line} of {file}" if line else ""
+            raise source.error(node, f"the {kind} {node.word!r} was declared before{where}")
+        name = node.lower
+        while name in self._outside:
+            name += f"_{'schema' if kind == 'action' else kind}"
+        self._inside[kind, node.lower], self._outside[name] = name, str(node)
+        self._places[kind, str(node)] = (source.file, node.line)
+        return name
 
-def _untyped(node: Node) -> Iterator[Edit]:
-    """Yield the type that quantified variables without one have."""
-    if node.head in ("forall", "exists") and len(node.children) == 3:
-        variables = node.children[1]
-        if variables.children and (len(variables.children) < 3 or variables.children[-2].word != "-"):
-            yield variables.end - 1, variables.end, " - object)"
-    for child in node.children:
-        yield from _untyped(child)
+    def _read_types(self, source: Source) -> None:
+        pairs = typed(source, section(source, ":types"))
+        above = {name.lower: up for name, up in pairs}
+        above |= {up.lower: None for _, up in pairs if up is not None and up.lower not in above}
+        names = {up.lower: up for _, up in pairs if up is not None} | {name.lower: name for name, _ in pairs}
+        kinds: dict[str, UpThing] = {}
+        if "object" in [name.lower for name, _ in pairs] or any(
+            kind is None or kind.lower == "object" for kind in self._kinds()
+        ):
+            kinds["object"] = self._types.UserType("object")
+            self._up_problem.user_types.append(kinds["object"])
 
+        def make(word: str, below: tuple[str, ...]) -> UpThing:
+            if word in below:
+                path = ", ".join(sorted(below[below.index(word) :]))
+                message = f"the types {path} are above one another, expected one on top"
+                raise source.error(above[word] or names[word], message)
+            if word not in kinds:
+                up = above[word]
+                is_top = up is None or up.lower in ("object", word)
+                father = kinds.get("object") if is_top or up is None else make(up.lower, (*below, word))
+                kinds[word] = self._types.UserType(self._declare(source, "type", names[word]), father)
+                self._up_problem.user_types.append(kinds[word])
+            return kinds[word]
 
-def _read(domain: _Rewritten, problem: _Rewritten) -> UpThing:
-    try:
-        return _parsed(domain.text, problem.text)
-    except Exception as error:
-        raise _located(error, problem if _is_readable(domain) else domain, domain.source) from error
+        for name, _ in pairs:
+            if name.lower != "object":
+                make(name.lower, ())
 
+    def _kinds(self) -> Iterator[Node | None]:
+        """Yield the types of whatever is declared or quantified."""
+        domain, problem = self._sources
+        for node in (*self._signatures(domain, ":predicates"), *self._signatures(domain, ":functions")):
+            yield from (kind for _, kind in typed(domain, node.children[1:]))
+        for source, head in ((domain, ":constants"), (problem, ":objects")):
+            yield from (kind for _, kind in typed(source, section(source, head)))
+        for node in domain.root.children[2:]:
+            if node.head in BODY:
+                parameters = body_of(domain, node).get(":parameters")
+                yield from (kind for _, kind in typed(domain, parameters.children if parameters else ()))
+        for source in self._sources:
+            for node in _quantifiers(source.root):
+                yield from (kind for _, kind in typed(source, node.children[1].children))
 
-def _is_readable(domain: _Rewritten) -> bool:
-    try:
-        _parsed(domain.text, None)
-    except Exception:
-        return False
-    return True
+    def _signatures(self, source: Source, head: str) -> Iterator[Node]:
+        before = ""
+        for node in section(source, head):
+            expects_type, before = before == "-", str(node)
+            if node.is_list:
+                if not node.head:
+                    raise source.error(node, f"found {start_of(node)!r}, expected a name")
+                yield node
+            elif expects_type and node.lower != "number":
+                message = f"found '- {node.word}': a function that is an object is not supported; Aries (up-aries) by "
+                raise source.unsupported(node, message + "itself would do. Write a predicate with one more argument")
+            elif node.lower not in ("-", "number"):
+                raise source.error(node, f"found {node.word!r}, expected a list such as '({node.word} ?x)'")
 
+    def _variables(self, source: Source, nodes: Iterable[Node]) -> dict[str, UpThing]:
+        """Return the types of variables by their names without the mark."""
+        found: dict[str, UpThing] = {}
+        for name, kind in typed(source, nodes, are_variables=True):
+            if name.lower[1:] in found:
+                raise source.error(name, f"found the parameter {name.word!r} again, expected another name")
+            found[name.lower[1:]] = self._formulas[source.file].type_of(kind or ANY)
+        return found
 
-def _parsed(domain: str, problem: str | None) -> UpThing:
-    from unified_planning.environment import Environment
-    from unified_planning.io import PDDLReader
+    def _read_fluent(self, source: Source, node: Node, type_: UpThing) -> None:
+        from unified_planning.model import Fluent
 
-    environment = Environment()
-    environment.credits_stream = None
-    with _as_global(environment), warnings.catch_warnings():
-        # unified-planning 1.3 calls its parser by names that were since deprecated
-        warnings.simplefilter("ignore", DeprecationWarning)
-        return PDDLReader(environment).parse_problem_string(domain, problem)
+        parameters = self._variables(source, node.children[1:])
+        name = self._declare(source, "predicate", node.children[0])
+        self._up_problem.add_fluent(Fluent(name, type_, environment=self._up_problem.environment, **parameters))
+
+    def _read_objects(self, source: Source, head: str) -> None:
+        for node, kind in typed(source, section(source, head)):
+            type_ = self._formulas[source.file].type_of(kind or ANY)
+            self._up_problem.add_object(self._declare(source, "object", node), type_)
+            self._lineages[str(node)] = tuple(lineage_of(type_, self._outside))
+
+    # ---------------------------------------------------------------- actions
+
+    def _read_action(self, source: Source, node: Node) -> None:
+        from unified_planning.model import (
+            DurativeAction,
+            EndTiming,
+            InstantaneousAction,
+            OpenTimeInterval,
+            StartTiming,
+        )
+
+        parts, name = body_of(source, node), str(node.children[1])
+        parameters = self._variables(source, parts[":parameters"].children if ":parameters" in parts else ())
+        unique, environment = self._declare(source, "action", node.children[1]), self._up_problem.environment
+        is_timed = node.head == ":durative-action"
+        action = (DurativeAction if is_timed else InstantaneousAction)(unique, parameters, environment)
+        scope = {f"?{word}": self._manager.ParameterExp(action.parameter(word)) for word in parameters}
+        formulas = self._formulas[source.file]
+        times = {"start": StartTiming(), "end": EndTiming(), "over_all": OpenTimeInterval(StartTiming(), EndTiming())}
+        if is_timed:
+            self._read_duration(source, parts[":duration"], action, scope)
+        needed = parts.get(":condition", parts.get(":precondition", listed()))
+        for time, condition in _timed(source, node, needed, is_effect=False):
+            expression = formulas.condition(condition, scope, name)
+            action.add_condition(times[time], expression) if is_timed else action.add_precondition(expression)
+        added: set[str] = set()
+        for time, effect in _timed(source, node, parts.get(":effect", listed()), is_effect=True):
+            when = (times[time],) if is_timed else ()
+            self._read_effect(source, effect, action, scope, name, when, added)
+        self._up_problem.add_action(action)
+        schema = schema_of(action, self._outside, source.file)
+        if name in self._actions:
+            schema = replace(schema, action=self._actions[name].removeprefix("?"))
+        self._schemas[name] = schema
+
+    def _read_duration(self, source: Source, node: Node, action: UpThing, scope: Scope) -> None:
+        """Set a duration; of a bound on one side any that is allowed will do."""
+        from unified_planning.model import DurationInterval
+
+        number = self._formulas[source.file].number
+        if not node.children:
+            action.set_fixed_duration(1)
+        elif _time_of(node) is not None or (node.head == "and" and len(node.children) == 2):
+            self._read_duration(source, node.children[-1], action, scope)
+        elif (
+            node.head == "and"
+            and len(node.children) == 3
+            and all(len(part.children) == 3 for part in node.children[1:])
+        ):
+            bounds = {part.head[:1]: part for part in node.children[1:]}
+            if bounds.keys() != {"<", ">"}:
+                raise source.error(node, f"found {start_of(node)!r}, expected a least and a greatest duration")
+            lower, upper = bounds[">"], bounds["<"]
+            least, most = (number(part.children[2], scope) for part in (lower, upper))
+            action.set_duration_constraint(DurationInterval(least, most, lower.head == ">", upper.head == "<"))
+        elif node.head in ("=", *COMPARISONS) and len(node.children) == 3 and node.children[1].lower == "?duration":
+            action.set_fixed_duration(number(node.children[2], scope))
+        else:
+            raise source.error(node, f"found {start_of(node)!r}, expected a duration such as '(= ?duration 5)'")
+
+    def _read_effect(
+        self,
+        source: Source,
+        node: Node,
+        action: UpThing,
+        scope: Scope,
+        place: str,
+        when: tuple[UpThing, ...],
+        added: set[str],
+        condition: UpThing = None,
+        variables: tuple[UpThing, ...] = (),
+    ) -> None:
+        formulas, head = self._formulas[source.file], node.head
+        if not node.is_list:
+            raise source.error(node, f"found {node.word!r}, expected a list such as '({node.word})'")
+        if head in ("and", "forall", "when"):
+            inner, parts = dict(scope), node.children[1:]
+            if head == "forall":
+                bound, body = formulas.quantified(node)
+                inner |= bound
+                variables, parts = (*variables, *(one.variable() for one in bound.values())), (body,)
+            elif head == "when":
+                if len(parts) != 2:
+                    raise source.error(node, f"found {len(parts)} parts in {start_of(node)}, expected 2")
+                needed = formulas.condition(parts[0], scope, place).simplify()
+                condition = needed if condition is None else self._manager.And(condition, needed)
+                parts = parts[1:]
+            for part in () if condition is not None and condition.is_false() else parts:
+                self._read_effect(source, part, action, inner, place, when, added, condition, variables)
+        elif head == "increase":
+            if condition is not None or variables:
+                raise formulas.numeric(node, place, "is no number which no condition changes")
+            self._read_increase(source, node, action, scope, place, when, added)
+        elif head == "not" and len(node.children) == 2 and node.children[1].is_list:
+            fluent = formulas.atom(node.children[1], scope)
+            action.add_effect(*when, fluent, False, True if condition is None else condition, forall=variables)
+        elif node.children:
+            if head in ("assign", "decrease", "scale-up", "scale-down"):
+                raise formulas.numeric(node, place, "computes with numbers")
+            fluent = formulas.atom(node, scope)
+            action.add_effect(*when, fluent, True, True if condition is None else condition, forall=variables)
+
+    # ---------------------------------------------------------------- numbers
+
+    def _read_increase(
+        self,
+        source: Source,
+        node: Node,
+        action: UpThing,
+        scope: Scope,
+        place: str,
+        when: tuple[UpThing, ...],
+        added: set[str],
+    ) -> None:
+        """Read what an action costs, or uses up of a resource: once each, and what is fixed before."""
+        formulas = self._formulas[source.file]
+        if len(node.children) != 3 or not node.children[1].head:
+            raise source.error(node, f"found {start_of(node)!r}, expected (increase (NAME) AMOUNT)")
+        _, target, amount = node.children
+        is_cost = target.head == _COST and self._has_cost
+        if not is_cost and len(target.children) != 1:
+            raise formulas.numeric(node, place, "adds to a number with arguments")
+        if _NUMBER.fullmatch(amount.lower) and float(amount.lower) < 0.0:
+            what = "costs are" if is_cost else "uses are"
+            raise source.unsupported(node, f"{start_of(node)!r} in {place} is less than nothing; {what} 0 or more")
+        if target.head in added:
+            what = "cost" if is_cost else "use"
+            raise source.error(node, f"found a second {what} {start_of(node)!r}, expected one; add them up")
+        added.add(target.head)
+        self._check_amount(source, amount, node, place, is_sum=not is_cost)
+        value = formulas.number(amount, scope)
+        if is_cost:
+            self._costs[action] = value
+        else:
+            action.add_increase_effect(*when, formulas.atom(target, scope), value)
+
+    def _check_amount(self, source: Source, amount: Node, within: Node, place: str, *, is_sum: bool) -> None:
+        """Assure that no action changes what an amount is made of, and that it is a sum, with numbers as factors."""
+        parts, numeric = amount.children[1:], self._formulas[source.file].numeric
+        if amount.head == _COST or amount.head in self._resources:
+            raise numeric(within, place, f"has an amount that depends on {amount}, which actions change")
+        if amount.lower.startswith("?"):
+            raise numeric(within, place, f"has the amount {amount.word}, which is no number")
+        facts = [part for part in parts if part.is_list]
+        is_product = amount.head == "*" and len(facts) > 1
+        is_odd = amount.is_list and not amount.head[:1].isalpha() and amount.head not in ("+", "-", "*")
+        if is_sum and (is_odd or (amount.head in ("+", "-", "*") and (len(parts) < 2 or is_product))):
+            raise numeric(within, place, f"has the amount {start_of(amount)}, which is no sum")
+        for part in parts if amount.head in ("+", "-", "*", "/") else ():
+            self._check_amount(source, part, within, place, is_sum=is_sum)
+
+    # ---------------------------------------------------------------- the problem
+
+    def _read_fact(self, source: Source, node: Node) -> None:
+        formulas = self._formulas[source.file]
+        if not node.is_list:
+            raise source.error(node, f"found {node.word!r}, expected a list such as '({node.word})'")
+        if node.head == "at" and len(node.children) == 3 and _NUMBER.fullmatch(node.children[1].lower):
+            message = f"found {start_of(node)!r}: facts that become true at a time are not supported; Aries (up-aries) "
+            raise source.unsupported(node, message + "by itself would do. Sense the fact instead")
+        if node.head == "=" and len(node.children) == 3:
+            _, target, value = node.children
+            if target.head != _COST or not self._has_cost:
+                self._up_problem.set_initial_value(formulas.atom(target, {}), formulas.number(value, {}))
+        elif node.head == "not" and len(node.children) == 2:
+            formulas.atom(node.children[1], {})
+        else:
+            self._up_problem.set_initial_value(formulas.atom(node, {}), True)
+
+    def _read_goal(self, source: Source, node: Node) -> bool:
+        """Take in a part of the goal; return whether it is a condition, not a limit."""
+        formulas = self._formulas[source.file]
+        with _located(source, node):
+            if node.head not in COMPARISONS or len(node.children) != 3:
+                self._up_problem.add_goal(formulas.condition(node, {}, "the goal"))
+                return True
+            left, right = node.children[1:] if node.head in ("<", "<=") else node.children[:0:-1]
+            if left.head not in self._resources or len(left.children) != 1:
+                names = ", ".join(sorted(self._resources))
+                known = f"; what actions use up is {names}" if names else ""
+                raise formulas.numeric(node, "the goal", f"computes with numbers{known}")
+            self._check_amount(source, right, node, "the goal", is_sum=True)
+            compare = self._manager.LT if node.head in ("<", ">") else self._manager.LE
+            self._up_problem.add_goal(compare(formulas.atom(left, {}), formulas.number(right, {})))
+            return False
+
+    def _read_metric(self, source: Source) -> None:
+        from unified_planning.model.metrics import MinimizeActionCosts, MinimizeMakespan
+
+        for node in section(source, ":metric")[1:]:
+            if node.head != _COST:
+                self._up_problem.add_quality_metric(MinimizeMakespan(self._up_problem.environment))
+            elif not self._has_cost:
+                raise source.error(node, "found (total-cost), expected it among the :functions of the domain")
+            else:
+                metric = MinimizeActionCosts(self._costs, self._manager.Int(0), self._up_problem.environment)
+                self._up_problem.add_quality_metric(metric)
 
 
 @contextmanager
-def _as_global(environment: UpThing) -> Iterator[None]:
-    """unified-planning 1.3 makes the variables of forall effects in the global environment, whatever it was given."""
-    import unified_planning.environment as module
+def _located(source: Source, node: Node) -> Iterator[None]:
+    """Say where stands what unified-planning does not take."""
+    from unified_planning.exceptions import UPException
 
-    with _GLOBAL:
-        before = module.GLOBAL_ENVIRONMENT
-        module.GLOBAL_ENVIRONMENT = environment
-        try:
-            yield
-        finally:
-            module.GLOBAL_ENVIRONMENT = before
+    try:
+        yield
+    except (UPException, AssertionError) as error:
+        text = " ".join(str(error).split()) or repr(error)
+        raise source.error(node, f"unified-planning cannot take this: {text}") from error
 
 
-def _located(error: Exception, read: _Rewritten, domain: Source) -> PddlError:
-    """Turn what unified-planning says into an error with its line; columns may have moved by renaming."""
-    text = " ".join(str(error).split()) or repr(error)
-    place, ill = _LINE.search(text), _ILL_TYPED.search(text)
-    line = read.line(int(place.group(1))) if place else _culprit(read)
-    message = f"unified-planning cannot read this: {' '.join(_NOISE.sub('', text).split())}"
-    if ill is not None:
-        message = (
-            f"the arguments of {ill.group(1)!r} are of other types than declared: {_declaration(domain, ill.group(1))}"
-        )
-    return PddlError(message, read.source.file, line)
+def _time_of(node: Node) -> str | None:
+    """Return when a formula such as `(at start (lit hall))` holds; None if it does not say so."""
+    if len(node.children) != 3 or not node.children[2].is_list:
+        return None
+    return _TIMES.get((node.head, node.children[1].lower))
 
 
-def _declaration(domain: Source, name: str) -> str:
-    """Return how a predicate is declared, by the name that unified-planning was given."""
-    sections = [node for node in domain.root.children if node.head in (":predicates", ":functions")]
-    declared = [node for section in sections for node in section.children[1:] if node.head]
-    return " or ".join(str(node) for node in declared if name in (node.head, f"{node.head}_predicate")) or name
+def _timed(source: Source, schema: Node, node: Node, *, is_effect: bool) -> Iterator[tuple[str, Node]]:
+    """Yield what an action needs, or does, and when: durative actions say when, and others must not.
+
+    Raises:
+        PddlError: one does otherwise.
+        UnsupportedPddlError: an effect at one time depends on a condition at another.
+    """
+    if schema.head == ":action":
+        _refuse_times(source, schema, node)
+        yield ("end" if is_effect else "start"), node
+        return
+    time = _time_of(node)
+    if time is not None and not (is_effect and time == "over_all"):
+        yield time, node.children[2]
+    elif node.head == "and" or not node.children:
+        for child in node.children[1:]:
+            yield from _timed(source, schema, child, is_effect=is_effect)
+    elif node.head == "forall" and len(node.children) == 3:
+        for when, inner in _timed(source, schema, node.children[2], is_effect=is_effect):
+            yield when, listed(*node.children[:2], inner)
+    elif node.head == "when" and is_effect and len(node.children) == 3:
+        condition, effect = node.children[1:]
+        at = _time_of(effect)
+        if at is None or at != _time_of(condition):
+            message = (
+                f"found {start_of(node)!r}: an effect at one time that depends on another is not supported by any "
+            )
+            message += "engine of unified-planning. Write (when (at end ...) (at end ...)), or two actions"
+            raise source.unsupported(node, message)
+        yield at, listed(node.children[0], condition.children[2], effect.children[2])
+    else:
+        expected = " or ".join(f"'({' '.join(time)} ...)'" for time in _TIMES if not is_effect or time[0] == "at")
+        message = f"found {start_of(node)!r} in (:durative-action {schema.children[1]}, expected {expected} around it"
+        raise source.error(node, message)
 
 
-def _culprit(read: _Rewritten) -> int | None:
-    """Return the line of the first action that cannot be read even without the others."""
-    actions = [node for node, _ in read.sections if node.head in BODY]
-    return next((node.line for node in actions if not _is_readable(read.with_action(node))), None)
+def _refuse_times(source: Source, schema: Node, node: Node) -> None:
+    if _time_of(node) is not None:
+        message = f"found {start_of(node)!r} in (:action {schema.children[1]}, which takes no time; leave out "
+        message += f"'{node.head} {node.children[1].lower}', or write (:durative-action"
+        raise source.error(node, message)
+    for child in node.children:
+        _refuse_times(source, schema, child)
 
 
-def _domain(domain: Source, problem: Source, up_problem: UpThing, found: Iterable[Mention], inside: UpThing) -> Domain:
-    spelled = {(m.kind, m.node.lower): m.node.lower for m in found if m.declares}
-    spelled |= {(m.kind, m.node.lower): str(m.node) for m in found if m.declares}
-    outside = {name: spelled[key] for key, name in inside.items()} | {"object": "object"}
-    types = {outside[thing.name]: tuple(lineage_of(thing.type, outside)) for thing in up_problem.all_objects}
-    places = {(m.kind.value, str(m.node)): (m.source.file, m.node.line) for m in found if m.declares}
-    places |= {("section", node.head): (problem.file, node.line) for node in problem.root.children[2:]}
-    schemas = [schema_of(action, outside, domain.file) for action in up_problem.actions]
-    return Domain(
-        name=str(domain.root.children[1].children[1]),
-        file=domain.file,
-        problem_file=problem.file,
-        rosa_actions=tuple(name for name, lineage in types.items() if ACTION_TYPE in lineage),
-        schemas=tuple(schema.name for schema in schemas),
-        up_problem=up_problem,
-        schema_of={schema.name: schema for schema in schemas},
-        outside=outside,
-        inside={(kind.value, word): name for (kind, word), name in inside.items()},
-        goals=tuple(str(goal) for goal in _goals(problem)),
-        places=places,
-        types=types,
-        oversights=(*doubtful_requirements(domain), *doubtful_requirements(problem)),
-        resources=resources_of(up_problem, outside),
-    )
+def _parts(node: Node) -> Iterator[Node]:
+    """Yield the parts of a conjunction that are none."""
+    for part in node.children[1:] if node.head == "and" else (node,) if node.children or not node.is_list else ():
+        yield from _parts(part) if node.head == "and" else (part,)
 
 
-def _goals(problem: Source) -> Iterator[Node]:
-    for section in problem.root.children[2:]:
-        if section.head == ":goal":
-            yield from chain.from_iterable(without_limits(goal) for goal in section.children[1:] if goal.children)
+def _increases(node: Node) -> Iterator[Node]:
+    if node.head == "increase":
+        yield node
+    for child in node.children:
+        yield from _increases(child)
+
+
+def _quantifiers(node: Node) -> Iterator[Node]:
+    if node.head in ("forall", "exists") and len(node.children) == 3:
+        yield node
+    for child in node.children:
+        yield from _quantifiers(child)
+
+
+# ---------------------------------------------------------------- from the model to schemas
 
 
 def lineage_of(type_: UpThing, outside: Mapping[str, str]) -> Iterator[str]:
@@ -331,7 +653,7 @@ def schema_of(action: UpThing, outside: Mapping[str, str], file: str) -> Schema:
     """
     name = outside[action.name]
     if hasattr(action, "conditions"):
-        parts = _timed(action, name, file)
+        parts = _parts_in_time(action, name, file)
     elif hasattr(action, "preconditions"):
         parts = {"start": tuple(conjuncts(action.preconditions)), "end_effects": tuple(action.effects)}
     else:
@@ -340,7 +662,7 @@ def schema_of(action: UpThing, outside: Mapping[str, str], file: str) -> Schema:
     complete |= {key: _true_or_false(complete[key]) for key in ("start_effects", "end_effects")}
     conditions = complete["start"] + complete["over_all"] + complete["end"]
     parameters = tuple((parameter.name, outside[parameter.type.name]) for parameter in action.parameters)
-    rosa_action = rosa_action_of(name, conditions, action.parameters, outside)
+    rosa_action = _rosa_action_of(name, conditions, action.parameters, outside)
     return Schema(name=name, parameters=parameters, action=rosa_action, **complete)
 
 
@@ -349,7 +671,7 @@ def _true_or_false(effects: tuple[UpThing, ...]) -> tuple[UpThing, ...]:
     return tuple(effect for effect in effects if effect.fluent.type.is_bool_type())
 
 
-def _timed(action: UpThing, name: str, file: str) -> dict[str, tuple[UpThing, ...]]:
+def _parts_in_time(action: UpThing, name: str, file: str) -> dict[str, tuple[UpThing, ...]]:
     parts: dict[str, tuple[UpThing, ...]] = {}
     for interval, conditions in action.conditions.items():
         at_start, at_end = interval.lower.is_from_start(), interval.upper.is_from_end()
@@ -361,3 +683,41 @@ def _timed(action: UpThing, name: str, file: str) -> dict[str, tuple[UpThing, ..
     if action.continuous_effects:
         raise UnsupportedPddlError(f"the action {name!r} changes numbers continuously", file)
     return parts
+
+
+def resources_of(up_problem: UpThing, outside: Mapping[str, str]) -> tuple[Resource, ...]:
+    """Take the limits out of a problem's goals, and return what is limited or used up.
+
+    Args:
+        up_problem: what unified-planning read; its goals are left without limits.
+        outside: the files' spelling by unified-planning's names.
+    """
+    uses: dict[UpThing, dict[str, UpThing]] = {}
+    for action in up_problem.actions:
+        for effect in _effects(action):
+            if effect.is_increase():
+                used, name = uses.setdefault(effect.fluent, {}), outside[action.name]
+                used[name] = used[name] + effect.value if name in used else effect.value
+    limits: dict[UpThing, list[Limit]] = {}
+    kept = []
+    for goal in conjuncts(up_problem.goals):
+        if (goal.is_le() or goal.is_lt()) and goal.arg(0) in uses:
+            limits.setdefault(goal.arg(0), []).append(Limit(goal.arg(1), goal.is_lt()))
+        else:
+            kept.append(goal)
+    if limits:
+        up_problem.clear_goals()
+        for goal in kept:
+            up_problem.add_goal(goal)
+    return tuple(
+        Resource(outside[fluent.fluent().name], fluent, used, tuple(limits.get(fluent, ())))
+        for fluent, used in uses.items()
+    )
+
+
+def _effects(action: UpThing) -> Iterator[UpThing]:
+    if hasattr(action, "conditions"):
+        for effects in action.effects.values():
+            yield from effects
+    else:
+        yield from action.effects

@@ -222,18 +222,18 @@ def missing_of(domain: Domain, formulas: Iterable[UpThing], binding: Binding, st
     """Return the first formula that does not hold in a state, as text."""
     for formula in formulas:
         if not holds(domain, formula, binding, state):
-            return _text(domain, formula, binding)
+            return text_of(domain, formula, binding)
     return None
 
 
 def holds(domain: Domain, formula: UpThing, binding: Binding, state: Facts) -> bool:
     """Whether a formula holds in a state, its parameters being what they are bound to."""
     if formula.is_fluent_exp():
-        return _text(domain, formula, binding) in state
+        return text_of(domain, formula, binding) in state
     if formula.is_bool_constant():
         return bool(formula.constant_value())
     if formula.is_equals():
-        left, right = (_text(domain, side, binding) for side in formula.args)
+        left, right = (text_of(domain, side, binding) for side in formula.args)
         return left == right
     if formula.is_exists() or formula.is_forall():
         bindings = _bindings(domain, formula.variables(), binding)
@@ -274,7 +274,7 @@ def literals(domain: Domain, formula: UpThing, binding: Binding | None = None) -
         return _joined([literals(domain, formula.arg(0), inner) for inner in bindings])
     atom = formula.arg(0) if formula.is_not() else formula
     if atom.is_fluent_exp():
-        return [(_text(domain, atom, binding), not formula.is_not())]
+        return [(text_of(domain, atom, binding), not formula.is_not())]
     if atom.is_equals() or atom.is_bool_constant():
         return [] if holds(domain, formula, binding, frozenset()) else None
     return None
@@ -311,7 +311,7 @@ def changes(
         for inner in _bindings(domain, effect.forall, binding) if effect.forall else (binding,):
             if holds(domain, effect.condition, inner, state):
                 target = added if holds(domain, effect.value, inner, state) else deleted
-                target.add(_text(domain, effect.fluent, inner))
+                target.add(text_of(domain, effect.fluent, inner))
     return deleted, added
 
 
@@ -330,12 +330,12 @@ def affected_atoms(domain: Domain, effects: Iterable[UpThing], binding: Binding)
     """Yield the atoms that effects may change, whatever their conditions say then."""
     for effect in effects:
         for inner in _bindings(domain, effect.forall, binding):
-            yield _text(domain, effect.fluent, inner)
+            yield text_of(domain, effect.fluent, inner)
 
 
 def _atoms(domain: Domain, formula: UpThing, binding: Binding) -> Iterator[str]:
     if formula.is_fluent_exp():
-        yield _text(domain, formula, binding)
+        yield text_of(domain, formula, binding)
     elif formula.is_exists() or formula.is_forall():
         for inner in _bindings(domain, formula.variables(), binding):
             yield from _atoms(domain, formula.arg(0), inner)
@@ -344,7 +344,7 @@ def _atoms(domain: Domain, formula: UpThing, binding: Binding) -> Iterator[str]:
             yield from _atoms(domain, part, binding)
 
 
-def _text(domain: Domain, formula: UpThing, binding: Binding) -> str:
+def text_of(domain: Domain, formula: UpThing, binding: Binding) -> str:
     """Return a formula as PDDL text in the names of the files, its parameters replaced by what they are bound to."""
     if formula.is_parameter_exp():
         return binding[formula.parameter().name]
@@ -352,13 +352,17 @@ def _text(domain: Domain, formula: UpThing, binding: Binding) -> str:
         return binding.get(formula.variable().name, f"?{formula.variable().name}")
     if formula.is_object_exp():
         return domain.outside[formula.object().name]
+    if formula.is_bool_constant():
+        return str(formula).lower()
+    parts = [text_of(domain, part, binding) for part in formula.args]
     if formula.is_fluent_exp():
         head = domain.outside[formula.fluent().name]
-    elif formula.is_bool_constant():
-        return str(formula).lower()
     else:
         head = _HEADS.get(formula.node_type.name, formula.node_type.name.lower())
-    return "(" + " ".join([head, *(_text(domain, part, binding) for part in formula.args)]) + ")"
+    if formula.is_exists() or formula.is_forall():
+        variables = (f"?{one.name} - {domain.outside[one.type.name]}" for one in formula.variables())
+        parts.insert(0, f"({' '.join(variables)})")
+    return "(" + " ".join([head, *parts]) + ")"
 
 
 _HEADS = {"EQUALS": "=", "IMPLIES": "imply"}

@@ -20,7 +20,7 @@ from rosa_pddl.belief import Belief
 from rosa_pddl.domain import ACTION_TYPE, FEASIBLE, UpThing
 from rosa_pddl.exceptions import nearest
 from rosa_pddl.formulas import conditions
-from rosa_pddl.reading.syntax import Node, parse
+from rosa_pddl.syntax import Node, parse
 from rosa_pddl.validate import binding_of, holds, mentioned_atoms
 
 __all__ = ["plan_registry", "plan_tree", "plan_xml", "written"]

@@ -14,8 +14,7 @@ from missions.engine.mission import Mission, MissionError, Percepts
 from missions.planning.declared import declarations_of
 from rosa_bt import IsActionFeasible, RosaAction
 from rosa_pddl.domain import ACTION_TYPE
-from rosa_pddl.reading.declarations import declared_types
-from rosa_pddl.reading.syntax import Node, Source, read_source
+from rosa_pddl.syntax import Node, Source, read_source, section, typed
 
 __all__ = ["Uses", "names_in_pddl", "names_in_tree", "planned_names", "tree_builder"]
 
@@ -98,11 +97,11 @@ def names_in_pddl(paths: Iterable[Path]) -> Uses:
         RosaPddlError: a file cannot be read; the message names file, line and column.
     """
     sources = [read_source(path) for path in paths]
-    parents = {name.lower: of for source in sources for name, of in _typed(source, ":types")}
+    parents = {name.lower: of for source in sources for name, of in _declared(source, section(source, ":types"))}
     found = [
         (str(name), _place(source, name))
         for source in sources
-        for name, of in _typed(source, ":constants", ":objects")
+        for name, of in _declared(source, section(source, ":constants") + section(source, ":objects"))
         if _is_action(of, parents)
     ]
     return found or [use for source in sources for use in _by_predicate(source, parents)]
@@ -118,25 +117,16 @@ def planned_names(mission: Mission) -> Uses:
 
 
 def _by_predicate(source: Source, parents: Mapping[str, str]) -> Iterator[tuple[str, str]]:
-    for predicate in (one for section in _sections(source, ":predicates") for one in section.children[1:]):
+    for predicate in section(source, ":predicates"):
         name = predicate.children[0]
-        types = [of for _, of in _declared(predicate)]
+        types = [of for _, of in _declared(source, predicate.children[1:])]
         if name.lower.endswith(ACTION_SUFFIX) and len(types) == 1 and _is_action(types[0], parents):
             yield str(name)[: -len(ACTION_SUFFIX)], _place(source, name)
 
 
-def _sections(source: Source, *keywords: str) -> list[Node]:
-    return [node for node in source.root.children if node.head in keywords]
-
-
-def _typed(source: Source, *keywords: str) -> Iterator[tuple[Node, str]]:
-    for section in _sections(source, *keywords):
-        yield from _declared(section)
-
-
-def _declared(section: Node) -> Iterator[tuple[Node, str]]:
-    """Yield what a list declares, each with its type in lower case; what has no type is an object."""
-    yield from ((name, "object" if of is None else of.lower) for name, of in declared_types(section))
+def _declared(source: Source, nodes: Iterable[Node]) -> list[tuple[Node, str]]:
+    """Return what a list declares, each with its type in lower case; what has no type is an object."""
+    return [(name, "object" if of is None else of.lower) for name, of in typed(source, nodes)]
 
 
 def _is_action(name: str, parents: Mapping[str, str]) -> bool:

@@ -22,11 +22,11 @@ from unified_planning.plans import ActionInstance, SequentialPlan
 from rosa_pddl.domain import Domain, UpThing
 from rosa_pddl.engines.unified_planning import LABEL_SETTING
 from rosa_pddl.exceptions import UnsupportedPddlError
+from rosa_pddl.formulas import NUMBERS
 from rosa_pddl.outcomes import Outcome, PlanningResult
 from rosa_pddl.planner import Planner
 from rosa_pddl.problem import Problem, initial_state
-from rosa_pddl.reader import lineage_of, schema_of
-from rosa_pddl.reading.resources import POSSIBLE, resources_of
+from rosa_pddl.reader import lineage_of, resources_of, schema_of
 from rosa_pddl.resource_usage import template_of
 
 __all__ = ["LabelSetting"]
@@ -208,14 +208,14 @@ def _check_numbers(read: UpThing, where: str) -> None:
             if effect.fluent.type.is_bool_type():
                 _refuse_numbers([effect.condition, effect.value], action.name, where)
             elif not effect.is_increase() or effect.fluent.args or effect.is_conditional() or effect.forall:
-                message = f"the effect '{effect}' of {action.name} is not planned for; {POSSIBLE}"
+                message = f"the effect '{effect}' of {action.name} is not planned for; {NUMBERS}"
                 raise UnsupportedPddlError(message, where)
 
 
 def _refuse_numbers(formulas: list[UpThing], name: str, where: str) -> None:
     for formula in formulas:
         if any(_is_number(part) for part in _parts(formula)):
-            raise UnsupportedPddlError(f"the condition '{formula}' of {name} computes with numbers; {POSSIBLE}", where)
+            raise UnsupportedPddlError(f"the condition '{formula}' of {name} computes with numbers; {NUMBERS}", where)
 
 
 def _check_amounts(domain: Domain) -> None:
@@ -229,7 +229,7 @@ def _check_amounts(domain: Domain) -> None:
     for amount in amounts:
         template_of(domain, amount)
         if any(part in changed for part in _parts(amount)):
-            message = f"the amount '{amount}' depends on what actions change; {POSSIBLE}"
+            message = f"the amount '{amount}' depends on what actions change; {NUMBERS}"
             raise UnsupportedPddlError(message, domain.file)
     for goal in domain.up_problem.goals:
         _refuse_numbers([goal], "the goal", domain.file)

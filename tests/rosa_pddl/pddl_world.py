@@ -1,6 +1,7 @@
 """A small world for the tests of rosa_pddl: its time, its facts, a knowledge base and behaviours of steps."""
 
 from collections.abc import Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 from py_trees.behaviour import Behaviour
@@ -48,6 +49,19 @@ def load_text(folder, domain, problem):
     (folder / "domain.pddl").write_text(domain)
     (folder / "problem.pddl").write_text(problem)
     return load_domain(folder / "domain.pddl", folder / "problem.pddl")
+
+
+@contextmanager
+def as_global(environment):
+    """The validators of unified-planning 1.3 work in the global environment, whatever they are given."""
+    import unified_planning.environment as module
+
+    before = module.GLOBAL_ENVIRONMENT
+    module.GLOBAL_ENVIRONMENT = environment
+    try:
+        yield
+    finally:
+        module.GLOBAL_ENVIRONMENT = before
 
 
 class FakeKb:

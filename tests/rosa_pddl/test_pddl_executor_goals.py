@@ -117,11 +117,11 @@ def test_a_goal_may_be_any_condition(world):
 @pytest.mark.parametrize(
     ("text", "error", "message"),
     [
-        ("(visted north)", UnknownNameError, "no predicate 'visted'.*nearest: visited"),
-        ("(visited nort)", UnknownNameError, "no object 'nort'.*nearest: north"),
+        ("(visted north)", UnknownNameError, "unknown predicate 'visted'.*nearest: visited"),
+        ("(visited nort)", UnknownNameError, "unknown object 'nort'.*nearest: north"),
         ("(visited ?s)", UnknownNameError, r"\?s"),
-        ("(forall (?s - sit) (visited ?s))", UnknownNameError, "no type 'sit'.*nearest: site"),
-        ("(forall (?s) (visited ?s))", UnknownNameError, "no type 'object'.*known: site"),
+        ("(forall (?s - sit) (visited ?s))", UnknownNameError, "unknown type 'sit'.*nearest: site"),
+        ("(forall (?s) (visited ?s))", UnknownNameError, "unknown type 'object'.*known: site"),
         ("(not (home) (home))", PddlError, "2 parts .* expected 1"),
         ("visited north", PddlError, "expected"),
         ("(visited north", PddlError, "not closed"),

@@ -10,11 +10,10 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pddl_world import ROOMS_DOMAIN, ROOMS_PROBLEM, FakeKb, load_mission, load_text
+from pddl_world import ROOMS_DOMAIN, ROOMS_PROBLEM, FakeKb, as_global, load_mission, load_text
 
 from rosa_pddl import Outcome, Planner, Problem, Step, UnsupportedPddlError, feasible_atoms, initial_state
 from rosa_pddl.engines import fast_downward as downward
-from rosa_pddl.reader import _as_global
 from rosa_pddl.validate import ended, flaw, goal_holds, missing_at_start, started
 
 
@@ -359,7 +358,7 @@ def is_valid_for_unified_planning(problem, steps):
         instances.append(
             ActionInstance(action, tuple(up_problem.environment.expression_manager.ObjectExp(o) for o in objects))
         )
-    with _as_global(up_problem.environment):  # its grounder works in the global environment only
+    with as_global(up_problem.environment):  # its grounder works in the global environment only
         validator = SequentialPlanValidator()
         validator.skip_checks = True
         return bool(validator.validate(up_problem, SequentialPlan(instances, up_problem.environment)))

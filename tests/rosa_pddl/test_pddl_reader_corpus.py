@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from pddl_world import FakeKb, World, load_text
+from pddl_world import ROOMS_DOMAIN, ROOMS_PROBLEM, FakeKb, World, load_text
 from py_trees.common import Status
 
 from rosa_pddl import (
@@ -15,9 +15,11 @@ from rosa_pddl import (
     flaw,
     initial_state,
     load_domain,
+    parse_domain,
 )
 
 CORPUS = Path(__file__).with_name("corpus")
+FILES = ("domain.pddl", "problem.pddl")
 PLANS = {
     "delivery": (17.0, "load drive drive unload"),
     "inspection": (3.0, "start_robot search_pipeline inspect_pipeline"),
@@ -182,3 +184,17 @@ def test_types_that_are_above_one_another_are_refused_but_one_above_itself_is_on
         load_text(tmp_path, two, PROBLEM)
     itself = PLAIN.replace("(:types thing)", "(:types thing part - thing)")
     assert load_text(tmp_path, itself, PROBLEM).schemas == ("go",)
+
+
+# ------------------------------------------------------------------ the same as unified-planning's own reader
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # it calls its parser by names that were since deprecated
+@pytest.mark.parametrize("name", ["rooms", "untyped"])
+def test_the_model_is_that_which_unified_planning_reads_where_it_can(name):
+    from unified_planning.io import PDDLReader
+
+    folder = CORPUS / name
+    files = (ROOMS_DOMAIN, ROOMS_PROBLEM) if name == "rooms" else [(folder / one).read_text() for one in FILES]
+    ours, theirs = parse_domain(*files).up_problem, PDDLReader().parse_problem_string(*files)
+    assert str(ours).lower() == str(theirs).lower()

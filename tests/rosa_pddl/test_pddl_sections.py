@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from pddl_world import FakeKb
 
 from rosa_pddl import PddlError, Planner, Problem, UnsupportedPddlError, initial_state, parse_domain
-from rosa_pddl.reading.syntax import parse
+from rosa_pddl.syntax import parse
 
 CORPUS = Path(__file__).with_name("corpus")
 DOMAIN = """(define (domain plain)

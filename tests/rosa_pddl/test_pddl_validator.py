@@ -6,11 +6,10 @@ from itertools import product
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pddl_world import load_text
+from pddl_world import as_global, load_text
 
 from rosa_pddl import Problem, TimedStep, initial_state, schedule_flaw
 from rosa_pddl.engines.unified_planning import _timed
-from rosa_pddl.reader import _as_global
 from rosa_pddl.validate import ended, flaw, missing_at_start, started
 
 
@@ -30,7 +29,7 @@ def instance(domain, up_problem, step):
 
 
 def accepts(validator_class, up_problem, plan):
-    with _as_global(up_problem.environment):  # its grounder works in the global environment only
+    with as_global(up_problem.environment):  # its grounder works in the global environment only
         validator = validator_class()
         validator.skip_checks = True
         return bool(validator.validate(up_problem, plan))

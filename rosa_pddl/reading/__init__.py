@@ -1,1 +1,0 @@
-"""Reading PDDL: from text to sections, signatures and conventions; `load_domain` puts it together."""

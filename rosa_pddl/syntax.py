@@ -1,0 +1,324 @@
+"""The lists and sections of PDDL files, with the place of each word, so that an error can point at it."""
+
+import re
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+from rosa_pddl.exceptions import PddlError, UnsupportedPddlError, nearest
+
+_TOKEN = re.compile(r";[^\n]*|\s+|[()]|[^\s();]+")
+
+BODY: Final[Mapping[str, tuple[str, ...]]] = {
+    ":action": (":parameters", ":precondition", ":effect"),
+    ":durative-action": (":parameters", ":duration", ":condition", ":effect"),
+}
+"""What describes an action, by the section."""
+
+# In the order that unified-planning's reader insists on.
+_DOMAIN = ("domain", ":requirements", ":types", ":constants", ":predicates", ":functions", *BODY)
+_PROBLEM = ("problem", ":domain", ":requirements", ":objects", ":init", ":goal", ":metric")
+# What unified-planning or the executor cannot take, and which engine would do.
+_UNSUPPORTED = {
+    ":derived": "unified-planning has no derived predicates; Fast Downward by itself would do. Sense the predicate, or "
+    "make it an effect of actions",
+    ":process": "it changes numbers while time passes; ENHSP (up-enhsp) would do",
+    ":event": "it happens by itself; ENHSP (up-enhsp) would do",
+    ":task": "hierarchies are not executed here; Aries (up-aries) by itself would do",
+    ":method": "hierarchies are not executed here; Aries (up-aries) by itself would do",
+    ":htn": "hierarchies are not executed here; Aries (up-aries) by itself would do",
+    ":constraints": "what shall hold on the way is not planned for; SymK (up-symk) after compilation would do",
+}
+_METRICS = ("minimize (total-cost)", "minimize (total-time)")
+# Those of PDDL 2.1 to 3.1, and of its extensions for hierarchies and chance.
+_REQUIREMENTS = (
+    *(":strips", ":typing", ":equality", ":adl", ":fluents", ":numeric-fluents", ":object-fluents", ":action-costs"),
+    *(":negative-preconditions", ":disjunctive-preconditions", ":existential-preconditions", ":time", ":constraints"),
+    *(":universal-preconditions", ":quantified-preconditions", ":conditional-effects", ":derived-predicates", ":htn"),
+    *(":durative-actions", ":duration-inequalities", ":continuous-effects", ":timed-initial-literals", ":preferences"),
+    *(":goal-utilities", ":hierarchy", ":method-preconditions", ":multi-agent", ":non-deterministic", ":rewards"),
+    *(":probabilistic-effects", ":contingent", ":partial-observability", ":processes", ":events", ":timed-effects"),
+)
+
+
+@dataclass(frozen=True)
+class Node:
+    """A word, or a list in parentheses, and where it stands.
+
+    Args:
+        word: the word as written; None for a list.
+        children: what the list holds; empty for a word.
+        start: offset of the first character in the file's text.
+        end: offset after the last character.
+        line: counted from 1; 0 if it stands in no file.
+        column: counted from 1; 0 likewise.
+    """
+
+    word: str | None
+    children: tuple["Node", ...]
+    start: int
+    end: int
+    line: int
+    column: int
+
+    @property
+    def is_list(self) -> bool:
+        """Whether this is a list in parentheses."""
+        return self.word is None
+
+    @property
+    def lower(self) -> str:
+        """The word as PDDL compares it; empty for a list."""
+        return (self.word or "").lower()
+
+    @property
+    def head(self) -> str:
+        """The first word of a list, in lower case; empty if there is none."""
+        return self.children[0].lower if self.children else ""
+
+    def __str__(self) -> str:
+        if self.word is not None:
+            return self.word
+        return "(" + " ".join(str(child) for child in self.children) + ")"
+
+
+ANY: Final = Node("object", (), 0, 0, 0, 0)
+"""The type of a name without one."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """A PDDL file: its text and its one outermost list."""
+
+    file: str
+    text: str
+    root: Node
+
+    def error(self, node: Node, message: str) -> PddlError:
+        """Make an error that points at a node."""
+        return PddlError(message, self.file, node.line or None, node.column or None)
+
+    def unsupported(self, node: Node, message: str) -> UnsupportedPddlError:
+        """Make an error about correct PDDL that cannot be handled."""
+        return UnsupportedPddlError(message, self.file, node.line or None, node.column or None)
+
+
+def listed(*parts: Node | str) -> Node:
+    """Make a list that stands where the first part that is a node does, or at the beginning."""
+    place = next((part for part in parts if isinstance(part, Node)), ANY)
+    children = tuple(replace(place, word=part, children=()) if isinstance(part, str) else part for part in parts)
+    return replace(place, word=None, children=children)
+
+
+def start_of(node: Node) -> str:
+    """Return the text of a node, shortened."""
+    text = str(node)
+    return text if len(text) <= 40 else text[:37] + "..."
+
+
+def typed(source: Source, nodes: Iterable[Node], *, are_variables: bool = False) -> list[tuple[Node, Node | None]]:
+    """Read a typed list such as `a b - t c`; return each name with its type, None if it has none.
+
+    Raises:
+        PddlError: it holds something else, or a name of the wrong kind.
+        UnsupportedPddlError: a type is one of several.
+    """
+    found: list[tuple[Node, Node | None]] = []
+    waiting: list[Node] = []
+    before = ""
+    for node in nodes:
+        expects_type, before = before == "-", str(node)
+        if expects_type and node.head == "either":
+            message = (
+                "found '(either ...)': no engine of unified-planning takes a type of several; Fast Downward by itself"
+            )
+            raise source.unsupported(node, f"{message} would do. Declare a type above them")
+        if node.is_list:
+            raise source.error(node, f"found {start_of(node)!r}, expected {'a type' if expects_type else 'a name'}")
+        if expects_type:
+            found += [(name, node) for name in waiting]
+            waiting = []
+        elif node.word != "-":
+            if are_variables and not node.lower.startswith("?"):
+                raise source.error(node, f"found {node.word!r}, expected a variable such as '?{node.word}'")
+            waiting.append(node)
+    return found + [(name, None) for name in waiting]
+
+
+@dataclass
+class _Open:
+    start: int
+    line: int
+    column: int
+    children: list[Node]
+
+    def closed(self, end: int) -> Node:
+        return Node(None, tuple(self.children), self.start, end, self.line, self.column)
+
+
+def read_source(path: str | Path) -> Source:
+    """Read one PDDL file.
+
+    Raises:
+        PddlError: the file cannot be read, or its parentheses do not balance.
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
+        raise PddlError(f"cannot read this PDDL file: {reason}", path) from error
+    return parse(text, str(path))
+
+
+def parse(text: str, file: str, expected: str = "(define ...)") -> Source:
+    """Parse PDDL text into its one outermost list.
+
+    Args:
+        text: PDDL.
+        file: what to call it in messages.
+        expected: what the list should be, for messages.
+
+    Raises:
+        PddlError: there is no list, more than one, or its parentheses do not balance.
+    """
+    stack: list[_Open] = []
+    root: Node | None = None
+    for token, start, line, column in _tokens(text):
+        if root is not None:
+            raise PddlError(f"found {token!r} after the end of {expected}, expected nothing more", file, line, column)
+        if token == "(":
+            stack.append(_Open(start, line, column, []))
+        elif not stack:
+            raise PddlError(f"found {token!r}, expected '{expected}'", file, line, column)
+        elif token == ")":
+            node = stack.pop().closed(start + 1)
+            if stack:
+                stack[-1].children.append(node)
+            else:
+                root = node
+        else:
+            _refuse_buried_section(token, stack, file)
+            stack[-1].children.append(Node(token, (), start, start + len(token), line, column))
+    if stack:
+        raise _unclosed(stack[-1], file, "the end of the file")
+    if root is None:
+        raise PddlError(f"it is empty, expected '{expected}'", file)
+    return Source(file, text, root)
+
+
+def _tokens(text: str) -> Iterator[tuple[str, int, int, int]]:
+    line, line_start = 1, 0
+    for match in _TOKEN.finditer(text):
+        token, start = match.group(), match.start()
+        if not token[0].isspace() and token[0] != ";":
+            yield token, start, line, start - line_start + 1
+        if "\n" in token:
+            line += token.count("\n")
+            line_start = start + token.rindex("\n") + 1
+
+
+def _refuse_buried_section(token: str, stack: list[_Open], file: str) -> None:
+    """Sections stand directly in (define ...): one that stands deeper shows which parenthesis was left open."""
+    if token.startswith(":") and not stack[-1].children and len(stack) > 2:
+        raise _unclosed(stack[-2], file, f"({token} on line {stack[-1].line}")
+
+
+def _unclosed(left_open: _Open, file: str, before: str) -> PddlError:
+    opening = "(" + (str(left_open.children[0]) if left_open.children else "")
+    message = f"unbalanced parentheses: {opening!r} opened here is not closed, expected ')' before {before}"
+    return PddlError(message, file, left_open.line, left_open.column)
+
+
+def check_frames(domain: Source, problem: Source) -> None:
+    """Assure that both files have the sections that they need, no others, and belong together.
+
+    Raises:
+        PddlError: a section is missing, misspelt, there twice, or of another domain.
+        UnsupportedPddlError: a section that cannot be planned for or executed.
+    """
+    _check_frame(domain, "domain", _DOMAIN)
+    _check_frame(problem, "problem", _PROBLEM)
+    _check_problem(problem)
+    _check_belongs(domain, problem)
+
+
+def section(source: Source, *heads: str) -> list[Node]:
+    """Return what stands in the sections of these names, in the order of the names."""
+    sections = source.root.children[2:]
+    return [child for head in heads for node in sections if node.head == head for child in node.children[1:]]
+
+
+def body_of(source: Source, schema: Node) -> dict[str, Node]:
+    """Return the parts of an action by their keywords.
+
+    Raises:
+        PddlError: it has no name, no duration though it takes time, or a part that there is not.
+    """
+    if len(schema.children) < 2 or schema.children[1].is_list or schema.children[1].lower.startswith(":"):
+        raise source.error(schema, f"found {start_of(schema)!r}, expected '({schema.head} NAME ...)'")
+    allowed, name = BODY[schema.head], schema.children[1]
+    parts: dict[str, Node] = {}
+    words = list(schema.children[2:])
+    while words:
+        keyword = words.pop(0)
+        if keyword.lower not in allowed:
+            message = f"found {start_of(keyword)!r} in {schema.head} {name}, expected one of {' '.join(allowed)}; "
+            raise source.error(keyword, message + nearest(keyword.lower, allowed))
+        if not words or not words[0].is_list:
+            raise source.error(keyword, f"expected '(' after {keyword.word}")
+        parts[keyword.lower] = words.pop(0)
+    if schema.head == ":durative-action" and ":duration" not in parts:
+        raise source.error(schema, f"(:durative-action {name} has no ':duration'")
+    return parts
+
+
+def doubtful_requirements(source: Source) -> Iterator[str]:
+    """Yield sentences about requirements that PDDL does not have; they do no harm, but may be misspelt."""
+    for node in section(source, ":requirements"):
+        if str(node).lower() not in _REQUIREMENTS:
+            place = f"{source.file}:{node.line}:{node.column}"
+            yield f"{place}: PDDL has no requirement {str(node)!r}; {nearest(str(node), _REQUIREMENTS)}"
+
+
+def _check_frame(source: Source, what: str, sections: Collection[str]) -> None:
+    root = source.root
+    if root.head != "define" or len(root.children) < 2:
+        raise source.error(root, f"found {start_of(root)!r}, expected '(define ({what} ...) ...)'")
+    title = root.children[1]
+    if title.head != what or len(title.children) != 2:
+        raise source.error(title, f"found {start_of(title)!r}, expected '({what} NAME)'; is this the {what} file?")
+    first: dict[str, Node] = {}
+    for node in root.children[2:]:
+        if node.head in _UNSUPPORTED:
+            raise source.unsupported(node, f"found '({node.head}': {_UNSUPPORTED[node.head]}")
+        if node.head not in sections:
+            raise source.error(node, f"found {start_of(node)!r}, expected a section; {nearest(node.head, sections)}")
+        if node.head not in (*BODY, ":requirements") and first.setdefault(node.head, node) is not node:
+            message = f"found a second '({node.head}', expected one; put both together, the first is in line"
+            raise source.error(node, f"{message} {first[node.head].line}")
+
+
+def _check_problem(source: Source) -> None:
+    root = source.root
+    for needed in (":domain", ":init", ":goal"):
+        if all(node.head != needed for node in root.children):
+            raise source.error(root, f"the problem has no '({needed} ...)'")
+    for node in root.children[2:]:
+        parts = node.children[1:]
+        if node.head == ":goal" and len(parts) != 1:
+            message = f"found {len(parts)} conditions in (:goal ...), expected one; join them with (and ...)"
+            raise source.error(node, message)
+        if node.head == ":metric" and " ".join(str(part).lower() for part in parts) not in _METRICS:
+            message = f"found {start_of(node)!r}, which is not planned for; expected none, or one of "
+            raise source.unsupported(node, message + " and ".join(f"'(:metric {one})'" for one in _METRICS))
+
+
+def _check_belongs(domain: Source, problem: Source) -> None:
+    """Assure that the problem names this domain."""
+    title = domain.root.children[1].children[1]
+    for node in problem.root.children[2:]:
+        if node.head == ":domain" and [child.lower for child in node.children[1:]] != [title.lower]:
+            raise problem.error(
+                node, f"found {start_of(node)!r}, expected '(:domain {title})', as {domain.file} is called"
+            )
