@@ -6,9 +6,9 @@ The file holds both, so that any reader of OWL understands it without a second f
 import json
 import re
 from collections.abc import Iterator, Mapping
+from html import escape
 from importlib.resources import files
 from typing import Final
-from xml.sax.saxutils import escape
 
 from kb.contents import Contents
 from kb.individuals import GENERAL, Individual, Ref, Value, individuals
@@ -61,7 +61,7 @@ def order(one: Individual) -> str:
 
 def xml_text(text: str) -> str:
     """Write a text for XML, which cannot hold every character."""
-    return escape(_UNFIT.sub(lambda found: f"\\u{ord(found[0]):04x}", text))
+    return escape(_UNFIT.sub(lambda found: f"\\u{ord(found[0]):04x}", text), quote=False)
 
 
 def plain_text(text: str) -> str:

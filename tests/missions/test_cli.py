@@ -11,6 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from missions import cli
+from missions.baselines.registry import MANAGERS, OURS
 from missions.engine.registry import MISSIONS
 
 
@@ -246,3 +247,27 @@ def test_help_names_every_option():
         *("--task", "--seed", "--json", "--plot", "--timing", "--record", "--set", "--realtime", "--no-progress"),
     ):
         assert option in shown
+
+
+STARTS = """
+import contextlib, io, sys
+from typer.testing import CliRunner
+from missions.cli import app
+for arguments, unwanted in (
+    (["--help"], ["kb", "py_trees", "numpy", "rosa_pddl"]),
+    (["list"], ["mujoco", "suave_env", "unified_planning", "matplotlib", "scipy", "ortools"]),
+    (["settings", "suave"], ["mujoco", "unified_planning", "matplotlib", "scipy", "ortools"]),
+):
+    assert CliRunner().invoke(app, arguments).exit_code == 0
+    print([name for name in unwanted if name in sys.modules])
+"""
+
+
+def test_help_list_and_settings_start_without_what_they_do_not_need():
+    done = subprocess.run([sys.executable, "-c", STARTS], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["[]", "[]", "[]"]
+
+
+def test_managers_that_the_help_names_are_those_there_are():
+    shown = CliRunner().invoke(cli.app, ["run", "--help"], env={"COLUMNS": "200", "NO_COLOR": "1"}).output
+    assert ", ".join([OURS, *MANAGERS]) in " ".join(shown.split())
