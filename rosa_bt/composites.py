@@ -121,11 +121,7 @@ class SafeSwitch(_Parts):
     """
 
     def __init__(
-        self,
-        name: str,
-        task: ActionBehaviour | ForAction,
-        transitions: Mapping[str, Behaviour],
-        posture: Posture,
+        self, name: str, task: ActionBehaviour | ForAction, transitions: Mapping[str, Behaviour], posture: Posture
     ) -> None:
         super().__init__(name, [*transitions.values(), task])
         self.action = task.action

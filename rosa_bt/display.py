@@ -94,7 +94,7 @@ def svg_tree(root: Behaviour) -> str:
 
 
 def _drawn(behaviour: Behaviour, said: set[str] | None = None, *, is_idle: bool = False) -> _Drawn:
-    """Return what is drawn of a behaviour and of all below it; a reason told already is not told again.
+    """Return what is drawn of a behaviour and of all below it; a reason that stands above is not repeated.
 
     What has finished below a node that was reset since then is drawn as not ticked.
     """

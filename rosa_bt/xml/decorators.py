@@ -161,10 +161,7 @@ class Otherwise(Enum):
 class Precondition(OneChild):
     """The child if a script says so when it begins; otherwise what `else` says."""
 
-    PORTS: ClassVar = {
-        "if": PortInformation(str),
-        "else": PortInformation(Otherwise, default_value=Otherwise.FAILURE),
-    }
+    PORTS: ClassVar = {"if": PortInformation(str), "else": PortInformation(Otherwise, default_value=Otherwise.FAILURE)}
     runs = False
     FORGETS = ("_is_begun",)
     _is_begun = False

@@ -152,6 +152,7 @@ class XmlNode(Behaviour):
         PORTS: what can be said in its attributes.
         CHILDREN: how many it takes, at least and at most.
         FORGETS: names of attributes that begin anew, with the value in the class, when the node has ended or is halted.
+        keeps_finished: whether a child that has finished stays so after the tick, or is idle again, as in a decorator.
         runs: whether a tick makes it RUNNING before it does anything else, so that it has to be reset if skipped.
     """
 
@@ -159,6 +160,7 @@ class XmlNode(Behaviour):
     CHILDREN: ClassVar[tuple[int, int]] = (1, MAX_NODES)
     FORGETS: ClassVar[tuple[str, ...]] = ()
     runs = True
+    keeps_finished: ClassVar = True
 
     ports: Ports
     _slots: list[Slot]
@@ -182,15 +184,13 @@ class XmlNode(Behaviour):
         for name in self.FORGETS:
             vars(self).pop(name, None)
 
-    def settle(self) -> None:
-        """Do what is to be done after each tick."""
-
     def tick(self) -> Iterator[Behaviour]:
         for slot in self.slots:
             slot.wipe()
         self.status = RUNNING
         verdict = yield from self.decide()
-        self.settle()
+        if not self.keeps_finished and self.slots[0].status in DONE:
+            self.slots[0].reset()
         self.status = verdict
         yield self
 
@@ -232,6 +232,7 @@ class OneChild(XmlNode, Decorator):
     """A node with one child."""
 
     CHILDREN = (1, 1)
+    keeps_finished = False
 
     def __init__(self, name: str, slots: Sequence[Slot], ports: Ports) -> None:
         Decorator.__init__(self, name, slots[0].node)
@@ -241,11 +242,6 @@ class OneChild(XmlNode, Decorator):
     def child(self) -> Slot:
         """The place of the child."""
         return self.slots[0]
-
-    def settle(self) -> None:
-        """A child that has finished is idle again, whatever the decorator does."""
-        if self.child.status in DONE:
-            self.child.reset()
 
 
 class Branch(OneChild):

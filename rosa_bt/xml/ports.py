@@ -1,9 +1,10 @@
 """What nodes read and write: the blackboard of a tree, and ports, with values of the types that a node declares."""
 
 from collections.abc import Callable, Iterator, Mapping, MutableMapping
+from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any, Final, get_origin
 
-from py_trees.common import Access
 from py_trees.ports import PortInformation, PortsMixin
 from py_trees.ports_utils import convert_str_to_type, is_instance_of_type
 
@@ -160,7 +161,15 @@ class Ports:
 
     def connect(self, behaviour: PortsMixin) -> None:
         """Connect a behaviour with py_trees' ports to the blackboard of the tree instead of the process's."""
-        client = _Client(self, {**behaviour.input_ports(), **behaviour.output_ports()})
+        declared = {**behaviour.input_ports(), **behaviour.output_ports()}
+        client = SimpleNamespace(  # stands in for py_trees' client, whose storage is one for the whole process
+            register_key=lambda **_: None,
+            is_registered=declared.__contains__,
+            absolute_name=lambda key: self.key(key) or key,
+            exists=self.exists,
+            get=self.get,
+            set=self.set,
+        )
         behaviour.attach_blackboard_client = lambda **_: client  # type: ignore[method-assign,assignment]  # only here
         try:
             behaviour.setup_ports()
@@ -202,39 +211,17 @@ def _is_of(value: object, wanted: Any) -> bool:  # noqa: ANN401  # py_trees take
         return isinstance(value, get_origin(wanted))
 
 
+@dataclass(frozen=True)
 class Port:
-    """One port, for behaviours that do not use py_trees' ports: handed to a parameter that is given a `{key}`.
+    """One port, for behaviours that do not use py_trees' ports: handed to a parameter that is given a `{key}`."""
 
-    Args:
-        ports: of the node.
-        name: of the port.
-    """
-
-    def __init__(self, ports: Ports, name: str) -> None:
-        self._ports = ports
-        self.name = name
+    ports: Ports
+    name: str
 
     def get(self) -> Any:  # noqa: ANN401  # whatever is on the blackboard
         """Return the value that it has now."""
-        return self._ports.get(self.name)
+        return self.ports.get(self.name)
 
     def set(self, value: object) -> None:
         """Write a value."""
-        self._ports.set(self.name, value)
-
-
-class _Client:
-    """Stands in for py_trees' blackboard client, whose storage is one for the whole process."""
-
-    def __init__(self, ports: Ports, declared: Declared) -> None:
-        self._declared = declared
-        self.exists = ports.exists
-        self.get = ports.get
-        self.set = ports.set
-        self.absolute_name = lambda key: ports.key(key) or key
-
-    def register_key(self, key: str, access: Access, required: bool = False, remap_to: str | None = None) -> None:
-        """Do nothing: a node has the ports that it declares."""
-
-    def is_registered(self, key: str) -> bool:
-        return key in self._declared
+        self.ports.set(self.name, value)

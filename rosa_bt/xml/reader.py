@@ -251,11 +251,7 @@ class SubTree(Branch):
 
 
 def load_xml(
-    text_or_path: str | Path,
-    registry: BehaviourRegistry,
-    tree: str | None = None,
-    *,
-    clock: Clock | None = None,
+    text_or_path: str | Path, registry: BehaviourRegistry, tree: str | None = None, *, clock: Clock | None = None
 ) -> SubTree:
     """Make a tree that is written in the XML of BehaviorTree.CPP 4, with its semantics.
 

@@ -3,11 +3,9 @@
 import gc
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from py_trees.blackboard import Blackboard, Client
-from py_trees.common import Access, ParallelPolicy, Status
-from py_trees.composites import Parallel, Selector, Sequence
+from py_trees.common import Access, Status
+from py_trees.composites import Selector
 from py_trees.parsers.behaviour_tree_xml import parse_behaviour_tree_xml
 
 from kb import KnowledgeBase, Model, UnknownName
@@ -207,44 +205,6 @@ def test_behaviours_are_built_by_the_xml_parser_of_py_trees(kb, tmp_path):
         root.stop(Status.INVALID)
     finally:
         Blackboard.clear()
-
-
-ENDINGS = st.sampled_from([Status.RUNNING, Status.SUCCESS, Status.FAILURE, RuntimeError("boom")])
-
-
-@given(
-    scripts=st.lists(st.lists(ENDINGS, max_size=6), min_size=1, max_size=4),
-    composites=st.sampled_from(["selector", "sequence", "parallel"]),
-    memory=st.booleans(),
-    light=st.lists(st.sampled_from([0.1, 0.9]), min_size=1, max_size=8),
-)
-def test_no_request_is_left_open_or_released_twice_whatever_a_tree_does(scripts, composites, memory, light):
-    kb = KnowledgeBase(rover(), clock=lambda: 0.0)
-    released = []
-    cancel = kb.cancel_action
-    kb.cancel_action = lambda action, *how: (released.append(action), cancel(action, *how))
-    leaves = []
-    for number, script in enumerate(scripts):
-        action = ("scan", "rest")[number % 2]
-        guarded = [IsActionFeasible(f"{action} {number}?", kb, action), Scripted(kb, action, script)]
-        leaves.append(Sequence(f"guarded {number}", memory=False, children=guarded))
-    root = {
-        "selector": lambda: Selector("root", memory=memory, children=leaves),
-        "sequence": lambda: Sequence("root", memory=memory, children=leaves),
-        "parallel": lambda: Parallel("root", policy=ParallelPolicy.SuccessOnAll(synchronise=False), children=leaves),
-    }[composites]()
-    runner = TreeRunner(root, clock=lambda: 0.0)
-    for value in light:
-        kb.measure("light", value)
-        runner.tick()
-        running = {
-            leaf.action for leaf in root.iterate() if isinstance(leaf, RosaAction) and leaf.status == Status.RUNNING
-        }
-        assert {one.action for one in kb.required_actions} == running
-    runner.shutdown()
-    assert kb.required_actions == ()
-    assert len(released) == len(kb.action_history)
-    assert all(node.status is not Status.RUNNING for node in root.iterate())
 
 
 def test_conditions_take_their_arguments_from_typed_ports_too(kb):
