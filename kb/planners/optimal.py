@@ -228,4 +228,4 @@ def _choice(kb: KnowledgeBase, found: Optimum | None) -> Choice | None:
         chosen += [network.configurations[name] for name in choice.configurations.values()]
         if all(state.selected[node.index] for node in chosen):
             return Choice({}, {})  # why something has to be done all the same, the knowledge base knows
-        return choice._replace(reason=found.reason)
+        return Choice(choice.designs, choice.configurations, found.reason)
