@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from kb.declarations import choice
 from kb.elements import Component, ComponentKind, Configuration
 from kb.exceptions import InvalidValue, UnknownName
 from kb.execution.safeguards import Budgets, Quarantine, Quarantined
@@ -84,12 +85,10 @@ class StagedExecutor:
     ) -> None:
         self._managed = managed
         self._policy = RetryPolicy(attempts, timeout, back_off)
-        self._of_kind = {
-            _kind(kind): RetryPolicy(attempts, lasts, back_off) for kind, lasts in (timeout_by_kind or {}).items()
-        }
-        self._of_component = {
-            name: RetryPolicy(attempts, lasts, back_off) for name, lasts in (timeout_by_component or {}).items()
-        }
+        by_kind = {choice("kind of component", ComponentKind, one): s for one, s in (timeout_by_kind or {}).items()}
+        self._of_kind = {kind: RetryPolicy(attempts, lasts, back_off) for kind, lasts in by_kind.items()}
+        by_name = timeout_by_component or {}
+        self._of_component = {name: RetryPolicy(attempts, lasts, back_off) for name, lasts in by_name.items()}
         self._unchecked = sorted(self._of_component)
         self._quarantine = Quarantine(hold)
         self._budgets = Budgets(budgets)
@@ -422,14 +421,6 @@ def _is_in_vain(state: State, design: Node) -> bool:
 def _component(node: Node) -> Component:
     assert isinstance(node.element, Component)
     return node.element
-
-
-def _kind(kind: str) -> ComponentKind:
-    try:
-        return ComponentKind(kind)
-    except ValueError:
-        known = ", ".join(ComponentKind)
-        raise InvalidValue(f"{kind!r} is no kind of component to give a time-out to; kinds are {known}") from None
 
 
 def _is_number(value: object) -> bool:

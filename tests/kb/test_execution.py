@@ -385,7 +385,6 @@ def test_plain_components_leave_no_record_since_nothing_is_commanded():
         {"timeout": math.nan},
         {"timeout": "5"},
         {"timeout_by_kind": {"lifecycle": -1.0}},
-        {"timeout_by_kind": {"life": 1.0}},
         {"timeout_by_component": {"camera": 0}},
         {"back_off": -1.0},
         {"back_off": math.inf},
@@ -395,8 +394,13 @@ def test_plain_components_leave_no_record_since_nothing_is_commanded():
     ids=str,
 )
 def test_figures_without_meaning_are_refused(options):
-    with pytest.raises(InvalidValue, match=r"not|is no kind"):
+    with pytest.raises(InvalidValue, match="not"):
         StagedExecutor(Scripted(None), **options)
+
+
+def test_a_time_out_for_a_kind_that_is_none_is_refused():
+    with pytest.raises(UnknownName, match="did you mean 'lifecycle'"):
+        StagedExecutor(Scripted(None), timeout_by_kind={"life": 1.0})
 
 
 def test_a_time_out_for_a_component_that_is_not_there_is_refused_at_the_first_turn():
