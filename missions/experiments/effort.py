@@ -4,22 +4,25 @@ One rule gives the published counts of all four models: what in TypeDB is an ent
 a model has a statement for each.
 """
 
+import tomllib
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeVar
 
-from kb import Model, UnknownName
+from py_trees.behaviour import Behaviour
+
+from kb import KnowledgeBase, KnowledgeBaseError, Model, UnknownName
 from kb.elements import Attribute, Component, Function
-from kb.files import SUFFIXES, read_text
+from kb.files import SUFFIXES
 from missions.agv.model import agv_model
-from missions.engine.mission import Mission, MissionError
+from missions.baselines import modes as modes_module
+from missions.baselines.bt import TreeManager
+from missions.baselines.controller import BaselineController
+from missions.baselines.opening import open_run
+from missions.engine.mission import Mission, MissionError, Percepts
 from missions.engine.registry import MISSIONS, find_mission
-from missions.experiments.effort_by_hand import ByHand, TreeCount, by_hand, count_tree, is_managed_by_tree
-from missions.experiments.effort_source import Written, built, code_lines, python_written, typeql_written
-from missions.planning.declared import declarations_of
-from rosa_pddl import DeclaredProblem
+from missions.suave.world import SEA
 
 __all__ = [
     "Count",
@@ -39,6 +42,9 @@ __all__ = [
     "law",
     "survey",
 ]
+
+T = TypeVar("T")
+MODES_FILE: Final = Path(modes_module.__file__).with_name("modes.toml")
 
 RULE: Final = (
     "entities: actions, functions, components, attributes, parameter values (each key of each configuration)",
@@ -85,14 +91,8 @@ def law(structural: int, parameter: int) -> int:
     return 10 + 6 * structural + 3 * parameter
 
 
-@dataclass(frozen=True, slots=True)
-class Count:
-    """How many elements a model has.
-
-    Attributes:
-        of_entities: how many of each kind of entity.
-        of_relations: how many of each kind of relation.
-    """
+class Count(NamedTuple):
+    """How many elements of each kind of entity and of relation a model has."""
 
     of_entities: Mapping[str, int]
     of_relations: Mapping[str, int]
@@ -176,29 +176,35 @@ def _configuration(component: Component, quality: Attribute, number: int) -> Non
     component.configuration(name, {"value": number}, priority=number, constraints=[quality >= 1 / number])
 
 
-@dataclass(frozen=True, slots=True)
-class ModelEffort:
-    """What is counted of a model.
-
-    Attributes:
-        name: as it was given.
-        count: its elements.
-        published: entities and relations of the paper's; None if it has none.
-        typeql: its size as TypeQL.
-        python: its source; None if it is a file.
-        tree: the source of the mission's tree.
-        pddl: lines of the mission's domain and problem; None if it has none.
-        is_declared: whether that PDDL is made of what the actions declare, so that nobody writes it.
-    """
+class ModelEffort(NamedTuple):
+    """What is counted of a model, beside the paper's entities and relations: None where it has none."""
 
     name: str
-    count: Count
+    counted: Count
     published: Parts | None
-    typeql: Written
-    python: Written | None = None
-    tree: Written | None = None
-    pddl: int | None = None
-    is_declared: bool = False
+
+
+class TreeCount(NamedTuple):
+    """How large the tree of the manager `bt` is.
+
+    Attributes:
+        nodes: of the whole tree, task and adaptation.
+        task_nodes: of the mission's own tree, which has the task only.
+        modes: modes and the values in them, of the functions whose component the mission has.
+    """
+
+    nodes: int
+    task_nodes: int
+    modes: int
+
+    @property
+    def adaptation_nodes(self) -> int:
+        return self.nodes - self.task_nodes
+
+    @property
+    def total(self) -> int:
+        """What is there for the sake of adaptation."""
+        return self.adaptation_nodes + self.modes
 
 
 class TreeEffort(NamedTuple):
@@ -219,20 +225,11 @@ class LawPoint(NamedTuple):
     law: int
 
 
-@dataclass(frozen=True, slots=True)
-class Survey:
-    """All that is counted.
-
-    Attributes:
-        models: in the order in which they were asked for.
-        trees: of those missions that the manager `bt` can run.
-        by_hand: what was written for that manager; None if there is no such mission.
-        points: generated models with up to `MOST_ADAPTATIONS` of each kind.
-    """
+class Survey(NamedTuple):
+    """All that is counted: models as asked for, trees of those that the manager `bt` can run, generated models."""
 
     models: tuple[ModelEffort, ...]
     trees: tuple[TreeEffort, ...]
-    by_hand: ByHand | None
     points: tuple[LawPoint, ...]
 
 
@@ -248,64 +245,71 @@ def survey(names: Iterable[str] = ()) -> Survey:
     """
     asked = dict.fromkeys(names) or dict.fromkeys(MISSIONS)
     found = {name: None if Path(name).suffix.lower() in SUFFIXES else _mission(name) for name in asked}
-    models = tuple(_of_mission(name, mission) if mission else _of_file(name) for name, mission in found.items())
+    models = tuple(
+        ModelEffort(name, count(_model(name, one) if one else Model.load(name.split(","))), MODELS.get(name))
+        for name, one in found.items()
+    )
     trees = tuple(
         TreeEffort(name, count_tree(one), TREES.get(name), TASK_NODES.get(name))
         for name, one in found.items()
-        if one is not None and is_managed_by_tree(one)
+        if one is not None and one.world is SEA
     )
     steps = range(MOST_ADAPTATIONS + 1)
     points = tuple(
         LawPoint(one, two, count(generated_model(one, two)).total, law(one, two)) for one in steps for two in steps
     )
-    return Survey(models, trees, by_hand() if trees else None, points)
+    return Survey(models, trees, points)
+
+
+def count_tree(mission: Mission) -> TreeCount:
+    """Count the nodes of the tree that the manager `bt` builds for a mission in the sea, and its modes.
+
+    Raises:
+        MissionError: the mission cannot be opened under that manager.
+    """
+    run = open_run(mission, manager=TreeManager)
+    assert isinstance(run.controller, BaselineController)
+    try:
+        manager = TreeManager(run.controller.robot)
+    finally:
+        run.world.close()
+    tree = next(value for value in vars(manager).values() if isinstance(value, Behaviour))
+    model = _model(mission.name, mission)
+    given = KnowledgeBase(model), Percepts()
+    task = _built(f"the tree of {mission.name}", Behaviour, mission.tree, *given)  # type: ignore[type-abstract]  # only asked about
+    functions = tomllib.loads(MODES_FILE.read_text(encoding="utf-8")).values()
+    needed = [one for one in functions if one["component"] in model.components]
+    modes = sum(1 + len(values) for one in needed for values in one["modes"].values())
+    return TreeCount(sum(1 for _ in tree.iterate()), sum(1 for _ in task.iterate()), modes)
 
 
 def as_data(found: Survey) -> dict[str, Any]:
     """Return it as data for JSON."""
-    hand = found.by_hand
     return {
         "rule": RULE,
-        "models": [_model_data(one) for one in found.models],
+        "models": [
+            {
+                "name": one.name,
+                "entities": one.counted.entities,
+                "relations": one.counted.relations,
+                "total": one.counted.total,
+                "of_entities": dict(one.counted.of_entities),
+                "of_relations": dict(one.counted.of_relations),
+                "published": _parts_data(one.published, "entities", "relations"),
+            }
+            for one in found.models
+        ],
         "trees": [
             {
                 "name": one.name,
-                "nodes": one.counted.nodes,
-                "task_nodes": one.counted.task_nodes,
-                "modes": one.counted.modes,
+                **one.counted._asdict(),
                 "total": one.counted.total,
                 "published": _parts_data(one.published, "nodes", "modes"),
                 "published_task_nodes": one.published_task,
             }
             for one in found.trees
         ],
-        "by_hand": hand
-        and {
-            "tree": hand.tree._asdict(),
-            "kinds": hand.kinds._asdict(),
-            "rest": hand.rest._asdict(),
-            "modes_lines": hand.modes,
-        },
         "generated": [one._asdict() for one in found.points],
-    }
-
-
-def _model_data(one: ModelEffort) -> dict[str, Any]:
-    return {
-        "name": one.name,
-        "entities": one.count.entities,
-        "relations": one.count.relations,
-        "total": one.count.total,
-        "of_entities": dict(one.count.of_entities),
-        "of_relations": dict(one.count.of_relations),
-        "published": _parts_data(one.published, "entities", "relations"),
-        "written": {
-            "python": one.python and one.python._asdict(),
-            "typeql": one.typeql._asdict(),
-            "tree": one.tree and one.tree._asdict(),
-            "pddl_lines": one.pddl,
-            "pddl_is_declared": one.is_declared,
-        },
     }
 
 
@@ -320,42 +324,18 @@ def _mission(name: str) -> Mission:
     return find_mission(name)
 
 
-def _of_file(name: str) -> ModelEffort:
-    paths = [Path(part) for part in name.split(",")]
-    model = Model.load(paths)
-    texts = [read_text(path) for path in paths] if paths[0].suffix.lower() == ".tql" else [_typeql(model)]
-    return ModelEffort(name, count(model), None, typeql_written("\n".join(texts)))
+def _model(name: str, mission: Mission) -> Model:
+    return _built(f"the model of {name}", Model, AS_PUBLISHED.get(name, mission.model))
 
 
-def _of_mission(name: str, mission: Mission) -> ModelEffort:
-    build = AS_PUBLISHED.get(name, mission.model)
-    model = built(f"the model of {name}", Model, build)
-    pddl = _pddl(mission)
-    return ModelEffort(
-        name,
-        count(model),
-        MODELS.get(name),
-        typeql_written(_typeql(model)),
-        python_written(build),
-        python_written(mission.tree),
-        None if pddl is None else sum(code_lines(text, ";") for text in pddl),
-        declarations_of(mission) is not None,
-    )
-
-
-def _typeql(model: Model) -> str:
-    from kb.typeql.writer import typeql_text
-
-    return typeql_text(model)
-
-
-def _pddl(mission: Mission) -> list[str] | None:
-    """Return domain and problem, from their files or made of declarations."""
-    declared = declarations_of(mission)
-    if declared is not None:
-        return [declared.domain_pddl, declared.problem_pddl]
-    paths = [path for path in (mission.domain, mission.problem) if path and not isinstance(path, DeclaredProblem)]
+def _built(title: str, kind: type[T], build: Callable[..., object], *given: object) -> T:
+    """Call what an author wrote; what the knowledge base raises stays as it is."""
     try:
-        return [path.read_text(encoding="utf-8") for path in paths] or None
-    except (OSError, ValueError) as error:
-        raise MissionError(f"cannot read the PDDL of {mission.name}: {error}") from error
+        made = build(*given)
+    except KnowledgeBaseError:
+        raise
+    except Exception as error:  # whatever the author's code may raise
+        raise MissionError(f"cannot build {title}: {type(error).__name__}: {error}") from error
+    if not isinstance(made, kind):
+        raise MissionError(f"{title} is {made!r}, not a {kind.__name__}")
+    return made

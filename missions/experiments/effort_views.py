@@ -40,8 +40,6 @@ def print_survey(found: Survey) -> None:
         _models(found.models),
         "\n".join(_about_models(found.models)),
         *([_trees(found.trees), "\n".join(_about_trees(found.trees))] if found.trees else []),
-        _sources(found.models),
-        "\n".join(_about_sources(found)),
         _law(found),
     ]
     for part in parts:
@@ -62,7 +60,7 @@ def _table(first: str, *columns: str) -> Table:
 def _models(models: tuple[ModelEffort, ...]) -> Table:
     table = _table("model", "entities", "relations", "total", "published")
     for one in models:
-        count = one.count
+        count = one.counted
         published = "-" if one.published is None else f"{one.published}{'' if _is_published(one) else ' *'}"
         table.add_row(_short(one.name), str(count.entities), str(count.relations), str(count.total), published)
     return table
@@ -77,7 +75,7 @@ def _about_models(models: tuple[ModelEffort, ...]) -> Iterator[str]:
 
 
 def _is_published(one: ModelEffort) -> bool:
-    return one.published == (one.count.entities, one.count.relations)
+    return one.published == (one.counted.entities, one.counted.relations)
 
 
 def _trees(trees: tuple[TreeEffort, ...]) -> Table:
@@ -100,26 +98,6 @@ def _about_trees(trees: tuple[TreeEffort, ...]) -> Iterator[str]:
 
 def _is_published_tree(one: TreeEffort) -> bool:
     return one.published == (one.counted.adaptation_nodes, one.counted.modes)
-
-
-def _sources(models: tuple[ModelEffort, ...]) -> Table:
-    table = _table("statements / lines", "model: Python", "TypeQL", "task: tree", "PDDL")
-    for one in models:
-        pddl = "-" if one.pddl is None else f"{one.pddl}{' +' if one.is_declared else ''}"
-        table.add_row(_short(one.name), str(one.python or "-"), str(one.typeql), str(one.tree or "-"), pddl)
-    return table
-
-
-def _about_sources(found: Survey) -> Iterator[str]:
-    yield "no docstrings, imports, comments and blank lines; PDDL: lines only"
-    if any(one.is_declared for one in found.models):
-        yield "+ made of what the actions declare: nobody writes it"
-    hand = found.by_hand
-    if hand is not None:
-        yield (
-            f"by hand, for `--manager bt`: tree {hand.tree}, kinds of nodes {hand.kinds}, what ticks it {hand.rest}, "
-            f"modes {hand.modes} lines"
-        )
 
 
 def _short(name: str) -> str:
@@ -209,7 +187,7 @@ def picture(found: Survey) -> "Figure":
 
 def _model_pairs(found: Survey) -> Iterable[_Pair]:
     for one in found.models:
-        yield _Pair(one.name, Parts(one.count.entities, one.count.relations), one.published, MODEL_HUES)
+        yield _Pair(one.name, Parts(one.counted.entities, one.counted.relations), one.published, MODEL_HUES)
 
 
 def _tree_pairs(found: Survey) -> Iterable[_Pair]:

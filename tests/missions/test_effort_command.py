@@ -18,8 +18,7 @@ from missions.baselines.modes import SystemModes
 from missions.engine.mission import MissionError, Percepts
 from missions.engine.registry import MISSIONS
 from missions.experiments import effort
-from missions.experiments.effort import MODELS, MOST_ADAPTATIONS, TASK_NODES, TREES, as_data, count, survey
-from missions.experiments.effort_by_hand import count_tree
+from missions.experiments.effort import MODELS, MOST_ADAPTATIONS, TASK_NODES, TREES, as_data, count, count_tree, survey
 from missions.experiments.effort_views import draw, picture
 from missions.suave.model import suave_model
 
@@ -139,7 +138,6 @@ def test_models_in_files_and_missions_of_ones_own_are_counted(rosa):
     assert code == 0
     for name in ("saved.tql", "saved.owl", "effort_own:COPY"):
         assert row(out, name, table="model")[1:] == ["18", "12", "30", "-"]
-    assert row(out, "saved.tql", table="statements")[1:] == ["-", "33", "/", "35", "-", "-"]
     assert row(out, "effort_own:COPY", table="managed by")[-2:] == ["50", "-"]
 
 
@@ -159,7 +157,6 @@ def test_files_of_one_model_are_joined_by_commas(rosa):
     code, out, _ = rosa("base.tql,more.tql")
     assert code == 0
     assert row(out, "base.tql,more.tql", table="model")[1:4] == ["2", "1", "3"]
-    assert row(out, "base.tql,more.tql", table="statements")[2:5] == ["4", "/", "4"]
 
 
 def test_model_asked_for_twice_is_counted_once(everything):
@@ -219,7 +216,7 @@ def test_suffix_svg_gives_that(rosa):
 def test_bars_are_as_high_as_what_is_counted(everything):
     sizes, scaling = picture(everything).axes
     over = {text.get_text() for text in sizes.texts if text.get_fontweight() == "bold"}
-    counts = [*(one.count for one in everything.models), *(one.counted for one in everything.trees)]
+    counts = [*(one.counted for one in everything.models), *(one.counted for one in everything.trees)]
     assert over == {str(one.total) for one in counts}
     lines = [line for line in scaling.lines if len(line.get_xdata())]
     assert len(lines) == 6
@@ -231,5 +228,5 @@ def test_bars_are_as_high_as_what_is_counted(everything):
 def test_empty_model_can_be_drawn(tmp_path):
     Model("empty").save(tmp_path / "empty.tql")
     found = survey([str(tmp_path / "empty.tql")])
-    assert count(Model("empty")) == found.models[0].count
+    assert count(Model("empty")) == found.models[0].counted
     assert draw(found).startswith(b"\x89PNG")
