@@ -211,8 +211,8 @@ class TraceVisitor(VisitorBase):
     def _keep(self, event: Event, why: Callable[[str], str] = lambda action: "") -> None:
         if not event.number:  # said of the store, not of the robot
             return
-        bare = event._replace(plan=None, words="")  # as it is read again; what is left out follows from the rest
-        (self._own if self._is_ticking else self._before).append(bare)
+        plain = event.number, event.time, event.verb, event.arguments, event.changes, event.cause, event.effects
+        (self._own if self._is_ticking else self._before).append(Event(*plain))  # as it is read again
         for change in filter(_turns, event.changes):
             if change.new is ElementStatus.UNFEASIBLE:
                 self._reasons.append(why(change.name))
