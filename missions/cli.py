@@ -47,7 +47,7 @@ def main() -> None:
 
 
 def _is_for_people(error: Exception) -> bool:
-    """Tell whether an error is a clear message, not a mistake of the program."""
+    """Whether an error is a clear message, not a mistake of the program."""
     from kb import KnowledgeBaseError
     from missions.engine.mission import MissionError
     from rosa_pddl import RosaPddlError

@@ -39,8 +39,8 @@ def schema_of(name: str, action: Action) -> ActionSchema:
     schema: Any = getattr(action, "schema", None)
     title = getattr(action, "__name__", repr(action))
     if not isinstance(schema, ActionSchema):
-        told = f"write schema = ActionSchema({name!r}, ...) in it, or give the mission a domain file"
-        raise MissionError(f"the action {title} declares no schema; {told}")
+        advice = f"write schema = ActionSchema({name!r}, ...) in it, or give the mission a domain file"
+        raise MissionError(f"the action {title} declares no schema; {advice}")
     if schema.name != name:
         raise MissionError(f"the action {title} is listed as {name!r}, but declares {schema.name!r}")
     return schema
@@ -84,5 +84,5 @@ def check_facts(mission: Mission) -> None:
     try:
         signature(mission.facts).bind(None, None)
     except TypeError as error:
-        told = f"the facts of mission {mission.name} are called with the knowledge base and the percepts"
-        raise MissionError(f"{told}: {error}; write facts=lambda kb, percepts: {{...}}") from error
+        needed = f"the facts of mission {mission.name} are called with the knowledge base and the percepts"
+        raise MissionError(f"{needed}: {error}; write facts=lambda kb, percepts: {{...}}") from error

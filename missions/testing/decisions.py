@@ -98,7 +98,7 @@ class Decisions:
         if begun != list(names):
             actions = "\n".join(str(moment) for moment in self.timeline if moment.what in ("action", "end"))
             diff = "\n".join(line.rstrip() for line in ndiff(names, begun) if not line.startswith("?"))
-            raise self._shown(
+            raise self._error(
                 "other actions were begun (-: expected, +: what was done)", f"{diff}\n\nwhat happened:\n{actions}"
             )
 
@@ -142,7 +142,7 @@ class Decisions:
         for one in found:
             if one.at_s >= at - SLACK_S and one.in_force_s <= at + within + SLACK_S:
                 return one
-        raise self._failure(f"{from_ or 'any'} -> {to or 'any'}", at, within, [_shown_change(one) for one in found])
+        raise self._failure(f"{from_ or 'any'} -> {to or 'any'}", at, within, [_in_words(one) for one in found])
 
     def assert_reconfigures(
         self,
@@ -204,9 +204,9 @@ class Decisions:
         if found:
             never = "never " + " or ".join([*(f"begin {name}" for name in actions), *_phrases(unwanted)])
             time = found[0][0]
-            told = [f"{text} at {seconds(time)}" for time, text in found]
-            raise self._shown(
-                f"expected: {never}", f"{_list(told)}\n\nwhat happened:\n{_around(self.timeline, time, time, never)}"
+            times = [f"{text} at {seconds(time)}" for time, text in found]
+            raise self._error(
+                f"expected: {never}", f"{_list(times)}\n\nwhat happened:\n{_around(self.timeline, time, time, never)}"
             )
 
     def _steps(self, activate: Names, deactivate: Names, configure: Names, least: int = 1) -> Steps:
@@ -228,15 +228,15 @@ class Decisions:
         headline = f"expected between {seconds(at)} and {seconds(at + within)}: {expected}"
         instead = instead or ["it never does"]
         shown = _around(self.timeline, at, at + within, expected)
-        return self._shown(headline, f"{_list(instead)}\n\nwhat happened around {seconds(at)}:\n{shown}")
+        return self._error(headline, f"{_list(instead)}\n\nwhat happened around {seconds(at)}:\n{shown}")
 
-    def _shown(self, headline: str, rest: str) -> AssertionError:
+    def _error(self, headline: str, rest: str) -> AssertionError:
         first: dict[DiagnosticProblem, float] = {}
         for time, problem in self.problems:
             first.setdefault(problem, time)
-        told = [f"{seconds(time):>11}  {problem}" for problem, time in first.items()]
-        more = [f"{'':13}... and {len(told) - MOST_PROBLEMS} more"] if len(told) > MOST_PROBLEMS else []
-        unused = ["", "what could not be used, the first time:", *told[:MOST_PROBLEMS], *more] if told else []
+        lines = [f"{seconds(time):>11}  {problem}" for problem, time in first.items()]
+        more = [f"{'':13}... and {len(lines) - MOST_PROBLEMS} more"] if len(lines) > MOST_PROBLEMS else []
+        unused = ["", "what could not be used, the first time:", *lines[:MOST_PROBLEMS], *more] if lines else []
         return AssertionError("\n".join([headline, rest, *unused]))
 
 
@@ -282,7 +282,7 @@ def _around(moments: Sequence[Moment], begin: float, end: float, expected: str) 
 
 
 def _is_our_own(event: Event) -> bool:
-    """Tell whether an event only notes what a plan has switched; the plan's own line says it."""
+    """Whether an event only notes what a plan has switched; the plan's own line says it."""
     if event.kind is EventKind.RECORD:
         return True
     if event.verb != "component_active":
@@ -303,7 +303,7 @@ def _is_in(time: float, at: float, within: float) -> bool:
     return at - SLACK_S <= time <= at + within + SLACK_S
 
 
-def _shown_change(change: Adaptation) -> str:
+def _in_words(change: Adaptation) -> str:
     never = math.isinf(change.in_force_s)
     soon = "is never in force" if never else f"is in force at {seconds(change.in_force_s)}"
     return f"{change.before} -> {change.action} is decided at {seconds(change.at_s)} and {soon} (because {change.why})"

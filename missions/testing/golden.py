@@ -13,7 +13,6 @@ __all__ = ["check_golden", "golden_path", "readable"]
 
 MOST: Final = 40
 """How many lines of a difference are shown."""
-FOLDER: Final = "golden"
 
 
 def golden_path(test_file: Path, test: str, name: str = "") -> Path:
@@ -22,12 +21,10 @@ def golden_path(test_file: Path, test: str, name: str = "") -> Path:
     Args:
         test_file: the file that the test is in.
         test: the name of the test, with its parameters.
-        name: tells several traces of one test apart.
+        name: for one of several traces of a test.
     """
-    parts = [test_file.stem, test, *([name] if name else [])]
-    return (
-        test_file.parent / FOLDER / (".".join(re.sub(r"[^\w\-]+", "_", part).strip("_") for part in parts) + ".trace")
-    )
+    words = (re.sub(r"[^\w\-]+", "_", part).strip("_") for part in (test_file.stem, test, name) if part)
+    return test_file.parent / "golden" / f"{'.'.join(words)}.trace"
 
 
 def check_golden(trace: "Trace", path: Path, *, update: bool, command: str) -> bool:
@@ -59,17 +56,16 @@ def check_golden(trace: "Trace", path: Path, *, update: bool, command: str) -> b
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")
         return True
+    now = list(readable(trace))
     if not path.exists():
-        shown = _shortened(readable(trace))
-        raise AssertionError(
-            f"there is no golden trace {path}\nif this is as it should be, write it: {command}\n\n{shown}"
-        )
-    golden = [*readable(read_trace(path))]
-    difference = unified_diff(golden, [*readable(trace)], "golden", "now", lineterm="", n=4)
-    raise AssertionError(
-        f"not as in the golden trace {path}\n"
-        f"if this is as it should be, update it: {command}\n\n{_shortened(difference)}"
-    )
+        what, how, shown = "there is no golden trace", "write", now
+    else:
+        golden = list(readable(read_trace(path)))
+        what, how = "not as in the golden trace", "update"
+        shown = list(unified_diff(golden, now, "golden", "now", lineterm="", n=4))
+    more = [f"... and {len(shown) - MOST} more lines"] if len(shown) > MOST else []
+    lines = "\n".join([*shown[:MOST], *more])
+    raise AssertionError(f"{what} {path}\nif this is as it should be, {how} it: {command}\n\n{lines}")
 
 
 def readable(trace: "Trace") -> Iterator[str]:
@@ -92,9 +88,3 @@ def readable(trace: "Trace") -> Iterator[str]:
             yield from lines
         before = tick
     yield f"{len(trace.ticks)} ticks"
-
-
-def _shortened(lines: Iterator[str]) -> str:
-    every = list(lines)
-    more = [f"... and {len(every) - MOST} more lines"] if len(every) > MOST else []
-    return "\n".join([*every[:MOST], *more])

@@ -31,7 +31,6 @@ class LeafMock:
         self.interruptions = 0
 
     def initialise(self) -> None:
-        """Begin; called by the leaf."""
         self.starts += 1
 
     def update(self) -> Status:
@@ -42,7 +41,6 @@ class LeafMock:
         return outcome
 
     def terminate(self, new_status: Status) -> None:
-        """End; called by the leaf."""
         self.interruptions += self._is_running and new_status is Status.INVALID
         self._is_running = False
 

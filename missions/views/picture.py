@@ -40,6 +40,7 @@ DIAMOND: Final[dict[str, Any]] = {"marker": "D", "markersize": 4.5, "color": ALA
 SIDES: Final = np.array([-1, 1])
 LONELY_M: Final = 1.0  # so far from the way, a name is in nobody's way
 CROWD: Final = 20  # of more places, only those that the way leads along are named
+LONGEST, FACTS = 420, 3  # letters of a reason, and figures in the title, that there is room for; the JSON has all
 PIXELS: Final = IdentityTransform()
 TICKS = {"color": FAINT, "labelcolor": INK, "labelsize": 8, "major.size": 3}
 STYLE: Final[dict[Any, Any]] = {
@@ -77,7 +78,7 @@ def picture(run: MissionRun, data: Mapping[str, Any]) -> Figure:
             _split(shown, top) if timeline.adaptations or timeline.planned else 1420 if _is_ours(data) else WIDTH - 34
         )
         _map(_axes(figure, 72, 106, split - 72, top - 162), timeline, places, shown)
-    if _is_ours(data):  # how others adapt is not told, only what they switch
+    if _is_ours(data):  # how others adapt is not known, only what they switch
         _list(_axes(figure, split + 22, 106, WIDTH - split - 30, top - 120), timeline.planned, timeline.adaptations)
     return figure
 
@@ -104,19 +105,11 @@ def _axes(figure: Figure, left: float, top: float, width: float, height: float) 
 
 
 def _badge(axes: Axes, at: Array, number: int, kind: str) -> None:
-    """Put the number of an adaptation at a pixel of the figure."""
     size, face, edge, digits = BADGES.get(kind, BADGES["parameter"])
     circle = Line2D(at[:1], at[1:], marker="o", markersize=size * 72 / DPI, markerfacecolor=face, markeredgecolor=edge)
     axes.add_artist(circle).set(transform=PIXELS, zorder=8, clip_on=False)
     digit = axes.text(at[0], at[1], str(number), ha="center", va="center_baseline", color=digits, fontsize=size / 3)
     digit.set(transform=PIXELS, zorder=9, fontweight="bold")
-
-
-LONGEST = 420
-"""How many letters of a reason there are room for; the result in JSON has all of it."""
-
-FACTS = 3
-"""How many figures the title has room for; the result in JSON has all of them."""
 
 
 def _title(figure: Figure, data: Mapping[str, Any], results: Mapping[str, float | None]) -> None:
@@ -174,14 +167,12 @@ class _Room:
         return float(np.ptp(self._axes.bbox.intervalx) / np.ptp(self._axes.get_xlim()))
 
     def note(self, xy: Array, text: str, color: str) -> None:
-        """Write beside a point [m], in a frame of a colour."""
         x, y = self.lead(xy, LETTER * len(text) + 12, 24)
         label = self._axes.text(x, y, text, ha="center", va="center", fontsize=8)
         frame = {"boxstyle": "round,pad=0.25", "facecolor": "white", "edgecolor": color, "linewidth": 1.4}
         label.set(transform=PIXELS, zorder=7, bbox=frame)
 
     def ring(self, xy: Array, color: str) -> None:
-        """Put a ring round a point [m]."""
         ring = self._axes.plot(xy[0], xy[1], "o", color=color, markersize=13, zorder=5.5)[0]
         ring.set(markerfacecolor="none", markeredgewidth=2)
 
@@ -255,15 +246,15 @@ def _list(axes: Axes, planned: Events, adaptations: Events) -> None:
     axes.set_axis_off()
     axes.set(xlim=(0, axes.bbox.width), ylim=(axes.bbox.height, 0))
     head = "adaptations: what set them off → what was changed" if adaptations else "no adaptation"
-    told = [*planned, *adaptations]
+    entries = [*planned, *adaptations]
     axes.text(0, 0, head, fontsize=10, fontweight="bold", va="top")
     for size, full in (*product((10, 9, 8.5, 8, 7.5, 7), (True,)), *product((9, 8.5, 8, 7.5, 7, 6.5, 6), (False,))):
         line, left = size * LINE, 18 + size * 13
-        texts = [_lines(one, full, (axes.bbox.width - left) / (0.47 * line)) for one in told]
+        texts = [_lines(one, full, (axes.bbox.width - left) / (0.47 * line)) for one in entries]
         starts = 32 + np.cumsum([0, *(line * (len(text) + 0.3) for text in texts)])
         if starts[-1] <= axes.bbox.height:
             break
-    for index, (one, text, y) in enumerate(zip(told, texts, starts, strict=False)):
+    for index, (one, text, y) in enumerate(zip(entries, texts, starts, strict=False)):
         if starts[-1] > axes.bbox.height < starts[index + 1] + line:
             axes.text(left, y, f"… and {len(texts) - index} more", fontsize=size, color=MUTED, va="top")
             break
@@ -287,9 +278,9 @@ def _timelines(figure: Figure, timeline: RunTimeline) -> float:
     """Draw everything over time, one row above the other; return where the rows begin [px from the top]."""
     panels, lanes = panels_of(timeline), _lanes(timeline)
     left, right = _margins(lanes, [label for name in panels for label in _labels(timeline, name)])
-    told = [one for one in timeline.disturbances if not any(one["what"].startswith(bare(name)) for name in panels)]
+    others = [one for one in timeline.disturbances if not any(one["what"].startswith(bare(name)) for name in panels)]
     rows: list[tuple[int, Callable[[Axes], None]]] = (
-        [_events(timeline, "disturbances", told, 8.4, right - left)] if told else []
+        [_events(timeline, "disturbances", others, 8.4, right - left)] if others else []
     )
     tall = min(150, PANELS // max(1, len(panels)))
     rows += [(tall, partial(_panel, timeline=timeline, names=[name, *others])) for name, others in panels.items()]
@@ -326,21 +317,15 @@ def _margins(lanes: Mapping[str, Sequence[str]], labels: Sequence[str]) -> tuple
 
 
 def _labels(timeline: RunTimeline, signal: str) -> list[str]:
-    """Return what stands to the right of the panel of a signal."""
     return [label for labels in timeline.limits.get(bare(signal), {}).values() for label in labels]
 
 
 def _events(
     timeline: RunTimeline, title: str, events: Events, letter: float, wide: float
 ) -> tuple[int, Callable[[Axes], None]]:
-    """Return the height [px] of a row of events, and what draws it.
+    """Return the height [px] of a row of events, `wide` px long, and what draws it.
 
-    Args:
-        timeline: what is drawn.
-        title: of the row.
-        events: what is in it.
-        letter: width of a letter of their texts; 0 for numbers instead [px].
-        wide: width of the row [px].
+    A letter of their texts is `letter` px wide; 0 is for numbers instead.
     """
     ends: list[float] = []
     levels, sides = [], []

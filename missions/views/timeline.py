@@ -116,7 +116,7 @@ class RunTimeline:
 
 
 def timeline_of(run: MissionRun, data: Mapping[str, Any]) -> RunTimeline:
-    """Return what there is to tell of a finished run; data is what `views.output.summary` returned for it."""
+    """Return the timeline of a finished run; data is what `views.output.summary` returned for it."""
     samples = [sample for sample, _, _ in run.trace.samples]
     actions = [action for _, action, _ in run.trace.samples]
     signals = dict.fromkeys(name for sample in samples for name in sample.signals)
@@ -139,11 +139,11 @@ def timeline_of(run: MissionRun, data: Mapping[str, Any]) -> RunTimeline:
 
 
 def _first_plan(plan: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return a plan as what is told of an adaptation, how it was found in place of how soon it was in force."""
+    """Return a plan as an entry of the list of adaptations, how it was found in place of how soon it was in force."""
     steps, more = plan["steps"][:STEPS], len(plan["steps"]) - STEPS
     change = ", then ".join([*steps, *([f"{more} more"] if more > 0 else [])]) or "none"
-    told = {"at_s": plan["at_s"], "kind": "plan", "trigger": "first plan", "reason": plan["reason"]}
-    return {**told, "change": change, "found": f"{plan['outcome']}, {plan['engine']}"}
+    entry = {"at_s": plan["at_s"], "kind": "plan", "trigger": "first plan", "reason": plan["reason"]}
+    return {**entry, "change": change, "found": f"{plan['outcome']}, {plan['engine']}"}
 
 
 def listed(column: Iterable[str]) -> list[str]:
