@@ -5,72 +5,47 @@ from dataclasses import fields, replace
 from types import MappingProxyType
 from typing import Final, Protocol, TypeVar, runtime_checkable
 
-from kb.declarations import finite_number, flag, listed, pid
-from kb.elements import (
-    KINDS,
-    REFERENCES,
-    Action,
-    Attribute,
-    Changeable,
-    Component,
-    Configuration,
-    Constrainable,
-    Constraint,
-    Element,
-    Estimation,
-    Expression,
-    Function,
-    FunctionDesign,
-    Owner,
-)
+from kb import elements, facts
+from kb.declarations import flag, listed, pid
+from kb.elements import KINDS, REFERENCES, Changeable, Constraint, Element, finite_number
 from kb.exceptions import AmbiguousName, InvalidValue, ModelError, UnknownName
-from kb.facts import (
-    Fact,
-    MeasurementFact,
-    PlanFact,
-    ProcessFact,
-    RequiredActionFact,
-    RequiredFact,
-    SelectedFact,
-    StatusFact,
-)
+from kb.facts import Fact
 from kb.requests import check_result
 from kb.status import STATUSES, Status
 
-__all__ = [
-    "Contents",
-    "Elements",
-    "Observer",
-    "checked_fact",
-    "concerns",
-    "description",
-    "named",
-    "tables_of",
-    "users_of",
-]
-
 ElementT = TypeVar("ElementT", bound=Element)
 
+_TABLES: Final[Mapping[str, type[Element]]] = {
+    "actions": elements.Action,
+    "functions": elements.Function,
+    "components": elements.Component,
+    "designs": elements.FunctionDesign,
+    "configurations": elements.Configuration,
+    "attributes": elements.Attribute,
+}
+_REQUIRABLE: Final = (elements.Action, elements.Function, elements.Component)
+_SELECTABLE: Final = (elements.FunctionDesign, elements.Configuration)
 
-class Contents(Owner, Protocol):
+
+class Contents(elements.Owner, Protocol):
     """A model, for those who read it or declare what a file says; see `Model`."""
 
-    attributes: Mapping[str, Attribute]
-    components: Mapping[str, Component]
-    configurations: Mapping[str, Configuration]
-    functions: Mapping[str, Function]
-    designs: Mapping[str, FunctionDesign]
-    actions: Mapping[str, Action]
+    attributes: Mapping[str, elements.Attribute]
+    components: Mapping[str, elements.Component]
+    configurations: Mapping[str, elements.Configuration]
+    functions: Mapping[str, elements.Function]
+    designs: Mapping[str, elements.FunctionDesign]
+    actions: Mapping[str, elements.Action]
     notes: list[str]
     places: dict[Element | Constraint, str]
 
     @property
     def constraints(self) -> tuple[Constraint, ...]: ...
     @property
-    def estimations(self) -> tuple[Estimation, ...]: ...
+    def estimations(self) -> tuple[elements.Estimation, ...]: ...
     @property
     def facts(self) -> tuple[Fact, ...]: ...
-    def constrain(self, elements: Iterable[Constrainable], expression: Expression) -> Constraint: ...
+    def constrain(self, elements: Iterable[elements.Constrainable], expression: elements.Expression) -> Constraint: ...
     def add_fact(self, fact: Fact) -> None: ...
 
 
@@ -118,14 +93,8 @@ class Elements(Mapping[str, ElementT]):
 
 def tables_of(model: Contents) -> Mapping[type[Element], Mapping[str, Element]]:
     """Return all elements that have names by their class, so that what refers to others comes after these."""
-    return {
-        Attribute: model.attributes,
-        Component: model.components,
-        Configuration: model.configurations,
-        Function: model.functions,
-        FunctionDesign: model.designs,
-        Action: model.actions,
-    }
+    tables = {cls: getattr(model, word) for word, cls in _TABLES.items()}
+    return {cls: tables[cls] for cls in KINDS if cls in tables}
 
 
 def named(model: Contents, name: str) -> Element:
@@ -147,41 +116,28 @@ def named(model: Contents, name: str) -> Element:
     return element
 
 
-_TABLES: Final[Mapping[str, type[Element]]] = {
-    "actions": Action,
-    "functions": Function,
-    "components": Component,
-    "designs": FunctionDesign,
-    "configurations": Configuration,
-    "attributes": Attribute,
-}
-
-
 def users_of(model: Contents, element: Element) -> list[str]:
     """Describe what in a model is made of an element."""
     fields = [field for field, cls in REFERENCES.items() if isinstance(element, cls)]
-    tables = (model.actions, model.designs, model.configurations)
-    elements = (one for table in tables for one in table.values())
-    users = [f"{KINDS[type(one)]} {one.name!r}" for one in elements if _is_named(element, one, fields)]
-    users += [f"constraint {one}" for one in model.constraints if _is_named(element, one, fields)]
-    return users + [
-        f"an estimation of {one.attribute!r}" for one in model.estimations if _is_named(element, one, fields)
-    ]
+    owners = (*model.actions.values(), *model.designs.values(), *model.configurations.values())
+    users: dict[Changeable, str] = {one: f"{KINDS[type(one)]} {one.name!r}" for one in owners}
+    users |= {one: f"constraint {one}" for one in model.constraints}
+    users |= {one: f"an estimation of {one.attribute!r}" for one in model.estimations}
+    return [text for one, text in users.items() if any(_names(getattr(one, field, ()), element) for field in fields)]
 
 
-def _is_named(element: Element, user: Changeable, fields: Iterable[str]) -> bool:
-    values = (getattr(user, field, ()) for field in fields)
-    return any(value == element.name if isinstance(value, str) else element.name in value for value in values)
+def _names(value: str | Collection[str], element: Element) -> bool:
+    return value == element.name if isinstance(value, str) else element.name in value
 
 
 def checked_fact(model: Contents, fact: object) -> Fact:
     """Return a fact that speaks of elements of the model only, and says what such elements can be."""
     if not isinstance(fact, Fact):
         raise ModelError(f"a fact is one of those in kb.facts, not {fact!r}")
-    if isinstance(fact, StatusFact):
+    if isinstance(fact, facts.StatusFact):
         return replace(fact, status=_status(KINDS[type(fact.element)], fact.status))
-    if isinstance(fact, RequiredFact | SelectedFact):
-        kinds, what = (_REQUIRABLE, "required") if isinstance(fact, RequiredFact) else (_SELECTABLE, "selected")
+    if isinstance(fact, facts.RequiredFact | facts.SelectedFact):
+        kinds, what = (_REQUIRABLE, "required") if isinstance(fact, facts.RequiredFact) else (_SELECTABLE, "selected")
         if not isinstance(fact.element, kinds):
             raise ModelError(f"{KINDS[type(fact.element)]} cannot be stated to be {what}: {fact.element!r}")
         return fact
@@ -189,23 +145,19 @@ def checked_fact(model: Contents, fact: object) -> Fact:
     for cls, name in _named_by(fact):
         if not isinstance(name, str) or name not in tables[cls]:
             raise UnknownName(KINDS[cls], name, tables[cls])
-    if isinstance(fact, MeasurementFact):
+    if isinstance(fact, facts.MeasurementFact):
         flag(f"latest of the measurement of {fact.attribute!r}", fact.latest)
         return replace(fact, value=finite_number(fact.value), time=_time(fact.time))
-    if isinstance(fact, ProcessFact):
+    if isinstance(fact, facts.ActiveFact):
+        return fact
+    if isinstance(fact, facts.ProcessFact):
         return replace(fact, pid=pid(fact.pid), start=_time(fact.start), end=_time(fact.end))
-    if isinstance(fact, RequiredActionFact | PlanFact):
-        if fact.result is not None:
-            check_result(fact.result)
-        if isinstance(fact, RequiredActionFact) and fact.preference is not None:
-            weights = {name: finite_number(weight) for name, weight in fact.preference.items()}
-            fact = replace(fact, preference=MappingProxyType(weights) if weights else None)
-        return replace(fact, start=_time(fact.start), end=_time(fact.end))
-    return fact
-
-
-_REQUIRABLE: Final = (Action, Function, Component)
-_SELECTABLE: Final = (FunctionDesign, Configuration)
+    if fact.result is not None:
+        check_result(fact.result)
+    if isinstance(fact, facts.RequiredActionFact) and fact.preference is not None:
+        weights = {name: finite_number(weight) for name, weight in fact.preference.items()}
+        fact = replace(fact, preference=MappingProxyType(weights) if weights else None)
+    return replace(fact, start=_time(fact.start), end=_time(fact.end))
 
 
 def _status(kind: str, given: object) -> Status:
@@ -227,15 +179,15 @@ def _named_by(fact: Fact) -> Iterator[tuple[type[Element], str]]:
         if field.name == "preference" and value is not None:
             if not isinstance(value, Mapping):
                 raise ModelError(f"a preference is given as weights by name of attribute, not as {value!r}")
-            yield from ((Attribute, name) for name in value)
+            yield from ((elements.Attribute, name) for name in value)
         elif field.name in REFERENCES:
-            names = listed(field.name, value) if isinstance(fact, PlanFact) else (value,)
+            names = listed(field.name, value) if isinstance(fact, facts.PlanFact) else (value,)
             yield from ((REFERENCES[field.name], name) for name in names)
 
 
 def concerns(fact: Fact, removed: Collection[Changeable]) -> bool:
     """Tell whether a fact is about something that is removed."""
-    if isinstance(fact, StatusFact | RequiredFact | SelectedFact):
+    if isinstance(fact, facts.StatusFact | facts.RequiredFact | facts.SelectedFact):
         return fact.element in removed
     gone = {(type(one), one.name) for one in removed if isinstance(one, Element)}
     return any(one in gone for one in _named_by(fact))
@@ -257,8 +209,5 @@ def description(model: Contents) -> object:
     def contents(one: Changeable | Fact) -> list[object]:
         return [type(one), *(plain(getattr(one, field.name)) for field in fields(one) if field.name != "model")]
 
-    return (
-        model.name,
-        [[contents(one) for one in table.values()] for table in tables_of(model).values()],
-        [contents(one) for one in (*model.constraints, *model.estimations, *model.facts)],
-    )
+    everything = [one for table in tables_of(model).values() for one in table.values()]
+    return model.name, [contents(one) for one in (*everything, *model.constraints, *model.estimations, *model.facts)]

@@ -9,26 +9,6 @@ from typing import Any, NamedTuple, TypeGuard, TypeVar
 
 from kb.exceptions import InvalidValue, ModelError, UnknownName
 
-__all__ = [
-    "Field",
-    "Parameter",
-    "Parameters",
-    "age",
-    "agreement",
-    "choice",
-    "finite_number",
-    "flag",
-    "identifier",
-    "listed",
-    "parameters",
-    "pid",
-    "priority",
-    "span",
-    "text",
-]
-
-Parameter = bool | int | float | str | list[bool] | list[int] | list[float] | list[str]
-Parameters = Mapping[str, Parameter]
 ChoiceT = TypeVar("ChoiceT", bound=StrEnum)
 
 
@@ -62,21 +42,6 @@ def flag(what: str, value: object) -> bool:
     if not isinstance(value, bool):
         raise ModelError(f"{what} is True or False, not {value!r}")
     return value
-
-
-def finite_number(value: object) -> float:
-    """Return the value as a float; text, booleans, NaN and infinities are refused."""
-    if isinstance(value, bool | str) or not hasattr(value, "__float__"):
-        raise InvalidValue(f"a number is needed, not {value!r}")
-    try:
-        number = float(value)
-    except OverflowError:
-        number = math.inf
-    except (TypeError, ValueError) as error:
-        raise InvalidValue(f"a number is needed, not {value!r}: {error}") from None
-    if not math.isfinite(number):
-        raise InvalidValue(f"a finite number is needed, not {value!r:.60}")
-    return number
 
 
 def priority(field: str, name: str, value: object) -> float | None:
@@ -138,7 +103,7 @@ def listed(what: str, values: object) -> tuple[Any, ...]:
     return tuple(values)
 
 
-def parameters(configuration: str, values: object) -> Parameters:
+def parameters(configuration: str, values: object) -> Mapping[str, Any]:
     """Return the parameters of a configuration, a copy that cannot be changed."""
     if not isinstance(values, Mapping):
         raise ModelError(f"the parameters of {configuration!r} are given as values by name, not as {values!r}")
@@ -148,9 +113,9 @@ def parameters(configuration: str, values: object) -> Parameters:
     return MappingProxyType({key: _parameter(configuration, key, value) for key, value in values.items()})
 
 
-def _parameter(configuration: str, key: str, value: object) -> Parameter:
+def _parameter(configuration: str, key: str, value: object) -> object:
     if _is_scalar(value):
-        return value  # type: ignore[return-value]  # a scalar: checked on the line above
+        return value
     if isinstance(value, list | tuple) and all(_is_scalar(item) for item in value):
         kinds = {type(item) for item in value}
         if kinds == {int, float}:

@@ -7,7 +7,7 @@ from dataclasses import MISSING, fields
 from typing import Any, Final
 
 from kb.contents import Contents
-from kb.declarations import choice, finite_number
+from kb.declarations import choice
 from kb.elements import (
     REFERENCES,
     Attribute,
@@ -18,13 +18,12 @@ from kb.elements import (
     Element,
     Estimation,
     Expression,
+    finite_number,
 )
 from kb.exceptions import InvalidValue, KnowledgeBaseError, ModelError, UnknownName
 from kb.facts import StatusFact
 from kb.individuals import CLASSES, GENERAL, SPECIAL, Individual, Ref, Value, parameter_values, property_of
 from kb.status import Status
-
-__all__ = ["Declarer"]
 
 _CLASSES: Final[Mapping[str, Any]] = {kind: cls for cls, kind in CLASSES.items()}
 _RANKS: Final = {kind: rank for rank, kind in enumerate(CLASSES.values())}

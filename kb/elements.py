@@ -10,53 +10,28 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Annotated, Final, Protocol, TypeVar, get_type_hints
 
-from kb.declarations import (
-    Field,
-    Parameter,
-    Parameters,
-    age,
-    agreement,
-    choice,
-    finite_number,
-    flag,
-    parameters,
-    priority,
-    span,
-    text,
-)
-from kb.exceptions import ModelError
+from kb.declarations import Field, age, agreement, choice, flag, parameters, priority, span, text
+from kb.exceptions import InvalidValue, ModelError
 from kb.status import OPERATORS
 
-__all__ = [
-    "Action",
-    "Attribute",
-    "AttributeKind",
-    "CHECKS",
-    "Changeable",
-    "Component",
-    "ComponentKind",
-    "Configuration",
-    "Constrainable",
-    "Constraint",
-    "Element",
-    "Estimable",
-    "Estimation",
-    "EstimationKind",
-    "Expression",
-    "Function",
-    "FunctionDesign",
-    "KINDS",
-    "Owner",
-    "Parameter",
-    "Parameters",
-    "REFERENCES",
-    "StalePolicy",
-    "called",
-    "exact",
-    "finite_number",
-]
-
 ElementT = TypeVar("ElementT", bound="Element")
+Parameter = bool | int | float | str | list[bool] | list[int] | list[float] | list[str]
+Parameters = Mapping[str, Parameter]
+
+
+def finite_number(value: object) -> float:
+    """Return the value as a float; text, booleans, NaN and infinities are refused."""
+    if isinstance(value, bool | str) or not hasattr(value, "__float__"):
+        raise InvalidValue(f"a number is needed, not {value!r}")
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
+    except (TypeError, ValueError) as error:
+        raise InvalidValue(f"a number is needed, not {value!r}: {error}") from None
+    if not math.isfinite(number):
+        raise InvalidValue(f"a finite number is needed, not {value!r:.60}")
+    return number
 
 
 class AttributeKind(StrEnum):

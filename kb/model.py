@@ -22,7 +22,7 @@ from weakref import ref
 from kb.checks.findings import Finding
 from kb.checks.model import check_model
 from kb.contents import Elements, Observer, checked_fact, concerns, description, named, users_of
-from kb.declarations import choice, finite_number, identifier, listed
+from kb.declarations import choice, identifier, listed
 from kb.elements import (
     CHECKS,
     KINDS,
@@ -45,6 +45,7 @@ from kb.elements import (
     FunctionDesign,
     StalePolicy,
     called,
+    finite_number,
 )
 from kb.exceptions import DuplicateName, ModelError, UnknownName
 from kb.facts import Fact, RequiredFact, SelectedFact, StatusFact

@@ -12,8 +12,6 @@ from kb.explanation.requirements import Interval, bounds
 from kb.facts import RequiredActionFact
 from kb.inference.network import Network, Node
 
-__all__ = ["doubtful_choices"]
-
 PREFERRED: Final = 32
 """How many of the alternatives that are preferred to one are compared with it."""
 

@@ -13,8 +13,6 @@ from kb.elements import Constraint
 from kb.explanation.requirements import Box, Interval, Requirements, bounds, constraints_on
 from kb.inference.network import Network, Node
 
-__all__ = ["contradictions"]
-
 QUICK: Final = 4
 """How many alternatives suffice to see that most elements are possible; all are looked at only for the others."""
 MOST_ACTIONS: Final = 4

@@ -6,8 +6,6 @@ from enum import StrEnum
 from types import MappingProxyType
 from typing import Final
 
-__all__ = ["Finding", "RULES", "Rule", "Severity", "found", "listing"]
-
 
 class Severity(StrEnum):
     """How bad something is: an error can never work, a warning is likely a slip."""

@@ -15,8 +15,6 @@ from kb.facts import ActiveFact, MeasurementFact, RequiredActionFact, RequiredFa
 from kb.inference.network import Network
 from kb.status import Status
 
-__all__ = ["check_model"]
-
 
 def check_model(model: Contents, names: Iterable[str] | None = None) -> tuple[Finding, ...]:
     """Check a model; see `Model.check`. Errors come first, and each rule goes through a model in order."""

@@ -13,8 +13,6 @@ from kb.planners.priority import first_by_priority
 from kb.reconfiguration import reselect
 from kb.status import Status
 
-__all__ = ["Alternative", "ChoiceExplanation", "explain_choice", "note_nothing"]
-
 _PARTS: Final = {"function": "design", "component": "configuration"}
 _NOTED: Final = "selected"
 """What is said of a design's or configuration's selection is kept by this word, so here is what is said of none."""

@@ -12,8 +12,6 @@ from kb.inference.state import Reason, State
 from kb.inference.steadiness import turning_point
 from kb.status import OPERATORS, Status
 
-__all__ = ["Comparison", "Explanation", "explain", "shortest", "why", "why_selected"]
-
 _MOST: Final = 4
 """How many causes of one status a sentence tells before it only counts the rest."""
 _MOST_REMEDIES: Final = 3

@@ -18,22 +18,6 @@ from kb.inference.state import State
 from kb.inference.steadiness import turning_point
 from kb.status import OPERATORS, Status
 
-__all__ = [
-    "Alternatives",
-    "Box",
-    "Interval",
-    "Measured",
-    "MissingDesign",
-    "Recovered",
-    "Remedies",
-    "Remedy",
-    "Requirements",
-    "Retracted",
-    "bounds",
-    "constraints_on",
-    "remedies",
-]
-
 LIMIT: Final = 64
 """How many boxes are kept for one element."""
 WORK: Final = 20_000

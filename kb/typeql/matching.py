@@ -1,18 +1,16 @@
-"""What `match` finds among the things told so far: every way in which all of its patterns hold together."""
+"""What `match` finds among the things inserted so far: every way in which all of its patterns hold together."""
 
 import operator
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
-from typing import Final, NamedTuple, TypeVar
+from typing import Final, TypeVar
 
 from kb.exceptions import UnknownName
 from kb.files import ModelFileError, Place
 from kb.typeql.store import ANONYMOUS, Bindings, Part, Store, Thing, literal
-from kb.typeql.syntax import Comparison, Has, Isa, Players, Statement, Unsupported, Word, place_of
+from kb.typeql.syntax import Comparison, Has, Isa, Player, Players, Statement, Unsupported, Word, place_of
 from kb.typeql.vocabulary import Field, Kind, Literal, Type
-
-__all__ = ["answers"]
 
 T = TypeVar("T")
 Found = dict[str, Thing | Literal]
@@ -29,16 +27,7 @@ _COMPARE: Final[Mapping[str, Callable[[Literal, Literal], bool]]] = {
     ">": operator.gt,
     ">=": operator.ge,
 }
-_EQUAL: Final = ("=", "==")
-
-
-class _Wanted(NamedTuple):
-    """An attribute that a thing must have: a value, or a variable that stands for one."""
-
-    label: str | None
-    operator: str
-    value: Literal | None
-    variable: str | None
+_EQUAL: Final = ("None", "=", "==")
 
 
 @dataclass(slots=True)
@@ -50,14 +39,14 @@ class _Pattern:
         place: where it is asked for.
         types: each with whether it must be that very type.
         attributes: what it must have.
-        players: role, if it is given, and variable of what it must relate.
+        players: what it must relate.
     """
 
     variable: str | None
     place: Place
     types: list[tuple[Type, bool]] = field(default_factory=list)
-    attributes: list[_Wanted] = field(default_factory=list)
-    players: list[tuple[Word | None, str, Place]] = field(default_factory=list)
+    attributes: list[Has] = field(default_factory=list)
+    players: list[Player] = field(default_factory=list)
 
     @property
     def kind(self) -> Kind | None:
@@ -88,28 +77,31 @@ class _Question:
 
     def ask(self, asked: Statement | Unsupported) -> None:
         """Add what is asked; all that is asked of one variable is one pattern."""
-        if isinstance(asked, Unsupported):
-            raise self._unsupported(asked.word)
+        clauses = (asked,) if isinstance(asked, Unsupported) else asked.clauses
+        for clause in clauses:
+            word = clause.word if isinstance(clause, Unsupported) else getattr(clause, "operator", None)
+            if word is not None and (str(word) not in _COMPARE or isinstance(clause, Unsupported)):
+                raise place_of(self.file, word).error(
+                    f"`{word}` is not understood in a `match` that inserts; expected `isa`, `has`, the players of a "
+                    "relation or a comparison with = != < <= > >="
+                )
+        assert isinstance(asked, Statement)  # anything else was refused
         name = asked.variable if asked.variable != ANONYMOUS else None
-        compared = [clause for clause in asked.clauses if isinstance(clause, Comparison)]
+        compared = [clause for clause in clauses if isinstance(clause, Comparison)]
         if compared and name:
             for comparison in compared:
                 self._compare(name, comparison)
             return
         key = name or f"{len(self.patterns)}"
         pattern = self.patterns.setdefault(key, _Pattern(name, place_of(self.file, asked.word)))
-        for clause in asked.clauses:
+        for clause in clauses:
             if isinstance(clause, Isa):
-                place = place_of(self.file, clause.label)
-                pattern.types.append((self.store.vocabulary.type(clause.label, place), clause.exact))
+                wanted = self.store.vocabulary.type(clause.label, place_of(self.file, clause.label))
+                pattern.types.append((wanted, clause.exact))
             elif isinstance(clause, Has):
-                pattern.attributes.append(self._wanted(clause))
+                pattern.attributes.append(clause)
             elif isinstance(clause, Players):
-                for player in clause.players:
-                    place = place_of(self.file, player.role or player.variable)
-                    pattern.players.append((player.role, str(player.variable), place))
-            elif isinstance(clause, Unsupported):
-                raise self._unsupported(clause.word)
+                pattern.players += clause.players
 
     def answers(self) -> list[Bindings]:
         """Return what the variables can stand for, the most telling patterns first."""
@@ -124,45 +116,35 @@ class _Question:
         kept = [bindings for bindings in found if self._holds(bindings)]
         if not kept:
             raise place_of(self.file, self.comparisons[0][1].value).error("nothing told so far compares like this")
-        return list({tuple((name, _identity(one)) for name, one in one_of.items()): one_of for one_of in kept}.values())
+        return list({tuple((name, _identity(one)) for name, one in each.items()): each for each in kept}.values())
 
     def _compare(self, name: str, clause: Comparison) -> None:
-        sign = self._sign(clause.operator, clause.value)
-        if sign in _EQUAL and clause.value.type != "VARIABLE":
+        if str(clause.operator) in _EQUAL and clause.value.type != "VARIABLE":
             self.known[name] = literal(clause.value, place_of(self.file, clause.value))
         else:
             self.comparisons.append((name, clause))
-
-    def _wanted(self, clause: Has) -> _Wanted:
-        sign = self._sign(clause.operator, clause.value)
-        label = str(clause.label) if clause.label else None
-        if clause.value.type == "VARIABLE":
-            return _Wanted(label, sign, None, str(clause.value))
-        return _Wanted(label, sign, literal(clause.value, place_of(self.file, clause.value)), None)
-
-    def _sign(self, word: Word | None, value: Word) -> str:
-        if word is not None and str(word) not in _COMPARE:
-            raise self._unsupported(word)
-        return str(word or "==")
 
     def _effort(self, pattern: _Pattern, bindings: Bindings) -> int:
         if pattern.variable in bindings or self._name(pattern, bindings) is not None:
             return 0
         size = len(self.store.things.get(pattern.kind, ()))
-        return size if any(name in bindings for _, name, _ in pattern.players) else 1 + 2 * size
+        return size if any(str(player.variable) in bindings for player in pattern.players) else 1 + 2 * size
 
     def _name(self, pattern: _Pattern, bindings: Bindings) -> str | None:
         """Return the name that the thing must have, if that is known."""
-        for wanted in pattern.attributes if pattern.kind else ():
-            meant = self._meant(pattern, wanted)
-            if meant and meant.name == "name" and wanted.operator in _EQUAL:
-                value = bindings.get(wanted.variable) if wanted.variable else wanted.value
+        for wanted in pattern.attributes:
+            meant = self._meant(pattern.kind, wanted)
+            if meant and meant.name == "name" and str(wanted.operator) in _EQUAL:
+                value = self._value(wanted.value, bindings)
                 if isinstance(value, str):
                     return value
         return None
 
-    def _meant(self, pattern: _Pattern, wanted: _Wanted) -> Field | None:
-        return self.store.vocabulary.field(pattern.kind, wanted.label) if pattern.kind and wanted.label else None
+    def _meant(self, kind: Kind | None, wanted: Has) -> Field | None:
+        return self.store.vocabulary.field(kind, str(wanted.label)) if kind and wanted.label else None
+
+    def _value(self, word: Word, bindings: Bindings) -> Thing | Literal | None:
+        return bindings.get(str(word)) if word.type == "VARIABLE" else literal(word, place_of(self.file, word))
 
     def _candidates(self, pattern: _Pattern, bindings: Bindings) -> Iterable[Thing]:
         if pattern.variable in bindings:
@@ -181,24 +163,25 @@ class _Question:
             if all(thing.type is one or (not exact and one in thing.type.lineage()) for one, exact in pattern.types):
                 found = [{**bindings, pattern.variable: thing} if pattern.variable else bindings]
                 for wanted in pattern.attributes:
-                    found = [more for one in found for more in self._having(one, thing, wanted, pattern)]
+                    found = [more for one in found for more in self._having(one, thing, wanted, pattern.kind)]
                 yield from self._relating(found, thing, pattern)
 
-    def _having(self, bindings: Found, thing: Thing, wanted: _Wanted, pattern: _Pattern) -> Iterator[Found]:
-        meant = self._meant(pattern, wanted)
-        value = bindings.get(wanted.variable) if wanted.variable else wanted.value
+    def _having(self, bindings: Found, thing: Thing, wanted: Has, kind: Kind | None) -> Iterator[Found]:
+        meant, sign = self._meant(kind, wanted), str(wanted.operator or "==")
+        value = self._value(wanted.value, bindings)
         for own in thing.owns:
             if wanted.label not in (None, own.label) and (meant is None or own.field is not meant):
                 continue
-            if value is None and wanted.variable and wanted.operator in _EQUAL:
-                yield {**bindings, wanted.variable: own.value}
-            elif value is not None and not isinstance(value, Thing) and _compared(own.value, wanted.operator, value):
+            if value is None and sign in _EQUAL:
+                yield {**bindings, str(wanted.value): own.value}
+            elif value is not None and not isinstance(value, Thing) and _compared(own.value, value, sign):
                 yield bindings
 
     def _relating(self, found: Sequence[Found], thing: Thing, pattern: _Pattern) -> list[Found]:
         """Let each player that is asked for stand for another part of the relation."""
         states: list[tuple[Found, frozenset[int]]] = [(one, frozenset()) for one in found]
-        for role, name, place in pattern.players:
+        for role, variable in pattern.players:
+            name, place = str(variable), place_of(self.file, role or variable)
             every = (
                 ({**bindings, name: part.thing} if name != ANONYMOUS else bindings, used | {number})
                 for bindings, used in states
@@ -217,27 +200,25 @@ class _Question:
 
     def _holds(self, bindings: Bindings) -> bool:
         for name, clause in self.comparisons:
-            place, word = place_of(self.file, clause.value), clause.value
-            other = literal(word, place) if word.type != "VARIABLE" else _value(bindings, word, place)
-            if not _compared(_value(bindings, name, place), str(clause.operator), other):
+            values = [bindings.get(name), self._value(clause.value, bindings)]
+            for word, value in zip((name, clause.value), values, strict=True):
+                if value is None or isinstance(value, Thing):
+                    place = place_of(self.file, clause.value)
+                    raise place.error(f"{word} is compared, and no `has NAME {word}` gives it")
+            this, other = values
+            if not _compared(this, other, str(clause.operator)):  # type: ignore[arg-type]  # seen to above
                 return False
         return True
 
     def _nothing(self, pattern: _Pattern) -> ModelFileError:
-        name, kind = self._name(pattern, self.known), pattern.kind
+        name, kind, what = self._name(pattern, self.known), pattern.kind, "no thing told so far is like this"
         if name is not None and kind is not None and name not in self.store.named[kind]:
-            return pattern.place.error(f"`match` finds nothing: {UnknownName(kind, name, self.store.named[kind])}")
-        if not pattern.types:
-            return pattern.place.error("`match` finds nothing: no thing told so far is like this")
-        wanted = pattern.types[0][0]
-        number = sum(wanted in thing.type.lineage() for thing in self.store.things.get(kind, ()))
-        return pattern.place.error(f"`match` finds nothing: no {wanted.label} of the {number} told so far is like this")
-
-    def _unsupported(self, word: Word) -> ModelFileError:
-        return place_of(self.file, word).error(
-            f"`{word}` is not understood in a `match` that inserts; expected `isa`, `has`, the players of a relation "
-            "or a comparison with = != < <= > >="
-        )
+            what = str(UnknownName(kind, name, self.store.named[kind]))
+        elif pattern.types:
+            wanted = pattern.types[0][0]
+            number = sum(wanted in thing.type.lineage() for thing in self.store.things.get(kind, ()))
+            what = f"no {wanted.label} of the {number} told so far is like this"
+        return pattern.place.error(f"`match` finds nothing: {what}")
 
 
 def _bounded(every: Iterator[T], place: Place) -> list[T]:
@@ -247,14 +228,7 @@ def _bounded(every: Iterator[T], place: Place) -> list[T]:
     return found
 
 
-def _value(bindings: Bindings, name: str, place: Place) -> Literal:
-    value = bindings.get(str(name))
-    if value is None or isinstance(value, Thing):
-        raise place.error(f"{name} is compared, and no `has NAME {name}` gives it")
-    return value
-
-
-def _compared(this: Literal, sign: str, other: Literal) -> bool:
+def _compared(this: Literal, other: Literal, sign: str) -> bool:
     if isinstance(this, bool) is not isinstance(other, bool):
         return sign == "!="
     try:

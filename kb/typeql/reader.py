@@ -12,21 +12,9 @@ from itertools import count
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
-from kb import facts
+from kb import elements, facts
 from kb.contents import Contents
-from kb.declarations import finite_number
-from kb.elements import (
-    Action,
-    Attribute,
-    Component,
-    Configuration,
-    Constraint,
-    Element,
-    Expression,
-    Function,
-    FunctionDesign,
-    Parameter,
-)
+from kb.elements import Attribute, Component, Configuration, Constraint, Element, Expression, Parameter, finite_number
 from kb.exceptions import InvalidValue, UnknownName
 from kb.files import Place, read_text
 from kb.status import STATUSES, Status
@@ -34,8 +22,6 @@ from kb.typeql.matching import answers
 from kb.typeql.store import Own, Store, Thing, shown
 from kb.typeql.syntax import SLIPS, Define, Match, parse
 from kb.typeql.vocabulary import CLASSES, PARAMETER_TYPES, ROLES, SPECIAL, Kind, Literal, Vocabulary, seconds
-
-__all__ = ["load_typeql"]
 
 ModelT = TypeVar("ModelT", bound=Contents)
 Told = tuple[int, facts.Fact, Place]
@@ -108,7 +94,9 @@ class _Reading:
         for cls, kind in _CLASSES.items():
             for thing in self.store.of(kind):
                 with thing.place.blamed():
-                    given = {"functions": required.get(thing, [])} if cls is Action else self._fields(cls, thing)
+                    given = (
+                        {"functions": required.get(thing, [])} if cls is elements.Action else self._fields(cls, thing)
+                    )
                     self._keep(thing, self.model.declare(cls, thing.name, **given))
         for thing in self.store.of(Kind.CONSTRAINT):
             with thing.place.blamed():
@@ -208,9 +196,9 @@ class _Reading:
             return facts.ProcessFact(element.name, own.value)  # type: ignore[arg-type]  # a whole number: checked
         if own.value is not True:
             return None
-        if name == "required" and isinstance(element, Action | Function | Component):
+        if name == "required" and isinstance(element, elements.Action | elements.Function | Component):
             return facts.RequiredFact(element)
-        if name == "selected" and isinstance(element, FunctionDesign | Configuration):
+        if name == "selected" and isinstance(element, elements.FunctionDesign | Configuration):
             return facts.SelectedFact(element)
         return facts.ActiveFact(element.name) if name == "active" and isinstance(element, Component) else None
 

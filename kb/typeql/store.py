@@ -12,8 +12,6 @@ from kb.files import DuplicateInFile, Place
 from kb.typeql.syntax import Clause, Comparison, Has, Isa, Player, Players, Statement, Unsupported, Word, place_of
 from kb.typeql.vocabulary import ATTRIBUTES, Field, Kind, Literal, Role, Type, Value, Vocabulary
 
-__all__ = ["ANONYMOUS", "Bindings", "Own", "Part", "Store", "Thing", "literal", "shown"]
-
 ANONYMOUS: Final = "$_"
 """A variable that stands for something else each time."""
 

@@ -4,35 +4,18 @@ A `Word` is a piece of the text that knows its `line` and `column`, and as its `
 """
 
 import re
-from collections.abc import Iterator
-from functools import lru_cache
-from typing import Any, Final, NamedTuple
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import lru_cache, partial
+from types import SimpleNamespace
+from typing import Final, NamedTuple
 
-from lark import Lark, Transformer, v_args
-from lark import Token as Word
+from lark import Lark, Token
 from lark.exceptions import UnexpectedCharacters, UnexpectedToken
 from lark.lark import PostLex
 
 from kb.files import ModelFileError, Place
 
-__all__ = [
-    "Clause",
-    "Comparison",
-    "Define",
-    "Has",
-    "Insert",
-    "Isa",
-    "Match",
-    "Player",
-    "Players",
-    "SLIPS",
-    "Statement",
-    "TypeClause",
-    "Unsupported",
-    "Word",
-    "parse",
-    "place_of",
-]
+Word = Token
 
 MAX_DEPTH: Final = 100
 """How deep brackets may nest; what is deeper is no model, and would only fill the memory."""
@@ -43,15 +26,12 @@ SLIPS: Final = {"=<": "<=", "=>": ">=", "≤": "<=", "≥": ">="}
 _QUOTED: Final = re.compile(r"""#[^\r\n]*|"(?:[^"\\]|\\[\s\S])*"|'(?:[^'\\]|\\[\s\S])*'""")
 """A comment or a text."""
 
+_KEYWORDS: Final = "sub owns relates plays abstract value regex as isa has when then rule define insert match"
 _EXPECTED: Final = {
     "VARIABLE": "a variable such as `$x`",
     "LABEL": "a name",
     **dict.fromkeys(("STRING", "NUMBER", "DATETIME", "BOOLEAN"), "a value"),
-    **{
-        word.upper(): f"`{word}`"
-        for word in ("sub", "owns", "relates", "plays", "abstract", "value", "regex", "as", "isa", "has", "when")
-    },
-    **{word.upper(): f"`{word}`" for word in ("then", "rule", "define", "insert", "match")},
+    **{word.upper(): f"`{word}`" for word in _KEYWORDS.split()},
     **{"ANNOTATION": "`@key`", "COMMA": "`,`", "SEMICOLON": "`;`", "COLON": "`:`"},
     **{"OPEN": "`(`", "RPAR": "`)`", "BRACE": "`{`", "RBRACE": "`}`", "$END": "the end of the file"},
 }
@@ -184,80 +164,61 @@ class _Refusal(PostLex):
             yield word
 
 
-@v_args(inline=True)
-class _Shapes(Transformer[Word, Any]):
-    """Makes the shapes above, rule by rule of the grammar."""
+def _statement(first: Word | Players, *clauses: Clause) -> Statement:
+    if isinstance(first, Players):
+        return Statement(first.word, None, (first, *clauses))
+    return Statement(first, str(first), clauses)
 
-    def start(self, *queries: object) -> list[object]:
-        return list(queries)
 
-    def define(self, *parts: object) -> Define:
-        return Define(tuple(part for part in parts if isinstance(part, tuple)))
+def _has(_: Word, *words: Word) -> Has:
+    label, operator = words[0] if len(words) > 1 else None, words[1] if len(words) == 3 else None
+    return Has(label, operator, words[-1])
 
-    def type_definition(self, label: Word, *clauses: TypeClause | None) -> tuple[Word, tuple[TypeClause, ...]]:
-        return label, tuple(clause for clause in clauses if clause)
 
-    def sub(self, _: Word, label: Word) -> TypeClause:
-        return TypeClause("sub", label, None)
+def _comparison(*words: Word) -> Comparison | Unsupported:
+    if len(words) > 2:
+        return Unsupported(words[2])
+    return Comparison(words[0] if len(words) == 2 else None, words[-1])
 
-    def owns(self, _: Word, label: Word, *rest: object) -> TypeClause:
-        return TypeClause("owns", label, None)
 
-    def relates(self, _: Word, label: Word, alias: Word | None = None) -> TypeClause:
-        return TypeClause("relates", label, alias)
+def _player(*words: Word) -> Player:
+    return Player(words[-2] if len(words) > 1 and words[-2].type == "LABEL" else None, words[-1])
 
-    def plain(self, *_: object) -> None:
-        return None
 
-    rule = plain
+_SHAPES: Final[Mapping[str, Callable[..., object]]] = {
+    "start": lambda *queries: list(queries),
+    "define": lambda *parts: Define(tuple(filter(None, parts))),
+    "type_definition": lambda label, *clauses: (label, tuple(filter(None, clauses))),
+    "sub": lambda _, label: TypeClause("sub", label, None),
+    "owns": lambda _, label, *rest: TypeClause("owns", label, None),
+    "relates": lambda _, label, alias=None: TypeClause("relates", label, alias),
+    "alias": lambda label: label,
+    "plain": lambda *_: None,
+    "rule": lambda *_: None,
+    "insert": lambda *statements: Insert(statements),
+    "patterns": lambda *patterns: patterns,
+    "match": lambda patterns, insert: Match(patterns, insert.statements),
+    "statement": _statement,
+    "isa": lambda keyword, label: Isa(label, keyword == "isa!"),
+    "has": _has,
+    "comparison": _comparison,
+    "players": lambda word, *players: Players(word, players),
+    "player": _player,
+    "unsupported": lambda word, *_: Unsupported(word),
+    "other": lambda word, *_: Unsupported(word),
+}
+"""What becomes of each rule of the grammar."""
 
-    def alias(self, label: Word) -> Word:
-        return label
 
-    def insert(self, *statements: Statement) -> Insert:
-        return Insert(statements)
-
-    def patterns(self, *patterns: Statement | Unsupported) -> tuple[Statement | Unsupported, ...]:
-        return patterns
-
-    def match(self, patterns: tuple[Statement | Unsupported, ...], insert: Insert) -> Match:
-        return Match(patterns, insert.statements)
-
-    def statement(self, first: Word | Players, *clauses: Clause) -> Statement:
-        if isinstance(first, Players):
-            return Statement(first.word, None, (first, *clauses))
-        return Statement(first, str(first), clauses)
-
-    def unsupported(self, word: Word, *_: object) -> Unsupported:
-        return Unsupported(word)
-
-    other = unsupported
-
-    def isa(self, keyword: Word, label: Word) -> Isa:
-        return Isa(label, keyword == "isa!")
-
-    def has(self, _: Word, *words: Word) -> Has:
-        if len(words) == 1:
-            return Has(None, None, words[0])
-        return Has(words[0], words[1] if len(words) == 3 else None, words[-1])
-
-    def comparison(self, *words: Word) -> Comparison | Unsupported:
-        if len(words) > 2:
-            return Unsupported(words[2])
-        return Comparison(words[0] if len(words) == 2 else None, words[-1])
-
-    def players(self, word: Word, *players: Player) -> Players:
-        return Players(word, players)
-
-    def player(self, *words: Word) -> Player:
-        role = words[-2] if len(words) > 1 and words[-2].type == "LABEL" else None
-        return Player(role, words[-1])
+def _shaped(make: Callable[..., object], children: Sequence[object]) -> object:
+    return make(*children)
 
 
 @lru_cache(maxsize=1)
 def _parser() -> Lark:
+    shapes = SimpleNamespace(**{rule: partial(_shaped, make) for rule, make in _SHAPES.items()})
     return Lark.open(
-        "grammar.lark", rel_to=__file__, parser="lalr", lexer="contextual", postlex=_Refusal(), transformer=_Shapes()
+        "grammar.lark", rel_to=__file__, parser="lalr", lexer="contextual", postlex=_Refusal(), transformer=shapes
     )
 
 
@@ -271,7 +232,7 @@ def _error(text: str, file: str, error: UnexpectedToken | UnexpectedCharacters) 
     if slip := _slip(text, file, error):
         return slip
     if isinstance(error, UnexpectedToken):
-        given = f"`{_short(str(error.token))}`"
+        given = f"`{error.token if len(error.token) <= 40 else f'{error.token[:37]}...'}`"
     else:
         character = text[error.pos_in_stream or 0]
         given = "a text without a closing quote" if character in "'\"" else f"{character!r}"
@@ -298,7 +259,3 @@ def _wanted(error: UnexpectedToken | UnexpectedCharacters) -> str:
     names = {name.lstrip("_") for name in accepted or ()}
     words = list(dict.fromkeys(word for name, word in _EXPECTED.items() if name in names))
     return " or ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
-
-
-def _short(text: str) -> str:
-    return text if len(text) <= 40 else f"{text[:37]}..."

@@ -13,22 +13,6 @@ from kb.exceptions import UnknownName
 from kb.files import Place
 from kb.typeql.syntax import Define, Word, place_of
 
-__all__ = [
-    "ATTRIBUTES",
-    "CLASSES",
-    "Field",
-    "Kind",
-    "Literal",
-    "PARAMETER_TYPES",
-    "ROLES",
-    "Role",
-    "SPECIAL",
-    "Type",
-    "Value",
-    "Vocabulary",
-    "seconds",
-]
-
 Literal = bool | int | float | str | datetime
 
 PARAMETER_TYPES: Final[Mapping[type, str]] = {bool: "boolean", float: "double", int: "long", str: "string"}

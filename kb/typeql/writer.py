@@ -13,8 +13,6 @@ from kb.exceptions import ModelError
 from kb.facts import ActiveFact, Fact, PlanFact, RequiredFact, SelectedFact, StatusFact
 from kb.typeql.vocabulary import ATTRIBUTES, CLASSES, PARAMETER_TYPES, ROLES, SPECIAL, Field, Value, seconds
 
-__all__ = ["quoted", "typeql_text", "written_time"]
-
 _STEPS: Final = {
     "component-activation": ("component", "activate", Component),
     "component-deactivation": ("component", "deactivate", Component),
