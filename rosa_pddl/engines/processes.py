@@ -6,6 +6,7 @@ import resource
 import select
 import signal
 import subprocess
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import contextmanager, suppress
@@ -19,9 +20,9 @@ __all__ = ["Cancelled", "Ended", "ProcessHandle"]
 T = TypeVar("T")
 
 # A plan of a million steps is smaller than this; what is longer is an engine that prints without end.
-_MOST_OUTPUT = 256 << 20
+_MOST_OUTPUT = 64 << 20
+_LOOKS_S = 0.05
 _GRACE_S = 2
-_LONGEST_MS = 2**31 - 1
 _NO_PYTHON_NOISE = {"PYTHONWARNINGS": "ignore", "PYTHONHASHSEED": "0"}
 
 
@@ -38,17 +39,14 @@ class Ended:
         output: what it wrote to its standard output.
         complaints: what it wrote to its standard error.
         is_late: whether it was killed because its time was over.
+        is_endless: whether it was killed because it printed without end.
     """
 
     code: int
     output: bytes
     complaints: bytes
     is_late: bool = False
-
-    @property
-    def is_endless(self) -> bool:
-        """Whether it was killed because it printed without end."""
-        return max(len(self.output), len(self.complaints)) >= _MOST_OUTPUT
+    is_endless: bool = False
 
     @property
     def last_words(self) -> str:
@@ -130,7 +128,7 @@ class ProcessHandle:
                 )
             try:
                 _limit(process.pid, limit_s, memory_bytes)
-                is_late = not _has_ended(process.pid, limit_s)
+                verdict = _verdict(process.pid, limit_s, (output, complaints))
             finally:
                 # before it is reaped, as until then its number is that of no other group
                 with self._lock:
@@ -138,7 +136,8 @@ class ProcessHandle:
                     process.wait()
                     self._process = None
             self._check()
-            return Ended(process.returncode, _content(output), _content(complaints), is_late)
+            written = _content(output), _content(complaints)
+            return Ended(process.returncode, *written, verdict == "late", verdict == "endless")
 
     def _check(self) -> None:
         if self._is_cancelled.done():
@@ -160,7 +159,7 @@ def _in_memory(content: bytes = b"") -> Iterator[int]:
 
 
 def _content(file: int) -> bytes:
-    return os.pread(file, os.fstat(file).st_size, 0)
+    return os.pread(file, min(os.fstat(file).st_size, _MOST_OUTPUT), 0)
 
 
 def _limit(pid: int, limit_s: float, memory_bytes: int | None) -> None:
@@ -168,18 +167,22 @@ def _limit(pid: int, limit_s: float, memory_bytes: int | None) -> None:
         # a program that outlives this process, because that was killed, still comes to its end
         seconds = int(limit_s) + _GRACE_S
         resource.prlimit(pid, resource.RLIMIT_CPU, (seconds, seconds))
-        resource.prlimit(pid, resource.RLIMIT_FSIZE, (_MOST_OUTPUT, _MOST_OUTPUT))
         if memory_bytes is not None:
             resource.prlimit(pid, resource.RLIMIT_DATA, (memory_bytes, memory_bytes))
 
 
-def _has_ended(pid: int, limit_s: float) -> bool:
-    """Wait for a program to end; whether it has."""
-    file = os.pidfd_open(pid)
+def _verdict(pid: int, limit_s: float, written: Sequence[int]) -> str:
+    """Wait for a program; return why that is over: `itself`, `late` or `endless`."""
+    deadline, file = time.monotonic() + limit_s, os.pidfd_open(pid)
     try:
         poll = select.poll()
         poll.register(file, select.POLLIN)
-        return bool(poll.poll(min(limit_s * 1e3, _LONGEST_MS)))
+        while (left_s := deadline - time.monotonic()) > 0.0:
+            if poll.poll(min(left_s, _LOOKS_S) * 1e3):
+                return "itself"
+            if any(os.fstat(one).st_size > _MOST_OUTPUT for one in written):
+                return "endless"
+        return "late"
     finally:
         os.close(file)
 

@@ -58,6 +58,7 @@ LATE_MODULES = {
     "kb/typeql/syntax.py",
     "missions/views/picture.py",
     "missions/testing/plugin.py",
+    "rosa_pddl/engines/environment.py",
     "rosa_pddl/engines/label_setting.py",
     "suave_env/gym.py",
 }
