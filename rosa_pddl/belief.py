@@ -6,7 +6,7 @@ action from being feasible then has done so ever since, for the step has shown t
 it has gone, or the action was feasible in between, whatever keeps it from being feasible now is something else.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
@@ -19,7 +19,7 @@ from rosa_pddl.problem import Problem, feasible_atoms, initial_state, lock_of, w
 from rosa_pddl.resource_usage import ResourceUsage
 from rosa_pddl.validate import affected_atoms, binding_of, changes, ended, started
 
-__all__ = ["Belief", "ExpectedEffects", "Sense", "Undo", "UnmetEffect", "without"]
+__all__ = ["Belief", "ExpectedEffects", "FeasibilityEvents", "Sense", "Undo", "UnmetEffect", "without"]
 
 _MOST_DOMAINS = 8
 
@@ -188,6 +188,56 @@ def without(undos: Iterable[Undo], state: State) -> State:
     for undo in undos:
         state = (state | undo.taken) - undo.given
     return state
+
+
+class _Change(Protocol):
+    @property
+    def kind(self) -> str: ...
+
+    @property
+    def name(self) -> str: ...
+
+
+class _Event(Protocol):
+    @property
+    def number(self) -> int: ...
+
+    @property
+    def changes(self) -> Sequence[_Change]: ...
+
+
+class _Log(Protocol):
+    @property
+    def last(self) -> int: ...
+
+    def since(self, number: int) -> Iterable[_Event]: ...
+
+
+@runtime_checkable
+class _Logging(Protocol):
+    """What a knowledge base may offer beside feasibility; `kb.KnowledgeBase` does."""
+
+    @property
+    def log(self) -> _Log: ...
+
+
+class FeasibilityEvents:
+    """Which event of the knowledge base changed what is feasible, if it keeps a log."""
+
+    def __init__(self, domain: Domain, kb: Feasibility) -> None:
+        self._actions = frozenset(domain.rosa_actions)
+        self._log = kb.log if isinstance(kb, _Logging) else None
+        self._seen = 0 if self._log is None else self._log.last
+
+    def latest(self) -> int | None:
+        """Return the number of the last event since the call before that changed the status of an action."""
+        found = None
+        if self._log is not None and self._log.last != self._seen:
+            for event in self._log.since(self._seen):
+                if any(change.kind == "action" and change.name in self._actions for change in event.changes):
+                    found = event.number
+            self._seen = self._log.last
+        return found
 
 
 class Reason(Protocol):

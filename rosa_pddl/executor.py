@@ -6,7 +6,7 @@ from dataclasses import replace
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 
-from rosa_pddl.belief import Belief, ExpectedEffects, Sense, Undo, UnmetEffect, without
+from rosa_pddl.belief import Belief, ExpectedEffects, FeasibilityEvents, Sense, Undo, UnmetEffect, without
 from rosa_pddl.domain import Domain, Feasibility, State, Step
 from rosa_pddl.exceptions import MissingBehaviourError, UnknownNameError, nearest
 from rosa_pddl.goals import Goals, PlanningTask
@@ -30,37 +30,16 @@ __all__ = ["PlanExecutor"]
 
 Factory = Callable[[Step], Behaviour]
 
-
-def check_factories(domain: Domain, behaviours: Mapping[str, Factory]) -> None:
-    """Assure that each PDDL action has what makes its behaviours.
-
-    Raises:
-        MissingBehaviourError: one has not, or something that makes none.
-        UnknownNameError: something is given for a PDDL action that there is not.
-    """
-    given = ", ".join(sorted(behaviours)) or "none"
-    for schema in domain.schemas:
-        if schema not in behaviours:
-            message = f"no behaviour for the PDDL action {schema!r} of {domain.file}; given: {given}"
-            raise MissingBehaviourError(f"{message} ({nearest(schema, behaviours)})")
-        if not callable(behaviours[schema]):
-            message = f"no behaviour can be made for {schema!r} from {behaviours[schema]!r}"
-            raise MissingBehaviourError(f"{message}; expected what makes one for each step, such as a lambda")
-    for name in behaviours:
-        if name not in domain.schemas:
-            message = f"a behaviour is given for {name!r}, but {domain.file} has no such PDDL action"
-            raise UnknownNameError(f"{message}; {nearest(name, domain.schemas)}")
+# So many answers of a planner that answers at once are taken in one tick.
+_MOST_ROUNDS = 8
 
 
-class RunningStep:
-    """A step that runs; its `undo` is what its start changed in what is believed.
+class _RunningStep:
+    """A step that runs.
 
-    Args:
-        step: what is done.
-        factory: makes the behaviour that does it.
+    Attributes:
         number: its number in the plan that is executed; None if it is of an earlier one.
-        parent: the behaviour that ticks it.
-        arguments: for the `setup` of its behaviour.
+        undo: what its start changed in what is believed.
 
     Raises:
         MissingBehaviourError: the factory made no behaviour. What the factory or a `setup` raises comes out as it is,
@@ -68,17 +47,14 @@ class RunningStep:
     """
 
     def __init__(
-        self,
-        step: Step,
-        factory: Factory,
-        number: int | None,
-        parent: Behaviour,
-        arguments: Mapping[str, object],
+        self, step: Step, factory: Factory, number: int | None, parent: Behaviour, arguments: Mapping[str, object]
     ) -> None:
-        self.step, self.number = step, number
-        self.undo = Undo()
+        self.step, self.number, self.undo = step, number, Undo()
         try:
-            self.behaviour = _made(factory, step)
+            self.behaviour = factory(step)
+            if not isinstance(self.behaviour, Behaviour):
+                message = f"for {step} what was given for {step.schema!r} made {self.behaviour!r}"
+                raise MissingBehaviourError(f"{message}, expected a py_trees behaviour")
             self._set_up(arguments)
         except Exception as error:
             error.add_note(f"it was raised when the behaviour of {step} was made")
@@ -86,7 +62,7 @@ class RunningStep:
         self.behaviour.parent = parent
 
     def tick(self) -> tuple[Status, str, list[Behaviour]]:
-        """Tick the behaviour; return its status, what it says, and the nodes that were ticked.
+        """Return the status of the behaviour, what it says, and the nodes that were ticked.
 
         Whatever a step's behaviour raises is that step's failure, not the tree's.
         """
@@ -99,7 +75,6 @@ class RunningStep:
         return self.behaviour.status, self.behaviour.feedback_message, ticked
 
     def release(self) -> None:
-        """Stop the behaviour if it still runs, and let go of it."""
         if self.behaviour.status == Status.RUNNING:
             self._stop()
         self._shut_down(self.behaviour.iterate())
@@ -116,51 +91,43 @@ class RunningStep:
             raise
 
     def _shut_down(self, nodes: Iterable[Behaviour]) -> None:
-        """Shut down nodes: one that raises then must not keep others from being let go of."""
         for node in nodes:
             try:
                 node.shutdown()
-            except Exception as error:
+            except Exception as error:  # it must not keep others from being released
                 node.logger.error(f"{type(error).__name__} in shutdown of {self.step}: {error}")
 
     def _stop(self) -> None:
-        """Stop for good: a behaviour that raises in its `terminate` must not keep the executor from going on."""
         try:
             self.behaviour.stop(Status.INVALID)
-        except Exception as error:
+        except Exception as error:  # it must not keep the executor from going on
             self.behaviour.logger.error(f"{type(error).__name__} in terminate of {self.step}: {error}")
             for node in self.behaviour.iterate():
                 node.status = Status.INVALID
 
 
-class Interlude:
-    """What is done between two steps while a plan is made: a behaviour made of the step before.
-
-    Args:
-        factory: makes it; None for nothing.
-        parent: the behaviour that ticks it.
-    """
+class _Interlude:
+    """What is done between two steps while a plan is made: a behaviour made of the step before."""
 
     def __init__(self, factory: Factory | None, parent: Behaviour) -> None:
         self._factory, self._parent = factory, parent
         self._after: Step | None = None
-        self._running: RunningStep | None = None
+        self._running: _RunningStep | None = None
 
     @property
     def behaviours(self) -> list[Behaviour]:
-        """The behaviour that runs, if one does."""
         return [] if self._running is None else [self._running.behaviour]
 
     def follow(self, step: Step) -> None:
         """Note that a step is over: what is done next would be made of that one."""
         self._after = step
 
-    def go_on(self, arguments: Mapping[str, object]) -> list[Behaviour]:
+    def tick(self, arguments: Mapping[str, object]) -> list[Behaviour]:
         """Tick it, and begin it if that is due; return the nodes that were ticked. Once it has ended, that is it."""
         before = None
         if self._factory is not None and self._after is not None:
             before, after, self._after = self._running, self._after, None
-            self._running = RunningStep(after, self._factory, None, self._parent, arguments)
+            self._running = _RunningStep(after, self._factory, None, self._parent, arguments)
         if self._running is None:
             return []
         status, _, ticked = self._running.tick()
@@ -171,18 +138,24 @@ class Interlude:
         return ticked
 
     def end(self) -> None:
-        """Let go of it."""
         running, self._running, self._after = self._running, None, None
         if running is not None:
             running.release()
 
 
-def _made(factory: Factory, step: Step) -> Behaviour:
-    made = factory(step)
-    if not isinstance(made, Behaviour):
-        message = f"for {step} what was given for {step.schema!r} made {made!r}, expected a py_trees behaviour"
-        raise MissingBehaviourError(message)
-    return made
+def _check_factories(domain: Domain, behaviours: Mapping[str, Factory]) -> None:
+    given = ", ".join(sorted(behaviours)) or "none"
+    for schema in domain.schemas:
+        if schema not in behaviours:
+            message = f"no behaviour for the PDDL action {schema!r} of {domain.file}; given: {given}"
+            raise MissingBehaviourError(f"{message} ({nearest(schema, behaviours)})")
+        if not callable(behaviours[schema]):
+            message = f"no behaviour can be made for {schema!r} from {behaviours[schema]!r}"
+            raise MissingBehaviourError(f"{message}; expected what makes one for each step, such as a lambda")
+    for name in behaviours:
+        if name not in domain.schemas:
+            message = f"a behaviour is given for {name!r}, but {domain.file} has no such PDDL action"
+            raise UnknownNameError(f"{message}; {nearest(name, domain.schemas)}")
 
 
 class PlanExecutor(Behaviour):
@@ -207,7 +180,8 @@ class PlanExecutor(Behaviour):
         clock: returns the time [s].
         planner: plans beside the ticks; by default Fast Downward.
         delay_s: the answer of the planner is taken this long after the request, whatever it took, so that a simulation
-            is the same each time [s]; None to take it as soon as it is there.
+            is the same each time [s]; None to take it as soon as it is there, in the tick of the request if the planner
+            answers at once.
         policy: when to plan anew, and what becomes of running steps meanwhile.
         meanwhile: makes of a step that was given up or has ended what is done until the next one has begun, if a plan
             has to be made for that; by default nothing is.
@@ -238,7 +212,7 @@ class PlanExecutor(Behaviour):
     ) -> None:
         super().__init__(name)
         self.findings = domain.check(kb)
-        check_factories(domain, behaviours)
+        _check_factories(domain, behaviours)
         self.goals = Goals(domain)
         self._domain, self._factories = domain, dict(behaviours)
         self._policy = policy or ReplanningPolicy()
@@ -246,13 +220,14 @@ class PlanExecutor(Behaviour):
         self._planner: PlansAhead = Planner() if planner is None else planner
         self._belief = Belief(domain, kb, sense)
         self._effects = ExpectedEffects(domain, kb)
+        self._feasibility = FeasibilityEvents(domain, kb)
         self._monitor = PlanMonitor(self._effects, lambda: self._belief.numbers)
         task = PlanningTask(self._effects, lambda: self._belief.numbers)
-        client = PlannerClient(self._planner, clock, delay_s)
-        self._replanning = Replanning(self.goals, self._effects, task, self._monitor, client, clock, self._policy)
+        self._client = PlannerClient(self._planner, clock, delay_s)
+        self._replanning = Replanning(self.goals, self._effects, task, self._monitor, self._client, clock, self._policy)
         self._setup_arguments: dict[str, object] = {}
-        self._running: list[RunningStep] = []
-        self._interlude = Interlude(meanwhile, self)
+        self._running: list[_RunningStep] = []
+        self._interlude = _Interlude(meanwhile, self)
         self._ended_meanwhile: list[Step] = []
         self._plan: PlanExecution | None = None
         self._found_valid: tuple[PlanExecution, PlanningState] | None = None
@@ -278,8 +253,7 @@ class PlanExecutor(Behaviour):
     @property
     def remaining_steps(self) -> tuple[Step, ...]:
         """The steps of the plan that have not started."""
-        plan = self._plan
-        return () if plan is None else tuple(plan.steps[number] for number in plan.remaining)
+        return () if self._plan is None else tuple(self._plan.steps[number] for number in self._plan.remaining)
 
     def catch_up(self) -> None:
         """Wait for an answer of the planner that is due by now.
@@ -291,7 +265,7 @@ class PlanExecutor(Behaviour):
             PlanningBudgetError: the answer needed more wall-clock time than the planner allows, so that going on would
                 make the run depend on the machine.
         """
-        self._replanning.catch_up()
+        self._client.catch_up()
 
     # ---------------------------------------------------------------- hooks of py_trees
 
@@ -340,17 +314,31 @@ class PlanExecutor(Behaviour):
     # ---------------------------------------------------------------- one tick
 
     def _advance(self) -> Status:
-        self._watch(self._belief.observe())
+        self._watch(self._belief.observe(), self._feasibility.latest())
         self._tick_steps(tuple(self._running))
         self._take_plan()
+        status = self._go_on()
+        rounds = _MOST_ROUNDS
+        while status == Status.RUNNING and self._client.was_answered_at_once and rounds:
+            self._take_plan()
+            status, rounds = self._go_on(), rounds - 1
+        self._bridge()
+        return status
+
+    def _go_on(self) -> Status:
         while self._tick_steps(self._start_ready()):
             pass
         state = self._belief.observe()
         self._expected = (state, self._belief.numbers)
         return self._conclude(state)
 
-    def _watch(self, state: State) -> None:
-        """Stop what cannot go on, and find out whether the plan still does."""
+    def _watch(self, state: State, cause: int | None) -> None:
+        """Stop what cannot go on, and find out whether the plan still does.
+
+        Args:
+            state: what is believed.
+            cause: number of the event that changed what is feasible since the last tick; None if none did.
+        """
         if self._effects.update() and self._plan is not None:
             self._plan = replace(self._plan, domain=self._effects.domain)
         goals_changed, self._seen_goals = self.goals.version != self._seen_goals, self.goals.version
@@ -362,11 +350,14 @@ class PlanExecutor(Behaviour):
             missing = missing_meanwhile(self._domain, running.step, state)
             if missing is not None:
                 self._release([running])
-                self._want(Decision(because(self._domain, running.step, missing, verb="became"), is_needed=True))
+                is_lost = self._domain.is_feasibility(missing)
+                reason = because(self._domain, running.step, missing, verb="became")
+                self._want(Decision(reason, is_needed=True, cause=cause if is_lost else None))
         if self._plan is not None:
             flaw = self._flaw(self._plan, self._belief.observe())
             news = news_of(self._expected, (state, self._belief.numbers))
-            self._want(decide(self._policy, flaw=flaw, goals_changed=goals_changed, news=news))
+            decision = decide(self._policy, flaw=flaw, goals_changed=goals_changed, news=news)
+            self._want(decision if decision is None or goals_changed else replace(decision, cause=cause))
 
     def _flaw(self, plan: PlanExecution, state: State) -> str | None:
         """Why the rest of the plan will not do any more, in words; looked for again only when something is new."""
@@ -410,7 +401,6 @@ class PlanExecutor(Behaviour):
             self.feedback_message = asked
         elif self._running and not self._replanning.is_busy:
             self.feedback_message = ", ".join(str(step) for step in self.current_steps)
-        self._bridge()
         return Status.RUNNING
 
     def _bridge(self) -> None:
@@ -418,7 +408,7 @@ class PlanExecutor(Behaviour):
         if self._running:
             self._interlude.end()
         else:
-            self._ticked += self._interlude.go_on(self._setup_arguments)
+            self._ticked += self._interlude.tick(self._setup_arguments)
             self.children = self._interlude.behaviours
 
     def _unstarted(self, state: State) -> State:
@@ -428,13 +418,13 @@ class PlanExecutor(Behaviour):
     # ---------------------------------------------------------------- a new plan
 
     def _take_plan(self) -> None:
-        if not self._replanning.has_answer:
+        if not self._client.has_answer:
             return
         found = self._replanning.take(self._unstarted(self._belief.observe()))
         if found is None:
             return
         plan = self._with_what_ended(found.plan)
-        kept: dict[int, RunningStep] = {}
+        kept: dict[int, _RunningStep] = {}
         for running in self._running:
             number = plan.starts_with(running.step)
             if number is not None:
@@ -461,9 +451,9 @@ class PlanExecutor(Behaviour):
 
     # ---------------------------------------------------------------- executing
 
-    def _start_ready(self) -> tuple[RunningStep, ...]:
+    def _start_ready(self) -> tuple[_RunningStep, ...]:
         """Start the steps that may start; return them."""
-        begun: list[RunningStep] = []
+        begun: list[_RunningStep] = []
         while self._plan is not None and self._plan.startable:
             state = self._belief.observe()
             if self._monitor.is_over(state, self.goals, self._plan):
@@ -475,16 +465,16 @@ class PlanExecutor(Behaviour):
             begun.append(self._begin(self._plan, self._plan.startable[0], state))
         return tuple(begun)
 
-    def _begin(self, plan: PlanExecution, number: int, state: State) -> RunningStep:
+    def _begin(self, plan: PlanExecution, number: int, state: State) -> _RunningStep:
         step = plan.steps[number]
-        running = RunningStep(step, self._factories[step.schema], number, self, self._setup_arguments)
+        running = _RunningStep(step, self._factories[step.schema], number, self, self._setup_arguments)
         running.undo = self._belief.start(step, state)
         self._running.append(running)
         self.children = [one.behaviour for one in self._running]
         self._plan = plan.with_event(StepEvent(number, False))
         return running
 
-    def _tick_steps(self, steps: tuple[RunningStep, ...]) -> bool:
+    def _tick_steps(self, steps: tuple[_RunningStep, ...]) -> bool:
         """Tick steps; return whether one has ended well, so that others may start."""
         any_ended = False
         for running in steps:
@@ -502,7 +492,7 @@ class PlanExecutor(Behaviour):
             any_ended |= wrong is None
         return any_ended
 
-    def _ended(self, running: RunningStep) -> str | None:
+    def _ended(self, running: _RunningStep) -> str | None:
         """Believe the effects of a step that succeeded; or say why it cannot have."""
         step, state = running.step, self._belief.observe()
         missing = missing_at_end(self._domain, step, state)
@@ -528,7 +518,7 @@ class PlanExecutor(Behaviour):
         else:
             self._plan = plan
 
-    def _release(self, steps: Iterable[RunningStep]) -> None:
+    def _release(self, steps: Iterable[_RunningStep]) -> None:
         """Stop steps if they still run, take back what was believed because they had started, and let go of them."""
         for running in tuple(steps):
             self._running.remove(running)

@@ -77,10 +77,12 @@ class Decision:
     Args:
         reason: why, in words.
         is_needed: whether the current plan is of no use any more; else it goes on unless a better one is found.
+        cause: number of the event of the knowledge base that led to it; None if it was something else, or is not known.
     """
 
     reason: str
     is_needed: bool
+    cause: int | None = None
 
 
 def decide(policy: ReplanningPolicy, *, flaw: str | None, goals_changed: bool, news: str | None) -> Decision | None:
@@ -164,6 +166,7 @@ class PlannerClient:
         self._planner, self._clock, self._delay_s = planner, clock, delay_s
         self._future: Future[PlanningResult] | None = None
         self._question: _Question | None = None
+        self.was_answered_at_once = False
 
     @property
     def is_under_way(self) -> bool:
@@ -179,6 +182,7 @@ class PlannerClient:
         except Exception as error:  # a planner must not stop the tree; what it raises is its answer
             self._future = Future()
             self._future.set_exception(error)
+        self.was_answered_at_once = self._delay_s is None and self._future.done()
 
     @property
     def has_answer(self) -> bool:
@@ -190,7 +194,7 @@ class PlannerClient:
         if self._question is None or self._future is None or not self.has_answer:
             return None
         answer = self._question, self._answer(self._future)
-        self._question = self._future = None
+        self._question, self._future, self.was_answered_at_once = None, None, False
         return answer
 
     def catch_up(self) -> None:
@@ -212,7 +216,7 @@ class PlannerClient:
         """Forget the question."""
         if self._future is not None:
             self._future.cancel()
-        self._question = self._future = None
+        self._question, self._future, self.was_answered_at_once = None, None, False
 
     def _is_due(self) -> bool:
         return self._passed_s() >= (self._delay_s or 0.0) - _CLOCK_RESOLUTION_S
@@ -353,6 +357,8 @@ class PlanRecord:
         steps: the plan; empty unless solved.
         engine: the engine that was asked.
         message: what was tried and what to do about it; empty when solved.
+        cause: number of the event of `kb.log` that led to it, by what it made feasible or unfeasible; None if that was
+            not why.
     """
 
     at_s: float
@@ -361,6 +367,7 @@ class PlanRecord:
     steps: tuple[Step, ...]
     engine: str
     message: str = ""
+    cause: int | None = None
 
 
 @dataclass(frozen=True)
@@ -422,15 +429,6 @@ class Replanning:
     def is_busy(self) -> bool:
         """Whether a plan is wanted or being made."""
         return self._wanted is not None or self._client.is_under_way
-
-    @property
-    def has_answer(self) -> bool:
-        """Whether an answer of the planner can be taken."""
-        return self._client.has_answer
-
-    def catch_up(self) -> None:
-        """Wait for an answer that is due; see `PlanExecutor.catch_up`."""
-        self._client.catch_up()
 
     def why_no_plan(self, state: State) -> str | None:
         """Return why there is no plan from a state, if that has been found; None if it has to be asked."""
@@ -498,7 +496,8 @@ class Replanning:
         result, promised = self._task.read(result, self._goals)
         outcome, steps, domain = result.outcome, result.steps, self._effects.domain
         is_fresh = state == question.state and domain is self._asked_in
-        self.records.append(PlanRecord(question.at_s, decision.reason, outcome, steps, result.engine, result.message))
+        record = (question.at_s, decision.reason, outcome, steps, result.engine, result.message, decision.cause)
+        self.records.append(PlanRecord(*record))
         if outcome.is_solved:
             plan = PlanExecution.of(domain, result, promised)
             wrong = plan.outlook(state).flaw if is_fresh else None

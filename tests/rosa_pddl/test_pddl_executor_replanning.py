@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from pddl_world import World, load_text
 from py_trees.common import Status
 
+from kb import KnowledgeBase, Model
 from rosa_pddl import Outcome, Planner, PlannerSettingError, PlanningResult, ReplanningPolicy, SensingError
 from rosa_pddl.replanning import decide, wait_s
 
@@ -305,7 +306,7 @@ class Raising(Answering):
 
 def test_a_planner_that_cannot_even_begin_is_a_failure_by_name(ways):
     world = World(ways, Raising(None), delay_s=None)
-    assert [world.tick() for _ in range(3)] == [Status.RUNNING, Status.FAILURE, Status.FAILURE]
+    assert [world.tick() for _ in range(3)] == [Status.FAILURE, Status.FAILURE, Status.FAILURE]
     assert world.executor.feedback_message == "no plan, engine crashed: RuntimeError: no process could be started"
 
 
@@ -322,3 +323,36 @@ def test_in_real_time_a_planner_that_never_answers_is_out_of_time(ways):
     assert world.executor.status is Status.FAILURE
     assert world.executor.feedback_message.startswith("no plan, out of time: Silent gave no answer in 3.1 s")
     assert planner.future.cancelled()
+
+
+# ------------------------------------------------------------------ what led to a plan, and answers that come at once
+
+
+def test_a_plan_names_the_event_of_the_log_that_took_or_gave_feasibility(extended):
+    model = Model("small")
+    energy = model.quality_attribute("energy")
+    for name in extended.rosa_actions:
+        model.action(name, constraints=[] if name == "recharge" else [energy >= 0.2])
+    kb = KnowledgeBase(model, clock=lambda: 0.0)
+    world = World(extended, kb=lambda _: kb)
+    world.run(until="search_pipeline")
+    kb.measure("energy", 0.5)
+    world.tick()
+    kb.measure("energy", 0.1)
+    lost = kb.log.last
+    world.tick()
+    world.run(until="recharge")
+    first, second = world.executor.plans
+    assert (first.cause, second.cause) == (None, lost)
+    assert second.reason == "search_pipeline became unfeasible"
+
+
+def test_what_a_planner_answers_at_once_is_begun_in_the_same_tick_unless_there_is_a_delay(extended):
+    planner = Planner()
+    World(extended, planner).run(until="search_pipeline")  # now the task is translated
+    world = World(extended, planner, delay_s=None)
+    world.tick()
+    assert world.executor.current_step.schema == "search_pipeline"
+    world = World(extended, planner)
+    world.tick()
+    assert world.executor.current_step is None
