@@ -23,9 +23,6 @@ def effort(
     configuration. Relations: functional requirements (one for each action),
     function designs, component configurations, constraints (one that is
     shared counts once), estimations.
-
-    Of Python and TypeQL, statements and lines are counted: no docstrings,
-    imports, comments and blank lines.
     """
     from missions.experiments.effort import as_data, survey
     from missions.experiments.effort_views import print_survey
