@@ -9,12 +9,12 @@ input; it imports nothing but the standard library.
 
 import marshal
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from heapq import heapify, heappop, heappush
 from itertools import groupby
 from math import inf
 from operator import add, gt, le
-from typing import Generic, NamedTuple, TypeAlias, TypeVar
+from typing import Generic, NamedTuple, Protocol, TypeAlias, TypeVar
 
 __all__ = [
     "CapReached",
@@ -55,19 +55,20 @@ class Move(NamedTuple, Generic[S, T]):
     what: T
 
 
-class Graph(NamedTuple, Generic[S, T]):
-    """What is searched.
+class Graph(Protocol[S, T]):
+    """What is searched."""
 
-    Attributes:
-        moves: the moves from a state.
-        is_goal: whether a state is one to end in.
-        least: at least what it costs from a state to a goal, and at least what it uses; infinite if none is in reach.
-            No move lowers it by more than the move costs or uses.
-    """
+    def moves(self, state: S) -> Iterable[Move[S, T]]:
+        """Return the moves from a state."""
 
-    moves: Callable[[S], Iterable[Move[S, T]]]
-    is_goal: Callable[[S], bool]
-    least: Callable[[S], tuple[float, tuple[float, ...]]] = lambda state: (0.0, ())
+    def is_goal(self, state: S) -> bool:
+        """Whether a state is one to end in."""
+
+    def least(self, state: S) -> tuple[float, Sequence[float]]:
+        """Return at least what it costs from a state to a goal, and at least what it uses; infinite if out of reach.
+
+        No move lowers it by more than the move costs or uses.
+        """
 
 
 class Found(NamedTuple, Generic[S, T]):
@@ -278,16 +279,11 @@ class TaskGraph:
         """
         if len(self._moves) > _MOST_KNOWN or len(self._least) > _MOST_KNOWN:
             self._moves, self._least = {}, {}
-        return cheapest(self.graph, self._closed(list(start)), limits, cap)
+        return cheapest(self, self._closed(list(start)), limits, cap)
 
     def least_uses(self, start: State) -> tuple[float, ...]:
         """Return a lower bound of what reaching the goal uses of each resource; infinite if it is out of reach."""
         return self.least(self._closed(list(start)))[1]
-
-    @property
-    def graph(self) -> Graph[State, int]:
-        """What is searched."""
-        return Graph(self.moves, self.is_goal, self.least)
 
     def is_goal(self, state: State) -> bool:
         """Whether the goal holds."""

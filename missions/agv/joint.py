@@ -5,9 +5,9 @@ What the corridors allow, and what that takes, is asked of the knowledge base; n
 
 import math
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from operator import add
 from typing import Final, NamedTuple
 
@@ -16,7 +16,7 @@ from missions.agv.building import Building, Corridor
 from missions.agv.costs import GOALS, Amounts, Costs, check_number, weighing
 from missions.agv.modes import Mode, Modes, running_mode
 from missions.engine.mission import MissionError
-from rosa_pddl.search import Graph, Move, cheapest, distances
+from rosa_pddl.search import Move, cheapest, distances
 
 __all__ = ["Answer", "DEMANDS", "JointPlanner", "Leg", "Place", "Question", "Task"]
 
@@ -133,49 +133,60 @@ class _Way(NamedTuple):
 
 
 State = tuple[Place, Mode]
-Known = dict[tuple[str, Mode], Amounts]
-Crossing = tuple[_Way, Mode, Amounts, int]
-Taken = tuple[_Way, Amounts, Amounts]
+_Priced = tuple[Mode, Amounts, int]
+_Crossing = tuple[_Way, Mode, Amounts, int]
+_Taken = tuple[_Way, Amounts, Amounts]
 """A way, what switching to the mode for it takes, and what driving it takes."""
 
 
 class Task:
-    """One question as a graph of places and modes; also for those who judge the planner.
+    """One question as a graph of places and modes, for the exact search; and for those who judge the planner.
 
     Args:
         building: the map.
         question: what is wanted.
         modes: asks the knowledge base.
         running: how the robot is configured at the start.
-        costs: what things take.
-        known: what whole corridors take in each mode, as far as it is known; added to.
+        crossing: tells what driving takes, as `Costs.crossing`.
+        costs: what else takes something.
     """
 
     def __init__(
-        self, building: Building, question: Question, modes: Modes, running: Mode, costs: Costs, known: Known
+        self,
+        building: Building,
+        question: Question,
+        modes: Modes,
+        running: Mode,
+        crossing: Callable[[Mode, float, float], Amounts],
+        costs: Costs,
     ) -> None:
-        self.building, self.question, self.costs, self.modes = building, question, costs, modes
+        self.building, self.question, self.modes = building, question, modes
         place = question.start or Place(building.start)
         self.start: State = (place if place.corridor else Place(place.name), running)
         self.goal = question.goal or building.goal
-        building.check_place(self.start[0].name, "start")
+        building.check_place(place.name, "start")
         building.check_place(self.goal, "goal")
-        for corridor in (*question.light, *([self.start[0].corridor] if self.start[0].corridor else [])):
+        for corridor in (*question.light, *([place.corridor] if place.corridor else [])):
             building.check_corridor(corridor)
         for name, light in question.light.items():
             check_number(f"light of corridor {name}", light, most=1.0)
-        _check_inside(building, self.start[0])
-        self._known = known
+        if place.corridor and place.name not in building.corridors[place.corridor].ends:
+            raise MissionError(f"corridor {place.corridor} does not begin at {place.name}, from where the robot came")
+        if place.corridor and not math.isfinite(place.driven_m):
+            raise MissionError(f"driven_m is {place.driven_m!r}; a finite number of metres is needed")
         self.limited = tuple(name for name in GOALS if name in question.limits)
+        self.limits = tuple(
+            # a hair more, as amounts are rounded
+            math.floor(min(question.limits[name] * _UNITS[name][1] + 1e-6, sys.float_info.max))
+            for name in self.limited
+        )
         self._indices = tuple(GOALS.index(name) for name in self.limited)
-        self.limits = tuple(_counted_up_to(question.limits[name] * _UNITS[name][1]) for name in self.limited)
-        self._weighed = weighing(question.weights)
-        self._nowhere = math.inf, (math.inf,) * len(self.limited)
-        self._priced: dict[str, list[tuple[Mode, Amounts, int]]] = {}
-        self._steps: dict[Place, list[tuple[State, Crossing]]] = {}
+        self._crossing, self._costs, self._weighed = crossing, costs, weighing(question.weights)
+        self._whole = {one.name: self._priced(self.way(one, one.ends[0])) for one in building.corridors.values()}
+        self._steps: dict[Place, list[tuple[State, _Crossing]]] = {}
         self._switching: dict[Mode, dict[Mode, tuple[Amounts, int]]] = {}
 
-    def moves(self, state: State) -> Iterator[Move[State, Taken]]:
+    def moves(self, state: State) -> Iterator[Move[State, _Taken]]:
         """Yield each corridor from here in each mode that is possible in it."""
         place, before = state
         if place not in self._steps:
@@ -186,34 +197,25 @@ class Task:
             uses = tuple([switching[number] + crossing[number] for number in indices]) if indices else ()
             yield Move(to, cost + more, uses, (way, switching, crossing))
 
-    def crossings(self, place: Place) -> list[Crossing]:
-        """Return each way from a place, in each mode that is possible, with what that takes and costs."""
-        if not place.corridor:
-            return [(way, *priced) for way in self.ways(place) for priced in self._whole(way.corridor)]
-        found = []
-        for way in self.ways(place):
-            for mode in self.modes.under(way.conditions):
-                takes = self.costs.crossing(mode, way.length_m, way.passed)
-                found.append((way, mode, takes, self._weighed(takes)))
-        return found
+    def is_goal(self, state: State) -> bool:
+        return state[0] == Place(self.goal)
 
-    def _whole(self, corridor: Corridor) -> list[tuple[Mode, Amounts, int]]:
-        """Return each mode in which a whole corridor can be crossed, with what that takes and costs."""
-        if corridor.name not in self._priced:
-            way, known = self.way(corridor, corridor.ends[0]), self._known
-            priced = self._priced[corridor.name] = []
-            for mode in self.modes.under(way.conditions):
-                takes = known.get((corridor.name, mode))
-                if takes is None:
-                    takes = known[corridor.name, mode] = self.costs.crossing(mode, way.length_m, way.passed)
-                priced.append((mode, takes, self._weighed(takes)))
-        return self._priced[corridor.name]
+    def least(self, state: State) -> tuple[float, tuple[float, ...]]:
+        return self._least.get(state[0], (math.inf, (math.inf,) * len(self.limited)))
+
+    def crossings(self, place: Place) -> list[_Crossing]:
+        """Return each way from a place, in each mode that is possible, with what that takes and costs."""
+        return [
+            (way, *priced)
+            for way in self.ways(place)
+            for priced in (self._priced(way) if place.corridor else self._whole[way.corridor.name])
+        ]
 
     def switching(self, before: Mode, after: Mode) -> tuple[Amounts, int]:
         """Return what it takes, and costs, to change modes."""
         known = self._switching.setdefault(before, {})
         if after not in known:
-            takes = self.costs.switching(before, after)
+            takes = self._costs.switching(before, after)
             known[after] = takes, self._weighed(takes)
         return known[after]
 
@@ -225,8 +227,8 @@ class Task:
         inside = self.building.corridors[place.corridor]
         back_m = min(max(place.driven_m, 0.0), inside.length_m)
         ahead_m, light = inside.length_m - back_m, self._light(inside)
-        demands = {"light": light, "obstacles": inside.obstacles}
         to = inside.other(place.name)
+        demands = {"light": light, "obstacles": inside.obstacles}
         yield _Way(inside, place.name, to, ahead_m, inside.obstacles * ahead_m, demands)
         if place.name == self.goal:
             yield _Way(inside, to, place.name, back_m, 0.0, {"light": light, "obstacles": 0.0})
@@ -238,23 +240,24 @@ class Task:
 
     def way(self, corridor: Corridor, origin: str) -> _Way:
         """Return a whole corridor, from one of its ends."""
-        passed = corridor.obstacles * corridor.length_m
         demands = {"light": self._light(corridor), "obstacles": corridor.obstacles}
+        passed = corridor.obstacles * corridor.length_m
         return _Way(corridor, origin, corridor.other(origin), corridor.length_m, passed, demands)
 
     def _light(self, corridor: Corridor) -> float:
         return self.question.light.get(corridor.name, corridor.light)
 
-    def least(self, state: State) -> tuple[float, tuple[float, ...]]:
-        """Return the least that it costs, and uses, to get from here to the goal."""
-        return self._least.get(state[0], self._nowhere)
+    def _priced(self, way: _Way) -> list[_Priced]:
+        crossed = [(mode, self._crossing(mode, way.length_m, way.passed)) for mode in self.modes.under(way.conditions)]
+        return [(mode, takes, self._weighed(takes)) for mode, takes in crossed]
 
     @cached_property
     def _least(self) -> dict[Place, tuple[float, tuple[float, ...]]]:
+        """What it costs at least, and uses, from each place to the goal, whatever the modes."""
         arcs: list[tuple[str, str, list[int]]] = []
-        for corridor in self.building.corridors.values():
-            if amounts := [self._counted(takes, cost) for _, takes, cost in self._whole(corridor)]:
-                (one, two), least = corridor.ends, [min(column) for column in zip(*amounts, strict=True)]
+        for name, priced in self._whole.items():
+            if priced:
+                (one, two), least = self.building.corridors[name].ends, self._column_minima(priced)
                 arcs += [(one, two, least), (two, one, least)]
         numbers = range(1 + len(self.limited))
         far = [distances([(one, two, least[n]) for one, two, least in arcs], [self.goal]) for n in numbers]
@@ -269,24 +272,11 @@ class Task:
             found[self.start[0]] = (costs, tuple(uses))
         return found
 
+    def _column_minima(self, priced: list[_Priced]) -> list[int]:
+        return [min(column) for column in zip(*[self._counted(takes, cost) for _, takes, cost in priced], strict=True)]
+
     def _counted(self, takes: Amounts, cost: int) -> list[int]:
         return [cost, *[takes[number] for number in self._indices]]
-
-    @property
-    def graph(self) -> Graph[State, Taken]:
-        """What is searched."""
-        return Graph(self.moves, lambda state: state[0] == Place(self.goal), self.least)
-
-
-def _counted_up_to(limit: float) -> int:
-    return math.floor(min(limit + 1e-6, sys.float_info.max))
-
-
-def _check_inside(building: Building, start: Place) -> None:
-    if start.corridor and start.name not in building.corridors[start.corridor].ends:
-        raise MissionError(f"corridor {start.corridor} does not begin at {start.name}, from where the robot came")
-    if not math.isfinite(start.driven_m):
-        raise MissionError(f"driven_m is {start.driven_m!r}; a finite number of metres is needed")
 
 
 class JointPlanner:
@@ -315,7 +305,8 @@ class JointPlanner:
         self._kb, self._function = kb, function
         self._modes = Modes(kb, function)
         self._costs = costs or Costs()
-        self._known: Known = {}
+        # what whole corridors take is asked again and again, and what is left of one never again
+        self._crossing = lru_cache(maxsize=100_000)(self._costs.crossing)
 
     def task(self, question: Question) -> Task:
         """Return a question as a graph.
@@ -324,7 +315,7 @@ class JointPlanner:
             BuildingError: the question names a place or corridor that there is not.
         """
         running = running_mode(self._kb, self._function)
-        return Task(self.building, question, self._modes, running, self._costs, self._known)
+        return Task(self.building, question, self._modes, running, self._crossing, self._costs)
 
     def plan(self, question: Question) -> Answer:
         """Return the best plan, proven, or a proof that there is none with the reason.
@@ -333,14 +324,14 @@ class JointPlanner:
             BuildingError: the question names a place or corridor that there is not.
         """
         task = self.task(question)
-        found = cheapest(task.graph, task.start, task.limits)
+        found = cheapest(task, task.start, task.limits)
         if found is None:
             return Answer((), False, 0, Amounts(0, 0, 0), self._why_not(task))
         legs = tuple(self._leg(task, move) for move in found.moves)
         takes = Amounts(*(sum(leg.takes[number] for leg in legs) for number in range(len(GOALS))))
         return Answer(legs, True, found.cost, takes, self._why(task, legs, takes), found.expanded)
 
-    def _leg(self, task: Task, move: Move[State, Taken]) -> Leg:
+    def _leg(self, task: Task, move: Move[State, _Taken]) -> Leg:
         way, switching, crossing = move.what
         takes = Amounts(*map(add, switching, crossing))
         mode = move.to[1]

@@ -1,7 +1,9 @@
 """The joint plan of corridors and configurations: judged by an exhaustive search and by Fast Downward."""
 
+from collections.abc import Callable
 from itertools import product
 from math import inf
+from typing import NamedTuple
 
 import pytest
 from agv_worlds import asked_of, generated_building
@@ -17,9 +19,17 @@ from missions.agv.joint import JointPlanner, Place, Question
 from missions.agv.model import agv_model
 from missions.engine.mission import MissionError
 from rosa_pddl import Outcome, Planner
-from rosa_pddl.search import Graph, Move, cheapest, distances
+from rosa_pddl.search import Move, cheapest, distances
 
 MODEL = agv_model()
+
+
+class Graph(NamedTuple):
+    """A graph made of functions."""
+
+    moves: Callable[[int], list[Move]]
+    is_goal: Callable[[int], bool]
+    least: Callable[[int], tuple[float, tuple[float, ...]]] = lambda state: (0.0, ())
 
 
 def known(*failed):
