@@ -124,12 +124,12 @@ class Declarations:
     @property
     def domain_pddl(self) -> str:
         """The text of the domain file, as unified-planning writes it."""
-        return f"; Generated from the {self._place}.\n{self._writer().get_domain()}"
+        return self._written(self._writer().get_domain())
 
     @property
     def problem_pddl(self) -> str:
         """The text of the problem file, as unified-planning writes it."""
-        return f"; Generated from the {self._place}.\n{self._writer().get_problem()}"
+        return self._written(self._writer().get_problem())
 
     def load(self) -> Domain:
         """Make the domain, as `load_domain` makes that of files.
@@ -230,6 +230,9 @@ class Declarations:
             listed(":goal", listed("and", *goals)),
             *([listed(":metric", "minimize", listed("total-cost"))] if self._has_costs else []),
         )
+
+    def _written(self, text: str) -> str:
+        return "\n".join([f"; Generated from the {self._place}.", *map(str.rstrip, text.splitlines())]) + "\n"
 
     def _writer(self) -> UpThing:
         """Return unified-planning's writer of the model, in the names that were declared."""
