@@ -2,7 +2,7 @@
 
 import logging
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -118,10 +118,11 @@ class StagedExecutor:
         if self._quarantine.held:
             self._quarantine.review(kb)
         if self._plan is None:
-            self._plan = kb.pending_plan
-            if self._plan is None:
+            open_plans = kb.open_plans
+            if not open_plans:
                 return
-            self._stages, self._stage = self._staged(kb, self._plan), []
+            self._plan = open_plans[-1]
+            self._stages, self._stage = self._staged(kb, open_plans), []
             self._failed, self._commanded = set(), set()
         if self._stage:
             self._drop_removed(kb)
@@ -181,13 +182,6 @@ class StagedExecutor:
             reason = f"its parameters could not be set, {command.reason}"
             self._quarantine.put(kb, command.configuration.name, reason)
 
-    def _hold(self, kb: KnowledgeBase, component: str) -> None:
-        """Do without the parameters of a component that runs, because something else has failed."""
-        self._failed.add(component)
-        chosen = kb.components[component].selected_configuration
-        if chosen is not None:
-            self._quarantine.put(kb, chosen, "with its parameters a budget might be exceeded")
-
     def _look(self, component: str) -> bool | None:
         """Return whether a component is active, None if nobody can tell."""
         try:
@@ -195,49 +189,72 @@ class StagedExecutor:
         except Exception:
             return None
 
-    def _staged(self, kb: KnowledgeBase, plan: ReconfigurationPlan) -> Iterator[list["_Command"]]:
-        """Yield the stages of a plan, each decided when it begins."""
+    def _staged(self, kb: KnowledgeBase, open_plans: Sequence[ReconfigurationPlan]) -> Iterator[list["_Command"]]:
+        """Yield the stages of the latest of the open plans, each decided when it begins."""
+        plan = open_plans[-1]
         with kb.reading() as state:
-            activated, deactivated, parameters = _steps(state, plan, kb.open_plans)
+            activated, deactivated, parameters = _steps(state, open_plans)
             running = _running(state, parameters)
-        paused = [name for name in running if _component(running[name]).stops_to_configure and name not in deactivated]
-        yield self._commands(kb, plan, "deactivate", [*deactivated, *paused])
+            stops = [name for name in running if _component(running[name]).stops_to_configure]
+            paused = [name for name in stops if name not in deactivated]
+            stopping = self._commands(kb, state, plan, "deactivate", [*deactivated, *paused])
+        yield stopping
         started = [*activated, *paused]
-        with kb.reading() as state:
-            configured = [*_running(state, parameters)]
         if self._budgets.most:
-            for name in configured:  # those that use less of a budget than before come first in a plan
-                if self._budgets.allow(kb, started, self._failed) or self._budgets.are_eased(kb, name, self._failed):
-                    yield self._commands(kb, plan, "configure", [name])
-                else:
-                    self._hold(kb, name)
-            if not self._budgets.allow(kb, started, self._failed):
-                self._failed.update(started)
-            configured = []
-        yield self._commands(kb, plan, "configure", [*configured, *started])
-        starting = self._commands(kb, plan, "activate", started)
-        self._commanded = {command.component for command in starting if command.managed is not None}
-        yield starting
+            yield from self._configured_within_budgets(kb, plan, parameters, started)
+            parameters = []
+        with kb.reading() as state:
+            configuring = self._commands(kb, state, plan, "configure", [*_running(state, parameters), *started])
+        yield configuring
+        if started:
+            with kb.reading() as state:
+                starting = self._commands(kb, state, plan, "activate", started)
+            self._commanded = {command.component for command in starting if command.managed is not None}
+            yield starting
         if self._failed:
             yield self._rolled_back(kb, plan, started)
 
-    def _commands(
-        self, kb: KnowledgeBase, plan: ReconfigurationPlan, operation: str, names: Sequence[str], *, retry: bool = False
-    ) -> list["_Command"]:
-        """Return the commands to components, without those that have failed, unless they are to be tried again."""
-        commands: list[_Command] = []
-        left_out = set() if retry else self._failed
-        if not names:
-            return commands
+    def _configured_within_budgets(
+        self, kb: KnowledgeBase, plan: ReconfigurationPlan, parameters: Sequence[str], started: Sequence[str]
+    ) -> Iterator[list["_Command"]]:
+        """Configure what runs, one after the other; those that use less of a budget than before come first in a plan.
+
+        What might exceed a budget, because something has failed, is neither configured nor started.
+        """
         with kb.reading() as state:
-            for name, component in _known(state, names).items():
-                chosen = _selected(state, component) if operation == "configure" else None
-                if name in left_out or (chosen is None and operation == "configure"):
-                    continue
-                kind = _component(component).kind
-                policy = self._of_component.get(name, self._of_kind.get(kind, self._policy))
-                managed = None if chosen is None and kind is ComponentKind.PLAIN else self._managed
-                commands.append(_Command(kb, plan, policy, managed, name, operation, chosen))
+            running = _running(state, parameters)
+        for name in running:
+            if self._budgets.allow(kb, started, self._failed) or self._budgets.are_eased(kb, name, self._failed):
+                with kb.reading() as state:
+                    configuring = self._commands(kb, state, plan, "configure", [name])
+                yield configuring
+                continue
+            self._failed.add(name)
+            chosen = kb.components[name].selected_configuration
+            if chosen is not None:
+                self._quarantine.put(kb, chosen, "with its parameters a budget might be exceeded")
+        if not self._budgets.allow(kb, started, self._failed):
+            self._failed.update(started)
+
+    def _commands(
+        self,
+        kb: KnowledgeBase,
+        state: State,
+        plan: ReconfigurationPlan,
+        operation: str,
+        names: Sequence[str],
+        but: Collection[str] = (),
+    ) -> list["_Command"]:
+        """Return the commands to components; without those that have failed, `but` for some."""
+        commands = []
+        for name, component in _known(state, names).items():
+            chosen = _selected(state, component) if operation == "configure" else None
+            if (name in self._failed and name not in but) or (chosen is None and operation == "configure"):
+                continue
+            kind = _component(component).kind
+            policy = self._of_component.get(name, self._of_kind.get(kind, self._policy))
+            managed = None if chosen is None and kind is ComponentKind.PLAIN else self._managed
+            commands.append(_Command(kb, plan, policy, managed, name, operation, chosen))
         return commands
 
     def _rolled_back(self, kb: KnowledgeBase, plan: ReconfigurationPlan, started: list[str]) -> list["_Command"]:
@@ -251,7 +268,7 @@ class StagedExecutor:
         with kb.reading() as state:
             known = _known(state, started).items()
             idle = [name for name, one in known if state.active[one.index] and not state.users[one.index]]
-        return self._commands(kb, plan, "deactivate", [*unsure, *idle], retry=True)
+            return self._commands(kb, state, plan, "deactivate", [*unsure, *idle], but=[*unsure, *idle])
 
 
 @dataclass(slots=True, eq=False)
@@ -377,20 +394,18 @@ class _Command:
 
 
 def _steps(
-    state: State, plan: ReconfigurationPlan, open_plans: Iterable[ReconfigurationPlan]
-) -> tuple[list[str], list[str], list[str]]:
-    """Return what to activate, deactivate and configure: the plan's own, and what older open plans still have to do.
+    state: State, open_plans: Sequence[ReconfigurationPlan]
+) -> tuple[Sequence[str], Sequence[str], Sequence[str]]:
+    """Return what to activate, deactivate and configure: the latest plan's steps, and what older ones still have to do.
 
-    Those are abandoned when this one completes, so what of them is still wanted is done with it.
+    Those are abandoned when the latest completes, so what of them is still wanted is done with it.
     """
+    plan, known = open_plans[-1], state.network.configurations
     activated, deactivated, parameters = list(plan.activate), list(plan.deactivate), list(plan.parameters)
-    for older in open_plans:
-        if older is plan:
-            continue
+    for older in open_plans[:-1]:
         for name, component in _known(state, [*older.activate, *older.deactivate]).items():
             if state.required[component.index] != state.active[component.index]:
                 (deactivated if state.active[component.index] else activated).append(name)
-        known = state.network.configurations
         parameters += [name for name in older.parameters if name in known and state.selected[known[name].index]]
     return activated, deactivated, parameters
 
