@@ -4,7 +4,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from suave_env.exceptions import SuaveEnvError
-from suave_env.settings import SettingInfo, Settings
+from suave_env.settings import Settings
 
 if TYPE_CHECKING:
     from suave_env.checker import BrokenEnvError, check_env
@@ -23,7 +23,6 @@ __all__ = [
     "Metrics",
     "Observation",
     "Pipeline",
-    "SettingInfo",
     "Settings",
     "Status",
     "SuaveEnv",

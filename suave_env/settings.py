@@ -2,16 +2,47 @@
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from itertools import accumulate
+from types import MappingProxyType
 from typing import TypeVar
 
 from suave_env.exceptions import SuaveEnvError, unknown_name
-from suave_env.rules import RULES
 
-__all__ = ["SettingInfo", "Settings", "ThrusterEvent"]
+__all__ = ["RULES", "Settings", "ThrusterEvent"]
 
 T = TypeVar("T", float, int, bool, str)
+
+RULES: Mapping[str, Mapping[str, float | bool | str]] = MappingProxyType(
+    {
+        # kas-lab/suave v1.3.0, with which the table of the ROSA paper was made: the defaults of Settings
+        "2024": MappingProxyType({}),
+        # kas-lab/suave of June 2025, and the experiment of that year: visibility period 120 s, no thruster failure
+        "2025": MappingProxyType(
+            {
+                "start_y_m": 2.5,
+                "start_x_sd_m": 0.0,
+                "start_y_sd_m": 0.0,
+                "bias_m": 0.0,
+                "bias_sd_m": 0.0,
+                "boot_s": 20.0,
+                "pipe_point_offset_m": 0.0,
+                "visibility_period_s": 120.0,
+                "thruster_events": "",
+                "thruster_events_chained": False,
+                "thruster_told_twice": True,
+                "recovery_interruptible": True,
+                "recharge_period_s": 0.5,
+                "recharge_resends": False,
+                "spiral_restarts": True,
+                "follow_loses_point": False,
+                "mission_period_s": 0.1,
+            }
+        ),
+    }
+)
+"""What each set of rules says of the settings in which they differ, where that is not the default."""
 
 _SUAVE = "kas-lab/suave v1.3.0"
 _WORLD = "remaro_worlds 2650f19, min_pipes_environment"
@@ -28,27 +59,6 @@ def _setting(default: T, unit: str, meaning: str, source: str, low: float = -mat
     """Declare a setting; `low` and `high` are the inclusive bounds of a number."""
     metadata = {"unit": unit, "meaning": meaning, "source": source, "low": low, "high": high}
     return field(default=default, metadata=metadata)
-
-
-@dataclass(frozen=True)
-class SettingInfo:
-    """What is known of one setting, for listing.
-
-    Attributes:
-        name: The field of `Settings`.
-        unit: The unit, "-" if there is none.
-        default: The default value.
-        meaning: One line.
-        source: One line: where the figure comes from.
-        allowed: Its range, such as "0 to 1" or "from 0"; empty if it has none.
-    """
-
-    name: str
-    unit: str
-    default: float | int | bool | str
-    meaning: str
-    source: str
-    allowed: str = ""
 
 
 @dataclass(frozen=True)
@@ -222,9 +232,9 @@ class Settings:
         """Return settings with some values changed.
 
         Args:
-            **changes: New values by name; a string is read as the type of the setting, as from a command line. New
-                rules change every setting in which they differ and which is not among the changes. A start or a bias
-                is the same in every run, unless its standard deviation is among the changes too.
+            **changes: New values by name. New rules change every setting in which they differ and which is not among
+                the changes. A start or a bias is the same in every run, unless its standard deviation is among the
+                changes too.
 
         Returns:
             The new settings; these stay as they are.
@@ -232,22 +242,13 @@ class Settings:
         Raises:
             SuaveEnvError: If a name is unknown or a value is not allowed.
         """
-        known = {info.name: info for info in fields(self)}
+        known = [info.name for info in fields(self)]
         for name in changes:
             if name not in known:
                 raise unknown_name("setting", name, known)
         values = {**_ruled(str(changes["rules"])), **changes} if "rules" in changes else changes
         exact = {spread: 0.0 for name, spread in _SPREADS.items() if name in changes and spread not in changes}
-        read = {name: _read(known[name], value) for name, value in {**values, **exact}.items()}
-        return dataclasses.replace(self, **read)  # type: ignore[arg-type]  # checked by __post_init__, not by its type
-
-    @classmethod
-    def describe(cls) -> tuple[SettingInfo, ...]:
-        """List every setting with its unit, default, meaning and source, in the order of declaration."""
-        return tuple(
-            SettingInfo(i.name, told["unit"], i.default, told["meaning"], told["source"], _range(i))  # type: ignore[arg-type]  # every field has a default
-            for i, told in ((i, i.metadata) for i in fields(cls))
-        )
+        return dataclasses.replace(self, **{**values, **exact})  # type: ignore[arg-type]  # checked by __post_init__  # type: ignore[arg-type]  # checked by __post_init__, not by its type
 
 
 _SPREADS = {"start_x_m": "start_x_sd_m", "start_y_m": "start_y_sd_m", "bias_m": "bias_sd_m"}
@@ -255,9 +256,8 @@ _SPREADS = {"start_x_m": "start_x_sd_m", "start_y_m": "start_y_sd_m", "bias_m": 
 
 def _ruled(rules: str) -> dict[str, float | int | bool | str]:
     """Return what some rules say of every setting in which rules differ; nothing for unknown ones."""
-    defaults = {info.name: info.default for info in Settings.describe()}
-    differing = dict.fromkeys(name for said in RULES.values() for name in said)
-    return {name: RULES[rules].get(name, defaults[name]) for name in differing} if rules in RULES else {}
+    defaults, differing = Settings(), dict.fromkeys(name for said in RULES.values() for name in said)
+    return {name: RULES[rules].get(name, getattr(defaults, name)) for name in differing} if rules in RULES else {}
 
 
 def parse_thruster_events(text: str, chained: bool = False) -> tuple[ThrusterEvent, ...]:
@@ -293,16 +293,6 @@ def _thruster_event(words: list[str], text: str) -> ThrusterEvent:
     return ThrusterEvent(number, kind == "failure", time)
 
 
-def _range(info: "dataclasses.Field[float]") -> str:
-    """Return which numbers a setting may be; empty if it is none, or may be any."""
-    if isinstance(info.default, bool | str):
-        return ""
-    low, high = info.metadata["low"], info.metadata["high"]
-    if math.isfinite(low) and math.isfinite(high):
-        return f"{low:g} to {high:g}"
-    return f"from {low:g}" if math.isfinite(low) else f"to {high:g}" if math.isfinite(high) else ""
-
-
 def _allowed(info: "dataclasses.Field[float]") -> str:
     """Say what a setting may be."""
     if isinstance(info.default, bool):
@@ -319,21 +309,6 @@ def _refusal(info: "dataclasses.Field[float]", value: object) -> SuaveEnvError:
     return SuaveEnvError(
         f"setting {info.name} cannot be {value!r}; allowed is {_allowed(info)} [{info.metadata['unit']}]"
     )
-
-
-def _read(info: "dataclasses.Field[float]", value: float | int | bool | str) -> float | int | bool | str:
-    """Turn a string into the type of the setting; leave everything else alone."""
-    if not isinstance(value, str) or isinstance(info.default, str):
-        return value
-    word = value.strip().lower()
-    if isinstance(info.default, bool):
-        if word not in ("true", "false"):
-            raise _refusal(info, value)
-        return word == "true"
-    try:
-        return int(word) if isinstance(info.default, int) else float(word)
-    except ValueError:
-        raise _refusal(info, value) from None
 
 
 def _checked(info: "dataclasses.Field[float]", value: float | int | bool | str) -> float | int | bool | str:

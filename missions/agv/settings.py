@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 from missions.agv.building import Building, BuildingError
 from missions.agv.model import DRAW_W
 from missions.engine.mission import MissionError
-from missions.engine.settings import Constants, setting, text_setting
+from missions.engine.settings import Constants, setting
 
 __all__ = ["Incident", "Settings", "incidents"]
 
@@ -18,8 +18,9 @@ _PAPER: Final = "ROSA paper, AGV use case; where along the corridor: own choice"
 class Settings(Constants):
     """The constants; times count from the start of the mission."""
 
-    incidents: str = text_setting(
+    incidents: str = setting(
         "kinect fails in c1, dark in c3",
+        "-",
         "what happens once within a corridor: 'COMPONENT fails|recovers in CORRIDOR', 'dark|light in CORRIDOR'",
         _PAPER,
     )

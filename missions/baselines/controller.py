@@ -13,7 +13,6 @@ from numpy.random import Generator
 
 from kb import DiagnosticProblem, KnowledgeBase
 from missions.baselines.manager import Manager, Robot, Task
-from missions.baselines.registry import name_of
 from missions.engine.adaptations import Adaptation
 from missions.engine.mission import Message, Mission, MissionError, Percepts, Verdict
 from missions.engine.runner import Listener, Seen
@@ -53,7 +52,8 @@ class BaselineController:
 
     Args:
         mission: suave, suave_extended, or another one in the sea.
-        manager: class of the manager.
+        name: of the manager, as `rosa run --manager` takes it.
+        manager: its class.
         world: the sea.
         rng: all chance of the manager and of its timers.
         options: values of the manager's options by name.
@@ -69,6 +69,7 @@ class BaselineController:
     def __init__(
         self,
         mission: Mission,
+        name: str,
         manager: type[Manager],
         world: Sea,
         rng: Generator,
@@ -84,7 +85,7 @@ class BaselineController:
         self._world, self._class = world, manager
         phases = rng.random(2).tolist()
         self.robot = Robot(mission, world.managed, world.settings, rng, lambda: world.now, options)
-        self.manager = name_of(manager)
+        self.manager = name
         self._manager = self._ask(manager, self.robot)
         self._percepts = Percepts()
         self.task = "tree of the manager" if manager.decides_tasks else "mission node"

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from numpy.random import Generator
 
-from missions.baselines.options import Option
 from missions.engine.components import SimulatedComponents
 from missions.engine.mission import Message, Mission, MissionError
+from missions.engine.settings import Setting
 
 if TYPE_CHECKING:
     from suave_env import Settings
@@ -189,7 +189,7 @@ class Manager(ABC):  # noqa: B024  # a manager that does nothing is one too
     """
 
     decides_tasks: ClassVar[bool] = False
-    options: ClassVar[tuple[Option, ...]] = ()
+    options: ClassVar[tuple[Setting, ...]] = ()
     period_s: float = 0.1
 
     def __init__(self, robot: Robot) -> None:

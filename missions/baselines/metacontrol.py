@@ -12,8 +12,8 @@ from typing import Any, ClassVar, Final
 
 from missions.baselines.manager import Manager, Robot
 from missions.baselines.modes import SystemModes
-from missions.baselines.options import Option
 from missions.engine.mission import MissionError
+from missions.engine.settings import Setting
 
 __all__ = [
     "Design",
@@ -199,8 +199,8 @@ class Metacontrol(Manager):
     """
 
     options: ClassVar = (
-        Option("reasoning_period_s", 1.5, "s", "from one cycle of Metacontrol to the next", "mros2_reasoner"),
-        Option("reasoning_s", 0.3, "s", "time that one pass of its reasoner takes", "own choice: a few tenths"),
+        Setting("reasoning_period_s", 1.5, "s", "from one cycle of Metacontrol to the next", "mros2_reasoner"),
+        Setting("reasoning_s", 0.3, "s", "time that one pass of its reasoner takes", "own choice: a few tenths"),
     )
 
     def __init__(self, robot: Robot) -> None:

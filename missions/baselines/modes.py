@@ -1,14 +1,14 @@
-"""Modes of functions in the manner of ROS 2 System Modes: names for what is active with which parameters."""
+"""Modes of functions in the manner of ROS 2 System Modes, and SUAVE's two baselines that only ask for modes."""
 
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from missions.baselines.manager import Robot
+from missions.baselines.manager import Manager, Robot
 from missions.engine.mission import MissionError
 
-__all__ = ["Mode", "SystemModes"]
+__all__ = ["Mode", "NoManager", "RandomManager", "SystemModes"]
 
 UNGROUND = "fd_unground"
 
@@ -117,3 +117,53 @@ def _mode(values: dict[str, float]) -> Mode:
     if not isinstance(active, bool):
         raise TypeError(f"active is {active!r}, not true or false")
     return Mode(active, {name: float(value) for name, value in values.items()})
+
+
+MODES = {
+    "search_pipeline": ("f_generate_search_path", "fd_spiral_low"),
+    "inspect_pipeline": ("f_follow_pipeline", "fd_follow_pipeline"),
+}
+"""Function and mode of each task; kas-lab/suave v1.3.0."""
+
+
+class NoManager(Manager):
+    """Searches at 1 m whatever the water is like, inspects, and never recovers a thruster."""
+
+    def __init__(self, robot: Robot) -> None:
+        super().__init__(robot)
+        self._modes = SystemModes(robot)
+
+    def begin(self, task: str) -> None:
+        """Activate what the task needs."""
+        self._modes.request(*MODES[task])
+
+    def end(self, task: str) -> None:
+        """Deactivate it."""
+        function, _ = MODES[task]
+        self._modes.unground(function)
+
+
+FUNCTIONS = {"search_pipeline": "f_generate_search_path", "inspect_pipeline": "f_follow_pipeline"}
+"""Function of each task; kas-lab/suave v1.3.0."""
+PERIODS_S = {"2024": 15.0, "2025": 30.0}
+"""From one choice to the next [s], by the rules. 30 s were meant from the first; v1.3.0 reads another parameter."""
+
+
+class RandomManager(Manager):
+    """Every 15 or 30 s asks for any mode of the function that the task needs, also for the one that stops it."""
+
+    def __init__(self, robot: Robot) -> None:
+        super().__init__(robot)
+        self.period_s = PERIODS_S[robot.settings.rules]
+        self._modes = SystemModes(robot)
+
+    def update(self) -> None:
+        """Ask for a mode, each as likely as the other."""
+        if self.robot.task is not None:
+            function = FUNCTIONS[self.robot.task]
+            modes = self._modes.of(function)
+            self._modes.request(function, modes[self.robot.rng.integers(len(modes))])
+
+    def end(self, task: str) -> None:
+        """Deactivate what the task needed."""
+        self._modes.unground(FUNCTIONS[task])

@@ -1,20 +1,22 @@
-"""The managers there are, by name."""
+"""The managers there are, by name, and how a run is opened under the one that is asked for."""
 
 from collections.abc import Mapping
 from importlib import import_module
 from types import MappingProxyType
 
 from missions.baselines.bt import TreeManager
+from missions.baselines.controller import BaselineController
 from missions.baselines.manager import Manager
 from missions.baselines.metacontrol import Metacontrol
-from missions.baselines.none import NoManager
-from missions.baselines.options import Option
-from missions.baselines.random import RandomManager
+from missions.baselines.modes import NoManager, RandomManager
 from missions.baselines.rosa import RosaManager
-from missions.engine.controller import OURS
-from missions.engine.mission import MissionError
+from missions.engine.controller import OURS, check_task, rosa_run
+from missions.engine.mission import Mission, MissionError, split_settings
+from missions.engine.runner import Listener, MissionRun
+from missions.engine.settings import Setting, own_values, read_values
+from missions.suave.world import Sea
 
-__all__ = ["MANAGERS", "OURS", "find_manager", "name_of", "options_of"]
+__all__ = ["MANAGERS", "OURS", "find_manager", "name_of", "open_run", "options_of"]
 
 MANAGERS: Mapping[str, type[Manager]] = MappingProxyType(
     {
@@ -55,7 +57,7 @@ def name_of(manager: type[Manager]) -> str:
     return next((name for name, one in MANAGERS.items() if one is manager), own)
 
 
-def options_of(manager: str | type[Manager]) -> tuple[Option, ...]:
+def options_of(manager: str | type[Manager]) -> tuple[Setting, ...]:
     """Return what can be set of a manager; nothing of ours.
 
     Raises:
@@ -68,3 +70,54 @@ def _checked(found: object, name: str) -> type[Manager]:
     if not (isinstance(found, type) and issubclass(found, Manager)):
         raise MissionError(f"{name!r} is no subclass of missions.baselines.Manager")
     return found
+
+
+def open_run(
+    mission: Mission,
+    *,
+    manager: str | type[Manager] = OURS,
+    task: str = "bt",
+    seed: int = 0,
+    settings: Mapping[str, str] | None = None,
+    listeners: tuple[Listener, ...] = (),
+) -> MissionRun:
+    """Open a run: the same mission, seed and settings mean the same world and the same chance, whoever manages it.
+
+    Args:
+        mission: what to run.
+        manager: the name of a manager, "package:Class", or the class itself.
+        task: task layer of ours, "bt" or "pddl"; other managers bring their own.
+        seed: of all chance in the run.
+        settings: what differs from the defaults, by name; a unit at the end of a name may be left out.
+        listeners: who hears of it.
+
+    Returns:
+        The run, ready for `run()`.
+
+    Raises:
+        MissionError: no such manager, task layer or setting, or they do not go together.
+    """
+    import numpy
+
+    check_task(task)
+    managed_by = None if manager == OURS else find_manager(manager)
+    options = options_of(manager)
+    given, values = own_values(options, settings or {})
+    run_settings, world_settings = split_settings(mission, values)
+    rng = numpy.random.default_rng(seed)
+    world = mission.world.open(world_settings, rng)
+    if managed_by is None:
+        return rosa_run(mission, task, world, run_settings, listeners)
+    if not isinstance(world, Sea):
+        raise MissionError(
+            f"mission {mission.name} can be run with manager {OURS} only, as --task bt or --task pddl: "
+            f"{name_of(managed_by)} commands the nodes of the sea's vehicle, and {mission.name} does not happen in the "
+            "sea"
+        )
+    if task != "bt":
+        raise MissionError(f"--task {task} is a task layer of ours; --manager {manager} comes without one")
+    chosen = {one.name: one.default for one in options} | read_values(options, given)
+    published = [one.name for one in options if one.is_published]
+    name = name_of(managed_by)
+    controller = BaselineController(mission, name, managed_by, world, rng.spawn(1)[0], chosen, published)
+    return MissionRun(mission, controller, world, run_settings, listeners)

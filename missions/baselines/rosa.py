@@ -13,9 +13,9 @@ from py_trees.common import Status
 
 from kb import ConfigurationManager, Event, EventKind, KnowledgeBase, PriorityPlanner, ReconfigurationPlan
 from missions.baselines.manager import Manager, Robot
-from missions.baselines.options import Option
 from missions.engine.controller import build_task
 from missions.engine.mission import Message, Percepts
+from missions.engine.settings import Setting
 from rosa_bt import TreeRunner
 
 __all__ = ["RosaManager"]
@@ -37,7 +37,7 @@ class RosaManager(Manager):
 
     decides_tasks = True
     options: ClassVar = (
-        Option(
+        Setting(
             "service_s",
             0.17,
             "s",

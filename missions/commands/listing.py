@@ -31,8 +31,8 @@ def list_settings(
     from rich.table import Table
 
     from missions.baselines.registry import options_of
+    from missions.engine.mission import settings_of
     from missions.engine.registry import find_mission
-    from missions.engine.settings import describe
 
     table = Table(box=None, pad_edge=False)
     for column in ("name", "default", "unit", "allowed"):
@@ -40,9 +40,8 @@ def list_settings(
     table.add_column("meaning", ratio=1)
     table.add_column("source of the default", ratio=1)
     found = find_mission(mission)
-    for setting in (*options_of(manager), *describe(found)):
+    for setting in (*options_of(manager), *settings_of(found)):
         default = found.fixed.get(setting.name, setting.default)
         shown = f"{default:g}" if isinstance(default, float) else str(default)
-        allowed = getattr(setting, "allowed", "")  # a world of one's own may not say it
-        table.add_row(setting.name, shown, setting.unit, allowed, setting.meaning, setting.source)
+        table.add_row(setting.name, shown, setting.unit, setting.allowed, setting.meaning, setting.source)
     open_console().print(table)

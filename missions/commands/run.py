@@ -34,17 +34,17 @@ def run(
 ) -> None:
     """Run a mission, say what happened and why, and exit with 0 if it did what it was for."""
     from missions.baselines import open_run
-    from missions.baselines.options import split_options
     from missions.baselines.registry import options_of
+    from missions.engine.mission import split_settings
     from missions.engine.recording import header
     from missions.engine.registry import find_mission
-    from missions.engine.settings import split_settings
+    from missions.engine.settings import own_values
     from missions.views.console import Narrator, Pace, Recorder, print_result
     from missions.views.output import as_json, open_files, summary, timing_of
 
     found = find_mission(mission)
     changed = _assignments(settings or []) | ({} if rules is None else {"rules": rules})
-    _, of_mission = split_options(options_of(manager), changed)
+    _, of_mission = own_values(options_of(manager), changed)
     run_settings, _ = split_settings(found, of_mission)
     console = open_console()
     with ExitStack() as stack:

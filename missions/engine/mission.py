@@ -12,6 +12,7 @@ from numpy.random import Generator
 from py_trees.behaviour import Behaviour
 
 from kb import KnowledgeBase, ManagedSystem, Model
+from missions.engine.settings import MissionError, RunSettings, Setting, near, own_values
 from rosa_pddl.generation import DeclaredProblem
 
 __all__ = [
@@ -25,6 +26,8 @@ __all__ = [
     "Verdict",
     "World",
     "WorldKind",
+    "settings_of",
+    "split_settings",
 ]
 
 Message = Mapping[str, Any]
@@ -32,34 +35,6 @@ Message = Mapping[str, Any]
 
 
 MISSION_STATUS: Final = "mission status"
-
-
-class MissionError(Exception):
-    """A mission cannot be run as it was asked for; the message says what was given and what is possible."""
-
-
-class Setting(Protocol):
-    """What can be set from outside, with where its default comes from."""
-
-    @property
-    def name(self) -> str:
-        """What it is called."""
-
-    @property
-    def unit(self) -> str:
-        """Its unit."""
-
-    @property
-    def default(self) -> object:
-        """Its value when nothing is set."""
-
-    @property
-    def meaning(self) -> str:
-        """What it is, in a line."""
-
-    @property
-    def source(self) -> str:
-        """Where the default comes from."""
 
 
 class Percepts:
@@ -257,3 +232,29 @@ class Mission:
     engines: tuple[str, ...] = ()
     fixed: Mapping[str, str] = field(default_factory=dict)
     why_not: Callable[[KnowledgeBase, Percepts], str] = lambda kb, percepts: ""
+
+
+def settings_of(mission: Mission) -> tuple[Setting, ...]:
+    """Return every setting of a mission: how it is run, then its world."""
+    return (*RunSettings.describe(), *mission.world.settings())
+
+
+def split_settings(mission: Mission, values: Mapping[str, str]) -> tuple[RunSettings, dict[str, str]]:
+    """Return how to run, and what remains for the world, whose values the world checks.
+
+    Args:
+        mission: whose settings.
+        values: by name; a unit at the end of a name may be left out, as in start_y for start_y_m.
+
+    Raises:
+        MissionError: an unknown name or a value that is not allowed.
+    """
+    run, rest = own_values(RunSettings.describe(), values)
+    world, unknown = own_values(mission.world.settings(), rest)
+    for name in unknown:
+        close = near(name, [one.name for one in settings_of(mission)])
+        hint = f"did you mean {' or '.join(close)}?" if close else f"`rosa settings {mission.name}` lists them"
+        raise MissionError(f"unknown setting {name!r} of mission {mission.name}; {hint}")
+    own = {one.name for one in RunSettings.describe()}
+    fixed = {name: value for name, value in mission.fixed.items() if name not in own}
+    return RunSettings.read(run), {**fixed, **world}

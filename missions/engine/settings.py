@@ -1,100 +1,112 @@
-"""The settings of a mission: those that every mission has, and how a world declares, lists and reads its own."""
+"""What can be set from outside: declared once, as the fields of a frozen dataclass; listed and read from there."""
 
-import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from difflib import get_close_matches
+from math import inf, isfinite, nan
 from typing import Any, Self
 
-from missions.engine.mission import Mission, MissionError, Setting
+__all__ = ["Constants", "MissionError", "RunSettings", "Setting", "declared", "own_values", "read_values", "setting"]
 
-__all__ = ["Constants", "RunSettings", "SettingInfo", "describe", "setting", "split_settings", "text_setting"]
+Value = bool | int | float | str
+
+
+class MissionError(Exception):
+    """A mission cannot be run as it was asked for; the message says what was given and what is possible."""
 
 
 @dataclass(frozen=True, slots=True)
-class SettingInfo:
-    """What is known of one setting, for listing; allowed: its range, such as "0.001 to 0.01"; empty for a text."""
+class Setting:
+    """What is known of one setting; the type of its default is that of its values.
 
-    name: str
-    unit: str
-    default: object
-    meaning: str
-    source: str
-    allowed: str = ""
-
-
-def setting(default: float, unit: str, meaning: str, source: str, low: float = 0.0, high: float = math.inf) -> Any:  # noqa: ANN401  # as of dataclasses.field: it stands where a value of the field's type would
-    """Declare a number in a subclass of `Constants`; one whose default is an `int` has to be whole.
-
-    Args:
+    Attributes:
+        name: what it is called; a unit at the end may be left out when it is set.
         default: its value when nothing is set.
         unit: its unit, "-" for none.
         meaning: what it is, in a line.
         source: where the default comes from.
-        low: the least that is allowed.
-        high: the most that is allowed.
+        is_published: whether it was taken from published results of what it is a setting of: an input that makes the
+            run a reproduction and no prediction, and shows as such among the figures.
+        low, high: the bounds of a number, both allowed.
     """
+
+    name: str
+    default: Value
+    unit: str
+    meaning: str
+    source: str
+    is_published: bool = False
+    low: float = 0.0
+    high: float = inf
+
+    @property
+    def allowed(self) -> str:
+        """Its range, such as "0 to 1" or "from 0"; empty if it has none."""
+        if isinstance(self.default, bool | str):
+            return ""
+        if isfinite(self.low):
+            return f"{self.low:g} to {self.high:g}" if isfinite(self.high) else f"from {self.low:g}"
+        return f"to {self.high:g}" if isfinite(self.high) else ""
+
+    @property
+    def short_name(self) -> str:
+        """Its name without the unit."""
+        return self.name.removesuffix("_" + self.unit.replace("/", "_").replace(" ", "_"))
+
+    def read(self, text: str) -> Value:
+        """Return the value that a text means.
+
+        Raises:
+            MissionError: it means none that is allowed.
+        """
+        if isinstance(self.default, str):
+            return text
+        if isinstance(self.default, bool):
+            if text.strip().lower() in ("true", "false"):
+                return text.strip().lower() == "true"
+            raise MissionError(f"setting {self.name} is {text!r}; allowed is true or false")
+        is_whole = isinstance(self.default, int)
+        try:
+            value = float(text)
+        except ValueError:
+            value = nan
+        if not (isfinite(value) and self.low <= value <= self.high) or (is_whole and value != int(value)):
+            kind = "whole number" if is_whole else "number of seconds" if self.unit == "s" else "number"
+            bounds = [
+                f" {word} {bound:g}" for word, bound in (("from", self.low), ("to", self.high)) if isfinite(bound)
+            ]
+            raise MissionError(f"setting {self.name} is {text!r}; allowed is a {kind}{''.join(bounds)}")
+        return int(value) if is_whole else value
+
+
+def setting(default: Value, unit: str, meaning: str, source: str, low: float = 0.0, high: float = inf) -> Any:  # noqa: ANN401  # as of dataclasses.field: it stands where a value of the field's type would
+    """Declare a setting as a field of a dataclass; see `Setting` for the arguments."""
     told = {"unit": unit, "meaning": meaning, "source": source, "low": low, "high": high}
     return field(default=default, metadata=told)
 
 
-def text_setting(default: str, meaning: str, source: str) -> Any:  # noqa: ANN401  # see setting
-    """Declare a text in a subclass of `Constants`."""
-    return field(default=default, metadata={"unit": "-", "meaning": meaning, "source": source})
+def declared(kind: Any) -> tuple[Setting, ...]:  # noqa: ANN401  # any dataclass whose fields say these things
+    """List the settings that are the fields of a dataclass, in the order of declaration."""
+    return tuple(Setting(one.name, one.default, **one.metadata) for one in fields(kind))  # type: ignore[arg-type]  # each has a default
 
 
 @dataclass(frozen=True, slots=True)
 class Constants:
-    """A subclass is a frozen dataclass, each field of which is a `setting(...)` or a `text_setting(...)`."""
+    """A subclass is a frozen dataclass, each field of which is a `setting(...)`."""
 
     @classmethod
     def describe(cls) -> tuple[Setting, ...]:
         """List every setting, in the order of declaration."""
-        return tuple(
-            SettingInfo(one.name, told["unit"], one.default, told["meaning"], told["source"], _range(told))
-            for one, told in ((one, one.metadata) for one in fields(cls))
-        )
+        return declared(cls)
 
     @classmethod
     def read(cls, values: Mapping[str, str]) -> Self:
-        """Return the settings as they are given on a command line.
-
-        Args:
-            values: by name, as texts; what is not among them has its default.
+        """Return the settings as they are given on a command line, by name; what is not among them has its default.
 
         Raises:
             MissionError: an unknown name, or a value that is not allowed.
         """
-        known = {one.name: one for one in fields(cls)}
-        read: dict[str, float | str] = {}
-        for name, text in values.items():
-            if name not in known:
-                near = get_close_matches(name, known, n=3) or list(known)
-                raise MissionError(f"unknown setting {name!r}; near: {', '.join(near)}")
-            default, told = known[name].default, known[name].metadata
-            read[name] = text if isinstance(default, str) else _number(name, text, told, isinstance(default, int))
-        return cls(**read)
-
-
-def _range(told: Mapping[str, Any]) -> str:
-    """Return which numbers are allowed; empty for a text."""
-    if "low" not in told:
-        return ""
-    low, high = told["low"], told["high"]
-    return f"{low:g} to {high:g}" if math.isfinite(high) else f"from {low:g}"
-
-
-def _number(name: str, text: str, told: Mapping[str, Any], is_whole: bool) -> float:
-    low, high = told["low"], told["high"]
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not (math.isfinite(value) and low <= value <= high) or (is_whole and value != int(value)):
-        kind = "whole number" if is_whole else "number of seconds" if told["unit"] == "s" else "number"
-        upper = f" to {high:g}" if math.isfinite(high) else ""
-        raise MissionError(f"setting {name} is {text!r}; allowed is a {kind} from {low:g}{upper}")
-    return value
+        return cls(**read_values(declared(cls), values))
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,35 +120,36 @@ class RunSettings(Constants):
     planning_delay_s: float = setting(0.2, "s", "simulated time in which a plan is found", "own choice; PDDL only")
 
 
-def describe(mission: Mission) -> tuple[Setting, ...]:
-    """Return every setting of a mission: how it is run, then its world."""
-    return (*RunSettings.describe(), *mission.world.settings())
-
-
-def split_settings(mission: Mission, values: Mapping[str, str]) -> tuple[RunSettings, dict[str, str]]:
-    """Return how to run, and what remains for the world, whose values the world checks.
-
-    Args:
-        mission: whose settings.
-        values: by name; a unit at the end of a name may be left out, as in start_y for start_y_m.
+def own_values(settings: Iterable[Setting], values: Mapping[str, str]) -> tuple[dict[str, str], dict[str, str]]:
+    """Return which values belong to settings, by their full names, and which to none of them.
 
     Raises:
-        MissionError: an unknown name or a value that is not allowed.
+        MissionError: a setting is given twice, with and without its unit.
     """
-    own = {one.name for one in fields(RunSettings)}
-    full = {_without_unit(one): one.name for one in describe(mission)}
-    full |= {name: name for name in full.values()}
+    own: dict[str, str] = {}
+    rest = dict(values)
+    for one in settings:
+        given = [name for name in dict.fromkeys((one.short_name, one.name)) if name in rest]
+        if len(given) > 1:
+            raise MissionError(f"{' and '.join(given)} are the same setting; give it once")
+        if given:
+            own[one.name] = rest.pop(given[0])
+    return own, rest
+
+
+def read_values(settings: Iterable[Setting], values: Mapping[str, str]) -> dict[str, Any]:
+    """Return what texts mean, by full names of settings.
+
+    Raises:
+        MissionError: an unknown name, or a value that is not allowed.
+    """
+    known = {one.name: one for one in settings}
     for name in values:
-        if name not in full:
-            near = get_close_matches(name, sorted(set(full.values())), n=3)
-            hint = f"did you mean {' or '.join(near)}?" if near else f"`rosa settings {mission.name}` lists them"
-            raise MissionError(f"unknown setting {name!r} of mission {mission.name}; {hint}")
-        if full[name] != name and full[name] in values:
-            raise MissionError(f"{name} and {full[name]} are the same setting; give it once")
-    values = {full[name]: value for name, value in values.items()}
-    run = RunSettings.read({name: value for name, value in values.items() if name in own})
-    return run, {name: value for name, value in {**mission.fixed, **values}.items() if name not in own}
+        if name not in known:
+            raise MissionError(f"unknown setting {name!r}; near: {', '.join(near(name, known) or known)}")
+    return {name: known[name].read(text) for name, text in values.items()}
 
 
-def _without_unit(one: Setting) -> str:
-    return one.name.removesuffix("_" + one.unit.replace("/", "_").replace(" ", "_"))
+def near(name: str, known: Iterable[str]) -> list[str]:
+    """Return the known names that are nearest to one."""
+    return get_close_matches(name, sorted(known), n=3)

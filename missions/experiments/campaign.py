@@ -10,11 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from missions.baselines import MANAGERS, OURS, find_manager
-from missions.baselines.options import split_options
 from missions.engine.controller import check_task
-from missions.engine.mission import Mission, MissionError
+from missions.engine.mission import Mission, MissionError, split_settings
 from missions.engine.registry import find_mission
-from missions.engine.settings import split_settings
+from missions.engine.settings import own_values, read_values
 from missions.suave.world import Sea
 
 __all__ = ["Campaign", "PlannedRun", "check_campaign", "from_data", "paper_table", "read_campaign", "with_runs"]
@@ -202,7 +201,8 @@ def _check_settings(mission: Mission, manager: str, settings: Settings) -> None:
     import numpy
 
     options = () if manager == OURS else find_manager(manager).options
-    _, values = split_options(options, settings)
+    given, values = own_values(options, settings)
+    read_values(options, given)
     _, world = split_settings(mission, values)
     with closing(mission.world.open(world, numpy.random.default_rng(0))) as opened:
         if manager != OURS and not isinstance(opened, Sea):

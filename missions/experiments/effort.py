@@ -19,7 +19,7 @@ from missions.agv.model import agv_model
 from missions.baselines import modes as modes_module
 from missions.baselines.bt import TreeManager
 from missions.baselines.controller import BaselineController
-from missions.baselines.opening import open_run
+from missions.baselines.registry import open_run
 from missions.engine.mission import Mission, MissionError, Percepts
 from missions.engine.registry import MISSIONS, find_mission
 from missions.suave.world import SEA

@@ -19,6 +19,7 @@ from missions.engine.mission import (
     World,
     WorldKind,
 )
+from missions.engine.settings import declared, read_values
 
 if TYPE_CHECKING:
     from suave_env import Change, Settings, SuaveEnv
@@ -115,14 +116,14 @@ class _SeaKind(WorldKind):
         """Return every constant of the sea, the vehicle and the monitors."""
         from suave_env import Settings
 
-        return Settings.describe()
+        return declared(Settings)
 
     def open(self, values: Mapping[str, str], rng: Generator) -> Sea:
         """Open a sea."""
         from suave_env import Settings, SuaveEnv, SuaveEnvError
 
         try:
-            return Sea(SuaveEnv(Settings().replace(**values), rng))
+            return Sea(SuaveEnv(Settings().replace(**read_values(declared(Settings), values)), rng))
         except SuaveEnvError as error:
             raise MissionError(str(error)) from error
 

@@ -193,7 +193,7 @@ def test_nothing_is_written_when_a_model_cannot_be_read(rosa, tmp_path):
 
 
 def test_mission_that_the_sea_cannot_open_is_a_clear_error():
-    with pytest.raises(MissionError, match="there is no setting 'no_such_setting'"):
+    with pytest.raises(MissionError, match="unknown setting 'no_such_setting'"):
         count_tree(replace(suave.MISSION, fixed={"no_such_setting": "1"}))
 
 

@@ -4,12 +4,12 @@ from time import perf_counter
 
 import pytest
 
-from missions.baselines import Manager, Option, open_run
-from missions.baselines.options import split_options
+from missions.baselines import Manager, Setting, open_run
 from missions.baselines.rosa import CONFIGURING, FETCHING, INSERTING, PLANNING
 from missions.engine.mission import MissionError
 from missions.engine.registry import find_mission
 from missions.engine.runner import Listener
+from missions.engine.settings import own_values
 from missions.views.output import as_json, summary
 
 SUAVE = find_mission("suave")
@@ -26,7 +26,7 @@ def spend(seconds):
 class Slow(Manager):
     """Thinks for 0.05 s before it searches, and for as long again after it."""
 
-    options = (Option("thought_s", 0.05, "s", "how long it thinks", "own choice"),)
+    options = (Setting("thought_s", 0.05, "s", "how long it thinks", "own choice"),)
 
     def begin(self, task):
         self.asked_s = self.robot.now
@@ -111,17 +111,17 @@ def test_random_picks_every_mode_at_the_period_of_the_rules():
 
 
 def test_options_are_set_with_or_without_their_unit_and_the_rest_is_left():
-    option = Option("delay_s", 1.5, "s", "a delay", "own choice")
-    assert split_options([option], {"bias": "0"}) == ({"delay_s": 1.5}, {"bias": "0"})
+    option = Setting("delay_s", 1.5, "s", "a delay", "own choice")
+    assert own_values([option], {"bias": "0"}) == ({}, {"bias": "0"})
     for name in ("delay", "delay_s"):
-        assert split_options([option], {name: "2", "bias": "0"}) == ({"delay_s": 2.0}, {"bias": "0"})
+        assert own_values([option], {name: "2", "bias": "0"}) == ({"delay_s": "2"}, {"bias": "0"})
 
 
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"service": "1", "service_s": "2"}, "service_s and service are the same setting; give it once"),
-        ({"service": "fast"}, "setting service_s is 'fast'; allowed is a number from 0"),
+        ({"service": "1", "service_s": "2"}, "service and service_s are the same setting; give it once"),
+        ({"service": "fast"}, "setting service_s is 'fast'; allowed is a number of seconds from 0"),
         ({"service": "-1"}, "setting service_s is '-1'"),
         ({"service": "inf"}, "setting service_s is 'inf'"),
         ({"reasoning_s": "1"}, "unknown setting 'reasoning_s' of mission suave"),

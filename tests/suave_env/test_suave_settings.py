@@ -5,34 +5,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from suave_env import Settings, SuaveEnvError
-from suave_env.rules import RULES
-from suave_env.settings import ThrusterEvent, parse_thruster_events
+from suave_env.settings import RULES, ThrusterEvent, parse_thruster_events
 
 NAMES = {info.name for info in fields(Settings)}
 
 
-def test_every_setting_is_described_with_unit_meaning_and_source():
-    described = Settings.describe()
-    assert [info.name for info in described] == [info.name for info in fields(Settings)]
-    assert len(described) > 50
-    for info in described:
-        assert info.unit
-        assert info.meaning
-        assert "\n" not in info.meaning
-        assert info.source
+def test_every_setting_says_its_unit_meaning_and_source():
+    assert len(fields(Settings)) > 50
+    for info in fields(Settings):
+        assert all(info.metadata[what] for what in ("unit", "meaning", "source"))
+        assert "\n" not in info.metadata["meaning"]
         assert info.default == getattr(Settings(), info.name)
-
-
-def test_every_setting_survives_being_written_and_read_as_text():
-    settings = Settings()
-    written = {info.name: str(info.default) for info in Settings.describe()}
-    assert written
-    assert settings.replace(**written) == settings
 
 
 def test_replacing_leaves_the_original_as_it_was():
     settings = Settings()
-    changed = settings.replace(discharge_time_s="150", battery="False", spiral_patience="3", thruster_events="")
+    changed = settings.replace(discharge_time_s=150, battery=False, spiral_patience=3, thruster_events="")
     assert (changed.discharge_time_s, changed.battery, changed.spiral_patience) == (150.0, False, 3)
     assert settings == Settings()
     with pytest.raises(FrozenInstanceError):
@@ -61,12 +49,11 @@ def test_any_unknown_setting_is_named_in_the_refusal(name):
         ("discharge_time_s", float("nan"), "a number from 1"),
         ("discharge_time_s", float("inf"), "a number from 1"),
         ("discharge_time_s", -3.0, "a number from 1"),
-        ("discharge_time_s", "soon", "a number from 1"),
+        ("discharge_time_s", "100", "a number from 1"),
         ("discharge_time_s", True, "a number from 1"),
         ("battery", 1, "true or false"),
         ("battery", "yes", "true or false"),
         ("spiral_patience", 2.5, "a whole number from 0"),
-        ("spiral_patience", "2.5", "a whole number from 0"),
         ("thruster_events", 35.0, "text"),
         ("spiral_altitude_m", 25.0, "a number from 0.1 to 19"),
     ],
@@ -113,7 +100,7 @@ def test_rules_of_2025_change_what_they_differ_in_and_nothing_else():
 
 
 def test_what_is_set_stands_whatever_the_rules_say_of_it():
-    settings = Settings().replace(visibility_period_s="80", rules="2025", bias_m=0.3)
+    settings = Settings().replace(visibility_period_s=80, rules="2025", bias_m=0.3)
     assert (settings.visibility_period_s, settings.bias_m, settings.pipe_point_offset_m) == (80.0, 0.3, 0.0)
     with pytest.raises(SuaveEnvError, match="there are no rules '2030'; known are 2024, 2025"):
         Settings().replace(rules="2030")
