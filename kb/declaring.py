@@ -164,7 +164,6 @@ def _shown(value: Value) -> str:
 
 
 def _order(one: Individual) -> tuple[int, int, str]:
-    """Return the key that sorts: elements by class and position, then facts by position."""
     rank = _RANKS[GENERAL.get(one.kind, one.kind)]
     (position, *_) = (*one.values.get("position", ()), 0)
     return min(rank, _RANKS["Estimation"] + 1), (position if isinstance(position, int) else 0), one.id

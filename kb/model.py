@@ -364,7 +364,6 @@ class Model:
         return name
 
     def _expressions(self, values: object) -> tuple[Expression, ...]:
-        """Return the constraints of an element, all of which can be added."""
         wanted = listed("constraints", values)
         for expression in wanted:
             if not isinstance(expression, Expression):

@@ -71,7 +71,6 @@ def _low(interval: Interval) -> tuple[float, bool]:
 
 
 def _excluded(component: Node) -> Iterator[Finding]:
-    """Yield the configurations that are feasible only where their component is not, unless that is so of all."""
     own = bounds(component)
     parts = {part: mine for part in component.parts if not _is_contradictory(mine := bounds(part))}
     clashes = {part: _clash(mine, own) for part, mine in parts.items()}
@@ -85,7 +84,6 @@ def _excluded(component: Node) -> Iterator[Finding]:
 
 
 def _clash(mine: Bounds, own: Bounds) -> str:
-    """Name an attribute of which no value lies within the bounds of both, "" if there is none."""
     return next((name for name in mine if name in own and mine[name].meet(own[name]).is_empty), "")
 
 
@@ -136,7 +134,6 @@ def _can_be_violated_by_age(attribute: Node) -> bool:
 
 
 def _leave_no_gap(intervals: Iterable[Interval], wanted: Interval) -> bool:
-    """Tell whether every value that is wanted lies in one of the intervals."""
     reached: Interval | None = None
     for one in sorted(intervals, key=_low):
         is_gap = reached is None or one.low > reached.high
@@ -159,7 +156,6 @@ class _Estimated:
         self._known: dict[Node, Mapping[str, None]] = {}
 
     def by(self, node: Node) -> Mapping[str, None]:
-        """Return the attributes that are estimated for an element or for what it is made of."""
         if self._direct and node not in self._known:
             names = dict(self.directly(node))
             for part in node.parts:
@@ -168,7 +164,6 @@ class _Estimated:
         return self._known.get(node, {})
 
     def directly(self, node: Node) -> Mapping[str, None]:
-        """Return the attributes that are estimated for an element itself."""
         assert isinstance(node.element, Element)
         return self._direct.get(node.element, {})
 

@@ -61,7 +61,6 @@ def _contradiction(node: Node, attribute: str) -> str:
 
 
 def _consequence(node: Node, impossible: set[Node]) -> str:
-    """Say which actions an impossible element makes impossible."""
     waiting = {node: None}
     actions: list[str] = []
     while waiting and len(actions) <= MOST_ACTIONS:
@@ -97,7 +96,6 @@ class _Need(NamedTuple):
 
 
 def _needs(node: Node, requirements: Requirements) -> list[_Need]:
-    """Return what an element needs all of."""
     own = [
         _Need(f"its own constraint {one}", (), (Box({one.attribute: Interval.of(one)}),))
         for one in constraints_on(node)
@@ -123,7 +121,6 @@ def _conflict(node: Node, requirements: Requirements) -> str:
 
 
 def _chain(need: _Need, attribute: str, interval: Interval) -> str:
-    """Say which values a need asks for, and where the constraint is that says so."""
     if not need.nodes:
         return need.name
     path = [step for step in _path(need.nodes, attribute, interval) if step != need.name]

@@ -155,7 +155,6 @@ class _Chooser:
         return next((part for part in self._possible if part.name == name), None)
 
     def explanation(self) -> ChoiceExplanation:
-        """Explain the choice."""
         others = tuple(
             Alternative(part.name, self._state.status[part.index], _element(part).priority, self._why_not(part))
             for part in self._node.parts
@@ -182,7 +181,6 @@ class _Chooser:
         return advantage
 
     def _is_useless(self) -> bool:
-        """Tell whether a configuration that were selected would be obsolete at once."""
         return self._node.kind == "component" and not self._following.served[self._node.index]
 
     def _advantage(self, chosen: Node) -> str:
@@ -219,7 +217,6 @@ class _Chooser:
         return f"it has {_in_words(mine)}, which comes after {best}"
 
     def _why_not_yet(self) -> str:
-        """Say why the one that is preferred is not the one selected."""
         node, status = self._node, self._following.status[self._node.index]
         if not self._following.required[node.index] or self._is_useless():
             return f"nothing is selected anew while nothing requires the {node.kind}"

@@ -163,7 +163,6 @@ class _Explainer:
         self._known: dict[tuple[int, bool], Explanation] = {}
 
     def status(self, node: Node, *, possible_only: bool = False) -> Explanation:
-        """Explain which status an element has, or only that it is not unfeasible."""
         found = self._known.get((node.index, possible_only))
         if found is None:
             found = self._known[node.index, possible_only] = self._explain(node, possible_only)
@@ -201,7 +200,6 @@ class _Explainer:
         )
 
     def _attribute(self, node: Node) -> Explanation:
-        """Say what is known of an attribute, and what depends on it."""
         users = [
             f"{whole.kind} {whole.name} needs {one.name}: {self._state.status[one.index]}"
             for one in node.constraints
@@ -242,7 +240,6 @@ class _Explainer:
         return taken_back if taken_back.text else self._state.reason("selected", node)
 
     def _faults(self, node: Node) -> Reasons:
-        """Return why an element is unfeasible."""
         violated = self._each(one for one in node.constraints if self._is(one, Status.VIOLATED))
         impossible = [part for part in node.parts if self._is(part, *_IMPOSSIBLE)]
         if node.kind in ("action", "function design"):
@@ -250,7 +247,6 @@ class _Explainer:
         return *violated, *(self._all(impossible) if len(impossible) == len(node.parts) else ())
 
     def _witnesses(self, node: Node) -> list[Explanation]:
-        """Return what suffices for an element not to be unfeasible."""
         parts = node.parts
         if node.kind in ("function", "component"):
             possible = [part for part in parts if not self._is(part, *_IMPOSSIBLE)]
@@ -282,14 +278,6 @@ def _comparison(state: State, node: Node) -> Comparison:
 
 
 def _compared(one: Comparison, node: Node, now: float, verdict: Status | None) -> str:
-    """Write a comparison, with the age of the measurement, and what a steady constraint makes of it.
-
-    Args:
-        one: what is compared.
-        node: the constraint.
-        now: the present time [s].
-        verdict: what the constraint is after all that was measured, if it is a steady one.
-    """
     bound = f"{one.operator} {exact(one.threshold)}"
     if one.value is None:
         return f"{one.attribute} is not measured (wanted {bound})"
@@ -321,7 +309,6 @@ def _hold(value: float, node: Node, verdict: Status) -> str:
 
 
 def _reading(state: State, attribute: Node, now: float) -> str:
-    """Write what is known of an attribute."""
     value, time = state.value[attribute.index], state.time[attribute.index]
     if value is None:
         return f"{attribute.name} is not measured"

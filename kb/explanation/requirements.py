@@ -315,7 +315,6 @@ class Requirements:
 
 
 def _is_counted_violated(state: State, attribute: Node) -> bool:
-    """Tell whether an attribute violates its constraints because its measurement is too old."""
     assert isinstance(attribute.element, Attribute)
     return state.stale[attribute.index] and attribute.element.when_stale is StalePolicy.VIOLATED
 
@@ -332,7 +331,6 @@ def _is_outside(state: State, attribute: Node, interval: Interval) -> bool:
 
 
 def _wanted(node: Node, verdict: Status | None) -> Interval:
-    """Return the values that satisfy a constraint, after what it was."""
     assert isinstance(node.element, Constraint)
     return Interval.of(node.element, turning_point(node.element, verdict))
 
@@ -348,7 +346,6 @@ def _holds(state: State, attribute: Node, node: Node) -> bool:
 
 
 def _meetings(ones: tuple[Box, ...], others: tuple[Box, ...]) -> Iterator[Box]:
-    """Yield what satisfies one of the ones and one of the others."""
     for one in ones:
         if any(other.covers(one) for other in others):
             yield one
@@ -443,7 +440,6 @@ def _remedy(state: State, box: Box) -> Remedy:
 
 
 def _smallest(candidates: Iterable[Remedy]) -> list[Remedy]:
-    """Return the remedies that no other covers, the smallest first."""
     kept: list[Remedy] = []
     for remedy in sorted(candidates, key=lambda one: (len(one.facts), str(one))):
         if not any(other.covers(remedy) for other in kept):

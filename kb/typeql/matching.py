@@ -131,7 +131,6 @@ class _Question:
         return size if any(str(player.variable) in bindings for player in pattern.players) else 1 + 2 * size
 
     def _name(self, pattern: _Pattern, bindings: Bindings) -> str | None:
-        """Return the name that the thing must have, if that is known."""
         for wanted in pattern.attributes:
             meant = self._meant(pattern.kind, wanted)
             if meant and meant.name == "name" and str(wanted.operator) in _EQUAL:

@@ -89,7 +89,6 @@ class _Reading:
         self.elements: dict[Thing, Element | Constraint] = {}
 
     def run(self) -> None:
-        """Declare everything, each kind after those that it refers to, then state the facts as they were told."""
         required = self._required_functions()
         for cls, kind in _CLASSES.items():
             for thing in self.store.of(kind):
@@ -121,7 +120,6 @@ class _Reading:
         return required
 
     def _fields(self, cls: type[Element], thing: Thing) -> dict[str, Any]:
-        """Return what is told of an element, by the fields of its class."""
         owns = [own for own in thing.owns if own.field and own.field.name not in _STATED | {"name"}]
         given: dict[str, Any] = {own.field.name: own.value for own in owns if own.field}
         for role in ROLES.get(_CLASSES[cls], ()):
@@ -283,7 +281,6 @@ def _number(thing: Thing, name: str, default: float | None = None) -> float:
 
 
 def _agreement(own: Own) -> tuple[int, int]:
-    """Return (n, k) of "n of k"."""
     found = re.fullmatch(r"\s*(\d+)\s+of\s+(\d+)\s*", str(own.value))
     if found is None:
         raise own.place.error(f"{own.value!r} is no agreement; write e.g. '2 of 3'")
@@ -339,13 +336,6 @@ def _parameters(configuration: Thing) -> dict[str, Parameter]:
 
 
 def _parameter(value: Literal, type_name: str | None, place: Place) -> Parameter:
-    """Return the value of a component parameter, of its type.
-
-    Args:
-        value: as written; a text is read as the type says, e.g. `"[3.0, 5.0]"` as a `double_array`.
-        type_name: one of ROSA's types or ROS's names for them; None for a text, or what stands there without quotes.
-        place: where it is written.
-    """
     if type_name is None:
         return value  # type: ignore[return-value]  # no date: it was checked
     word = re.sub(r"[-\s]", "_", type_name.strip().lower()).removeprefix("parameter_").replace("[]", "_array")
@@ -392,7 +382,6 @@ _READERS: Final[Mapping[str, Callable[[object], bool | int | float | str]]] = {
 
 
 def _items(value: Literal, base: str) -> list[object]:
-    """Split a written list; its texts may stand in quotes or not."""
     if not isinstance(value, str):
         return [value]
     text = value.strip()

@@ -275,7 +275,6 @@ def _unescaped(found: re.Match[str]) -> str:
 
 
 def _checked(field: Field, value: Literal, label: str, place: Place) -> Literal:
-    """Return the value of an attribute, of the type that the attribute has."""
     if isinstance(value, float) and field.value is Value.WHOLE and value.is_integer():
         return int(value)
     allowed = _TYPES[field.value]

@@ -19,6 +19,8 @@ PARAMETER_TYPES: Final[Mapping[type, str]] = {bool: "boolean", float: "double", 
 """ROSA's words for the types of parameters."""
 
 _WORDS: Final[dict[str, Any]] = tomllib.loads(files(__package__).joinpath("vocabulary.toml").read_text())
+EXTENSIONS: Final[Mapping[str, list[str]]] = _WORDS["extensions"]
+"""What ROSA's schema has no words for: the sort of value of each such attribute, and what has it."""
 _QUALIFIERS: Final = frozenset(_WORDS["qualifiers"].split())
 _ROOTS: Final = frozenset({"entity", "relation", "attribute", "thing"})
 

@@ -11,7 +11,7 @@ from kb.contents import Contents, tables_of
 from kb.elements import Action, Changeable, Component, Configuration, Element, Estimation, Function, Parameter, called
 from kb.exceptions import ModelError
 from kb.facts import ActiveFact, Fact, PlanFact, RequiredFact, SelectedFact, StatusFact
-from kb.typeql.vocabulary import ATTRIBUTES, CLASSES, PARAMETER_TYPES, ROLES, SPECIAL, Field, Value, seconds
+from kb.typeql.vocabulary import ATTRIBUTES, CLASSES, EXTENSIONS, PARAMETER_TYPES, ROLES, SPECIAL, Field, Value, seconds
 
 _STEPS: Final = {
     "component-activation": ("component", "activate", Component),
@@ -19,21 +19,6 @@ _STEPS: Final = {
     "parameter-adaptation": ("component-configuration", "parameters", Configuration),
 }
 """The steps of a plan: the role in each, the field that lists who has it, and of which class they are."""
-_PERIODS: Final = ("required-action", "component-process", "reconfiguration-plan")
-_OWN: Final = {
-    "model-name": "string;\nRobotModel sub entity, owns model-name @key",
-    "max-age": "double;\nAttribute owns max-age",
-    "when-stale": "string;\nAttribute owns when-stale",
-    "agreement": "string;\nAttribute owns agreement",
-    "hysteresis": "double;\nconstraint owns hysteresis",
-    "dwell": "double;\nconstraint owns dwell",
-    "stops-to-configure": "boolean;\nComponent owns stops-to-configure",
-    "preference-weights": "string;\nrequired-action owns preference-weights",
-    "time-seconds": "double;\nmeasurement owns time-seconds",
-    "start-seconds": "double;\n" + "\n".join(f"{one} owns start-seconds;" for one in _PERIODS).rstrip(";"),
-    "end-seconds": "double;\n" + "\n".join(f"{one} owns end-seconds;" for one in _PERIODS).rstrip(";"),
-}
-"""What ROSA's schema has no words for: the type of each such attribute, and what has it."""
 _UNSAFE: Final = re.compile(r'[\\"\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]')
 _ESCAPES: Final = {"\n": "\\n", "\t": "\\t", "\r": "\\r", "\\": "\\\\", '"': '\\"'}
 
@@ -41,7 +26,10 @@ _ESCAPES: Final = {"\n": "\\n", "\t": "\\t", "\r": "\\r", "\\": "\\\\", '"': '\\
 def typeql_text(model: Contents) -> str:
     """Write a model so that it is read back as it is; see `Model.save`."""
     told = "\n".join(_Writer(model).lines())
-    own = [f"{label} sub attribute, value {rest};" for label, rest in _OWN.items() if f"has {label} " in told]
+    own = []
+    for label, (value, *owners) in EXTENSIONS.items():
+        if f"has {label} " in told:
+            own += [f"{label} sub attribute, value {value};", *(f"{owner};" for owner in owners)]
     return "\n".join(["define", "# beyond ROSA's schema", *own, "", "insert", told, ""])
 
 
@@ -102,7 +90,6 @@ class _Writer:
             yield self._described(fact, "", [])
 
     def _described(self, one: Changeable | Fact, variable: str, players: Iterable[tuple[str, str]]) -> str:
-        """Write an element or fact by the roles and attributes of its kind."""
         kind = CLASSES[type(one)]
         classes = {of: cls for cls, of in CLASSES.items()}
         named = []
@@ -145,7 +132,6 @@ def written_time(time: float) -> str | None:
 
 
 def _written_parameter(value: Parameter) -> tuple[str, str]:
-    """Write the value of a component parameter, and its type."""
     if isinstance(value, list):
         name = PARAMETER_TYPES[type(value[0])] if value else "string"
         return json.dumps(value, ensure_ascii=False), f"{name}_array"
@@ -160,7 +146,6 @@ def _statement(variable: str, players: Iterable[tuple[str, str]], label: str, gi
 
 
 def _players(one: object, field: str) -> tuple[str, ...]:
-    """Return the elements that a field holds, by themselves or by name."""
     value = getattr(one, field) if field else None
     if isinstance(value, Mapping | tuple):
         return tuple(value)

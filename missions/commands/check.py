@@ -147,16 +147,16 @@ def _print(judgement: Judgement) -> None:
     """Print the findings by severity and code, with what to do about each code."""
     from rich.markup import escape
 
-    from kb.checks.findings import RULES
+    from kb.checks.findings import rules
 
     console = open_console()
     for severity, colour in COLOURS.items():
-        findings = sorted(judgement.of(severity), key=lambda one: list(RULES).index(one.code))
+        findings = sorted(judgement.of(severity), key=lambda one: list(rules()).index(one.code))
         for code, group in groupby(findings, key=lambda one: one.code):
             console.print(f"[bold {colour}]{severity}[/] {code}", highlight=False)
             for one in group:
                 console.print(f"  {escape(one.where_and_what)}", highlight=False, soft_wrap=True)
-            console.print(f"  -> {escape(RULES[code].advice)}", highlight=False, soft_wrap=True)
+            console.print(f"  -> {escape(rules()[code].advice)}", highlight=False, soft_wrap=True)
     counts = [(len(judgement.of(severity)), severity) for severity in COLOURS]
     shown = [f"{count} {severity}{'s' if count > 1 else ''}" for count, severity in counts if count]
     console.print(f"model {escape(judgement.model)}: {' and '.join(shown) or 'nothing found'}", highlight=False)

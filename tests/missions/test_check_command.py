@@ -10,7 +10,7 @@ import pytest
 from running import called
 
 from kb import Model
-from kb.checks.findings import RULES
+from kb.checks.findings import rules
 from missions.commands.check import judge
 from missions.engine import registry
 from missions.engine.mission import MissionError
@@ -136,11 +136,11 @@ def test_findings_are_grouped_with_what_to_do_and_counted(rosa):
         == [
             "error function-without-designs",
             "  function sink has no design, so action dive can never be feasible",
-            f"  -> {RULES['function-without-designs'].advice}",
+            f"  -> {rules()['function-without-designs'].advice}",
             "warning unused-attribute",
             "  nothing depends on attribute fog",
             "  nothing depends on attribute wind",
-            f"  -> {RULES['unused-attribute'].advice}",
+            f"  -> {rules()['unused-attribute'].advice}",
             "model slips: 1 error and 2 warnings",
         ]
         or out.splitlines()[-1] == "model explorer: 1 error and 2 warnings"
@@ -166,7 +166,7 @@ def test_json_carries_every_part_of_a_finding(rosa):
             "severity": "error",
             "element": "expolre",
             "message": "unknown action 'expolre'; did you mean 'explore'?",
-            "advice": RULES["unknown-action"].advice,
+            "advice": rules()["unknown-action"].advice,
             "place": "behaviour 'can it?' of tree trees:of_both",
         }
     ]
