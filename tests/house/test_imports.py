@@ -53,7 +53,7 @@ LATE = {
 }
 """Slow to import: only inside functions, or in the one module that is itself imported late."""
 LATE_MODULES = {
-    "kb/optimum/solver.py",
+    "kb/planners/solver.py",
     "kb/owl.py",
     "kb/typeql/syntax.py",
     "missions/views/picture.py",
