@@ -52,5 +52,5 @@ for what, tell in happenings.items():
     print(f"{what}: {state}")
 
 print("and the record says:")
-for one in kb.action_history:
+for one in kb.history.actions:
     print(f"  {one.action}: {one.result or 'goes on'} {one.reason}".rstrip())

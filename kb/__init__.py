@@ -10,7 +10,6 @@ from kb.execution.safeguards import Quarantined
 from kb.explanation.choice import ChoiceExplanation
 from kb.explanation.reasons import Explanation
 from kb.files import ModelFileError
-from kb.history import Attempt, Process, VetoAnswer
 from kb.knowledge_base import KnowledgeBase
 from kb.log import Log
 from kb.managed_system import ManagedObject, ManagedObjects, ManagedSystem, Operation
@@ -18,12 +17,12 @@ from kb.manager import ConfigurationManager, Executor, Monitor, Planner, Priorit
 from kb.model import Model
 from kb.planners.optimal import OptimalPlanner
 from kb.processes import ProcessComponents, Program
-from kb.reconfiguration import Obsolete, ReconfigurationPlan
-from kb.requests import Reply, RequiredAction
+from kb.reconfiguration import Obsolete
+from kb.records import Attempt, Process, ReconfigurationPlan, Reply, RequiredAction, VetoAnswer
 from kb.selection import Choice, Criterion, Optimum
 from kb.situation import Situation
 from kb.status import Status
-from kb.store.writer import StoreError
+from kb.store import StoreError
 
 __all__ = [
     "AmbiguousName",

@@ -10,7 +10,7 @@ from kb.declarations import flag, listed, pid
 from kb.elements import KINDS, REFERENCES, Changeable, Constraint, Element, finite_number
 from kb.exceptions import AmbiguousName, InvalidValue, ModelError, UnknownName
 from kb.facts import Fact
-from kb.requests import check_result
+from kb.records import check_result
 from kb.status import STATUSES, Status
 
 ElementT = TypeVar("ElementT", bound=Element)

@@ -1,19 +1,13 @@
 """Events: everything that becomes known, one after the other, as data that can be written down and told again."""
 
-import logging
-from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from enum import StrEnum
-from threading import get_ident
 from typing import Any, Final, NamedTuple, Self
 
-from kb.exceptions import InvalidValue
-from kb.reconfiguration import ReconfigurationPlan
+from kb.records import ReconfigurationPlan
 from kb.status import Status
 
-__all__ = ["Event", "EventKind", "Publisher", "StatusChange"]
-
-_log = logging.getLogger(__name__)
+__all__ = ["Event", "EventKind", "StatusChange"]
 
 
 class EventKind(StrEnum):
@@ -35,7 +29,6 @@ _KINDS: Final[Mapping[str, EventKind]] = {
     "record_attempt": EventKind.RECORD,
     "finish_attempt": EventKind.RECORD,
     "record_answer": EventKind.RECORD,
-    "note_no_choice": EventKind.RECORD,
     "store": EventKind.RECORD,
 }
 """Any other verb is of monitoring data, but for a selection that makes a plan."""
@@ -54,10 +47,11 @@ class Event(NamedTuple):
     """Something that became known: somebody told it, or time or the model made it so.
 
     Attributes:
-        number: 1 for the first; 0 for what is said of the store, which is not in the log.
+        number: 1 for the first.
         time: when [s].
         verb: name of the method of `KnowledgeBase` that tells it again, e.g. "measure"; "stale", "dwell" and "lapse"
-            are what time does, "amend" is a change of the model, "store" is how the store is.
+            are what time does, "begin" is what the model states, "amend" a change of the model, "store" how the store
+            is.
         arguments: of the method, all of them, as plain values: names, numbers, texts. An element is (kind, name), a
             constraint (kind, name, position) by what it constrains, a plan or attempt its number.
         changes: the statuses that changed by it.
@@ -151,54 +145,3 @@ def _plain(value: object) -> object:
 
 def _shown(value: object) -> str:
     return " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
-
-
-class Publisher:
-    """Tells every event to every subscriber, one event at a time, in order."""
-
-    def __init__(self) -> None:
-        self._subscribers: list[Callable[[Event], None]] = []
-        self._events: deque[Event] = deque()
-        self._thread: int | None = None
-
-    @property
-    def is_telling_here(self) -> bool:
-        """Whether the thread that asks is a subscriber's, which hears an event."""
-        return self._thread == get_ident()
-
-    def __bool__(self) -> bool:
-        return bool(self._subscribers)
-
-    def subscribe(self, callback: Callable[[Event], None]) -> Callable[[], None]:
-        """Have a function called with every event; returns how to stop that."""
-        if not callable(callback):
-            raise InvalidValue(f"a subscriber is called with each event; {callback!r} cannot be called")
-        self._subscribers.append(callback)
-
-        def unsubscribe() -> None:
-            if callback in self._subscribers:
-                self._subscribers.remove(callback)
-
-        return unsubscribe
-
-    def publish(self, event: Event) -> None:
-        """Tell an event; one that a subscriber causes is told after the event that it is hearing."""
-        self._events.append(event)
-        if len(self._events) > 1:
-            return
-        self._thread = get_ident()
-        try:
-            while self._events:
-                try:
-                    self._tell(self._events[0])
-                finally:  # a subscriber may be interrupted; the next event is told all the same
-                    self._events.popleft()
-        finally:
-            self._thread = None
-
-    def _tell(self, event: Event) -> None:
-        for subscriber in tuple(self._subscribers):
-            try:
-                subscriber(event)
-            except Exception:
-                _log.exception("a subscriber failed on %r", event.text)

@@ -1,52 +1,93 @@
 """The knowledge base: facts come in, statuses follow, actions are requested and configurations selected."""
 
+import logging
+import math
 import time
-from collections import Counter, deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Mapping
+from functools import wraps
 from pathlib import Path
+from threading import RLock
 from types import MappingProxyType
-from typing import Final
+from typing import Any, Concatenate, Final, ParamSpec, TypeVar
+from weakref import finalize
 
-from kb.beginning import past_plan, past_process, past_request, stated
+from kb import questions
+from kb.amendments import amend
+from kb.declarations import parameters as checked_parameters
+from kb.declarations import pid as checked_pid
 from kb.declarations import text
-from kb.elements import Action, Attribute, Changeable, Component, Constraint, Element, Estimation, finite_number
+from kb.diagnostics import DiagnosticProblem, Measurement, read_diagnostics
+from kb.elements import Parameters, finite_number
 from kb.events import Event
 from kb.exceptions import InvalidValue, KnowledgeBaseError
 from kb.explanation.reasons import why, why_selected
-from kb.facts import Fact, MeasurementFact, PlanFact, ProcessFact, RequiredActionFact
-from kb.individuals import individual, plain_json
-from kb.inference.growth import grown, shrunk
-from kb.inference.network import Network, Node, is_steady
-from kb.inference.settling import settle
-from kb.inference.state import Overlay
+from kb.knowledge import Knowledge
+from kb.log import Log, Publisher
 from kb.model import Model
-from kb.reconfiguration import ReconfigurationPlan, by_whole, planned, reselect
-from kb.requests import Reply, RequiredAction, check_result
-from kb.situation import Situation, assumptions, told_of
-from kb.status import Status
-from kb.store.keeping import KEPT, Keeping
-from kb.store.recovery import open_store, resume
+from kb.network import Node
+from kb.questions import ELEMENTS, Meant, meant, outline
+from kb.reconfiguration import by_whole, planned, reselect
+from kb.records import (
+    Attempt,
+    HistoryView,
+    Process,
+    ReconfigurationPlan,
+    Reply,
+    RequiredAction,
+    VetoAnswer,
+    check_result,
+)
+from kb.situation import suppose
+from kb.state import Overlay, State
+from kb.status import STATUSES, Status
+from kb.store import KEPT, Store
+from kb.views import named, views_of
+from kb.world import Answer, World
 
 __all__ = ["KnowledgeBase"]
 
-_BY_TIME: Final = frozenset({"stale", "dwell", "lapse"})
+_log = logging.getLogger(__name__)
 
-_ENDED: Final = 4
-"""How many requests that have ended a plan names as its reason at most."""
+_BY_ITSELF: Final = frozenset({"stale", "dwell", "lapse", "begin", "store"})
+"""What time, the model and the store do, in every knowledge base by itself."""
+_OPERATIONS: Final = ("activate", "deactivate", "configure")
+
+P = ParamSpec("P")
+T = TypeVar("T")
 
 
-class KnowledgeBase(Keeping):
+def _telling(method: Callable[Concatenate["KnowledgeBase", P], T]) -> Callable[Concatenate["KnowledgeBase", P], T]:
+    """Have a method hold the base while it tells something, and subscribers called when it does no longer."""
+
+    @wraps(method)
+    def held(self: "KnowledgeBase", *args: P.args, **kwargs: P.kwargs) -> T:
+        with self._lock:
+            self._check_open()
+            result = method(self, *args, **kwargs)
+        self._publisher.deliver()
+        return result
+
+    return held  # type: ignore[return-value]  # with self as a name, which is never used
+
+
+class KnowledgeBase:
     """What is known about a robot now, and what follows from it.
 
     Args:
         model: what the robot is made of and can do. It may be amended later: the next question sees it.
         clock: gives the time [s]; times of facts, requests and plans are its. By default that is the time of day, in
             seconds since 1970-01-01 UTC.
-        store: a file that keeps what is told; the base continues from what is in it. See `flush` and `close`.
+        store: a file that keeps the log; the base continues from what is in it. See `flush` and `close`.
         keep: how many measurements of each attribute the store keeps; the newest.
 
-    Facts may be told from any thread; each call holds the base until what follows from it is inferred.
+    Facts may be told from any thread; each call holds the base until what follows from it is inferred. Each is in or
+    out: whatever interrupts a call, the base answers as if it had been told, or had not.
+
+    Attributes:
+        model: as it is now.
+        log: every event, in order.
+        history: what is on record and not asked every day.
+        actions, functions, components, designs, configurations, attributes: read-only views by name.
     """
 
     def __init__(
@@ -63,44 +104,269 @@ class KnowledgeBase(Keeping):
             raise InvalidValue(f"the clock is a function that returns the time in seconds, not {clock!r}")
         if type(keep) is not int or keep < 1:
             raise InvalidValue(f"keep is a whole number of measurements from 1, not {keep!r}")
-        past = None if store is None else open_store(model, store, keep)
-        super().__init__(Network(model), clock, past, keep)
         self.model = model
-        self._open: dict[str, RequiredAction] = {}
-        self._history: list[RequiredAction] = []
-        self._plans: list[ReconfigurationPlan] = []
-        self._open_plans: list[ReconfigurationPlan] = []
-        self._ended: deque[str] = deque(maxlen=_ENDED)
-        self._ended_at: tuple[float, int] | None = None
-        if past and not past.store.is_new:
-            resume(self, past.facts, clock())
-            self._look_at_the_clock()
+        self._clock, self._lock = clock, RLock()
+        self._store = None if store is None else Store(store, model, keep)
+        self._knowledge = known = Knowledge(model, clock, self._lock)
+        if self._store is not None and not self._store.is_new:
+            self._store.restore(known, clock())
         elif model.facts:
-            self._begin(clock())
-        self._begin_to_save()
-        model.watch(self)
+            known.begin(model.facts, clock())
+        self._publisher = Publisher(known.log, self._lock)
+        known.heard = self._publisher.deliver
+        self._reading = _Reading(known, clock, self._lock, self._publisher)
+        self._world: World | None = None
+        self._keep, self._is_closed, self._rejected = keep, False, 0
+        self.log: Log = known.log
+        self.history = HistoryView(known.records)
+        (
+            self.actions,
+            self.functions,
+            self.components,
+            self.designs,
+            self.configurations,
+            self.attributes,
+        ) = views_of(self, known.network)
+        model.watch(known)
+        if self._store is not None:
+            self._store.start(known, self._lock)
+            finalize(self, self._store.close)
+            with self.reading():
+                pass  # what time has done meanwhile
 
-    def flush(self, timeout: float | None = None) -> bool:
-        """Wait until all that was told by now is on disk; returns whether it is.
+    # ---------------------------------------------------------------- asked
+
+    is_feasible = questions.is_feasible
+    selectable_actions = questions.selectable_actions
+    selectable_designs = questions.selectable_designs
+    selectable_configurations = questions.selectable_configurations
+    best_configuration = questions.best_configuration
+    adaptable_functions = questions.adaptable_functions
+    adaptable_components = questions.adaptable_components
+    obsolete = questions.obsolete
+    explain = questions.explain
+    why = questions.why
+    explain_choice = questions.explain_choice
+    situation = suppose
+
+    def reading(self) -> "_Reading":
+        """Give the facts and statuses, to be read only; nothing changes within the `with` statement."""
+        return self._reading
+
+    def __repr__(self) -> str:
+        with self._lock:
+            return f"<KnowledgeBase {self.model.name!r}: {outline(self._knowledge.state)}>"
+
+    @property
+    def now(self) -> float:
+        """The time by the clock [s]."""
+        return self._clock()
+
+    @property
+    def revision(self) -> int:
+        """Grows whenever a fact changed that can matter to a planner: a measurement only if a status changed by it."""
+        with self._reading:
+            return self._knowledge.revision
+
+    @property
+    def required_actions(self) -> tuple[RequiredAction, ...]:
+        """The actions that are required now, in the order of their requests."""
+        with self._reading:
+            return tuple(self._knowledge.records.required.values())
+
+    @property
+    def plans(self) -> tuple[ReconfigurationPlan, ...]:
+        """Every plan, in the order in which they were made."""
+        with self._reading:
+            return tuple(self._knowledge.records.plans.values())
+
+    @property
+    def latest_plan(self) -> ReconfigurationPlan | None:
+        """The plan that was made last."""
+        with self._reading:
+            return next(reversed(self._knowledge.records.plans.values()), None)
+
+    @property
+    def pending_plan(self) -> ReconfigurationPlan | None:
+        """The latest plan that has not ended."""
+        with self._reading:
+            return next(reversed(self._knowledge.records.open_plans.values()), None)
+
+    @property
+    def open_plans(self) -> tuple[ReconfigurationPlan, ...]:
+        """The plans that have not ended, in the order in which they were made."""
+        with self._reading:
+            return tuple(self._knowledge.records.open_plans.values())
+
+    @property
+    def processes(self) -> tuple[Process, ...]:
+        """Every process that a component ran as, in the order in which they were started."""
+        with self._reading:
+            return tuple(self._knowledge.records.processes.values())
+
+    @property
+    def rejected(self) -> int:
+        """How many readings of diagnostics could not be used so far."""
+        return self._rejected
+
+    def query(self, sparql: str, timeout: float = 10.0) -> list[tuple[Answer, ...]]:
+        """Answer a SPARQL query over the model, all that was told, and the statuses that follow from it.
 
         Args:
-            timeout: how long to wait at most [s].
+            sparql: a SELECT; `:` and `rosa:` stand for the words of ROSA.
+            timeout: how long it may take [s].
+
+        Returns:
+            One tuple for each answer: numbers, texts, booleans, None; an individual is given as its IRI.
 
         Raises:
-            KnowledgeBaseError: a subscriber asks for it, which holds the base while the writer needs that.
+            InvalidValue: it is no query, or would change something.
+            KnowledgeBaseError: it was stopped at its time-out.
         """
-        if self._store is not None:
-            self._check_may_wait()
-        return super().flush(timeout)
-
-    def close(self) -> None:
-        """Save what is left and give the store back: it can still be asked, but not told; see `flush`."""
-        if self._store is not None:
-            self._check_may_wait()
+        if finite_number(timeout) <= 0:
+            raise InvalidValue(f"a timeout is a time in seconds above 0, not {timeout!r}")
         with self._lock:
-            self._is_closed = self._store is not None
-        super().close()
+            if self._world is None:
+                self._world = World(self._knowledge, self._store, self._keep)
+        return self._world.ask(sparql, timeout, self._reading)
 
+    # ---------------------------------------------------------------- told: what is so
+
+    def measure(self, attribute: str, value: float) -> None:
+        """Tell that an attribute was measured just now.
+
+        Raises:
+            UnknownName: no such attribute.
+            InvalidValue: not a finite number; the facts are as they were.
+        """
+        node = named(self._knowledge.network.attributes, "attribute", attribute)
+        number = value if type(value) is float and math.isfinite(value) else _measured(attribute, value)
+        with self._lock:
+            self._check_open()
+            known, now = self._knowledge, self._clock()
+            if now >= known.measurements.alarms.next:
+                known.advance(now)
+            known.measure(node, number, now)
+        if self._publisher:
+            self._publisher.deliver()
+
+    @_telling
+    def component_failed(self, component: str, reason: str = "") -> None:
+        """Tell that a component has failed.
+
+        Args:
+            component: its name.
+            reason: why, in words; it stands in explanations and in the store.
+        """
+        text("the reason of a failure", reason)
+        node, state = self._component(component), self._knowledge.state
+        is_known = state.failed[node.index] and reason in ("", state.reason("failed", node).text)
+        if not is_known:
+            self._tell("component_failed", node.name, reason)
+
+    @_telling
+    def component_recovered(self, component: str) -> None:
+        """Tell that a component has not failed, or no longer."""
+        node, state = self._component(component), self._knowledge.state
+        if state.failed[node.index] or state.asserted[node.index] is Status.FAILURE:
+            self._tell("component_recovered", node.name)
+
+    @_telling
+    def component_active(self, component: str, active: bool, reason: str = "") -> None:
+        """Tell whether a component is running.
+
+        Args:
+            component: its name.
+            active: whether it is.
+            reason: why it is not any more, in words; it stands in explanations as long as it is not.
+        """
+        node = self._component(component)
+        text("the reason why a component is not active", reason)
+        if self._knowledge.state.active[node.index] != _yes("active", active):
+            self._tell("component_active", node.name, active, reason)
+
+    def receive(self, diagnostics: object) -> tuple[DiagnosticProblem, ...]:
+        """Take in a DiagnosticArray; see `kb.diagnostics` for the forms in which it may come.
+
+        Returns:
+            What could not be used, and why; all the rest has been taken in. These are logged and counted in
+            `rejected` too.
+        """
+        problems = []
+        for reading in read_diagnostics(diagnostics):
+            if isinstance(reading, DiagnosticProblem):
+                problems.append(reading)
+                continue
+            try:
+                if isinstance(reading, Measurement):
+                    self.measure(reading.attribute, reading.value)
+                elif reading.failed:
+                    self.component_failed(reading.component)
+                else:
+                    self.component_recovered(reading.component)
+            except KnowledgeBaseError as error:
+                problems.append(DiagnosticProblem(reading[0], reading.written, str(error)))
+        for problem in problems:
+            _log.warning("diagnostics: %s", problem)
+        with self._lock:
+            self._rejected += len(problems)
+        return tuple(problems)
+
+    @_telling
+    def assert_status(self, element: Meant, status: Status | str, reason: str = "", until: float | None = None) -> None:
+        """State an element's status outright; it stands in place of the inferred one until it is retracted.
+
+        Args:
+            element: a view, an element of the model, or a name that only one element has.
+            status: one that an element of this kind can have.
+            reason: why, in words; it stands in explanations and in the store.
+            until: when it lapses by itself [s, by the clock of this base], after now; None or `math.inf` for never.
+        """
+        try:
+            wanted = Status(status)
+        except ValueError:
+            known = ", ".join(repr(str(one)) for one in Status)
+            raise InvalidValue(f"{status!r} is no status; a status is one of {known}") from None
+        text("the reason of an asserted status", reason)
+        end = None if until is None or until == math.inf else finite_number(until)
+        node = self._node(element, ELEMENTS)
+        if wanted not in STATUSES[node.kind]:
+            raise InvalidValue(f"a {node.kind} is never {wanted!s}; it can be {', '.join(STATUSES[node.kind])}")
+        if end is not None and end <= (now := self._clock()):
+            raise InvalidValue(f"a status is asserted until later than now, {now!r} s by the clock; not {until!r}")
+        self._tell("assert_status", node.ref, str(wanted), reason, end)
+
+    @_telling
+    def retract_status(self, element: Meant) -> None:
+        """Take back an asserted status; the inferred one holds again."""
+        self._tell("retract_status", self._node(element, ELEMENTS).ref)
+
+    @_telling
+    def assert_required(self, element: Meant, required: bool | None) -> None:
+        """State that an element is required; False or None takes that back and hides no inferred requirement."""
+        node = self._node(element, ("action", "function", "component"))
+        if required is not None:
+            _yes("required", required)
+        self._tell("assert_required", node.ref, required)
+
+    @_telling
+    def assert_selected(self, element: Meant, selected: bool | None, reason: str = "") -> None:
+        """State that a design or configuration is the selected one, or is not.
+
+        Args:
+            element: a view, an element of the model, or a name that only one element has.
+            selected: whether it is.
+            reason: why, in words; where none is selected by that, explanations say it of what is left without one.
+        """
+        text("the reason why something is selected or not", reason)
+        node = self._node(element, ("function design", "configuration"))
+        if selected is not None:
+            _yes("selected", selected)
+        self._tell("assert_selected", node.ref, selected, reason)
+
+    # ---------------------------------------------------------------- told: actions and plans
+
+    @_telling
     def request_action(
         self, action: str, preference: str | Mapping[str, float] | None = None, *, cause: int | None = None
     ) -> Reply:
@@ -113,27 +379,18 @@ class KnowledgeBase(Keeping):
             cause: number of the event that led to it; without one, that which ended another action at this instant, or
                 the latest that made an action feasible or unfeasible.
         """
-        node = self.actions.node(action)
-        action = node.name
-        preference = self._preference(preference)
-        with self._lock:
-            self._check_open()
-            now = self._clock()
-            if action in self._open:
-                return Reply(True, f"{action} is required already")
-            if self._state.status[node.index] is Status.UNFEASIBLE:
-                return Reply(False, why(self._state, node, now))
-            if cause is None:
-                ended, number = self._ended_at or (None, None)
-                cause = number if ended == now else self._feasibility_changed
-            self._open[action] = RequiredAction(action, preference, now, cause=cause)
-            self._history.append(self._open[action])
-            self._journal.enter(now, self._known, (), [self._open[action]])
-            self._known.requested[node.index] = True
-            told = (action, preference)
-            self._tell(now, "request_action", told, node, lambda: f"{action} is requested", cause=cause)
-            return Reply(True, f"{action} is required")
+        known = self._knowledge
+        node = named(known.network.actions, "action", action)
+        wanted, now = self._preference(preference), self._advanced()
+        if node.name in known.records.required:
+            return Reply(True, f"{node.name} is required already")
+        if known.state.status[node.index] is Status.UNFEASIBLE:
+            return Reply(False, why(known.state, node, now))
+        cause = known.cause_of_request(now) if cause is None else cause
+        known.apply(now, "request_action", (node.name, wanted), cause)
+        return Reply(True, f"{node.name} is required")
 
+    @_telling
     def cancel_action(
         self, action: str, result: str = "abandoned", reason: str = "", *, cause: int | None = None
     ) -> None:
@@ -145,64 +402,16 @@ class KnowledgeBase(Keeping):
             reason: why it ended so, in words; for those who listen and for the history.
             cause: number of the event that led to it; without one, that which made the action unfeasible, if it is.
         """
-        node = self.actions.node(action)
-        action = node.name
+        known = self._knowledge
+        node = named(known.network.actions, "action", action)
         check_result(result)
         text("the reason why an action ends", reason)
-        with self._lock:
-            self._check_open()
-            now = self._clock()
-            required = self._open.pop(action, None)
-            if required is None:
-                return
-            required._finish(result, now, reason)
-            self._journal.enter(now, self._known, (), [required])
-            self._known.requested[node.index] = False
-            words = f"{action} is {result}: {reason}" if reason else f"{action} is {result}"
-            if reason:
-                self._ended.append(words)
-            if cause is None and result != "completed" and self._state.status[node.index] is Status.UNFEASIBLE:
-                cause = self._changed_by.get(node.index)
-            told = (action, result, reason)
-            self._ended_at = now, self._tell(now, "cancel_action", told, node, lambda: words, cause=cause)
+        now = self._advanced()
+        if node.name in known.records.required:
+            cause = known.cause_of_end(node, result) if cause is None else cause
+            known.apply(now, "cancel_action", (node.name, result, reason), cause)
 
-    def __repr__(self) -> str:
-        return f"<KnowledgeBase {self.model.name!r}: {told_of(self._known)}>"
-
-    def situation(
-        self,
-        measured: Mapping[str, float | None] | None = None,
-        /,
-        *,
-        failed: Iterable[str] = (),
-        recovered: Iterable[str] = (),
-        requested: Iterable[str] = (),
-        **attributes: float | None,
-    ) -> Situation:
-        """Return what would be if, to be asked the same questions; the facts stay as they are, and nothing is copied.
-
-        Args:
-            measured: values by name of attribute, for names that are no Python names; None is "not measured".
-            failed: names of components supposed to have failed.
-            recovered: names of components supposed not to have.
-            requested: names of actions supposed to be required, even if they are unfeasible.
-            attributes: values by name of attribute, e.g. `light=0.3`.
-        """
-        supposed = assumptions(self, measured, attributes, failed, recovered, requested)
-        return Situation(self, tuple(supposed))
-
-    @property
-    def required_actions(self) -> tuple[RequiredAction, ...]:
-        """The actions that are required now, in the order of their requests."""
-        with self._lock:
-            return tuple(self._open.values())
-
-    @property
-    def action_history(self) -> tuple[RequiredAction, ...]:
-        """Every action that was ever required, in the order of the requests."""
-        with self._lock:
-            return tuple(self._history)
-
+    @_telling
     def select(
         self,
         designs: Mapping[str, str] | None = None,
@@ -218,88 +427,34 @@ class KnowledgeBase(Keeping):
             designs: name of the design by name of its function.
             configurations: name of the configuration by name of its component.
             reason: why these, in words, if not by priority; it is kept with what is selected and with the plan.
-            dry_run: only return the plan; nothing is selected, and nobody is told.
+            dry_run: only return the plan; nothing is selected, and nobody hears of it.
             cause: number of the event that made it needed; without one, the latest that changed what is chosen for.
 
         Returns:
             The plan that leads there from the present state; None if there is nothing to do.
         """
         text("the reason of a choice", reason)
-        with self._lock:
-            self._check_open()
-            chosen = [_owned(self.designs.node(name), self.functions.node(of)) for of, name in _pairs(designs)]
-            given = [
-                _owned(self.configurations.node(name), self.components.node(of)) for of, name in _pairs(configurations)
-            ]
-            now = self._clock()
-            state = Overlay(self._state) if dry_run else self._state
-            why_these = why_selected(state, [*chosen, *given], now, reason, self._ended)
-            selection = reselect(state, chosen, given)
-            if dry_run:
-                return planned(state, selection, why_these, now) if selection else None
-            if cause is None:
-                cause = self._cause_of([*chosen, *given])
-            reselected = dict.fromkeys([*selection.reselected, *chosen, *given])
-            said = dict(self._known.reasons)
-            for node in reselected:
-                self._known.give_reason("selected", node, reason if self._known.selected[node.index] else "")
-                self._known.give_reason("unselected", node.wholes[0])
-            told = (by_whole(chosen), by_whole(given), reason)
-            turns = Counter(selection.reselected)  # what is selected and obsolete at once is as it was
-            changed = [node for node, count in turns.items() if count % 2]
-            selected = self._known.selected
-            effects = tuple((one.kind, one.name, selected[one.index]) for one in changed)
-            if not selection:
-                self._journal.enter(now, self._known, reselected)
-                if changed:
-                    self._revision += 1
-                if not changed and self._known.reasons == said:
-                    return None
-                words = ", ".join(f"{name} is {'' if is_so else 'not '}selected" for _, name, is_so in effects)
-                self._happened(now, "select", told, lambda: words, selection.changes, cause=cause, effects=effects)
-                return None
-            plan = replace(planned(self._known, selection, why_these, now), cause=cause, number=len(self._plans) + 1)
-            self._ended.clear()
-            self._plans.append(plan)
-            self._open_plans.append(plan)
-            self._plan_numbers[plan] = plan.number
-            self._journal.enter(now, self._known, reselected, [plan])
-            words = str(plan)
-            self._happened(
-                now, "select", told, lambda: words, selection.changes, cause=cause, plan=plan, effects=effects
-            )
-            return plan
+        known = self._knowledge
+        network = known.network
+        chosen = [
+            _owned(named(network.designs, "function design", name), named(network.functions, "function", of))
+            for of, name in _pairs(designs)
+        ]
+        given = [
+            _owned(named(network.configurations, "configuration", name), named(network.components, "component", of))
+            for of, name in _pairs(configurations)
+        ]
+        now = self._advanced()
+        if dry_run:
+            layer = Overlay(known.state)
+            reasons = why_selected(layer, [*chosen, *given], now, reason, known.records.ended)
+            selection = reselect(layer, chosen, given)
+            return planned(layer, selection, reasons, now) if selection else None
+        cause = known.cause_of_choice([*chosen, *given]) if cause is None else cause
+        event = known.apply(now, "select", (by_whole(chosen), by_whole(given), reason), cause)
+        return None if event is None else event.plan
 
-    def _cause_of(self, chosen: Sequence[Node]) -> int | None:
-        """Return the latest event that changed what is chosen for, or any status of what is not plain data."""
-        known = [self._changed_by[one.index] for node in chosen for one in node.wholes if one.index in self._changed_by]
-        if not chosen:
-            known = [self._ended_at[1]] if self._ended_at else list(self._changed_by.values())
-        return max(known, default=None)
-
-    @property
-    def plans(self) -> tuple[ReconfigurationPlan, ...]:
-        """Every plan, in the order in which they were made."""
-        with self._lock:
-            return tuple(self._plans)
-
-    @property
-    def latest_plan(self) -> ReconfigurationPlan | None:
-        """The plan that was made last."""
-        return self._plans[-1] if self._plans else None
-
-    @property
-    def pending_plan(self) -> ReconfigurationPlan | None:
-        """The latest plan that has not ended."""
-        with self._lock:
-            return self._open_plans[-1] if self._open_plans else None
-
-    @property
-    def open_plans(self) -> tuple[ReconfigurationPlan, ...]:
-        """The plans that have not ended, in the order in which they were made."""
-        with self._lock:
-            return tuple(self._open_plans)
-
+    @_telling
     def finish_plan(self, plan: ReconfigurationPlan | int, result: str) -> bool:
         """Close a plan; one that completes abandons every other plan that is open.
 
@@ -311,125 +466,218 @@ class KnowledgeBase(Keeping):
             Whether it was open.
         """
         check_result(result)
-        with self._lock:
-            self._check_open()
-            if isinstance(plan, int):
-                plan = self._plan(plan)
-            if not isinstance(plan, ReconfigurationPlan) or (plan.end is None and plan not in self._open_plans):
-                raise KnowledgeBaseError(f"{plan!r} is not a plan of this knowledge base; finish one of kb.plans")
-            if plan.end is not None:
-                return False
-            now = self._clock()
-            plan._finish(result, now)
-            self._open_plans.remove(plan)
-            if result != "failed":  # to make the same plan again at once would be of no use
-                self._revision += 1
-            others = self._open_plans[:] if result == "completed" else []
-            for other in others:
-                other._finish("abandoned", now)
-                self._open_plans.remove(other)
-            self._journal.enter(now, self._known, (), [plan, *others])
-            told = (self._plan_numbers[plan], result)
-            self._happened(now, "finish_plan", told, lambda: f"{plan} is {result}", cause=plan.cause)
-            return True
+        records = self._knowledge.records
+        if isinstance(plan, int):
+            plan = records.plan_of(plan)
+        is_ours = isinstance(plan, ReconfigurationPlan) and (
+            plan.end is not None or plan in records.open_plans.values()
+        )
+        if not is_ours:
+            raise KnowledgeBaseError(f"{plan!r} is not a plan of this knowledge base; finish one of kb.plans")
+        if plan.end is not None:
+            return False
+        self._knowledge.apply(self._advanced(), "finish_plan", (plan.number, result), plan.cause)
+        return True
+
+    @_telling
+    def note_no_choice(self, reason: str) -> None:
+        """Say why nothing can be selected for what is required, in words, for explanations; empty if something can."""
+        text("the reason why nothing can be selected", reason)
+        self._tell("note_no_choice", reason)
+
+    # ---------------------------------------------------------------- told: records
+
+    @_telling
+    def component_configured(self, component: str, parameters: Parameters) -> None:
+        """Tell which parameters a component was given; see `parameters_in_force` of its view."""
+        name = self._component(component).name
+        self._tell("component_configured", name, MappingProxyType(dict(checked_parameters(name, parameters))))
+
+    @_telling
+    def component_started(self, component: str, pid: int) -> Process:
+        """Tell that a component runs as a process of the operating system, whether it is active already or not."""
+        checked_pid(pid)
+        self._tell("component_started", self._component(component).name, pid)
+        return next(reversed(self._knowledge.records.processes.values()))
+
+    @_telling
+    def component_ended(self, component: str, pid: int | None = None) -> None:
+        """Tell that the process of a component has ended: that of a number, or all of them."""
+        if pid is not None:
+            checked_pid(pid)
+        self._tell("component_ended", self._component(component).name, pid)
+
+    @_telling
+    def record_attempt(
+        self,
+        plan: ReconfigurationPlan | int,
+        component: str,
+        operation: str,
+        configuration: str | None = None,
+        parameters: Parameters | None = None,
+        number: int = 1,
+    ) -> Attempt:
+        """Put on record that a command is given now; `finish_attempt` tells what came of it.
+
+        Args:
+            plan: what it is part of; one of `plans`, or its number.
+            component: name of what is commanded.
+            operation: "activate", "deactivate" or "configure".
+            configuration: name of what the component is to be configured with, None for a switch.
+            parameters: what is to be set.
+            number: 1 for the first time that the plan gives this command.
+        """
+        if operation not in _OPERATIONS:
+            raise InvalidValue(f"{operation!r} is no operation; an operation is one of {', '.join(_OPERATIONS)}")
+        known = self._knowledge
+        name, of = self._component(component).name, None
+        if configuration is not None:
+            of = named(known.network.configurations, "configuration", configuration).name
+        given = MappingProxyType(dict(checked_parameters(name, parameters or {})))
+        made = known.records.plan_of(plan)
+        self._tell("record_attempt", made.number, name, operation, of, given, number)
+        return next(reversed(known.records.attempts.values()))
+
+    @_telling
+    def finish_attempt(self, attempt: Attempt | int, result: str, reason: str = "") -> bool:
+        """Put on record what came of a command; returns whether that was not known yet.
+
+        Args:
+            attempt: what `record_attempt` returned, or its serial number.
+            result: "completed", "failed" or "abandoned".
+            reason: why it failed, in words, or what was odd about it.
+        """
+        check_result(result)
+        text("the reason why an attempt ends", reason)
+        serial = attempt if isinstance(attempt, int) else attempt.serial
+        record = self._knowledge.records.attempts.get(serial)
+        if record is None or record.end is not None:
+            return False
+        self._tell("finish_attempt", serial, result, reason)
+        return True
+
+    @_telling
+    def record_answer(self, plan: ReconfigurationPlan | int, is_vetoed: bool, reason: str = "") -> VetoAnswer:
+        """Put on record what was answered about a plan before it was executed, and why it was forbidden if it was."""
+        _yes("is_vetoed", is_vetoed)
+        text("the reason of an answer", reason)
+        self._tell("record_answer", self._knowledge.records.plan_of(plan).number, is_vetoed, reason)
+        return next(reversed(self._knowledge.records.answers.values()))
+
+    # ---------------------------------------------------------------- the log
 
     def tell(self, event: Event) -> None:
         """Tell an event again; the clock of this base should show its time.
 
-        What time does comes by itself, when its event is told; what is said of the store is nothing to tell.
+        What time does comes by itself, and so does what the model states and what is said of the store.
         """
-        if event.verb in _BY_TIME:
-            self._look_at_the_clock()
-        elif event.number:
+        if event.verb in _BY_ITSELF:
+            with self._reading:
+                pass  # what time has done
+        elif event.verb == "amend":
+            amend(self.model, self._knowledge.serials, *event.arguments)
+        elif event.verb in ("request_action", "cancel_action", "select"):
+            getattr(self, event.verb)(*event.arguments, cause=event.cause)
+        else:
             getattr(self, event.verb)(*event.arguments)
 
-    def model_grew(self, added: Iterable[Changeable]) -> None:
-        """Take in what was added to the model; the model calls this."""
-        added = tuple(added)
-        elements = [one for one in added if not isinstance(one, Estimation)]
+    def subscribe(self, callback: Callable[[Event], None]) -> Callable[[], None]:
+        """Have a function called with every event, in order; returns how to stop that.
+
+        It is called by a thread that told, which holds nothing meanwhile: it may ask and tell. What it raises is
+        logged and reaches nobody else.
+        """
+        stop = self._publisher.subscribe(callback)
+        self._knowledge.in_words = True
+        return stop
+
+    @property
+    def store(self) -> Store | None:
+        """The store: its path, what is wrong with it, and how to check it; None without one."""
+        return self._store
+
+    @property
+    def saved(self) -> int:
+        """The number of the last event that is on disk; 0 without a store."""
+        return self._store.saved if self._store else 0
+
+    def flush(self, timeout: float | None = None) -> bool:
+        """Wait until all that was told by now is on disk; returns whether it is.
+
+        Args:
+            timeout: how long to wait at most [s].
+        """
+        return self._store is not None and self._store.flush(timeout)
+
+    def close(self) -> None:
+        """Save what is left and give the store back: it can still be asked, but not told; see `flush`."""
         with self._lock:
-            touched = grown(self._known, elements)
-            for constraint in touched:
-                if constraint.kind == "constraint" and is_steady(constraint):
-                    self._measurements.renew(constraint, self._clock())
-            self._amended("declared", added, touched)
+            self._is_closed = self._store is not None
+        if self._store is not None:
+            self._store.close()
 
-    def model_changed(self, element: Changeable) -> None:
-        """Take in what was changed in the model; the model calls this."""
-        with self._lock:
-            if isinstance(element, Estimation):
-                self._journal.amended(self._clock(), "changed", [element], self._known, ())
-                self._revision += 1
-                return
-            node = self._network.find(element)
-            touched: Sequence[Node] = [node]
-            if node.kind in ("constraint", "attribute"):
-                self._network.moved(node if node.kind == "attribute" else node.parts[0])
-                touched = self._measurements.renew(node, self._clock())
-            self._amended("changed", [element], touched)
+    # ---------------------------------------------------------------- helpers
 
-    def model_shrank(self, removed: Iterable[Changeable]) -> None:
-        """Take in what was removed from the model; the model calls this."""
-        removed = tuple(removed)
-        elements = [one for one in removed if not isinstance(one, Estimation)]
-        with self._lock:
-            for element in elements:
-                if isinstance(element, Action):
-                    self.cancel_action(element.name, reason="it is no longer in the model")
-                elif isinstance(element, Component):
-                    self._in_force.pop(element.name, None)
-                elif isinstance(element, Attribute | Constraint):
-                    self._measurements.forget(self._network.find(element))
-            self._amended("removed", removed, shrunk(self._known, elements))
+    def _tell(self, verb: str, *arguments: Any) -> None:  # noqa: ANN401  # of the verb
+        self._knowledge.apply(self._advanced(), verb, arguments)
 
-    def _begin(self, now: float) -> None:
-        """Begin with what the model states."""
-        facts = self.model.facts
-        settle(self._known, [node for fact in facts for node in self._begin_with(fact, now)])
-        if self._journal.keeps_measurements:
-            measured = [fact for fact in facts if isinstance(fact, MeasurementFact)]
-            for fact in sorted(measured, key=lambda one: one.latest):
-                self._journal.measured(fact.attribute, fact.value, now if fact.time is None else fact.time, fact.latest)
-        self._journal.enter(now, self._known, self._elements(), [*self._history, *self._plans, *self._processes])
+    def _advanced(self) -> float:
+        """Let time do what it has done until now, and return that [s]."""
+        now = self._clock()
+        self._knowledge.advance(now)
+        return now
 
-    def _begin_with(self, fact: Fact, now: float) -> Sequence[Node]:
-        """Take in a fact that the model states; returns the nodes from which to infer."""
-        if isinstance(fact, MeasurementFact):
-            node, time = self._network.attributes[fact.attribute], now if fact.time is None else fact.time
-            if fact.latest:
-                return self._measurements.take(node, fact.value, time)
-            self._history_of(node).add(time, fact.value)
-        elif isinstance(fact, RequiredActionFact):
-            self._history.append(past_request(fact, now))
-            if self._history[-1].end is None and fact.action not in self._open:
-                self._open[fact.action] = self._history[-1]
-                node = self._network.actions[fact.action]
-                self._known.requested[node.index] = True
-                return [node]
-        elif isinstance(fact, PlanFact):
-            self._plans.append(past_plan(fact, now))
-            if self._plans[-1].end is None:
-                self._open_plans.append(self._plans[-1])
-        elif isinstance(fact, ProcessFact):
-            self._processes.append(past_process(fact, now))
-        else:
-            entered = stated(self._known, fact)
-            return [] if entered is None else [entered]
-        return []
+    def _check_open(self) -> None:
+        if self._is_closed:
+            raise KnowledgeBaseError(
+                "this knowledge base is closed: its store is given back, so nothing more can be told. "
+                "Tell before you close it, or make a new one of the same model and store"
+            )
 
-    def _amended(self, how: str, changed: Sequence[Changeable], touched: Sequence[Node]) -> None:
-        elements = [one for one in changed if not isinstance(one, Estimation)]
-        text = f"{', '.join(one.name if isinstance(one, Element) else str(one) for one in elements)} {how} in the model"
-        written = plain_json(made for one in changed for made in individual(one, self._journal.serials))
-        changes = settle(self._known, touched)
-        self._journal.amended(self._clock(), how, changed, self._known, touched)
-        self._revision += 1
-        self._happened(self._clock(), "amend", (how, written), lambda: text, changes)
+    def _component(self, name: str) -> Node:
+        self._knowledge.finish()
+        return named(self._knowledge.network.components, "component", name)
+
+    def _node(self, element: Meant, kinds: Iterable[str]) -> Node:
+        self._knowledge.finish()
+        return meant(self, self._knowledge.state, element, kinds, unique=True)
 
     def _preference(self, given: str | Mapping[str, float] | None) -> str | Mapping[str, float] | None:
+        attributes = self._knowledge.network.attributes
+        if given is None:
+            return None
         if not isinstance(given, Mapping):
-            return given if given is None else self.attributes.node(given).name
-        return MappingProxyType({self.attributes.node(name).name: finite_number(one) for name, one in given.items()})
+            return named(attributes, "attribute", given).name
+        return MappingProxyType(
+            {named(attributes, "attribute", name).name: finite_number(one) for name, one in given.items()}
+        )
+
+
+class _Reading:
+    """Holds a base while it is read: what was interrupted is put in place first, and what time has done."""
+
+    __slots__ = ("_clock", "_knowledge", "_lock", "_publisher")
+
+    def __init__(self, knowledge: Knowledge, clock: Callable[[], float], lock: Any, publisher: Publisher) -> None:  # noqa: ANN401  # an RLock has no type
+        self._knowledge, self._clock, self._lock, self._publisher = knowledge, clock, lock, publisher
+
+    def __enter__(self) -> State:
+        self._lock.acquire()
+        try:
+            known = self._knowledge
+            known.finish()
+            due = known.measurements.alarms.next
+            if due != math.inf and due <= (now := self._clock()):
+                known.advance(now)
+        except BaseException:
+            self._lock.release()
+            raise
+        return known.state
+
+    def __exit__(self, *_: object) -> None:
+        self._lock.release()
+        if self._publisher:
+            self._publisher.deliver()
 
 
 def _pairs(chosen: Mapping[str, str] | None) -> Iterable[tuple[str, str]]:
@@ -442,3 +690,16 @@ def _owned(node: Node, owner: Node) -> Node:
     if node.wholes[0] is not owner:
         raise InvalidValue(f"{node.kind} {node.name!r} is of {node.wholes[0].name!r}, not of {owner.name!r}")
     return node
+
+
+def _yes(what: str, value: object) -> bool:
+    if isinstance(value, bool):
+        return value
+    raise InvalidValue(f"{what} is True or False, not {value!r}")
+
+
+def _measured(attribute: str, value: object) -> float:
+    try:
+        return finite_number(value)
+    except InvalidValue as error:
+        raise InvalidValue(f"{attribute} cannot be measured as {value!r}: {error}") from None

@@ -149,6 +149,6 @@ def _believed_active(kb: KnowledgeBase) -> list[str]:
 
 def _was_started(kb: KnowledgeBase, name: str) -> bool:
     """Tell whether the last command to a component has started it."""
-    switches = (one for one in reversed(kb.attempts) if one.component == name and one.operation != "configure")
+    switches = (one for one in reversed(kb.history.attempts) if one.component == name and one.operation != "configure")
     last = next(switches, None)
     return last is not None and (last.operation, last.result) == ("activate", "completed")

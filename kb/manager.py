@@ -13,7 +13,7 @@ from kb.execution.safeguards import Veto, VetoGate
 from kb.knowledge_base import KnowledgeBase
 from kb.managed_system import ActivityMonitor, ManagedSystem, can_tell
 from kb.planners.priority import choice_by_priority
-from kb.reconfiguration import ReconfigurationPlan
+from kb.records import ReconfigurationPlan
 from kb.selection import Choice
 
 __all__ = ["ConfigurationManager", "Executor", "Monitor", "Planner", "PriorityPlanner"]

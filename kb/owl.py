@@ -18,8 +18,8 @@ from kb.declaring import Declarer
 from kb.exceptions import KnowledgeBaseError, ModelError, UnknownName
 from kb.files import ModelFileError, read_text
 from kb.individuals import CLASSES, GENERAL, MODEL, PARAMETER, PREFERENCE, STATED, Individual, Ref, Value
+from kb.queries import FUNCTIONS, Question, complaint, read_question
 from kb.rdfxml import ROSA, order, plain_text
-from kb.store.queries import FUNCTIONS, Question, complaint, read_question
 
 __all__ = ["Answer", "Book", "database", "inconsistency", "load_owl"]
 

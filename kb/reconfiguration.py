@@ -1,14 +1,16 @@
 """Reconfiguration plans: from what is selected now to what shall be, and what has to be switched on the way."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
 from typing import NamedTuple
 
 from kb.elements import Component, ComponentKind
-from kb.inference.settling import Change, Node, State, settle
+from kb.inference import Change, propagate
+from kb.network import Node
+from kb.records import ReconfigurationPlan
+from kb.state import State
 
-__all__ = ["Obsolete", "ReconfigurationPlan", "Selection", "by_whole", "obsolete", "plain", "planned", "reselect"]
+__all__ = ["Obsolete", "Selection", "by_whole", "obsolete", "planned", "reselect"]
 
 
 class Obsolete(NamedTuple):
@@ -35,52 +37,6 @@ class Selection(NamedTuple):
         return bool(self.activate or self.deactivate or self.parameters)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ReconfigurationPlan:
-    """What to switch, and what became of it; only the knowledge base that made it can end it.
-
-    Attributes:
-        activate: names of components to activate.
-        deactivate: names of components to deactivate.
-        parameters: names of configurations whose parameters are to be set.
-        reason: why, in words.
-        start: when it was made [s].
-        end: when it ended [s], None while it is open.
-        result: "completed", "failed" or "abandoned", None while it is open.
-        plain: those to activate or deactivate that nobody commands: it is only noted that they are active or not.
-        cause: number of the event that made it needed, as far as that is known.
-        number: 1 for the first plan of a knowledge base.
-    """
-
-    activate: tuple[str, ...]
-    deactivate: tuple[str, ...]
-    parameters: tuple[str, ...]
-    reason: str
-    start: float
-    end: float | None = None
-    result: str | None = None
-    plain: frozenset[str] = frozenset()
-    cause: int | None = None
-    number: int = 0
-
-    def __str__(self) -> str:
-        steps = (
-            ("deactivate", [name for name in self.deactivate if name not in self.plain]),
-            ("activate", [name for name in self.activate if name not in self.plain]),
-            ("configure", self.parameters),
-            ("note as inactive:", [name for name in self.deactivate if name in self.plain]),
-            ("note as active:", [name for name in self.activate if name in self.plain]),
-        )
-        return "; ".join(f"{verb} {', '.join(names)}" for verb, names in steps if names)
-
-    def __repr__(self) -> str:
-        return f"<ReconfigurationPlan {self} ({self.result or 'open'})>"
-
-    def _finish(self, result: str, end: float) -> None:
-        object.__setattr__(self, "end", end)
-        object.__setattr__(self, "result", result)
-
-
 def obsolete(state: State) -> Obsolete:
     """Return what is obsolete: selected or active for no required function (an asserted `required` does not count)."""
     nodes = state.obsolete.nodes()
@@ -99,12 +55,12 @@ def reselect(state: State, designs: Iterable[Node], configurations: Iterable[Nod
     """
     replaced, changed = _choose(state, designs)
     _, newly_configured = _choose(state, configurations)
-    changes = settle(state, [*changed, *newly_configured])
+    changes = propagate(state, [*changed, *newly_configured])
     idle = [node for node in state.obsolete.nodes() if node.kind == "component"]
     unselected = [node for node in state.obsolete.nodes() if node.kind != "component"]
     for node in unselected:
         state.selected[node.index] = False
-    changes += settle(state, unselected)
+    changes += propagate(state, unselected)
     given_up = [part for design in replaced for part in design.parts if not _is_needed(state, part)]
     return Selection(
         activate=_names(_lacking(state)),
@@ -120,7 +76,9 @@ def by_whole(chosen: Iterable[Node]) -> Mapping[str, str]:
     return MappingProxyType({node.wholes[0].name: node.name for node in chosen})
 
 
-def planned(state: State, selection: Selection, reason: str, now: float) -> ReconfigurationPlan:
+def planned(
+    state: State, selection: Selection, reason: str, now: float, cause: int | None = None, number: int = 0
+) -> ReconfigurationPlan:
     """Return the plan of a selection.
 
     Args:
@@ -128,16 +86,13 @@ def planned(state: State, selection: Selection, reason: str, now: float) -> Reco
         selection: what has to be done.
         reason: why, in words.
         now: the present time [s].
+        cause: number of the event that made it needed.
+        number: 1 for the first plan; 0 for one that is only tried.
     """
-    activate, deactivate, parameters, *_ = selection
-    components = (state.network.components[name] for name in (*activate, *deactivate))
-    return ReconfigurationPlan(activate, deactivate, parameters, reason, now, plain=plain(components))
-
-
-def plain(components: Iterable[Node]) -> frozenset[str]:
-    """Return the names of those that are plain, and so never commanded."""
-    elements = (node.element for node in components)
-    return frozenset(one.name for one in elements if isinstance(one, Component) and one.kind is ComponentKind.PLAIN)
+    activate, deactivate, *_ = selection
+    elements = (state.network.components[name].element for name in (*activate, *deactivate))
+    plain = frozenset(one.name for one in elements if isinstance(one, Component) and one.kind is ComponentKind.PLAIN)
+    return ReconfigurationPlan(*selection[:3], reason, now, plain=plain, cause=cause, number=number)
 
 
 def _choose(state: State, chosen: Iterable[Node]) -> tuple[list[Node], list[Node]]:

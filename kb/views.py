@@ -4,8 +4,9 @@ A view answers from the base it was taken from each time it is asked; nothing ca
 """
 
 from collections.abc import ItemsView, Iterator, Mapping, ValuesView
+from contextlib import AbstractContextManager
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 from kb.elements import (
     Attribute,
@@ -20,11 +21,9 @@ from kb.elements import (
     finite_number,
 )
 from kb.exceptions import UnknownName
-from kb.inference.settling import Node
+from kb.network import Network, Node
+from kb.state import State
 from kb.status import Status
-
-if TYPE_CHECKING:
-    from kb.questions import Questions
 
 __all__ = [
     "ActionView",
@@ -35,8 +34,22 @@ __all__ = [
     "DesignView",
     "ElementView",
     "FunctionView",
+    "Readable",
     "Views",
+    "named",
+    "views_of",
 ]
+
+
+class Readable(Protocol):
+    """Whatever can be asked: a knowledge base, or one as it would be if."""
+
+    @property
+    def now(self) -> float:
+        """The time by the clock [s]."""
+
+    def reading(self) -> AbstractContextManager[State]:
+        """Give the facts and statuses, to be read only; nothing changes within the `with` statement."""
 
 
 class ElementView:
@@ -44,7 +57,7 @@ class ElementView:
 
     __slots__ = ("_base", "_node")
 
-    def __init__(self, base: "Questions", node: Node) -> None:
+    def __init__(self, base: Readable, node: Node) -> None:
         self._base = base
         self._node = node
 
@@ -57,6 +70,14 @@ class ElementView:
     def element(self) -> Element | Constraint:
         """The element of the model that this is a view of, e.g. to amend it there."""
         return self._node.element
+
+    def is_of(self, base: Readable) -> bool:
+        """Tell whether it was taken from this base."""
+        return self._base is base
+
+    def _known(self, column: str) -> Any:  # noqa: ANN401  # what the array holds
+        with self._base.reading() as state:
+            return getattr(state, column)[self._node.index]
 
     def __repr__(self) -> str:
         return f"<{self._node.kind} {self.name!r}>"
@@ -74,8 +95,8 @@ class _StatusView(ElementView):
     @property
     def status(self) -> Status:
         """The one status that the element has now."""
-        with self._base._lock:
-            return self._base._state.status[self._node.index]
+        status: Status = self._known("status")
+        return status
 
 
 class ConstraintView(_StatusView):
@@ -119,7 +140,7 @@ class _RequiredView(_StatusView):
     @property
     def is_required(self) -> bool:
         """Whether what the mission is doing needs it."""
-        return self._base._state.required[self._node.index]
+        return bool(self._known("required"))
 
 
 class ActionView(_RequiredView, _ConstrainedView):
@@ -163,7 +184,7 @@ class ComponentView(_RequiredView, _ConstrainedView):
     @property
     def is_active(self) -> bool:
         """Whether it is running."""
-        return self._base._state.active[self._node.index]
+        return bool(self._known("active"))
 
     @property
     def kind(self) -> ComponentKind:
@@ -193,13 +214,14 @@ class ComponentView(_RequiredView, _ConstrainedView):
     @property
     def selected_configuration(self) -> str | None:
         """Name of the configuration that is selected, if one is."""
-        selected = self._base._state.selected
-        return next((part.name for part in self._node.parts if selected[part.index]), None)
+        with self._base.reading() as state:
+            return next((part.name for part in self._node.parts if state.selected[part.index]), None)
 
     @property
     def parameters_in_force(self) -> Parameters:
         """The parameters that it was last given; empty before that."""
-        return MappingProxyType(self._base._in_force.get(self.name, {}))
+        with self._base.reading() as state:
+            return MappingProxyType(dict(state.parameters.get(self.name, {})))
 
     @property
     def _component(self) -> Component:
@@ -213,13 +235,13 @@ class _SelectableView(_ConstrainedView):
     @property
     def is_selected(self) -> bool:
         """Whether it is the one chosen."""
-        return self._base._state.selected[self._node.index]
+        return bool(self._known("selected"))
 
     @property
     def reason(self) -> str:
         """Why it was selected, in the words of whoever selected it; empty if that was not said, or it is not."""
-        state = self._base._state
-        return state.reason("selected", self._node).text if state.selected[self._node.index] else ""
+        with self._base.reading() as state:
+            return state.reason("selected", self._node).text if state.selected[self._node.index] else ""
 
     @property
     def priority(self) -> float | None:
@@ -275,17 +297,19 @@ class AttributeView(ElementView):
     @property
     def value(self) -> float | None:
         """The latest measurement, or None before the first."""
-        return self._base._state.value[self._node.index]
+        value: float | None = self._known("value")
+        return value
 
     @property
     def time(self) -> float | None:
         """When that was measured [s], or None."""
-        return self._base._state.time[self._node.index]
+        time: float | None = self._known("time")
+        return time
 
     @property
     def is_stale(self) -> bool:
         """Whether that is longer ago than `max_age`."""
-        return self._base._state.stale[self._node.index]
+        return bool(self._known("stale"))
 
     @property
     def max_age(self) -> float:
@@ -296,14 +320,16 @@ class AttributeView(ElementView):
     @property
     def history(self) -> tuple[tuple[float, float], ...]:
         """Every measurement so far, as (time [s], value), by time."""
-        with self._base._lock:
-            return self._base._history_of(self._node).samples()
+        with self._base.reading() as state:
+            history = state.histories.get(self._node.index)
+            return () if history is None else history.samples()
 
     def at(self, time: float) -> float | None:
         """Return what the latest measurement was at a time [s]; None before the first."""
         finite_number(time)
-        with self._base._lock:
-            return self._base._history_of(self._node).at(time)
+        with self._base.reading() as state:
+            history = state.histories.get(self._node.index)
+            return None if history is None else history.at(time)
 
 
 ViewT = TypeVar("ViewT", bound=ElementView)
@@ -312,20 +338,20 @@ ViewT = TypeVar("ViewT", bound=ElementView)
 class Views(Mapping[str, ViewT], Generic[ViewT]):
     """The elements of one kind by name, in order of declaration; an unknown name says which are near it."""
 
-    def __init__(self, base: "Questions", kind: str, nodes: Mapping[str, Node], view: type[ViewT]) -> None:
+    def __init__(self, base: Readable, kind: str, nodes: Mapping[str, Node], view: type[ViewT]) -> None:
         self._base = base
         self._kind = kind
         self._nodes = nodes
         self._view = view
 
     def __getitem__(self, name: str) -> ViewT:
-        return self._view(self._base, self.node(name))
+        return self._view(self._base, named(self._nodes, self._kind, name))
 
     def __contains__(self, name: object) -> bool:
         return isinstance(name, str) and name in self._nodes
 
     def __iter__(self) -> Iterator[str]:
-        with self._base._lock:
+        with self._base.reading():
             return iter(tuple(self._nodes))
 
     def values(self) -> ValuesView[ViewT]:
@@ -337,17 +363,44 @@ class Views(Mapping[str, ViewT], Generic[ViewT]):
         return self._now().items()
 
     def _now(self) -> dict[str, ViewT]:
-        with self._base._lock:
+        with self._base.reading():
             return {name: self._view(self._base, node) for name, node in self._nodes.items()}
 
     def __len__(self) -> int:
         return len(self._nodes)
 
-    def node(self, name: str | ElementView) -> Node:
-        """Return the node behind a name, or behind a view of this kind."""
-        try:
-            return self._nodes[name]  # type: ignore[index]  # a view is no key: answered below
-        except (KeyError, TypeError):
-            if isinstance(name, ElementView) and self._nodes.get(name.name) is name._node:
-                return name._node
-            raise UnknownName(self._kind, name, self._nodes) from None
+
+def named(table: Mapping[str, Node], kind: str, name: str | ElementView) -> Node:
+    """Return the node of a kind that a name or a view stands for.
+
+    Raises:
+        UnknownName: there is none.
+    """
+    try:
+        return table[name]  # type: ignore[index]  # a view is no key: answered below
+    except (KeyError, TypeError):
+        found = table.get(name.name) if isinstance(name, ElementView) else None
+        if found is not None and isinstance(name, ElementView) and found.element is name.element:
+            return found
+        raise UnknownName(kind, name, table) from None
+
+
+def views_of(
+    base: Readable, network: Network
+) -> tuple[
+    Views[ActionView],
+    Views[FunctionView],
+    Views[ComponentView],
+    Views[DesignView],
+    Views[ConfigurationView],
+    Views[AttributeView],
+]:
+    """Return views of the actions, functions, components, designs, configurations and attributes, by name."""
+    return (
+        Views(base, "action", network.actions, ActionView),
+        Views(base, "function", network.functions, FunctionView),
+        Views(base, "component", network.components, ComponentView),
+        Views(base, "function design", network.designs, DesignView),
+        Views(base, "configuration", network.configurations, ConfigurationView),
+        Views(base, "attribute", network.attributes, AttributeView),
+    )

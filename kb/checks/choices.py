@@ -10,7 +10,7 @@ from kb.contents import Contents
 from kb.elements import Attribute, Configuration, Element, FunctionDesign, StalePolicy
 from kb.explanation.requirements import Interval, bounds
 from kb.facts import RequiredActionFact
-from kb.inference.network import Network, Node
+from kb.network import Network, Node
 
 PREFERRED: Final = 32
 """How many of the alternatives that are preferred to one are compared with it."""

@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 from kb.checks.findings import Finding, found, listing
 from kb.elements import Constraint
 from kb.explanation.requirements import Box, Interval, Requirements, bounds, constraints_on
-from kb.inference.network import Network, Node
+from kb.network import Network, Node
 
 QUICK: Final = 4
 """How many alternatives suffice to see that most elements are possible; all are looked at only for the others."""

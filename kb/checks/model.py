@@ -12,7 +12,7 @@ from kb.declarations import listed, text
 from kb.elements import KINDS, Action, Component, Constraint, Element, Function, FunctionDesign
 from kb.exceptions import UnknownName
 from kb.facts import ActiveFact, MeasurementFact, RequiredActionFact, RequiredFact, SelectedFact, StatusFact
-from kb.inference.network import Network
+from kb.network import Network
 from kb.status import Status
 
 

@@ -10,12 +10,11 @@ from kb.declarations import choice
 from kb.elements import Component, ComponentKind, Configuration
 from kb.exceptions import InvalidValue, UnknownName
 from kb.execution.safeguards import Budgets, Quarantine, Quarantined
-from kb.history import Attempt
-from kb.inference.network import Node
-from kb.inference.state import State
 from kb.knowledge_base import KnowledgeBase
 from kb.managed_system import ManagedSystem, Operation, is_active
-from kb.reconfiguration import ReconfigurationPlan
+from kb.network import Node
+from kb.records import Attempt, ReconfigurationPlan
+from kb.state import State
 from kb.status import Status
 
 __all__ = ["RetryPolicy", "StagedExecutor"]

@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 from kb.elements import Configuration, EstimationKind, finite_number
 from kb.exceptions import InvalidValue, UnknownName
-from kb.inference.network import Node
-from kb.inference.state import State
 from kb.knowledge_base import KnowledgeBase
-from kb.reconfiguration import ReconfigurationPlan
+from kb.network import Node
+from kb.records import ReconfigurationPlan
+from kb.state import State
 from kb.status import Status
 
 __all__ = ["Budgets", "Quarantine", "Quarantined", "Veto", "VetoGate"]
@@ -179,7 +179,7 @@ class Quarantine:
 
     def adopt(self, kb: KnowledgeBase) -> None:
         """Take up what was in quarantine before the knowledge base was opened again."""
-        failed = {one.configuration: one for one in kb.attempts if one.configuration is not None}
+        failed = {one.configuration: one for one in kb.history.attempts if one.configuration is not None}
         with kb.reading() as state:
             for name, attempt in failed.items():
                 if attempt.result == "failed" and attempt.end is not None and _stands(state, name):

@@ -6,11 +6,11 @@ from typing import Final
 
 from kb.elements import Configuration, FunctionDesign
 from kb.explanation.reasons import why
-from kb.inference.network import Node
-from kb.inference.settling import is_adaptable
-from kb.inference.state import Overlay, State
+from kb.inference import is_adaptable
+from kb.network import Node
 from kb.planners.priority import first_by_priority
 from kb.reconfiguration import reselect
+from kb.state import Overlay, State
 from kb.status import Status
 
 _PARTS: Final = {"function": "design", "component": "configuration"}

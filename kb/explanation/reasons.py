@@ -7,9 +7,9 @@ from typing import Final
 
 from kb.elements import Attribute, Constraint, exact
 from kb.explanation.requirements import Remedy, remedies
-from kb.inference.network import Node
-from kb.inference.state import Reason, State
-from kb.inference.steadiness import turning_point
+from kb.measurements import turning_point
+from kb.network import Node
+from kb.state import Reason, State
 from kb.status import OPERATORS, Status
 
 _MOST: Final = 4

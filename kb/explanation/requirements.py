@@ -13,9 +13,9 @@ from itertools import islice
 from typing import Final, NamedTuple
 
 from kb.elements import Attribute, Component, Constraint, Element, Function, StalePolicy, called, exact
-from kb.inference.network import Node
-from kb.inference.state import State
-from kb.inference.steadiness import turning_point
+from kb.measurements import turning_point
+from kb.network import Node
+from kb.state import State
 from kb.status import OPERATORS, Status
 
 LIMIT: Final = 64

@@ -12,10 +12,10 @@ from typing import Final, NamedTuple
 
 from kb.elements import Component, ComponentKind, EstimationKind
 from kb.exceptions import UnknownName
-from kb.inference.network import Network, Node
-from kb.inference.state import State
+from kb.network import Network, Node
 from kb.planners.priority import ranked
 from kb.selection import Choice, Criterion
+from kb.state import State
 
 __all__ = ["Effect", "Option", "Picks", "Problem", "Slot", "check_names", "encode"]
 

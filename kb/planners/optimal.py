@@ -12,7 +12,7 @@ from kb.explanation.choice import ChoiceExplanation, explain_choice
 from kb.knowledge_base import KnowledgeBase
 from kb.planners.encoding import Problem, check_names, encode
 from kb.planners.priority import choice_by_priority, ranked
-from kb.reconfiguration import ReconfigurationPlan
+from kb.records import ReconfigurationPlan
 from kb.selection import Choice, Criterion, Optimum, summed_weights
 from kb.views import ElementView
 

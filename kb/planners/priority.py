@@ -7,10 +7,10 @@ from collections.abc import Iterable
 from typing import Protocol
 
 from kb.elements import Configuration, FunctionDesign
-from kb.inference.network import Node
-from kb.inference.state import Overlay, State
+from kb.network import Node
 from kb.reconfiguration import by_whole, reselect
 from kb.selection import Choice
+from kb.state import Overlay, State
 from kb.status import Status
 
 __all__ = ["Candidate", "by_priority", "choice_by_priority", "first_by_priority", "ranked"]

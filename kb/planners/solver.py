@@ -10,10 +10,10 @@ from typing import Any, Final
 
 from ortools.sat.python import cp_model
 
-from kb.inference.network import Node
-from kb.inference.state import State
+from kb.network import Node
 from kb.planners.encoding import Effect, Picks, Problem, Slot, encode
 from kb.selection import Criterion, Optimum, number
+from kb.state import State
 
 __all__ = ["EFFORT", "best_choice", "solve", "verdicts"]
 

@@ -89,7 +89,7 @@ class RosaManager(Manager):
         """Take down what the tree begins and ends, and have it planned for."""
         if event.kind is not EventKind.ACTION_UPDATE:
             return
-        record = next(one for one in reversed(self._kb.action_history) if one.action == event.subject)
+        record = next(one for one in reversed(self._kb.history.actions) if one.action == event.subject)
         if record.end is None:
             self.robot.begin(record.action)
         else:

@@ -84,7 +84,7 @@ class RosaController:
 
     @property
     def actions(self) -> Sequence[RequiredAction]:
-        return self._kb.action_history
+        return self._kb.history.actions
 
     @property
     def measured(self) -> Mapping[str, float | None]:
@@ -152,7 +152,7 @@ class RosaController:
         if verdict.success:
             return verdict
         plan = self.plans[-1] if self.plans and self._task.is_planned else None
-        failed = next((one for one in reversed(self._kb.action_history) if one.result == "failed"), None)
+        failed = next((one for one in reversed(self._kb.history.actions) if one.result == "failed"), None)
         if self._left:
             more = f"under way: {self._left}"
         elif plan is not None and not plan.outcome.is_solved:

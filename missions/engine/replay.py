@@ -238,7 +238,7 @@ def _decide(mission: Mission, task: str, world: Recording, limits: RunSettings) 
         verdict = run.run()
         trace = visitor.trace
     return Decisions(
-        actions=tuple((one.action, one.start, one.end, one.result) for one in run.kb.action_history),
+        actions=tuple((one.action, one.start, one.end, one.result) for one in run.kb.history.actions),
         plans=run.kb.plans,
         adaptations=tuple(run.adaptations),
         task_plans=run.plans or tuple(plan for planner in world.planners for plan in planner.plans),

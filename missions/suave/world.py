@@ -129,7 +129,7 @@ class _SeaKind(WorldKind):
 
     def verdict(self, percepts: Percepts, results: Mapping[str, float | None], kb: KnowledgeBase) -> Verdict:
         """Judge by the goal: the pipeline found, more than 0 m of it inspected, a recharge done if one was begun."""
-        return self.judge(percepts, results, any(one.action == "recharge" for one in kb.action_history))
+        return self.judge(percepts, results, any(one.action == "recharge" for one in kb.history.actions))
 
     def judge(self, percepts: Percepts, results: Mapping[str, float | None], needed_recharge: bool) -> Verdict:
         """Judge by the goal, given whether the battery ran low or a recharge was begun."""

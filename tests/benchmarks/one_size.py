@@ -26,6 +26,12 @@ ASKED = 20
 Times = dict[str, list[float]]
 
 
+def state_of(kb):
+    """The facts and statuses of a base."""
+    with kb.reading() as state:
+        return state
+
+
 def time_of(call: Callable[..., object], *arguments: object) -> float:
     start = perf_counter()
     call(*arguments)
@@ -46,9 +52,9 @@ def events(kb: KnowledgeBase, size: int, number: int) -> tuple[Times, dict[str, 
     """Return how long each event of each kind took [s], and how many elements were consulted for all of that kind."""
     times, visited = {}, {}
     for kind in EVENTS:
-        before = kb._state.visited
+        before = state_of(kb).visited
         times[kind] = [time_of(tell, kb, one) for one in story((kind,), size, TOLD, seed=number)]
-        visited[kind] = kb._state.visited - before
+        visited[kind] = state_of(kb).visited - before
     return times, visited
 
 

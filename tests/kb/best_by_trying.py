@@ -3,9 +3,9 @@
 from fractions import Fraction
 from itertools import product
 
-from kb.inference.state import Overlay
 from kb.planners.priority import by_priority
 from kb.reconfiguration import reselect
+from kb.state import Overlay
 from kb.status import Status
 
 

@@ -31,10 +31,10 @@ def answers(kb, *, ended=False):
             (one.name, one.value, one.time, one.is_stale, one.history[-KEPT:]) for one in kb.attributes.values()
         ],
         "plans": [plan(one, ended) for one in kb.plans],
-        "requests": [request(one) for one in kb.action_history],
+        "requests": [request(one) for one in kb.history.actions],
         "open": [one.action for one in kb.required_actions],
-        "attempts": [attempt(one, ended) for one in kb.attempts],
-        "answers": [(kb.plans.index(one.plan), one.time, one.is_vetoed, one.reason) for one in kb.answers],
+        "attempts": [attempt(one, ended) for one in kb.history.attempts],
+        "answers": [(kb.plans.index(one.plan), one.time, one.is_vetoed, one.reason) for one in kb.history.answers],
         "reasons": [one.reason for one in (*kb.designs.values(), *kb.configurations.values())],
         "processes": [(one.component, one.pid, one.start, one.end) for one in kb.processes],
         "adaptable": (kb.adaptable_functions(), kb.adaptable_components(), kb.obsolete()),
@@ -138,7 +138,7 @@ class Life:
             yield (partial(kb.record_attempt, plan, name, operation, parameters={"speed": 0.5}),)
             result = chance.choice(("completed", "completed", "failed", None))
             if result:
-                yield kb.finish_attempt, kb.attempts[-1], result, "as told"
+                yield kb.finish_attempt, kb.history.attempts[-1], result, "as told"
             yield kb.component_active, name, name in plan.activate
         yield kb.finish_plan, plan, chance.choice(("completed", "failed"))
 

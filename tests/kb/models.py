@@ -204,6 +204,12 @@ def stories(draw, *, max_size=15, asserting=True, selecting=True, aging=False):
     return model, draw(happenings)
 
 
+def state_of(kb):
+    """The facts and statuses of a base."""
+    with kb.reading() as state:
+        return state
+
+
 class Twins:
     """A knowledge base and its naive twin; everything happens to both."""
 

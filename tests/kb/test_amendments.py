@@ -238,7 +238,7 @@ def test_an_action_removed_while_it_is_required_is_abandoned(kb):
     kb.model.remove(kb.model.actions["explore"])
     assert "explore" not in kb.actions
     assert kb.required_actions == ()
-    (past,) = kb.action_history
+    (past,) = kb.history.actions
     assert (past.result, past.reason) == ("abandoned", "it is no longer in the model")
     with pytest.raises(UnknownName):
         kb.is_feasible("explore")

@@ -33,7 +33,7 @@ def test_a_command_that_never_ends_is_given_up_after_its_time_out_and_the_next_b
     come_to_rest(manager, kb, clock)
     assert managed.log.count("activate camera") == 2
     assert managed.running == {"lidar"}
-    tries = [one for one in kb.attempts if one.component == "camera" and one.operation == "activate"]
+    tries = [one for one in kb.history.attempts if one.component == "camera" and one.operation == "activate"]
     assert [(one.start, one.end) for one in tries] == [(100.0, 105.0), (105.0, 110.0)]
     assert {one.reason for one in tries} == {"it was not done within 5 s"}
     assert kb.components["camera"].status is Status.FAILURE
@@ -47,7 +47,7 @@ def test_a_time_out_can_be_that_of_a_kind_and_goes_by_the_component_first():
         )
         kb.request_action("explore")
         come_to_rest(manager, kb, clock)
-        (one,) = [one for one in kb.attempts if (one.operation, one.component) == ("activate", "camera")]
+        (one,) = [one for one in kb.history.attempts if (one.operation, one.component) == ("activate", "camera")]
         assert one.end - one.start == lasts
 
 
@@ -58,7 +58,7 @@ def test_each_further_attempt_waits_twice_as_long_and_there_are_as_many_as_allow
     for _ in range(1000):
         manager.update()
         clock.now += 0.25
-    tries = [one for one in kb.attempts if (one.operation, one.component) == ("activate", "camera")]
+    tries = [one for one in kb.history.attempts if (one.operation, one.component) == ("activate", "camera")]
     assert [one.number for one in tries] == list(range(1, attempts + 1))
     gaps = [later.start - earlier.end for earlier, later in pairwise(tries)]
     assert gaps == [back_off * 2**number for number in range(attempts - 1)]
@@ -96,7 +96,7 @@ def test_a_system_that_says_done_when_it_is_not_or_never_answers_is_found_out(li
     assert not kb.components["camera"].is_active
     assert kb.components["camera"].status is Status.FAILURE
     reason = "it was said to be done, but camera was not found so within 3 s" if lie is LIE else "not done within 3 s"
-    assert reason in kb.attempts[1].reason
+    assert reason in kb.history.attempts[1].reason
 
 
 def test_a_system_that_cannot_tell_is_believed():
@@ -116,7 +116,7 @@ def test_what_is_done_counts_though_the_system_never_says_so():
     kb.request_action("explore")
     come_to_rest(manager, kb, clock)
     assert kb.actions["explore"].status is Status.SOLVED
-    (switched,) = [one for one in kb.attempts if one.operation == "activate"]
+    (switched,) = [one for one in kb.history.attempts if one.operation == "activate"]
     assert (switched.result, switched.reason) == ("completed", "it never said so, but it is done")
 
 
@@ -132,7 +132,7 @@ def test_a_look_that_fails_never_raises(answer):
     kb.request_action("explore")
     come_to_rest(manager, kb, clock)
     if isinstance(answer, Exception):
-        assert "nobody could tell (no idea)" in kb.attempts[1].reason
+        assert "nobody could tell (no idea)" in kb.history.attempts[1].reason
         assert kb.actions["explore"].status is Status.UNFEASIBLE
     else:
         assert managed.running == {"camera"}
@@ -339,13 +339,13 @@ def test_every_attempt_is_on_record_with_what_when_and_why():
     )
     kb.request_action("explore")
     (plan,) = turn(manager, clock, 12)
-    assert told(kb.attempts) == [
+    assert told(kb.history.attempts) == [
         ("configure", "camera", 1, "completed"),
         ("activate", "camera", 1, "failed"),
         ("activate", "camera", 2, "completed"),
     ]
-    assert all(one.plan is plan for one in kb.attempts)
-    configure, first, second = kb.attempts
+    assert all(one.plan is plan for one in kb.history.attempts)
+    configure, first, second = kb.history.attempts
     assert (configure.configuration, dict(configure.parameters)) == ("day", {"exposure": 0.01})
     assert (first.configuration, dict(first.parameters)) == (None, {})
     assert (first.start, first.end, first.reason) == (100.0, 102.0, "no light")
@@ -359,7 +359,7 @@ def test_an_attempt_under_way_is_on_record_too():
     kb, clock, _, manager = start(script={"activate camera": [math.inf]})
     kb.request_action("explore")
     turn(manager, clock)
-    one = kb.attempts[-1]
+    one = kb.history.attempts[-1]
     assert (one.end, one.result) == (None, None)
     assert str(one) == "activate camera, attempt 1: under way"
 
@@ -369,7 +369,7 @@ def test_plain_components_leave_no_record_since_nothing_is_commanded():
     kb.request_action("explore")
     come_to_rest(manager, kb, clock)
     assert kb.components["lamp"].is_active
-    assert {one.component for one in kb.attempts} == {"camera"}
+    assert {one.component for one in kb.history.attempts} == {"camera"}
 
 
 # bad input
@@ -483,8 +483,8 @@ def test_the_plan_after_the_trouble_leads_to_the_state_that_is_selected(model, d
 def test_the_record_is_whole(model, data):
     kb, clock, managed, manager = lived(model, data)
     come_to_rest(manager, kb, clock, most=400, quiet=20)
-    assert len(kb.attempts) == len(managed.log)
-    for one in kb.attempts:
+    assert len(kb.history.attempts) == len(managed.log)
+    for one in kb.history.attempts:
         assert one.plan in kb.plans
         assert one.plan.start <= one.start <= one.end
         assert one.result in ("completed", "failed")

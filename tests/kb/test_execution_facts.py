@@ -156,7 +156,7 @@ def test_a_veto_can_be_asked_for_with_its_plan():
     kb, _, _, manager = start(veto=lambda plan: "no lamps at night")
     kb.request_action("explore")
     plan = manager.update()
-    (answer,) = kb.answers
+    (answer,) = kb.history.answers
     assert (answer.plan, answer.is_vetoed, answer.reason) == (plan, True, "no lamps at night")
     rows = kb.query(
         "SELECT ?why ?result { ?a a :VetoAnswer ; :isVetoed true ; :reason ?why ; :ofPlan ?p . ?p :result ?result }"
@@ -172,7 +172,7 @@ def test_a_command_to_what_left_the_model_is_abandoned():
     for element in (kb.model.designs["by camera"], *kb.model.configurations.values(), kb.model.components["camera"]):
         kb.model.remove(element)
     turn(manager, clock)
-    last = kb.attempts[-1]
+    last = kb.history.attempts[-1]
     assert (last.component, last.result, last.reason) == ("camera", "abandoned", "it is no longer in the model")
     assert kb.plans[0].end is not None
 
@@ -183,7 +183,7 @@ def test_parameters_of_a_configuration_that_left_the_model_are_not_tried_again()
     turn(manager, clock)
     kb.model.remove(kb.model.configurations["day"])
     come_to_rest(manager, kb, clock)
-    assert [one.configuration for one in kb.attempts].count("day") == 1
+    assert [one.configuration for one in kb.history.attempts].count("day") == 1
 
 
 # after the knowledge base was opened again
@@ -199,7 +199,7 @@ def test_what_was_ruled_out_stays_so_until_its_time_after_the_knowledge_base_is_
     kb.close()
     kb, _, _, manager = start(kb=opened(tmp_path / "store", clock))
     turn(manager, clock)
-    assert [one.operation for one in kb.attempts][:3] == ["configure", "configure", "activate"]
+    assert [one.operation for one in kb.history.attempts][:3] == ["configure", "configure", "activate"]
     (record,) = manager._executor.quarantined
     assert (record.configuration, record.start, record.until) == ("day", 100.0, 150.0)
     assert kb.explain(kb.configurations["day"]).reason == record.reason != ""

@@ -47,7 +47,7 @@ def test_a_plan_that_may_pass_is_executed_and_the_answer_is_on_record(answer):
     assert managed.running == {"camera"}
     assert guard.shown == [(str(plan), plan.reason, None)]
     assert plan.reason
-    (given_answer,) = kb.answers
+    (given_answer,) = kb.history.answers
     assert (given_answer.plan, given_answer.time, given_answer.is_vetoed) == (plan, 100.0, False)
 
 
@@ -69,10 +69,10 @@ def test_a_vetoed_plan_is_abandoned_and_nothing_of_it_is_done_or_selected(answer
     (plan,) = turn(manager, clock, 10)
     assert plan.result == "abandoned"
     assert managed.log == []
-    assert kb.attempts == ()
+    assert kb.history.attempts == ()
     assert selection(kb) == []
     assert kb.functions["see"].status is Status.UNSOLVED
-    (given_answer,) = kb.answers
+    (given_answer,) = kb.history.answers
     assert (given_answer.is_vetoed, given_answer.reason) == (True, reason)
 
 
@@ -90,7 +90,7 @@ def test_a_vetoed_plan_is_proposed_again_when_there_is_news_and_not_before():
     kb.measure("light", 0.1)
     turn(manager, clock, 10)
     assert managed.running == {"camera"}
-    assert [one.is_vetoed for one in kb.answers] == [True, True, False]
+    assert [one.is_vetoed for one in kb.history.answers] == [True, True, False]
 
 
 def test_what_was_selected_before_a_vetoed_plan_is_selected_after_it():
@@ -191,7 +191,7 @@ def test_a_veto_that_cannot_be_called_is_refused():
 
 
 def test_without_a_veto_there_are_no_answers():
-    assert start()[0].answers == ()
+    assert start()[0].history.answers == ()
 
 
 # dry run
@@ -289,7 +289,7 @@ def test_under_a_veto_on_everything_nothing_is_ever_commanded(model, data):
         planned += turn(manager, twins.clock, 3)
     assert managed.log == []
     assert all(plan.result == "abandoned" for plan in planned)
-    assert [one.plan for one in kb.answers] == list(kb.plans) == planned
+    assert [one.plan for one in kb.history.answers] == list(kb.plans) == planned
     come_to_rest(manager, kb, twins.clock)
 
 

@@ -5,12 +5,12 @@ from itertools import product
 import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
-from models import Clock, Twins, stories
+from models import Clock, Twins, state_of, stories
 
 from kb import KnowledgeBase, Model, Status
 from kb.explanation.reasons import Comparison, explain
-from kb.inference.settling import settle
-from kb.inference.state import Overlay
+from kb.inference import propagate
+from kb.state import Overlay
 from kb.status import STATUSES
 
 SLOW = settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large], max_examples=150)
@@ -32,7 +32,7 @@ def after(story):
     twins = Twins(model)
     for event in happenings:
         twins.happen(event)
-    state = twins.kb._state
+    state = state_of(twins.kb)
     nodes = [node for node in state.network.nodes if node.kind not in ("attribute", "constraint")]
     assume(nodes)
     return state, nodes
@@ -66,7 +66,7 @@ def disturbed(data, state, chain):
             if node.kind == "component":
                 overlay.failed[node.index] = data.draw(st.booleans())
             overlay.asserted[node.index] = data.draw(st.sampled_from((None, *STATUSES[node.kind])))
-    settle(overlay, network.nodes)
+    propagate(overlay, network.nodes)
     return overlay
 
 
@@ -115,7 +115,7 @@ def test_without_one_cause_of_each_reason_the_status_is_better(story, number):
                 good = (Status.SATISFIED, Status.SOLVED, Status.FEASIBLE)
                 overlay.asserted[part.index] = next(one for one in good if one in STATUSES[part.kind])
                 touched.append(part)
-        settle(overlay, touched)
+        propagate(overlay, touched)
         assert BETTER.index(overlay.status[node.index]) > BETTER.index(explanation.status)
 
 

@@ -3,7 +3,7 @@
 import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
-from models import Clock, Twins, stories
+from models import Clock, Twins, state_of, stories
 
 from kb import KnowledgeBase, Model, PriorityPlanner, Status
 from kb.explanation.choice import explain_choice
@@ -14,7 +14,7 @@ SLOW = settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_to
 
 
 def choice_of(kb, node, **criterion):
-    return explain_choice(kb._state, node, kb._clock(), **criterion)
+    return explain_choice(state_of(kb), node, kb._clock(), **criterion)
 
 
 @SLOW
@@ -24,7 +24,7 @@ def test_every_choice_is_the_one_selected_or_else_the_first_by_priority(story):
     twins = Twins(model)
     for event in happenings:
         twins.happen(event)
-    state, network = twins.kb._state, twins.kb._network
+    state, network = state_of(twins.kb), state_of(twins.kb).network
     choices = [*network.functions.values(), *network.components.values()]
     assume(choices)
     for node in choices:
@@ -119,12 +119,12 @@ def kb(model):
 
 @pytest.fixture
 def see(kb):
-    return kb._network.functions["see"]
+    return state_of(kb).network.functions["see"]
 
 
 @pytest.fixture
 def camera(kb):
-    return kb._network.components["camera"]
+    return state_of(kb).network.components["camera"]
 
 
 def reasons(explained):
@@ -202,7 +202,7 @@ def test_where_nothing_can_be_chosen_the_reason_is_told():
     model.function("dream")
     kb = KnowledgeBase(model, clock=Clock())
     kb.measure("light", 0.0)
-    network = kb._network
+    network = state_of(kb).network
     assert str(choice_of(kb, network.functions["dream"])) == (
         "nothing can be selected for function dream because it has no design"
     )
@@ -231,7 +231,7 @@ def test_who_comes_first_follows_from_the_reasons_alone(priorities):
     for number, priority in enumerate(priorities):
         see.design(f"d{number}", [], priority=priority)
     kb = KnowledgeBase(model)
-    explained = choice_of(kb, kb._network.functions["see"])
+    explained = choice_of(kb, state_of(kb).network.functions["see"])
     best = model.designs[explained.chosen].priority
     for one in explained.alternatives:
         if one.priority == best:

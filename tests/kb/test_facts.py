@@ -94,7 +94,7 @@ def test_what_is_stated_to_have_ended_is_remembered_and_no_longer_open(model):
         PlanFact(activate=("camera",), parameters=("day",), start=10.0, end=11.0, result="completed"),
         PlanFact(deactivate=("camera",), start=20.0),
     )
-    past, present = kb.action_history
+    past, present = kb.history.actions
     assert (past.start, past.end, past.result) == (10.0, 20.0, "completed")
     assert dict(present.preference) == {"energy": 2.0, "light": 1.0}
     assert kb.required_actions == (present,)

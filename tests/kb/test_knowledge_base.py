@@ -8,7 +8,7 @@ from collections.abc import Mapping
 
 import pytest
 from hypothesis import HealthCheck, given, settings
-from models import Clock, Twins, stories
+from models import Clock, Twins, state_of, stories
 
 from kb import (
     AmbiguousName,
@@ -77,7 +77,7 @@ def test_an_unfeasible_action_is_refused_with_the_reason_and_nothing_changes(kb,
     assert not reply
     assert reply.accepted is False
     assert reply.reason == "explore is unfeasible because light 0.24 violates >= 0.25 (measured 0.0 s ago)"
-    assert kb.required_actions == kb.action_history == ()
+    assert kb.required_actions == kb.history.actions == ()
     assert not kb.functions["see"].is_required
     assert told == []
     assert kb.revision == revision
@@ -104,7 +104,7 @@ def test_cancelling_closes_the_required_action_with_its_result(kb, clock, result
     kb.cancel_action("explore", result)
     assert (required.end, required.result) == (12.0, result)
     assert kb.required_actions == ()
-    assert kb.action_history == (required,)
+    assert kb.history.actions == (required,)
     assert not kb.actions["explore"].is_required
     assert kb.actions["explore"].status is Status.FEASIBLE
 
@@ -116,7 +116,7 @@ def test_cancelling_is_abandoning_by_default_and_twice_is_once(kb, clock, told):
     count = len(told)
     kb.cancel_action("explore", "completed")
     kb.cancel_action("rest")
-    assert [one.result for one in kb.action_history] == ["abandoned"]
+    assert [one.result for one in kb.history.actions] == ["abandoned"]
     assert len(told) == count
 
 
@@ -153,7 +153,7 @@ def test_required_actions_stand_in_the_order_of_their_requests(kb):
     kb.cancel_action("rest")
     kb.request_action("rest")
     assert [one.action for one in kb.required_actions] == ["explore", "rest"]
-    assert [one.action for one in kb.action_history] == ["rest", "explore", "rest"]
+    assert [one.action for one in kb.history.actions] == ["rest", "explore", "rest"]
 
 
 def test_a_required_action_is_read_only(kb):
@@ -248,7 +248,7 @@ def test_a_listener_may_tell_something_itself(kb):
     kb.subscribe(abandon)
     kb.request_action("explore")
     kb.measure("light", 0.1)
-    assert [one.result for one in kb.action_history] == ["failed"]
+    assert [one.result for one in kb.history.actions] == ["failed"]
 
 
 def test_every_listener_is_told_in_the_order_in_which_things_happened(kb):
@@ -613,7 +613,7 @@ def test_a_planner_has_nothing_to_look_at_once_nothing_is_required_and_all_is_ca
     twins.happen(("select", ({}, {})))
     for name in model.components:
         twins.happen(("active", name, False))
-    state = twins.kb._state
+    state = state_of(twins.kb)
     assert (state.adaptable.nodes(), state.obsolete.nodes(), state.lacking.nodes()) == ([], [], [])
 
 
@@ -674,7 +674,7 @@ def test_facts_told_from_several_threads_are_all_there():
     measured = [one for one in told if one.kind is EventKind.MONITORING_DATA and one.subject.startswith("load")]
     assert len(measured) == 1200
     updates = [one for one in told if one.kind is EventKind.ACTION_UPDATE]
-    assert len(updates) == 2 * len(kb.action_history)
+    assert len(updates) == 2 * len(kb.history.actions)
     kb.cancel_action("all")
     for number in range(4):
         assert kb.attributes[f"load {number}"].value == 1.0

@@ -10,9 +10,9 @@ from models import NUMBERS, OPERATORS, Clock, amount, compare, subsets
 
 from kb import KnowledgeBase, Model, Status
 from kb.explanation.requirements import Measured, MissingDesign, Recovered, Retracted, remedies
-from kb.inference.network import Network
-from kb.inference.settling import initial_state, settle
-from kb.inference.state import Overlay
+from kb.inference import initial_state, propagate
+from kb.network import Network
+from kb.state import Overlay
 from kb.status import STATUSES
 
 GRID = (-0.25, 0.0, 0.25, 0.5, 0.75, 1.0, 1.25)
@@ -42,7 +42,7 @@ def changed(state, changes):
             overlay.value[node.index] = value
             overlay.stale[node.index] = False
         touched.append(node)
-    settle(overlay, touched)
+    propagate(overlay, touched)
     return overlay
 
 
@@ -100,7 +100,7 @@ def what_is_wrong(draw):
     nodes = [node for node in network.nodes if node.kind != "attribute"]
     for node in draw(st.lists(st.sampled_from(nodes), max_size=2)):
         state.asserted[node.index] = draw(st.sampled_from(STATUSES[node.kind]))
-    settle(state, network.nodes)
+    propagate(state, network.nodes)
     return state, [node for node in network.nodes if state.status[node.index] in IMPOSSIBLE]
 
 

@@ -10,8 +10,8 @@ from models import OPERATORS, models
 from kb import Model, Status
 from kb.elements import Constraint
 from kb.explanation.requirements import Interval, Requirements
-from kb.inference.network import Network
-from kb.inference.settling import initial_state, settle
+from kb.inference import initial_state, propagate
+from kb.network import Network
 
 GRID = (-0.25, 0.0, 0.25, 0.5, 0.75, 1.0, 1.25)
 """The thresholds of random models, and numbers between and beyond them."""
@@ -26,7 +26,7 @@ def measured(network, values):
     state = initial_state(network)
     for name, value in values.items():
         state.value[network.attributes[name].index] = value
-    settle(state, network.attributes.values())
+    propagate(state, network.attributes.values())
     return state
 
 

@@ -5,7 +5,7 @@ import copy
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from models import NUMBERS, Clock, Twins, events, stories, subsets
+from models import NUMBERS, Clock, Twins, events, state_of, stories, subsets
 
 from kb import InvalidValue, KnowledgeBase, KnowledgeBaseError, Model, Status, UnknownName
 
@@ -185,7 +185,7 @@ def test_a_situation_looks_only_at_the_constraints_that_turn():
     kb.measure("charge", 500.0)
     situation = kb.situation(charge=498.5)
     assert len(situation.selectable_actions()) == 499
-    assert situation._state.visited == 2  # one constraint and its action
+    assert state_of(situation).visited == 2  # one constraint and its action
 
 
 @pytest.mark.parametrize("wrong", [5, ["light"], "light"])

@@ -22,7 +22,7 @@ from models import Clock, Twins, stories
 from test_files import odd_models
 
 from kb import InvalidValue, KnowledgeBase, KnowledgeBaseError, Model, PriorityPlanner
-from kb.store.writer import FORMAT, StoreError
+from kb.store import FORMAT, StoreError
 
 FEW = settings(max_examples=40, suppress_health_check=[HealthCheck.too_slow])
 
@@ -82,7 +82,7 @@ def test_base_goes_on_from_what_a_kill_leaves(story, folder):
     for event in events[: len(events) // 2]:
         twins.happen(event)
     assert twins.kb.flush(10.0)
-    assert twins.kb.saved == twins.kb.told
+    assert twins.kb.saved == twins.kb.log.last
     before = answers(twins.kb, ended=True)
     copy = dead(path, folder)
     twins.kb.close()
@@ -129,13 +129,13 @@ def test_what_changes_nothing_writes_nothing(tmp_path):
     with kept(robot(), tmp_path / "m.sqlite3") as kb:
         kb.component_active("camera", True)
         assert kb.flush(10.0)
-        saved, size = kb.told, (tmp_path / "m.sqlite3-wal").stat()
+        saved, size = kb.log.last, (tmp_path / "m.sqlite3-wal").stat()
         kb.component_active("camera", True)
         kb.component_recovered("camera")
         kb.cancel_action("rest")
         kb.is_feasible("explore")
         assert kb.flush(10.0)
-        assert (kb.saved, kb.told) == (saved, saved)
+        assert (kb.saved, kb.log.last) == (saved, saved)
         assert (tmp_path / "m.sqlite3-wal").stat().st_mtime_ns == size.st_mtime_ns
 
 
@@ -329,7 +329,7 @@ def test_closed_base_can_be_asked_and_is_told_nothing_more(tmp_path):
             kb.measure("load", 2.0)
         assert kb.attributes["load"].value == 1.0
         assert kb.query("SELECT ?s { ?f a :Failure ; :start ?s }") == [(5.0,)]
-        assert (kb.flush(0.1), kb.saved, kb.store_error) == (True, kb.told, None)
+        assert (kb.flush(0.1), kb.saved, kb.store.error) == (True, kb.log.last, None)
         kb.close()
     assert [one.name for one in tmp_path.iterdir()] == ["m.sqlite3"]
     with kept(robot(), path) as kb:
@@ -400,8 +400,8 @@ def test_full_disk_is_said_and_the_mission_goes_on(tmp_path, caplog):
             fill(kb)
             assert kb.query(failures) == [(5.0,), (5.0,)]
             assert kb.query("SELECT ?n { ?x a :AssertedRequirement ; :about ?f . ?f :name ?n }") == [("see",)]
-            assert "nothing is saved since fact" in kb.store_error
-            assert soon(lambda: any("nothing is saved since fact" in text for text in told))  # the writer tells it
+            assert "nothing is saved since event" in kb.store.error
+            assert soon(lambda: any("nothing is saved since event" in text for text in told))  # the writer tells it
             assert "it is tried again every second" in caplog.text
             kb.component_recovered("camera")
             assert kb.request_action("explore")
@@ -409,13 +409,13 @@ def test_full_disk_is_said_and_the_mission_goes_on(tmp_path, caplog):
             assert kb.query("SELECT (MAX(?v) AS ?most) { ?m a :Measurement ; :value ?v }") == [(2999.0,)]
             assert kb.query("SELECT ?end { ?f a :Failure ; :end ?end }") == [(5.0,)]
             kb.close()
-            assert "nothing is saved any more since fact" in kb.store_error
+            assert "nothing is saved any more since event" in kb.store.error
         assert kb.query("SELECT ?end { ?f a :Failure ; :end ?end }") == [(5.0,)]
         assert kb.query("SELECT (MAX(?v) AS ?most) { ?m a :Measurement ; :value ?v }") == [(2999.0,)]
         reached = kb.saved
     with kept(robot(), path) as kb:
         assert reached >= saved
-        assert kb.told == reached
+        assert kb.log.last == reached
         assert kb.components["camera"].status == "failure"
 
 
@@ -426,12 +426,12 @@ def test_all_that_waited_is_saved_in_order_once_the_disk_has_room_again(tmp_path
         with files_no_longer_than(100_000):
             fill(kb)
             kb.component_failed("camera", "rain")
-            assert kb.saved < kb.told
+            assert kb.saved < kb.log.last
         for number in range(3000):
             untroubled.measure("load", float(number))
         untroubled.assert_required("see", True)
         untroubled.component_failed("camera", "rain")
-        assert soon(lambda: kb.store_error is None and kb.flush(1.0))
+        assert soon(lambda: kb.store.error is None and kb.flush(1.0))
         assert soon(lambda: any(text.endswith("all is saved again") for text in told))
         kb.component_recovered("lidar")
         untroubled.component_recovered("lidar")
@@ -446,14 +446,14 @@ def test_all_that_waited_is_saved_in_order_once_the_disk_has_room_again(tmp_path
 
 
 def test_waiting_for_room_is_given_up_when_too_much_waits(tmp_path, monkeypatch):
-    monkeypatch.setattr("kb.store.writer._MOST_WAITING", 1000)
+    monkeypatch.setattr("kb.store._MOST_WAITING", 1000)
     with kept(robot(), tmp_path / "m.sqlite3") as kb:
         with files_no_longer_than(100_000):
             fill(kb)
-            assert soon(lambda: "any more" in kb.store_error)
+            assert soon(lambda: "any more" in kb.store.error)
         kb.measure("load", 5000.0)
         assert not kb.flush(1.5)
-        assert "nothing is saved any more" in kb.store_error
+        assert "nothing is saved any more" in kb.store.error
         assert kb.query("SELECT (MAX(?v) AS ?most) { ?m a :Measurement ; :value ?v }") == [(5000.0,)]
 
 
@@ -588,7 +588,7 @@ def test_facts_of_many_threads_are_all_saved(tmp_path):
 def test_base_without_a_store_saves_nothing():
     kb = KnowledgeBase(robot())
     kb.measure("load", 1.0)
-    assert (kb.saved, kb.store_error, kb.flush(0.1)) == (0, None, False)
+    assert (kb.saved, kb.store, kb.flush(0.1)) == (0, None, False)
     kb.close()
     assert issubclass(StoreError, KnowledgeBaseError)
 

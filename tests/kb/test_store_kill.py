@@ -32,9 +32,9 @@ def lived(path, seed, until):
     """Live the same life to the end of the call that told a certain fact."""
     life = Life(path, seed)
     moves = life.moves()
-    while life.kb.told < until:
+    while life.kb.log.last < until:
         next(moves)
-    assert life.kb.told == until, "what one call told was torn apart"
+    assert life.kb.log.last == until, "what one call told was torn apart"
     return life
 
 
@@ -43,14 +43,14 @@ def test_all_that_was_acknowledged_is_there_after_a_kill(number, tmp_path):
     path = tmp_path / "mission.sqlite3"
     acknowledged = killed(path, number, random.Random(number).uniform(0.0, 0.6))
     again = Life(path, number)
-    abandoned = sum(one.end == 0.0 for one in (*again.kb.plans, *again.kb.attempts))  # as it was opened
-    saved = again.kb.told - abandoned
+    abandoned = sum(one.end == 0.0 for one in (*again.kb.plans, *again.kb.history.attempts))  # as it was opened
+    saved = again.kb.log.last - abandoned
     assert saved >= acknowledged
     expected = lived(tmp_path / "expected.sqlite3", number, saved)
     again.clock.now = expected.clock.now
     assert answers(again.kb) == answers(expected.kb, ended=True)
     again.kb.measure("load", 0.5)
     assert again.kb.flush(10.0)
-    assert again.kb.saved == again.kb.told > saved
+    assert again.kb.saved == again.kb.log.last > saved
     again.kb.close()
     expected.kb.close()

@@ -110,7 +110,7 @@ def test_facts_told_by_many_threads_are_all_kept_and_the_answers_are_those_of_th
         assert kb.components[f"eye {number}"].status is not Status.FAILURE
     monitored = [event for event in events if event.kind is EventKind.MONITORING_DATA]
     assert sum("selected" not in event.text for event in monitored) == 2 * 3 * 300
-    assert sum(event.kind is EventKind.ACTION_UPDATE for event in events) == 2 * len(kb.action_history)
+    assert sum(event.kind is EventKind.ACTION_UPDATE for event in events) == 2 * len(kb.history.actions)
     assert kb.is_feasible("look")
 
 

@@ -308,7 +308,7 @@ def played(script, begins_first=False, hears=True):
 @given(SCRIPT)
 def test_task_adaptations_are_what_the_history_of_actions_says(script):
     one = played(script)
-    history = [(record.action, record.start, record.end, record.result) for record in one.kb.action_history]
+    history = [(record.action, record.start, record.end, record.result) for record in one.kb.history.actions]
     follow = {start: (before, name) for (before, _, _, _), (name, start, _, _) in pairwise(history)}
     tasks = [told for told in one.log.adaptations if told.kind == "task"]
     assert [told.change.split(";")[0] for told in tasks] == [" -> ".join(follow[told.at_s]) for told in tasks]

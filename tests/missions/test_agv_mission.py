@@ -132,7 +132,7 @@ def test_robot_without_a_way_says_why_and_requests_nothing():
     verdict, run = driven(blocked, incidents="kinect fails in c1")
     assert not verdict.success
     assert "cannot be crossed" in verdict.reason
-    assert Counter(one.result for one in run.kb.action_history) == {"abandoned": 1}
+    assert Counter(one.result for one in run.kb.history.actions) == {"abandoned": 1}
 
 
 def test_battery_that_cannot_last_is_no_reason_to_set_out():
@@ -148,15 +148,15 @@ def test_generated_building_is_driven_through_as_planned():
     planned = JointPlanner(building, KnowledgeBase(agv_model(), clock=lambda: 0.0)).plan(Question(weights=WEIGHTS))
     run = rosa_run(mission, "bt", mission.world.open({"incidents": ""}, numpy.random.default_rng(0)))
     assert run.run().outcome == "arrived"
-    assert [one.action for one in run.kb.action_history] == [f"cross_{leg.corridor}" for leg in planned.legs]
-    assert {one.result for one in run.kb.action_history} == {"completed"}
+    assert [one.action for one in run.kb.history.actions] == [f"cross_{leg.corridor}" for leg in planned.legs]
+    assert {one.result for one in run.kb.history.actions} == {"completed"}
     assert run.world.results()["collisions"] == 0
     assert run.world.now == pytest.approx(planned.takes.time_s, rel=0.25)
 
 
 def test_dark_corridor_is_entered_with_the_lamp_on():
     _, run = driven(straight(light=0.1))
-    assert run.kb.action_history[0].result == "completed"
+    assert run.kb.history.actions[0].result == "completed"
     designs = [one.name for one in run.kb.designs.values() if one.status.value != "unfeasible"]
     assert "aruco_camera_lamp" in designs
 

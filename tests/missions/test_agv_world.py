@@ -170,4 +170,4 @@ def test_energy_is_known_before_the_first_plan_so_nobody_sets_out_in_vain():
     run = rosa_run(mission, "bt", world, RunSettings(duration_s=5.0))
     assert "energy would be" in run.run().reason
     assert world.results()["driven_m"] < 0.01
-    assert run.kb.action_history == ()
+    assert run.kb.history.actions == ()

@@ -66,7 +66,7 @@ def test_mocked_action_is_requested_while_it_runs_and_released_with_its_result(s
     ticked(root, len(script))
     rounds = [part for part in script.replace("S", "S ").replace("F", "F ").split(" ") if part]
     results = {"S": "completed", "F": "failed", "R": "abandoned"}
-    assert [one.result for one in kb.action_history] == [results[part[-1]] for part in rounds]
+    assert [one.result for one in kb.history.actions] == [results[part[-1]] for part in rounds]
     assert not kb.required_actions
 
 
@@ -80,7 +80,7 @@ def test_mock_stands_in_for_a_leaf_of_an_xml_tree(kb):
     charge = mock_leaf(root, "charge", "S")
     assert ticked(root, 2) == [Status.RUNNING, Status.SUCCESS]
     assert (mock.ticks, charge.ticks) == (2, 1)
-    assert [(one.action, one.result) for one in kb.action_history] == [("explore", "failed"), ("charge", "completed")]
+    assert [(one.action, one.result) for one in kb.history.actions] == [("explore", "failed"), ("charge", "completed")]
 
 
 def test_condition_can_be_mocked_as_well(kb):

@@ -89,7 +89,7 @@ def test_replay_of_a_live_run_decides_the_same_at_the_same_times(task, tmp_path)
     live = [(one.at_s, one.kind, one.change, one.reason, one.reaction_s) for one in run.adaptations]
     assert len(live) >= 6
     assert [(one.at_s, one.kind, one.change, one.reason, one.reaction_s) for one in decisions.adaptations] == live
-    begun = [(one.action, one.start) for one in run.kb.action_history]
+    begun = [(one.action, one.start) for one in run.kb.history.actions]
     assert [(name, start) for name, start, _, _ in decisions.actions] == begun
 
 

@@ -146,8 +146,8 @@ def test_contract_of_every_mission(name, task):
     """Whatever mission is in the registry: it ends, leaves nothing open, and its model knows what it speaks of."""
     run, verdict, data = run_mission(name, task, seed=4, duration_s=40)
     assert run.kb.required_actions == ()
-    assert all(one.result is not None for one in run.kb.action_history)
-    assert len(run.kb.action_history) > 0
+    assert all(one.result is not None for one in run.kb.history.actions)
+    assert len(run.kb.history.actions) > 0
     assert verdict.outcome in ("inspected_all", "time_limit", "not_found", "aborted")
     assert data["duration_s"] == 40
     assert {step.action for plan in run.plans for step in plan.steps} <= {None, *run.kb.actions}

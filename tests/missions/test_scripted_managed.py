@@ -126,7 +126,7 @@ def test_manager_gets_along_with_a_slow_and_failing_system():
         clock.advance(0.1)
     assert managed.active == {"camera"}
     assert managed.parameters("camera") == {"exposure_s": 0.2}
-    assert [attempt.result for attempt in kb.attempts if attempt.operation == "activate"] == [
+    assert [attempt.result for attempt in kb.history.attempts if attempt.operation == "activate"] == [
         *("failed", "failed", "completed")
     ]
 

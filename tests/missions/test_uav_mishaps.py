@@ -112,7 +112,7 @@ def test_gripper_that_fails_while_it_is_still_being_started_unfolds_and_is_folde
     assert witness.breaches == []
     assert witness.looked > 0
     assert verdict.success
-    order = [one.action for one in run.kb.action_history][1:]
+    order = [one.action for one in run.kb.history.actions][1:]
     if witness.unfolded:
         assert order == ["pick_up_and_analyse", "land_and_fold_gripper", "analyse_on_site"]
     else:

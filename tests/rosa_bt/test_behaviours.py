@@ -51,7 +51,7 @@ def kb():
 
 
 def results(kb):
-    return [(one.action, one.result) for one in kb.action_history]
+    return [(one.action, one.result) for one in kb.history.actions]
 
 
 def test_condition_follows_feasibility_and_gives_the_reason(kb):
@@ -125,7 +125,7 @@ def test_refused_request_is_a_failure_with_the_reason_and_calls_nothing_of_the_s
     assert "light 0.1 violates >= 0.5" in action.feedback_message
     assert "initialise" not in action.calls
     assert "update" not in action.calls
-    assert kb.action_history == ()
+    assert kb.history.actions == ()
 
 
 def test_shutdown_of_the_tree_abandons_what_is_running(kb):
@@ -134,7 +134,7 @@ def test_shutdown_of_the_tree_abandons_what_is_running(kb):
     runner.shutdown()
     assert results(kb) == [("scan", "abandoned")]
     runner.shutdown()
-    assert len(kb.action_history) == 1
+    assert len(kb.history.actions) == 1
 
 
 def test_request_outlives_a_switch_between_two_behaviours_of_one_action(kb):

@@ -204,7 +204,7 @@ def test_no_request_is_open_or_released_twice_and_nothing_runs_whatever_happened
         assert {one.action for one in kb.required_actions} == held
     runner.shutdown()
     assert kb.required_actions == ()
-    assert len(released) == len(kb.action_history)
+    assert len(released) == len(kb.history.actions)
     assert len(visitor.trace.ticks) == len(happenings)
     left = [*runner.tree.root.iterate(), *(node for subtree in taken_out for node in subtree.iterate())]
     assert all(node.status is not Status.RUNNING for node in left)

@@ -93,7 +93,7 @@ def required(kb):
 
 
 def history(kb):
-    return [(one.action, one.result) for one in kb.action_history]
+    return [(one.action, one.result) for one in kb.history.actions]
 
 
 # ---------------------------------------------------------------- any behaviour under an action
@@ -119,7 +119,7 @@ def test_unmodified_behaviour_is_stopped_with_the_reason_when_its_action_becomes
     assert root.feedback_message == "search is unfeasible because light 0 violates >= 0.1 (measured 0.0 s ago)"
     assert history(kb) == [("search", "abandoned")]
     root.stop(Status.INVALID)
-    assert len(kb.action_history) == 1
+    assert len(kb.history.actions) == 1
 
 
 # ---------------------------------------------------------------- conditions

@@ -8,9 +8,9 @@ depends only on whether that is possible at all, so a status that stays on one s
 from collections.abc import Iterable
 from typing import Final, NamedTuple
 
-from kb.elements import Attribute, Component, Constraint, Function, StalePolicy
-from kb.inference.network import LEVELS, Network, Node
-from kb.inference.state import Overlay, State
+from kb.elements import Attribute, Component, Constraint, Element, Function, StalePolicy
+from kb.network import LEVELS, Network, Node
+from kb.state import State
 from kb.status import (
     Status,
     action_status,
@@ -21,7 +21,7 @@ from kb.status import (
     function_status,
 )
 
-__all__ = ["Change", "Network", "Node", "Overlay", "State", "infer", "initial_state", "is_adaptable", "serve", "settle"]
+__all__ = ["Change", "grow", "infer", "initial_state", "is_adaptable", "propagate", "shrink"]
 
 Agenda = list[dict[Node, None]]
 
@@ -43,11 +43,11 @@ def initial_state(network: Network) -> State:
     Every element is feasible then (a constraint not evaluated) but for functions without designs and what needs them.
     """
     state = State(network)
-    settle(state, [node for node in network.functions.values() if not node.parts])
+    propagate(state, [node for node in network.functions.values() if not node.parts])
     return state
 
 
-def settle(state: State, touched: Iterable[Node]) -> list[Change]:
+def propagate(state: State, touched: Iterable[Node]) -> list[Change]:
     """Infer again whatever depends on the touched nodes, whose facts have changed.
 
     Returns:
@@ -122,10 +122,10 @@ def _require(state: State, node: Node) -> None:
     state.required[node.index] = required
     if node.kind == "function":
         for design in node.parts:
-            serve(state, design, required)
+            _serve(state, design, required)
 
 
-def serve(state: State, design: Node, required: bool) -> None:
+def _serve(state: State, design: Node, required: bool) -> None:
     """Count a design of a function that has become required among those that its components serve, or no longer."""
     state.obsolete.mark(design, state.selected[design.index] and not required)
     for component in design.parts:
@@ -192,3 +192,33 @@ def _compared(state: State, node: Node, constraint: Constraint, attribute: Node)
         return verdict or constraint_status(state.value[attribute.index], constraint.operator, constraint.value)
     assert isinstance(attribute.element, Attribute)
     return Status.VIOLATED if attribute.element.when_stale is StalePolicy.VIOLATED else Status.NOT_EVALUATED
+
+
+def grow(state: State, added: Iterable[Element | Constraint]) -> list[Node]:
+    """Add elements to a state and its network; returns the nodes from which to infer again."""
+    nodes = [state.network.add(element) for element in added]
+    state.grow()
+    for node in nodes:
+        if node.kind == "function design" and state.required[node.wholes[0].index]:
+            _serve(state, node, True)
+    return [*nodes, *(whole for node in nodes for whole in node.wholes)]
+
+
+def shrink(state: State, removed: Iterable[Element | Constraint]) -> list[Node]:
+    """Take elements out of a state and its network, with all that is known of them; returns as `grow` does."""
+    nodes = [state.network.find(element) for element in removed]
+    for node in nodes:
+        for facts in (state.requested, state.asserted_required, state.selected, state.active, state.failed):
+            facts[node.index] = False
+        state.asserted[node.index] = None
+        for column in ("active", "asserted", "failed", "selected", "unselected"):
+            state.give_reason(column, node)
+    propagate(state, nodes)
+    touched: dict[Node, None] = {}
+    for node in nodes:
+        if node.kind == "function design" and state.required[node.wholes[0].index]:
+            _serve(state, node, False)
+        for marked in (state.adaptable, state.obsolete, state.lacking):
+            marked.mark(node, False)
+        touched.update(dict.fromkeys(state.network.remove(node)))
+    return [node for node in touched if node not in nodes]

@@ -2,7 +2,7 @@
 
 import math
 from bisect import bisect_right, insort
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from operator import itemgetter
 from typing import Any, Final
 
@@ -20,9 +20,10 @@ from kb.elements import (
 )
 from kb.exceptions import UnknownName
 
-__all__ = ["LEVELS", "Network", "Node", "Thresholds", "is_steady"]
+__all__ = ["LEVELS", "Network", "Node", "Ref", "Thresholds", "is_steady"]
 
 Ref = tuple[str, str] | tuple[str, str, int]
+"""What stands for a node in plain data: (kind, name), or (kind, name, position) of a constraint by what it is on."""
 
 LEVELS: Final = {
     "constraint": 0,
@@ -64,8 +65,8 @@ class Node:
         return self.element.name if isinstance(self.element, Element) else str(self.element)
 
     @property
-    def ref(self) -> "Ref":
-        """What it is, as plain values: (kind, name), or (kind, name, position) of a constraint by what it is on."""
+    def ref(self) -> Ref:
+        """What stands for it in plain data."""
         if isinstance(self.element, Element):
             return self.kind, self.element.name
         owner = self.wholes[0]
@@ -118,7 +119,7 @@ _FIRST = itemgetter(0)
 
 
 def is_steady(node: Node) -> bool:
-    """Tell whether what a constraint is depends on earlier measurements too; see `kb.inference.steadiness`."""
+    """Tell whether what a constraint is depends on earlier measurements too; see `kb.measurements`."""
     constraint, attribute = node.element, node.parts[0].element
     assert isinstance(constraint, Constraint)
     assert isinstance(attribute, Attribute)
@@ -159,6 +160,14 @@ class Network:
             Function: self.functions,
             FunctionDesign: self.designs,
         }
+        self._kinds: Mapping[str, Mapping[str, Node]] = {
+            "action": self.actions,
+            "function": self.functions,
+            "component": self.components,
+            "function design": self.designs,
+            "configuration": self.configurations,
+            "attribute": self.attributes,
+        }
         for elements in (
             model.attributes.values(),
             model.components.values(),
@@ -183,6 +192,34 @@ class Network:
             name = str(element) if isinstance(element, Constraint) else element.name
             raise UnknownName(KINDS[type(element)], name, [str(one) for one in table])
         return node
+
+    def of_kind(self, kind: str) -> Mapping[str, Node]:
+        """Return the nodes of a kind of elements that have names, by name.
+
+        Raises:
+            UnknownName: there is no such kind.
+        """
+        table = self._kinds.get(kind)
+        if table is None:
+            raise UnknownName("kind of element", kind, self._kinds)
+        return table
+
+    def referred(self, ref: Ref) -> Node:
+        """Return the node that a `Ref` stands for.
+
+        Raises:
+            UnknownName: it is not in the model, or no longer.
+        """
+        kind, name, *position = ref
+        table = self.of_kind(kind)
+        if name not in table:
+            raise UnknownName(kind, name, table)
+        if not position:
+            return table[name]
+        constraints = table[name].constraints
+        if position[0] >= len(constraints):
+            raise UnknownName(f"constraint on {kind} {name!r}", position[0], map(str, range(len(constraints))))
+        return constraints[position[0]]
 
     def add(self, element: Element | Constraint) -> Node:
         """Add the node of an element whose parts are there already."""

@@ -1,0 +1,112 @@
+"""Amendments of a model as they are written in events, and how a model is amended again as it was before."""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import MISSING, fields
+from typing import Any, NamedTuple
+
+from kb.contents import tables_of
+from kb.declaring import Declarer
+from kb.elements import Changeable, Constraint, Estimation
+from kb.individuals import Serials, element_id, from_json, individual, individuals, plain_json
+from kb.model import Model
+
+__all__ = ["Amendment", "amend", "amended_alike", "amendment", "differences"]
+
+
+class Amendment(NamedTuple):
+    """A change of a model.
+
+    Attributes:
+        how: "declared", "changed" or "removed".
+        written: the elements, as `plain_json` writes them; of those removed the id of the first, with which the others
+            went.
+    """
+
+    how: str
+    written: Any
+
+
+def amendment(how: str, changed: Sequence[Changeable], serials: Serials) -> Amendment:
+    """Write an amendment."""
+    if how == "removed":
+        return Amendment(how, element_id(changed[0], serials))
+    return Amendment(how, plain_json(made for one in changed for made in individual(one, serials)))
+
+
+def amend(model: Model, serials: Serials, how: str, written: Any) -> None:  # noqa: ANN401  # what JSON holds
+    """Change a model as it was changed before; see `Amendment`."""
+    known = {element_id(one, serials): one for one in _everything(model)}
+    if how == "removed":
+        model.remove(known[written])
+        return
+    given = from_json(written)
+    declarer = Declarer(model, known)
+    if how == "declared":
+        declarer.declare(given)
+        for one in given:
+            if isinstance(made := declarer.known.get(one.id), Constraint | Estimation):
+                serials.give(made, int(one.id.rpartition(".")[2]))
+        return
+    declarer.nested = {one.id: one for one in given}
+    element = known[given[-1].id]
+    values = declarer.values(type(element), given[-1])
+    unsaid = {one.name: one.default for one in fields(element) if one.default is not MISSING and one.name != "kind"}
+    fresh = {**unsaid, **values}
+    model.change(
+        element, **{name: value for name, value in fresh.items() if _plain(value) != _plain(getattr(element, name))}
+    )
+
+
+def amended_alike(declared: Sequence[Any], amendments: Iterable[Amendment], model: Model) -> Serials | None:
+    """Return the numbers for a model that is amended already as one that was declared; None if it is not.
+
+    Args:
+        declared: the other model as it was at first, as `plain_json` writes it.
+        amendments: of that one, in order.
+        model: as it is now.
+    """
+    then = Model(model.name)
+    Declarer(then).declare(from_json(declared))
+    numbers = Serials(then)
+    for one in amendments:
+        amend(then, numbers, *one)
+    if plain_json(individuals(then)) != plain_json(individuals(model)):
+        return None
+    serials = Serials(Model(model.name))
+    for before, now in zip(then.constraints, model.constraints, strict=True):
+        serials.give(now, numbers.of(before))
+    for was, given in zip(then.estimations, model.estimations, strict=True):
+        serials.give(given, numbers.of(was))
+    return serials
+
+
+def differences(stored: Iterable[Any], given: Iterable[Any]) -> Iterator[str]:
+    """Say how a model differs from another one, both as `plain_json` writes them."""
+    before = {own: (kind, values) for kind, own, values in stored}
+    now = {own: (kind, values) for kind, own, values in given}
+    for own in {**before, **now}:
+        if own not in now:
+            yield f"{own} is in the store only"
+        elif own not in before:
+            yield f"{own} is not in the store"
+        elif before[own] != now[own]:
+            (was, old), (kind, new) = before[own], now[own]
+            names = [name for name in {**old, **new} if old.get(name) != new.get(name)]
+            words = [f"{name} {_shown(new.get(name))}, in the store {_shown(old.get(name))}" for name in names]
+            yield f"{own} has {', '.join(words)}" if words else f"{own} is a {kind}, in the store a {was}"
+
+
+def _everything(model: Model) -> Iterator[Changeable]:
+    for table in tables_of(model).values():
+        yield from table.values()
+    yield from model.constraints
+    yield from model.estimations
+
+
+def _plain(value: object) -> object:
+    return repr(dict(value)) if isinstance(value, Mapping) else value
+
+
+def _shown(values: Sequence[Any] | None) -> str:
+    shown = [one["ref"] if isinstance(one, dict) else repr(one) for one in values or ()]
+    return " and ".join(shown) or "none"

@@ -1,0 +1,598 @@
+"""What is known: the fold of the events of a log, each put in place as a whole or not at all.
+
+What an event makes of facts and statuses is computed on a layer over the state; then it is in, and the layer is put
+in place. Whatever interrupts that, whoever comes next puts it in place again, which may be done any number of times.
+"""
+
+from base64 import b64decode, b64encode
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager
+from functools import partial
+from types import MappingProxyType
+from typing import Any, Final, NamedTuple
+
+from kb.amendments import amendment
+from kb.contents import Contents
+from kb.elements import Action, Attribute, Changeable, Component, Element, Estimation
+from kb.events import Event, StatusChange
+from kb.explanation.choice import note_nothing
+from kb.explanation.reasons import shortest, why_selected
+from kb.facts import ActiveFact, Fact, MeasurementFact, RequiredActionFact, RequiredFact, SelectedFact, StatusFact
+from kb.individuals import Serials
+from kb.inference import Change, grow, initial_state, propagate, shrink
+from kb.log import Log
+from kb.measurements import Judged, Measurements
+from kb.network import Network, Node, Ref, is_steady
+from kb.reconfiguration import planned, reselect
+from kb.records import Attempt, Process, ReconfigurationPlan, Records, RequiredAction, VetoAnswer, finish
+from kb.state import FACTS, History, Overlay, Reason
+from kb.status import Status
+
+__all__ = ["Knowledge"]
+
+
+def _nobody() -> None:
+    """Nobody listens."""
+
+
+Put = Callable[[], None]
+
+_ENDED: Final = 4
+"""How many requests that have ended a plan names as its reason at most."""
+
+_STATUSES: Final = ("asserted", "verdict")
+
+
+class Outcome(NamedTuple):
+    """What an event makes of what is known, before it is put in place.
+
+    Attributes:
+        touched: the nodes whose facts it changes in the layer, from which to infer.
+        puts: what else is to be put in place; each may be called again.
+        changes: the statuses that have changed already.
+        effects: see `Event`.
+        plan: see `Event`.
+        words: the event in words.
+        matters: whether it can matter to a planner; None if only changed statuses do.
+    """
+
+    touched: Sequence[Node] = ()
+    puts: Sequence[Put] = ()
+    changes: Sequence[Change] = ()
+    effects: tuple[tuple[str, str, bool], ...] = ()
+    plan: ReconfigurationPlan | None = None
+    words: str = ""
+    matters: bool | None = True
+
+
+class _Pending(NamedTuple):
+    event: Event
+    puts: Sequence[Put]
+    is_laid: bool
+    matters: bool
+    changed: Sequence[Node]
+
+
+class Knowledge:
+    """Facts, what follows from them, and what is on record.
+
+    Args:
+        model: what is spoken of; `model_grew` and its like have to be called when it changes.
+        clock: gives the time [s] of such a change.
+        lock: to be held by whoever calls anything here; held for such a change.
+
+    Attributes:
+        network: what depends on what.
+        serials: the numbers of what has no name.
+        state: facts and statuses.
+        measurements: what is remembered of them beside the latest.
+        records: what was requested, planned, started and tried.
+        log: the events.
+        revision: number of the last event that can matter to a planner.
+        changed_by: number of the event that last changed the status of a node, by index.
+        feasibility: number of the event that last made an action feasible or unfeasible.
+        in_words: whether measurements are put in words, too.
+        heard: called after a change of the model, without the lock.
+    """
+
+    def __init__(self, model: Contents, clock: Callable[[], float], lock: AbstractContextManager[object]) -> None:
+        self.model = model
+        self.network = network = Network(model)
+        self.serials = Serials(model)
+        self.log = Log()
+        self.state = initial_state(network)
+        self.measurements = Measurements(self.state)
+        self.records = Records()
+        self.revision = 0
+        self.changed_by: dict[int, int] = {}
+        self.feasibility: int | None = None
+        self.in_words = False
+        self.heard: Callable[[], None] = _nobody
+        self._clock, self._lock = clock, lock
+        self._layer = Overlay(self.state)
+        self._pending: _Pending | None = None
+
+    @property
+    def now(self) -> float:
+        """The time by the clock [s]."""
+        return self._clock()
+
+    # ---------------------------------------------------------------- putting in place
+
+    def apply(self, time: float, verb: str, arguments: tuple[Any, ...], cause: int | None = None) -> Event | None:
+        """Make an event of what is said, and put it in place; None if it would change nothing.
+
+        Args:
+            time: when [s].
+            verb: of the event.
+            arguments: of the event, checked.
+            cause: of the event.
+        """
+        self.finish()
+        self._layer.clear()
+        event = Event(self.log.last + 1, time, verb, arguments, (), cause)
+        outcome: Outcome | None = getattr(self, f"_{verb}")(event, *arguments)
+        return None if outcome is None else self._put(event, outcome)
+
+    def measure(self, node: Node, value: float, time: float) -> Event:
+        """Make an event of a measurement; the quickest of all, for it is the most frequent."""
+        if self._pending is not None:
+            self.finish()
+        index, state, measurements = node.index, self.state, self.measurements
+        before, was_stale = state.value[index], state.stale[index]
+        thresholds = self.network.thresholds(node)
+        recent = measurements.with_latest(node, value)
+        count = len(measurements.history(node))
+        event = Event(self.log.last + 1, time, "measure", (node.name, value))
+        put = partial(measurements.put, node, value, time, count, recent)
+        touched: Sequence[Node] = ()
+        if before is None or was_stale:
+            touched = node.constraints
+        elif value != before:
+            touched = thresholds.crossed(before, value)
+        words = f"{node.name} is {shortest(value, thresholds.around(value))}" if self.in_words else ""
+        if not touched and not thresholds.steady:
+            return self._put(event, Outcome(puts=(put,), words=words, matters=None))
+        self._layer.clear()
+        layer = self._layer
+        layer.value[index], layer.time[index], layer.stale[index] = value, time, False
+        judged = [measurements.judge(one, value, recent, state.verdict[one.index], time) for one in thresholds.steady]
+        touched = [*self._judged(judged), *touched]
+        puts = (put, partial(measurements.put_judged, judged, time))
+        return self._put(event, Outcome(touched, puts, words=words, matters=None))
+
+    def advance(self, now: float) -> None:
+        """Make events of what time has done until now, each at its own instant."""
+        while (due := self.measurements.alarms.due(now)) is not None:
+            time, key = due
+            node = self.network.nodes[key if key >= 0 else ~key]
+            if key < 0:
+                until = self.state.reason("asserted", node).until
+                if until is not None and until <= time:
+                    self.apply(until, "lapse", (node.ref, str(self.state.asserted[node.index])))
+                self.measurements.alarms.clear(key)
+            elif node.kind == "attribute":
+                self.apply(time, "stale", (node.name,))
+            else:
+                self.apply(time, "dwell", (node.ref,))
+
+    def finish(self) -> None:
+        """Put in place what was interrupted."""
+        pending = self._pending
+        if pending is None:
+            return
+        event = pending.event
+        if pending.is_laid:
+            self._layer.put_in_place()
+            self.state.visited += self._layer.visited
+            self._layer.visited = 0
+        for put in pending.puts:
+            put()
+        if event.changes:
+            for node in pending.changed:
+                self.changed_by[node.index] = event.number
+            if any(one.kind == "action" and Status.UNFEASIBLE in (one.old, one.new) for one in event.changes):
+                self.feasibility = event.number
+        if pending.is_laid:
+            self.state.version = event.number
+        if pending.matters:
+            self.revision = event.number
+        self.log.append(event)
+        self._pending = None
+
+    def _put(self, event: Event, outcome: Outcome) -> Event:
+        touched, puts, changes, effects, plan, words, matters = outcome
+        if touched:
+            changes = [*changes, *propagate(self._layer, touched)]
+        if changes or effects or plan is not None or words:
+            named = tuple(StatusChange(node.kind, node.name, old, new) for node, old, new in changes)
+            event = event._replace(changes=named, effects=effects, plan=plan, words=words)
+        is_laid = event.verb != "measure" or bool(touched)
+        changed = [node for node, _, _ in changes]
+        matters = bool(changes) if matters is None else matters
+        self._pending = _Pending(event, puts, is_laid, matters, changed)
+        self.finish()
+        return event
+
+    def _judged(self, judged: Iterable[Judged]) -> list[Node]:
+        """Enter the verdicts of debounced constraints in the layer; returns those that are not what they were."""
+        changed = [(node, after) for node, after, _ in judged if after is not None]
+        for node, after in changed:
+            self._layer.verdict[node.index] = after
+        return [node for node, _ in changed]
+
+    # ---------------------------------------------------------------- what time does
+
+    def _stale(self, event: Event, name: str) -> Outcome:
+        node = self.network.attributes[name]
+        self._layer.stale[node.index] = True
+        element, measured = node.element, self.state.time[node.index]
+        assert isinstance(element, Attribute)
+        age = 0.0 if measured is None else event.time - measured
+        words = f"{name} is stale: measured {age:.1f} s ago, at most {element.max_age:g} s"
+        put = partial(self.measurements.put_stale, node)
+        return Outcome(node.constraints, (put,), words=words, matters=None)
+
+    def _dwell(self, event: Event, ref: Ref) -> Outcome | None:
+        node = self.network.referred(ref)
+        attribute = node.parts[0].index
+        value, recent = self.state.value[attribute], self.measurements.recent.get(attribute, ())
+        judged = self.measurements.judge(node, value, recent, self.state.verdict[node.index], event.time)
+        touched = self._judged([judged])
+        if not touched:
+            self.measurements.put_judged([judged], event.time)
+            return None
+        put = partial(self.measurements.put_judged, [judged], event.time)
+        return Outcome(touched, (put,), words=f"{node.name} is {judged.verdict}, after its dwell", matters=None)
+
+    def _lapse(self, _: Event, ref: Ref, status: str) -> Outcome:
+        node = self.network.referred(ref)
+        words = f"{node.name} is no longer asserted {status}: its time is over"
+        return self._asserted(node, None, "", None, words)
+
+    # ---------------------------------------------------------------- what is so
+
+    def _component_failed(self, _: Event, name: str, reason: str) -> Outcome:
+        node = self.network.components[name]
+        self._layer.failed[node.index] = True
+        self._layer.give_reason("failed", node, reason)
+        return Outcome([node], words=f"{name} has failed{Reason(reason)}")
+
+    def _component_recovered(self, _: Event, name: str) -> Outcome:
+        node, layer = self.network.components[name], self._layer
+        if layer.asserted[node.index] is Status.FAILURE:
+            layer.asserted[node.index] = None
+            layer.give_reason("asserted", node)
+        layer.failed[node.index] = False
+        layer.give_reason("failed", node)
+        return Outcome([node], words=f"{name} is recovered")
+
+    def _component_active(self, _: Event, name: str, active: bool, reason: str) -> Outcome:
+        node = self.network.components[name]
+        self._layer.active[node.index] = active
+        self._layer.give_reason("active", node, "" if active else reason)
+        return Outcome([node], words=f"{name} is {'active' if active else f'inactive{Reason(reason)}'}")
+
+    def _assert_status(self, _: Event, ref: Ref, status: str, reason: str, until: float | None) -> Outcome:
+        node = self.network.referred(ref)
+        words = f"{node.name} is asserted {status}{Reason(reason, until)}"
+        return self._asserted(node, Status(status), reason, until, words)
+
+    def _retract_status(self, _: Event, ref: Ref) -> Outcome:
+        node = self.network.referred(ref)
+        return self._asserted(node, None, "", None, f"{node.name} is no longer asserted")
+
+    def _asserted(self, node: Node, status: Status | None, reason: str, until: float | None, words: str) -> Outcome:
+        self._layer.asserted[node.index] = status
+        self._layer.give_reason("asserted", node, reason, until)
+        alarms, key = self.measurements.alarms, ~node.index
+        put = partial(alarms.clear, key) if until is None else partial(alarms.set, key, until)
+        return Outcome([node], (put,), words=words)
+
+    def _assert_required(self, _: Event, ref: Ref, required: bool | None) -> Outcome:
+        node = self.network.referred(ref)
+        self._layer.asserted_required[node.index] = bool(required)
+        return Outcome([node], words=f"{node.name} is {'' if required else 'no longer '}asserted required")
+
+    def _assert_selected(self, _: Event, ref: Ref, selected: bool | None, reason: str) -> Outcome:
+        node, layer = self.network.referred(ref), self._layer
+        layer.selected[node.index] = is_selected = bool(selected)
+        layer.give_reason("selected", node, reason if is_selected else "")
+        whole = node.wholes[0]
+        is_without = not any(layer.selected[part.index] for part in whole.parts)
+        layer.give_reason("unselected", whole, reason if is_without else "")
+        return Outcome([node], words=f"{node.name} is {'' if is_selected else 'not '}selected{Reason(reason)}")
+
+    def _note_no_choice(self, _: Event, reason: str) -> Outcome:
+        note_nothing(self._layer, reason)
+        words = f"nothing can be selected because {reason}" if reason else "something can be selected again"
+        return Outcome(words=words, matters=False)
+
+    # ---------------------------------------------------------------- requests and plans
+
+    def _request_action(self, event: Event, name: str, preference: str | Mapping[str, float] | None) -> Outcome:
+        node = self.network.actions[name]
+        self._layer.requested[node.index] = True
+        weights = MappingProxyType(dict(preference)) if isinstance(preference, Mapping) else preference
+        record = RequiredAction(name, weights, event.time, cause=event.cause, number=event.number)
+        return Outcome([node], (partial(self.records.request, record),), words=f"{name} is requested")
+
+    def _cancel_action(self, event: Event, name: str, result: str, reason: str) -> Outcome:
+        node, record = self.network.actions[name], self.records.required[name]
+        self._layer.requested[node.index] = False
+        words = f"{name} is {result}: {reason}" if reason else f"{name} is {result}"
+        ended = (*self.records.ended, words)[-_ENDED:] if reason else self.records.ended
+        put = partial(
+            self.records.end_request, record, ended, event.number, result=result, end=event.time, reason=reason
+        )
+        return Outcome([node], (put,), words=words)
+
+    def _select(
+        self,
+        event: Event,
+        designs: Mapping[str, str],
+        configurations: Mapping[str, str],
+        reason: str,
+    ) -> Outcome | None:
+        layer, network = self._layer, self.network
+        chosen = [network.designs[name] for name in designs.values()]
+        given = [network.configurations[name] for name in configurations.values()]
+        ended = self.records.ended
+        selection = reselect(layer, chosen, given)
+        for node in dict.fromkeys([*selection.reselected, *chosen, *given]):
+            layer.give_reason("selected", node, reason if layer.selected[node.index] else "")
+            layer.give_reason("unselected", node.wholes[0])
+        changed = [
+            node for node in selection.reselected if layer.selected[node.index] != self.state.selected[node.index]
+        ]
+        effects = tuple((node.kind, node.name, layer.selected[node.index]) for node in dict.fromkeys(changed))
+        if selection:
+            why = why_selected(self.state, [*chosen, *given], event.time, reason, ended)
+            plan = planned(self.state, selection, why, event.time, event.cause, len(self.records.plans) + 1)
+            put = partial(self.records.plan, plan)
+            return Outcome((), (put,), selection.changes, effects, plan, str(plan), matters=False)
+        if not effects and not self._has_new_reasons():
+            return None
+        words = ", ".join(f"{name} is {'' if is_so else 'not '}selected" for _, name, is_so in effects)
+        return Outcome((), (), selection.changes, effects, None, words, matters=bool(effects))
+
+    def _has_new_reasons(self) -> bool:
+        known = self.state.reasons
+        return any(reason != known.get(key, Reason()) for key, reason in self._layer.reasons.items())
+
+    def _finish_plan(self, event: Event, number: int, result: str) -> Outcome:
+        plan = self.records.plans[number]
+        put = partial(self.records.end_plan, plan, result, event.time)
+        return Outcome(puts=(put,), words=f"{plan} is {result}", matters=result != "failed")
+
+    # ---------------------------------------------------------------- records
+
+    def _component_configured(self, _: Event, name: str, parameters: Mapping[str, Any]) -> Outcome:
+        put = partial(self.state.parameters.__setitem__, name, MappingProxyType(dict(parameters)))
+        return Outcome(puts=(put,), matters=False)
+
+    def _component_started(self, event: Event, name: str, pid: int) -> Outcome:
+        process = Process(name, pid, event.time, number=event.number)
+        put = partial(self.records.processes.__setitem__, event.number, process)
+        return Outcome(puts=(put,), words=f"{name} runs as process {pid}", matters=False)
+
+    def _component_ended(self, event: Event, name: str, pid: int | None) -> Outcome | None:
+        ended = [
+            one
+            for one in self.records.processes.values()
+            if one.component == name and one.end is None and pid in (None, one.pid)
+        ]
+        puts = [partial(finish, one, end=event.time) for one in ended]
+        words = f"{name} no longer runs as process {', '.join(str(one.pid) for one in ended)}"
+        return Outcome(puts=puts, words=words, matters=False) if ended else None
+
+    def _record_attempt(
+        self,
+        event: Event,
+        plan: int,
+        component: str,
+        operation: str,
+        configuration: str | None,
+        parameters: Mapping[str, Any],
+        number: int,
+        /,
+    ) -> Outcome:
+        serial = next(reversed(self.records.attempts), 0) + 1
+        made = self.records.plans[plan]
+        given = MappingProxyType(dict(parameters))
+        attempt = Attempt(made, component, operation, configuration, given, number, event.time, serial=serial)
+        return Outcome(puts=(partial(self.records.attempt, attempt),), words=str(attempt), matters=False)
+
+    def _finish_attempt(self, event: Event, serial: int, result: str, reason: str) -> Outcome:
+        attempt = self.records.attempts[serial]
+        put = partial(finish, attempt, result=result, reason=reason, end=event.time)
+        told = f"{attempt.operation} {attempt.component}, attempt {attempt.number}: {result}"
+        return Outcome(puts=(put,), words=f"{told}: {reason}" if reason else told, matters=False)
+
+    def _record_answer(self, event: Event, plan: int, is_vetoed: bool, reason: str) -> Outcome:
+        answer = VetoAnswer(self.records.plans[plan], event.time, is_vetoed, reason)
+        words = f"{answer.plan} {'is vetoed' if is_vetoed else 'may be executed'}{Reason(reason)}"
+        return Outcome(puts=(partial(self.records.answer, event.number, answer),), words=words, matters=False)
+
+    def _store(self, _: Event, text: str) -> Outcome:
+        return Outcome(words=text, matters=False)
+
+    # ---------------------------------------------------------------- the model
+
+    def begin(self, facts: Sequence[Fact], now: float) -> None:
+        """Begin with what a model states, which is one event."""
+        for position, fact in enumerate(facts):
+            self._begin_with(fact, -position - 1, now)
+        self.log = Log()
+        self.log.append(Event(1, now, "begin", (), words="begins with what the model states"))
+        self.changed_by.clear()
+        self.feasibility, self.revision, self.state.version = None, 1, 1
+
+    def _begin_with(self, fact: Fact, number: int, now: float) -> None:
+        if isinstance(fact, MeasurementFact):
+            node, time = self.network.attributes[fact.attribute], now if fact.time is None else fact.time
+            if fact.latest:
+                self.measure(node, fact.value, time)
+            else:
+                self.measurements.history(node).add(time, fact.value)
+        elif isinstance(fact, StatusFact):
+            self.apply(now, "assert_status", (self.network.find(fact.element).ref, str(fact.status), "", None))
+        elif isinstance(fact, RequiredFact):
+            self.apply(now, "assert_required", (self.network.find(fact.element).ref, True))
+        elif isinstance(fact, SelectedFact):
+            self.apply(now, "assert_selected", (self.network.find(fact.element).ref, True, ""))
+        elif isinstance(fact, ActiveFact):
+            self.apply(now, "component_active", (fact.component, True, ""))
+        elif isinstance(fact, RequiredActionFact):
+            self.records.begin_request(fact, number, now)
+            if fact.action in self.records.required:
+                node = self.network.actions[fact.action]
+                self.state.requested[node.index] = True
+                propagate(self.state, [node])
+        else:
+            self.records.begin(fact, number, now)
+
+    def model_grew(self, added: Iterable[Changeable]) -> None:
+        """Take in what was added to the model; the model calls this."""
+        added = tuple(added)
+        with self._lock:
+            touched = grow(self.state, [one for one in added if not isinstance(one, Estimation)])
+            for node in touched:
+                if node.kind == "constraint" and is_steady(node):
+                    self.measurements.renew(node, self._clock())
+            self._amended("declared", added, touched)
+        self.heard()
+
+    def model_changed(self, element: Changeable) -> None:
+        """Take in what was changed in the model; the model calls this."""
+        with self._lock:
+            touched: Sequence[Node] = ()
+            if not isinstance(element, Estimation):
+                node = self.network.find(element)
+                touched = [node]
+                if node.kind in ("constraint", "attribute"):
+                    self.network.moved(node if node.kind == "attribute" else node.parts[0])
+                    touched = self.measurements.renew(node, self._clock())
+            self._amended("changed", [element], touched)
+        self.heard()
+
+    def model_shrank(self, removed: Iterable[Changeable]) -> None:
+        """Take in what was removed from the model; the model calls this."""
+        removed = tuple(removed)
+        elements = [one for one in removed if not isinstance(one, Estimation)]
+        with self._lock:
+            for element in elements:
+                if isinstance(element, Action) and element.name in self.records.required:
+                    arguments = (element.name, "abandoned", "it is no longer in the model")
+                    self.apply(self._clock(), "cancel_action", arguments)
+                elif isinstance(element, Component):
+                    self.state.parameters.pop(element.name, None)
+                self.measurements.forget(self.network.find(element))
+            self._amended("removed", removed, shrink(self.state, elements))
+        self.heard()
+
+    def _amended(self, how: str, changed: Sequence[Changeable], touched: Sequence[Node]) -> None:
+        self.finish()
+        self._layer.clear()
+        written = amendment(how, changed, self.serials)
+        named = [one for one in changed if not isinstance(one, Estimation)] or changed
+        names = ", ".join(one.name if isinstance(one, Element) else str(one) for one in named)
+        event = Event(self.log.last + 1, self._clock(), "amend", tuple(written))
+        self._put(event, Outcome(changes=propagate(self.state, touched), words=f"{names} {how} in the model"))
+
+    # ---------------------------------------------------------------- the fold, and what it is at one moment
+
+    def repeat(self, event: Event) -> None:
+        """Put an event of a log in place, as it was then; the model is as it is now."""
+        self.log.last = event.number - 1
+        if event.verb == "measure":
+            name, value = event.arguments
+            self.measure(self.network.attributes[name], value, event.time)
+        elif event.verb == "begin":
+            self.begin(self.model.facts, event.time)
+        else:
+            self.apply(event.time, event.verb, event.arguments, event.cause)
+        self.log.last = event.number
+
+    def to_json(self, keep: int) -> dict[str, Any]:
+        """Return all that is known as values that JSON can hold.
+
+        Args:
+            keep: how many measurements of each attribute.
+        """
+        nodes = [*self.network.constraints.values()]
+        for kind in ("attribute", "component", "configuration", "function", "function design", "action"):
+            nodes += self.network.of_kind(kind).values()
+        here = {node.index: node.ref for node in nodes}
+        facts = {
+            name: [
+                (here[index], value)
+                for index, value in enumerate(self.state.columns[name])
+                if value != unset and index in here
+            ]
+            for name, unset in FACTS.items()
+        }
+        remembered = self.measurements
+        return {
+            "facts": facts,
+            "reasons": [
+                (name, here[index], *one) for (name, index), one in self.state.reasons.items() if index in here
+            ],
+            "parameters": {name: dict(given) for name, given in self.state.parameters.items()},
+            "histories": [
+                (node.name, b64encode(remembered.history(node).packed(keep)).decode())
+                for node in self.network.attributes.values()
+            ],
+            "recent": [(here[index], values) for index, values in remembered.recent.items() if index in here],
+            "since": [(here[index], since) for index, since in remembered.since.items() if index in here],
+            "records": self.records.to_json(),
+            "changed_by": [(here[index], number) for index, number in self.changed_by.items() if index in here],
+            "feasibility": self.feasibility,
+        }
+
+    def from_json(self, written: Mapping[str, Any], number: int, time: float) -> None:
+        """Know what `to_json` returned, after the event of a number and at its time [s]."""
+        network, state, remembered = self.network, self.state, self.measurements
+        touched: dict[Node, None] = {}
+        for name, values in written["facts"].items():
+            for ref, value in values:
+                node = network.referred(ref)
+                touched[node] = None
+                state.columns[name][node.index] = Status(value) if name in _STATUSES else value
+        for name, ref, text, until in written["reasons"]:
+            node = network.referred(ref)
+            state.give_reason(name, node, text, until)
+            if until is not None:
+                remembered.alarms.set(~node.index, until)
+        state.parameters.update({name: MappingProxyType(given) for name, given in written["parameters"].items()})
+        for name, packed in written["histories"]:
+            state.histories[network.attributes[name].index] = History(b64decode(packed))
+        remembered.recent.update({network.referred(ref).index: tuple(values) for ref, values in written["recent"]})
+        remembered.since.update({network.referred(ref).index: since for ref, since in written["since"]})
+        self.records.from_json(written["records"])
+        self.changed_by.update({network.referred(ref).index: number for ref, number in written["changed_by"]})
+        self.feasibility = written["feasibility"]
+        for node in network.attributes.values():
+            remembered.resume(node, time)
+        propagate(state, touched)
+        self.log.last = self.revision = state.version = number
+
+    # ---------------------------------------------------------------- what led to what
+
+    def cause_of_choice(self, chosen: Sequence[Node]) -> int | None:
+        """Return the event that last changed the status of what is chosen for; without any, that ended a request."""
+        wholes = [whole.index for node in chosen for whole in node.wholes]
+        known = [self.changed_by[index] for index in wholes if index in self.changed_by]
+        if not chosen and self.records.last_end is not None:
+            known = [self.records.last_end[1]]
+        return max(known, default=None)
+
+    def cause_of_request(self, now: float) -> int | None:
+        """Return the event that ended another request at this instant, or else that last turned an action."""
+        ended = self.records.last_end
+        return ended[1] if ended is not None and ended[0] == now else self.feasibility
+
+    def cause_of_end(self, action: Node, result: str) -> int | None:
+        """Return the event that made an action unfeasible that is given up."""
+        is_in_vain = result != "completed" and self.state.status[action.index] is Status.UNFEASIBLE
+        return self.changed_by.get(action.index) if is_in_vain else None

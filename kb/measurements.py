@@ -1,0 +1,255 @@
+"""Measurements, and what follows from them with time: histories, ageing, and constraints that do not flap.
+
+A constraint can be debounced by hysteresis, by dwell, and by n of the last k measurements; all are without effect by
+default, as in ROSA. What such a constraint is depends on what was measured before, so its verdict is a fact that is
+remembered; inference reads it there.
+"""
+
+import heapq
+import math
+from collections.abc import Iterable, Sequence
+from decimal import Decimal
+from functools import lru_cache
+from typing import NamedTuple
+
+from kb.elements import Attribute, Constraint
+from kb.network import Node, is_steady
+from kb.state import History, State
+from kb.status import OPERATORS, Status
+
+__all__ = ["Alarms", "Judged", "Measurements", "turning_point", "verdict"]
+
+
+class Alarms:
+    """When to look again: at most one alarm for each key, at a time of the clock.
+
+    Attributes:
+        next: no alarm is due before [s].
+    """
+
+    __slots__ = ("_queue", "_times", "next")
+
+    def __init__(self) -> None:
+        self._queue: list[tuple[float, int]] = []
+        self._times: dict[int, float] = {}
+        self.next = math.inf
+
+    def set(self, key: int, time: float) -> None:
+        """Set the alarm of a key, in place of the one that it has; it may be done again."""
+        before = self._times.get(key)
+        self._times[key] = time
+        if before is None or time <= before:  # one that is put off is found when it would have been due
+            heapq.heappush(self._queue, (time, key))
+            self.next = self._queue[0][0]
+
+    def clear(self, key: int) -> None:
+        """Take back the alarm of a key, if it has one."""
+        self._times.pop(key, None)
+
+    def due(self, now: float) -> tuple[float, int] | None:
+        """Return the time and key of the first alarm that is due, if one is; it stays until it is taken back."""
+        queue = self._queue
+        while queue and queue[0][0] <= now:
+            set_for, key = queue[0]
+            time = self._times.get(key)
+            if time == set_for:
+                return time, key
+            heapq.heappop(queue)
+            if time is not None:
+                heapq.heappush(queue, (time, key))
+        self.next = queue[0][0] if queue else math.inf
+        return None
+
+
+class Judged(NamedTuple):
+    """What becomes of a debounced constraint.
+
+    Attributes:
+        node: the constraint.
+        verdict: what it is now; None if it stays as it is.
+        wait: until when it has to stay so although measurements say otherwise [s]; None for not at all.
+    """
+
+    node: Node
+    verdict: Status | None
+    wait: float | None
+
+
+class Measurements:
+    """What is remembered of measurements beside the latest; nothing here changes a state.
+
+    Args:
+        state: with the latest ones, and the verdicts on debounced constraints.
+
+    Attributes:
+        alarms: when a measurement goes stale or a constraint may change after its dwell, by index; when an asserted
+            status lapses, by the complement of the index.
+    """
+
+    def __init__(self, state: State) -> None:
+        self._state = state
+        self.alarms = Alarms()
+        self.recent: dict[int, tuple[float, ...]] = {}
+        self.since: dict[int, float] = {}
+
+    def history(self, attribute: Node) -> History:
+        """Return every measurement of an attribute."""
+        found = self._state.histories.get(attribute.index)
+        if found is None:
+            found = self._state.histories[attribute.index] = History()
+        return found
+
+    def with_latest(self, attribute: Node, value: float) -> tuple[float, ...]:
+        """Return the measurements that count, with a new one; nothing where only the newest does."""
+        element = attribute.element
+        assert isinstance(element, Attribute)
+        last = element.agreement[1]
+        return (*self.recent.get(attribute.index, ()), value)[-last:] if last > 1 else ()
+
+    def put(self, attribute: Node, value: float, time: float, count: int, recent: tuple[float, ...]) -> None:
+        """Have a measurement be the latest; it may be done again.
+
+        Args:
+            attribute: what was measured.
+            value: in its unit.
+            time: when [s].
+            count: how many measurements there were before.
+            recent: those that count, with this one.
+        """
+        index, state, element = attribute.index, self._state, attribute.element
+        state.value[index], state.time[index], state.stale[index] = value, time, False
+        if recent:
+            self.recent[index] = recent
+        if element.max_age != math.inf:  # type: ignore[union-attr]  # it is an attribute
+            self.alarms.set(index, _after(time + element.max_age))  # type: ignore[union-attr]  # it is an attribute
+        history = self.history(attribute)
+        if len(history) == count:
+            history.add(time, value)
+
+    def put_judged(self, judged: Iterable[Judged], now: float) -> None:
+        """Remember since when debounced constraints are what they are, and when to look again; may be done again."""
+        for node, after, wait in judged:
+            if after is not None:
+                self.since[node.index] = now
+            if wait is None:
+                self.alarms.clear(node.index)
+            else:
+                self.alarms.set(node.index, wait)
+
+    def put_stale(self, attribute: Node) -> None:
+        """Forget what no longer counts once a measurement is too old; it may be done again."""
+        self.recent.pop(attribute.index, None)
+        self.alarms.clear(attribute.index)
+
+    def judge(
+        self, node: Node, value: float | None, recent: tuple[float, ...], before: Status | None, now: float
+    ) -> Judged:
+        """Return what a debounced constraint becomes.
+
+        Args:
+            node: the constraint.
+            value: the latest measurement.
+            recent: the latest measurements, where several count.
+            before: what it was.
+            now: the time [s].
+        """
+        constraint, attribute = node.element, node.parts[0].element
+        assert isinstance(constraint, Constraint)
+        assert isinstance(attribute, Attribute)
+        if value is None:
+            return Judged(node, None, None)
+        enough, last = attribute.agreement
+        known = None if before is Status.NOT_EVALUATED else before
+        after = verdict(constraint, recent if last > 1 else (value,), enough, known) or Status.NOT_EVALUATED
+        if after is before:
+            return Judged(node, None, None)
+        end = self.since.get(node.index, -math.inf) + constraint.dwell
+        return Judged(node, None, end) if known is not None and now < end else Judged(node, after, None)
+
+    def renew(self, node: Node, now: float) -> Sequence[Node]:
+        """Take note that an attribute or constraint is new or has changed; returns the constraints concerned."""
+        if node.kind == "constraint":
+            self._begin(node, now)
+            return [node]
+        element, time, index = node.element, self._state.time[node.index], node.index
+        assert isinstance(element, Attribute)
+        self._state.stale[index] = False
+        self.put_stale(node)
+        value = self._state.value[index]
+        if element.agreement != (1, 1) and value is not None:
+            self.recent[index] = (value,)
+        if time is not None and element.max_age != math.inf:
+            self.alarms.set(index, _after(time + element.max_age))
+        for constraint in node.constraints:
+            self._begin(constraint, now)
+        return node.constraints
+
+    def resume(self, attribute: Node, now: float) -> None:
+        """Set the alarms of an attribute and of the constraints on it anew."""
+        element, measured, value = attribute.element, self._state.time[attribute.index], None
+        assert isinstance(element, Attribute)
+        if measured is not None:
+            value = self._state.value[attribute.index]
+            if element.max_age != math.inf and not self._state.stale[attribute.index]:
+                self.alarms.set(attribute.index, _after(measured + element.max_age))
+        recent = self.recent.get(attribute.index, ())
+        steady = [one for one in attribute.constraints if is_steady(one)]
+        judged = [self.judge(one, value, recent, self._state.verdict[one.index], now) for one in steady]
+        self.put_judged([one._replace(verdict=None) for one in judged], now)
+
+    def forget(self, node: Node) -> None:
+        """Take note that an element is no longer in the model."""
+        for key in (node.index, ~node.index):
+            self.alarms.clear(key)
+
+    def _begin(self, node: Node, now: float) -> None:
+        """Judge a constraint as if nothing had been known of it before."""
+        self.alarms.clear(node.index)
+        self.since.pop(node.index, None)
+        self._state.verdict[node.index] = None
+        if is_steady(node):
+            attribute = node.parts[0].index
+            judged = self.judge(node, self._state.value[attribute], self.recent.get(attribute, ()), None, now)
+            self._state.verdict[node.index] = judged.verdict
+            self.put_judged([judged], now)
+
+
+def verdict(constraint: Constraint, values: Iterable[float], enough: int, before: Status | None) -> Status | None:
+    """Return what measurements say of a constraint, whatever its dwell.
+
+    Args:
+        constraint: with its hysteresis.
+        values: the latest measurements that count, in the attribute's unit.
+        enough: how many of them have to agree.
+        before: what it was; None if it was neither satisfied nor violated.
+
+    Returns:
+        What it was, unless enough of the measurements say otherwise.
+    """
+    votes = [_side(constraint, value, before) for value in values]
+    agreed = [status for status in (Status.SATISFIED, Status.VIOLATED) if votes.count(status) >= enough]
+    return agreed[0] if agreed else before
+
+
+def _side(constraint: Constraint, value: float, before: Status | None) -> Status:
+    """Return on which side of the threshold a value is; for one that was violated it lies further off."""
+    is_so = OPERATORS[constraint.operator](value, turning_point(constraint, before))
+    return Status.SATISFIED if is_so else Status.VIOLATED
+
+
+def turning_point(constraint: Constraint, before: Status | None) -> float:
+    """Return the value at which a constraint turns, after what it was, in the attribute's unit."""
+    if before is not Status.VIOLATED or not constraint.hysteresis:
+        return constraint.value
+    sign = 1 if constraint.operator in (">=", ">") else -1
+    return _sum(constraint.value, sign * constraint.hysteresis)
+
+
+@lru_cache(maxsize=1024)
+def _sum(value: float, margin: float) -> float:
+    """Add as one does on paper: 0.1 and 0.2 are 0.3."""
+    return float(Decimal(repr(value)) + Decimal(repr(margin)))
+
+
+def _after(time: float) -> float:
+    return math.nextafter(time, math.inf)
