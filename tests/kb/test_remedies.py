@@ -6,7 +6,7 @@ from itertools import combinations, product
 import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
-from models import NUMBERS, OPERATORS, Clock, amount, compare, subsets
+from models import NUMBERS, OPERATORS, Clock, amount, compare, subsets, state_of
 
 from kb import KnowledgeBase, Model, Status
 from kb.explanation.requirements import Measured, MissingDesign, Recovered, Retracted, remedies
@@ -298,5 +298,5 @@ def test_where_there_are_too_many_ways_to_look_at_a_remedy_still_has_no_idle_fac
     kb = KnowledgeBase(model)
     for name in model.components:
         kb.component_failed(name)
-    assert not remedies(kb._state, kb._network.actions["go"]).complete
+    assert not remedies(state_of(kb), state_of(kb).network.actions["go"]).complete
     assert told(kb, "go") == ["eye 69 recovered"]
