@@ -6,7 +6,7 @@ from itertools import combinations, product
 import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
-from models import NUMBERS, OPERATORS, Clock, amount, compare, subsets, state_of
+from models import NUMBERS, OPERATORS, Clock, amount, compare, state_of, subsets
 
 from kb import KnowledgeBase, Model, Status
 from kb.explanation.requirements import Measured, MissingDesign, Recovered, Retracted, remedies
