@@ -2,7 +2,7 @@
 
 from itertools import product
 
-from agv_worlds import declarations_of_task, generated_building, left_of
+from agv_worlds import declarations_of_task, generated_building
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.random import default_rng
@@ -11,6 +11,7 @@ from kb import KnowledgeBase
 from missions.agv.costs import GOALS
 from missions.agv.joint import JointPlanner, Question
 from missions.agv.model import agv_model
+from missions.agv.pddl import left_of
 from rosa_pddl import Outcome, Planner, Problem, initial_state
 
 MODEL = agv_model()
