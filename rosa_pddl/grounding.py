@@ -13,7 +13,6 @@ from weakref import WeakKeyDictionary
 from rosa_pddl.domain import FEASIBLE, Domain, State, Step, UpThing, head_of
 from rosa_pddl.engines.fast_downward import (
     ADDED,
-    Axiom,
     Effect,
     Operator,
     SasTask,
@@ -26,7 +25,7 @@ from rosa_pddl.exceptions import RosaPddlError, UnsupportedPddlError
 from rosa_pddl.outcomes import Outcome, Trouble
 from rosa_pddl.problem import Exact, Problem, lock_of
 from rosa_pddl.resource_usage import Numbers, ResourceUsage, Sum, whole
-from rosa_pddl.search import Fact, Operation, Rule, Task, TaskGraph
+from rosa_pddl.search import Fact, Operation, Task, TaskGraph
 from rosa_pddl.validate import literals
 
 __all__ = [
@@ -145,7 +144,7 @@ class Grounded:
         self._frozen = [variable for variable in range(len(task.variables)) if variable not in self._number]
         self._sizes = tuple([len(task.variables[variable].values) for variable in written])
         # a task with axioms fits one state only, so all its variables are written, under their own numbers
-        self._axioms: tuple[Axiom, ...] = task.rules() if task.has_axioms and not self.is_patchable else ()
+        self._rules = task.rules if task.has_axioms else ()
         self._is_conditional = any(given for operator in operators for given, *_ in operator.effects)
         self._facts = dict(_named_facts(domain, task))
         self._none = [_none_of(variable.values) for variable in task.variables]
@@ -171,7 +170,7 @@ class Grounded:
         """
         fitted, numbers = self._fitted(problem), self._usage.numbers(problem)
         mentioned = tuple([numbers.get(text) for text in self._mentioned])
-        graph, task, scales = self._graph(fitted.frozen, fitted.goal, mentioned, fitted.state if self._axioms else ())
+        graph, task, scales = self._graph(fitted.frozen, fitted.goal, mentioned, fitted.state if self._rules else ())
         left = self._usage.remaining(numbers)
         limits = tuple([one.whole(scale) for one, scale in zip(left, scales, strict=True)])
         return SearchTask(graph, task._replace(start=fitted.state, limits=limits), scales)
@@ -182,7 +181,7 @@ class Grounded:
         Raises:
             NotRepresentableError: the task does not fit.
             UnreachableGoalError: a fact of the goal cannot become true.
-            UnsupportedPddlError: a cost has no value, or one that Fast Downward cannot be told.
+            UnsupportedPddlError: a cost has no value, or one that Fast Downward does not count with.
         """
         fitted, numbers = self._fitted(problem), self._usage.numbers(problem)
         ready = self._possible(fitted.frozen)
@@ -203,23 +202,18 @@ class Grounded:
         """Return a task without its start (but for axioms) and limits, as a graph."""
         numbers = {text: value for text, value in zip(self._mentioned, mentioned, strict=True) if value is not None}
         ready = self._possible(frozen)
-        costs, _ = self._column([one.cost for one in ready], "costs", numbers)
+        costs, _ = whole(self._values_of([one.cost for one in ready], "costs", numbers))
         columns, scales = [costs], []
         for index, resource in enumerate(self._domain.limited):
-            amounts, scale = self._column([one.uses[index] for one in ready], f"uses of {resource.name}", numbers)
-            columns.append(amounts)
+            amounts = self._values_of([one.uses[index] for one in ready], f"uses of {resource.name}", numbers)
+            column, scale = whole(amounts)
+            columns.append(column)
             scales.append(scale)
         spent = zip(*columns, strict=True)
         operations = tuple([one.operation(cost, uses) for one, (cost, *uses) in zip(ready, spent, strict=True)])
-        layers = [variable.layer for variable in self._task.variables]
-        rules = tuple([Rule(layers[one.variable], *one) for one in self._axioms])
-        task = Task(self._sizes, start, goal, operations, (0,) * len(scales), rules)
+        task = Task(self._sizes, start, goal, operations, (0,) * len(scales), self._rules)
         is_guided = math.prod(map(float, self._sizes)) > _FEWEST_STATES
         return TaskGraph(task, is_guided=is_guided), task, tuple(scales)
-
-    def _column(self, sums: Sequence[Sum], what: str, numbers: Numbers) -> tuple[list[int], int]:
-        amounts = self._values_of(sums, what, numbers)
-        return whole(amounts)
 
     def _values_of(self, sums: Sequence[Sum], what: str, numbers: Numbers) -> list[Exact]:
         amounts = [self._usage.value(one, numbers) if one.terms else one.constant for one in sums]
@@ -393,7 +387,6 @@ def translated(
     alive: Mapping[str, tuple[str, ...]] | None,
     process: ProcessHandle,
     limit_s: float,
-    memory_bytes: int | None,
 ) -> Grounded:
     """Translate a problem.
 
@@ -403,10 +396,9 @@ def translated(
             is for this problem only.
         process: runs the translator.
         limit_s: wall-clock time that it may take [s].
-        memory_bytes: how much data it may hold [B].
 
     Raises:
-        UnsupportedPddlError: Fast Downward cannot be told of this.
+        UnsupportedPddlError: the translator does not read this.
         Trouble: the translator gave no task.
         Cancelled: it is not wanted any more.
     """
@@ -418,7 +410,6 @@ def translated(
         written_problem(problem, problem.wanted if alive is None else None, kept),
         process,
         limit_s=limit_s,
-        memory_bytes=memory_bytes,
         for_any_state=alive is not None,
     )
     return Grounded(domain, task, usage, problem.state, is_patchable=alive is not None)
@@ -483,11 +474,11 @@ class Groundings:
                 process.cancel()
 
     def _work(self, begun: _Begun) -> None:
-        process = ProcessHandle()
+        process = ProcessHandle(self._memory_bytes)
         self._processes.add(process)
         try:
             alive = _alive(begun.base, begun.changing)
-            begun.future.set_result(translated(begun.base, alive, process, self._limit_s, self._memory_bytes))
+            begun.future.set_result(translated(begun.base, alive, process, self._limit_s))
         except Trouble as trouble:
             begun.future.set_result(trouble)
         except UnsupportedPddlError as error:

@@ -6,11 +6,11 @@ import time
 from collections import OrderedDict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, wait
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
 from itertools import product
 from math import isinf
-from typing import TypeAlias
+from typing import NamedTuple
 
 from rosa_pddl import search
 from rosa_pddl.domain import Domain, Schema, Step, UpThing
@@ -258,8 +258,7 @@ def _key(problem: Problem, found_with: object) -> tuple[object, ...]:
 # ---------------------------------------------------------------- one planning
 
 
-@dataclass(frozen=True)
-class _Settings:
+class _Settings(NamedTuple):
     """How to plan; the arguments are those of `Planner`, and the ways in order."""
 
     engine: str
@@ -269,10 +268,6 @@ class _Settings:
     overlapping: bool
     moves: int
     memory_bytes: int
-
-
-_Found: TypeAlias = tuple[Answer, str]
-"""What a way gave, and what to say if that is no plan."""
 
 
 class _Portfolio:
@@ -298,7 +293,7 @@ class _Portfolio:
     ) -> None:
         self._settings, self._problem, self._grounding = settings, problem, grounding
         self._safe_step, self._cache, self._running = safe_step, cache, running
-        self._process = ProcessHandle()
+        self._process = ProcessHandle(settings.memory_bytes)
 
     def cancel(self) -> None:
         """End what runs; the answer is not wanted any more."""
@@ -314,12 +309,10 @@ class _Portfolio:
             return None
         began = time.monotonic()
         try:
-            answer, message = self._checked("warm", self._exact(self._warm_task(0.0), _MOVES_IN_A_TICK))
+            answer = self._checked("warm", self._exact(self._warm_task(0.0), _MOVES_IN_A_TICK))
         except Exception:  # whatever keeps from an answer here is reported by the ways
             return None
-        if answer.outcome.is_trouble:
-            return None
-        attempt = Attempt("warm", answer.outcome, message, time.monotonic() - began)
+        attempt = Attempt("warm", answer.outcome, took_s=time.monotonic() - began)
         return self._kept(self._report(answer, "warm", [attempt]))
 
     def result(self) -> PlanningResult:
@@ -331,9 +324,7 @@ class _Portfolio:
         try:
             return self._kept(self._tried_in_order())
         except Cancelled:
-            return PlanningResult(
-                Outcome.ENGINE_CRASHED, engine=self._settings.engine, message="the planner was closed"
-            )
+            return PlanningResult(Outcome.ENGINE_CRASHED, (), self._settings.engine, "the planner was closed")
         finally:
             self._running.discard(self._process)
 
@@ -351,7 +342,8 @@ class _Portfolio:
         attempts: list[Attempt] = []
         for way, budget_s in self._budgeted():
             began = time.monotonic()
-            answer, message = self._tried(way, budget_s)
+            answer = self._tried(way, budget_s)
+            message = answer.why if answer.outcome.is_trouble else ""
             attempts.append(Attempt(way, answer.outcome, message, time.monotonic() - began))
             if answer.outcome.is_solved or answer.outcome is Outcome.UNSOLVABLE_PROVEN:
                 return self._report(answer, way, attempts)
@@ -367,22 +359,22 @@ class _Portfolio:
             left_s = _left_s(deadline)
             yield way, min(settings.budgets_s.get(way, left_s if number == len(ways) else left_s / 2), left_s)
 
-    def _tried(self, way: str, budget_s: float) -> _Found:
-        missed = missing(self._engine_of(way), self._problem.domain)
-        if missed is not None:
-            return Answer(Outcome.ENGINE_MISSING), missed
-        if budget_s <= 0.0:
-            return Answer(Outcome.OUT_OF_TIME), f"of {self._settings.timeout_s:g} s no time was left for it"
+    def _tried(self, way: str, budget_s: float) -> Answer:
         try:
+            missed = missing(self._engine_of(way), self._problem.domain)
+            if missed is not None:
+                raise Trouble(Outcome.ENGINE_MISSING, missed)
+            if budget_s <= 0.0:
+                raise Trouble(Outcome.OUT_OF_TIME, f"of {self._settings.timeout_s:g} s no time was left for it")
             return self._checked(way, self._answer(way, time.monotonic() + budget_s))
         except Trouble as trouble:
-            return Answer(trouble.outcome), trouble.message
+            return Answer(trouble.outcome, why=trouble.message)
         except UnsupportedPddlError as error:
-            return Answer(Outcome.UNSUPPORTED), str(error)
+            return Answer(Outcome.UNSUPPORTED, why=str(error))
         except Cancelled:
             raise
-        except Exception as error:  # whatever goes wrong here must not stop the tree; it is told by name
-            return Answer(Outcome.ENGINE_CRASHED), f"{type(error).__name__}: {error}"
+        except Exception as error:  # whatever goes wrong here must not stop the tree; it is reported by name
+            return Answer(Outcome.ENGINE_CRASHED, why=f"{type(error).__name__}: {error}")
 
     def _engine_of(self, way: str) -> str:
         return self._settings.engine if way in ("warm", "cold") else way
@@ -392,18 +384,16 @@ class _Portfolio:
         if limited and self._engine_of(way) in fast_downward.SEARCHES:
             message = f"Fast Downward keeps no limits (of {limited}); Planner({LABEL_SETTING!r}) does"
             raise Trouble(Outcome.UNSUPPORTED, message)
-        memory_bytes = self._settings.memory_bytes
         if way == "warm":
             return self._searched(self._warm_task(_left_s(deadline)), deadline, self._settings.engine)
         if way in ("cold", LABEL_SETTING):
-            task = translated(self._problem, None, self._process, _left_s(deadline), memory_bytes)
+            task = translated(self._problem, None, self._process, _left_s(deadline))
             return self._searched(task, deadline, self._engine_of(way))
         return asked(
             way,
             self._problem,
             self._process,
             limit_s=_left_s(deadline),
-            memory_bytes=memory_bytes,
             overlapping=self._settings.overlapping,
         )
 
@@ -455,7 +445,6 @@ class _Portfolio:
             [sys.executable, "-I", "-S", search.__file__],
             given=search.written(asked_for.task),
             limit_s=limit_s,
-            memory_bytes=self._settings.memory_bytes,
         )
         if ended.is_late:
             raise Trouble(Outcome.OUT_OF_TIME, f"no answer after {limit_s:.3g} s; allow more time or ask for less")
@@ -499,7 +488,6 @@ class _Portfolio:
             optimally if engine == "fast-downward-opt" else some,
             self._process,
             limit_s=_left_s(deadline),
-            memory_bytes=self._settings.memory_bytes,
         )
         if isinstance(found, Outcome):
             return Answer(found)
@@ -509,10 +497,10 @@ class _Portfolio:
             raise Trouble(Outcome.ENGINE_CRASHED, "the search named steps that the task does not have") from error
         return Answer(Outcome.SOLVED_OPTIMALLY if engine == "fast-downward-opt" else Outcome.SOLVED, steps)
 
-    def _checked(self, way: str, answer: Answer) -> _Found:
-        """Replay a plan."""
+    def _checked(self, way: str, answer: Answer) -> Answer:
+        """Replay a plan; raise Trouble if it does not work."""
         if not answer.outcome.is_solved:
-            return answer, ""
+            return answer
         problem = self._problem
         if answer.schedule:
             wrong = schedule_flaw(problem.domain, answer.schedule, problem.state, problem.wanted)
@@ -521,9 +509,9 @@ class _Portfolio:
         if wrong is None and problem.domain.limited:
             wrong = usage_of(problem.domain).overspent(problem, answer.steps)
         if wrong is None:
-            return answer, ""
+            return answer
         message = f"{self._engine_of(way)} returned a plan that does not work: {wrong}"
-        return Answer(Outcome.ENGINE_CRASHED), message
+        raise Trouble(Outcome.ENGINE_CRASHED, message)
 
     def _report(self, answer: Answer, way: str, attempts: list[Attempt]) -> PlanningResult:
         engine, domain, outcome = self._engine_of(way), self._problem.domain, answer.outcome
@@ -569,8 +557,7 @@ def _needed(schema: Schema) -> set[UpThing]:
     while left:
         formula = left.pop()
         left += formula.args
-        if formula.is_fluent_exp():
-            found.add(formula.fluent())
+        found |= {formula.fluent()} if formula.is_fluent_exp() else set()
     return found
 
 
@@ -590,19 +577,12 @@ def _outcome_of(attempts: list[Attempt]) -> Outcome:
 
 def _step(domain: Domain, text: str) -> Step:
     """Return the safe step."""
-    words = text.strip().removeprefix("(").removesuffix(")").split()
-    schemas = {name.lower(): name for name in domain.schemas}
-    if not words or words[0].lower() not in schemas:
-        hint = nearest(words[0] if words else "", domain.schemas)
-        raise UnknownNameError(f"the safe step {text!r} is no action of {domain.file}; {hint}")
-    schema = domain.schema_of[schemas[words[0].lower()]]
-    if len(words) - 1 != len(schema.parameters):
+    head, *words = text.strip().removeprefix("(").removesuffix(")").split() or [""]
+    schema = domain.schema_of[domain.spelling("action", head, text)]
+    if len(words) != len(schema.parameters):
         expected = " ".join(f"?{name}" for name, _ in schema.parameters)
         raise UnknownNameError(f"the safe step {text!r} is not of the form ({schema.name} {expected})")
-    for word in words[1:]:
-        if ("object", word.lower()) not in domain.inside:
-            raise UnknownNameError(f"{domain.file} has no object {word!r}; {nearest(word, domain.types)}")
-    return domain.step(schema.name, [domain.outside[domain.inside["object", word.lower()]] for word in words[1:]])
+    return domain.step(schema.name, [domain.spelling("object", word, text) for word in words])
 
 
 def _check(settings: _Settings) -> None:

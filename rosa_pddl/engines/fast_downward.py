@@ -19,11 +19,10 @@ from rosa_pddl.engines.processes import Ended, ProcessHandle
 from rosa_pddl.exceptions import UnsupportedPddlError
 from rosa_pddl.outcomes import Outcome, Trouble
 from rosa_pddl.problem import Problem
-from rosa_pddl.search import Fact
+from rosa_pddl.search import Fact, Rule
 
 __all__ = [
     "ADDED",
-    "Axiom",
     "Effect",
     "INSTALL_ADVICE",
     "Operator",
@@ -95,20 +94,6 @@ class Operator(NamedTuple):
     effects: tuple[Effect, ...]
 
 
-class Axiom(NamedTuple):
-    """A rule that derives the value of a variable.
-
-    Attributes:
-        needs: what must hold.
-        variable: what is derived.
-        value: what it becomes.
-    """
-
-    needs: tuple[Fact, ...]
-    variable: int
-    value: int
-
-
 @dataclass(frozen=True)
 class SasTask:
     """A translated task; its costs are not kept, as none were translated.
@@ -134,15 +119,12 @@ class SasTask:
         """Whether anything is derived by axioms."""
         return self.axioms.split("\n", 1)[0] != "0"
 
-    def rules(self) -> tuple[Axiom, ...]:
-        """Return the axioms, by layer.
-
-        Raises:
-            ValueError: their text is none.
-        """
+    @property
+    def rules(self) -> tuple[Rule, ...]:
+        """The axioms, by layer."""
         lines = iter(self.axioms.splitlines())
-        found = [_axiom(lines) for _ in range(int(next(lines)))]
-        return tuple(sorted(found, key=lambda axiom: self.variables[axiom.variable].layer))
+        found = [_rule(lines, self.variables) for _ in range(int(next(lines)))]
+        return tuple(sorted(found, key=lambda rule: rule.layer))
 
 
 # ---------------------------------------------------------------- the programs
@@ -152,12 +134,10 @@ def missing_part() -> str | None:
     """Return which of the two programs is not installed, as a file or module; None if both are there."""
     if program() is None:
         return "up_fast_downward"
-    return None if translator() is not None else "fast_downward.translate"
+    return "fast_downward.translate" if translator() is None else None
 
 
-def translate(
-    domain: str, problem: str, process: ProcessHandle, *, limit_s: float, memory_bytes: int | None, for_any_state: bool
-) -> SasTask:
+def translate(domain: str, problem: str, process: ProcessHandle, *, limit_s: float, for_any_state: bool) -> SasTask:
     """Translate a task.
 
     Args:
@@ -165,7 +145,6 @@ def translate(
         problem: PDDL text.
         process: runs the program.
         limit_s: wall-clock time that it may take [s].
-        memory_bytes: how much data it may hold [B].
         for_any_state: whether to keep what is of no use from the initial state and for the goal.
 
     Raises:
@@ -181,7 +160,6 @@ def translate(
             process,
             [sys.executable, "-m", "fast_downward.translate", *options, "domain.pddl", "problem.pddl"],
             limit_s=limit_s,
-            memory_bytes=memory_bytes,
             environment={"PYTHONPATH": str(translator()), "PYTHONDONTWRITEBYTECODE": "1"},
             folder=folder,
         )
@@ -194,9 +172,7 @@ def translate(
             raise Trouble(Outcome.ENGINE_CRASHED, f"the translator wrote rubbish: {error}") from error
 
 
-def search(
-    text: str, strategy: str, process: ProcessHandle, *, limit_s: float, memory_bytes: int | None
-) -> tuple[int, ...] | Outcome:
+def search(text: str, strategy: str, process: ProcessHandle, *, limit_s: float) -> tuple[int, ...] | Outcome:
     """Search a plan.
 
     Args:
@@ -204,7 +180,6 @@ def search(
         strategy: how, in the words of Fast Downward.
         process: runs the program.
         limit_s: wall-clock time that it may take [s].
-        memory_bytes: how much data it may hold [B].
 
     Returns:
         The names of the operators of the plan, which have to be numbers; or that it is unsolvable.
@@ -214,7 +189,7 @@ def search(
         Cancelled: it is not wanted any more.
     """
     command = [str(program()), "--search", strategy, "--internal-plan-file", "/dev/null"]
-    ended = _run(process, command, given=text.encode(), limit_s=limit_s, memory_bytes=memory_bytes)
+    ended = _run(process, command, given=text.encode(), limit_s=limit_s)
     if ended.code in (0, 1, 2, 3):
         length = _LENGTH.search(ended.output)
         numbers = tuple(int(number) for number in _STEP.findall(ended.output))
@@ -288,7 +263,7 @@ def written_domain(domain: Domain, up_problem: UpThing, alive: Collection[str] |
         alive: predicates (of `up_problem`) some of whose atoms are kept alive; None to write what is planned once only.
 
     Raises:
-        UnsupportedPddlError: a formula that Fast Downward cannot be told.
+        UnsupportedPddlError: a formula that the translator does not read.
     """
     parts = [f"(define (domain d) (:types {_types(up_problem)})"]
     parts.append(f"(:constants {' '.join(f'{thing.name} - {thing.type.name}' for thing in up_problem.all_objects)})")
@@ -386,7 +361,7 @@ def _formula(domain: Domain, formula: UpThing) -> str:
     if formula.is_iff():
         return f"(and (imply {parts[0]} {parts[1]}) (imply {parts[1]} {parts[0]}))"
     if formula.node_type.name not in _HEADS:
-        raise UnsupportedPddlError(f"Fast Downward cannot be told {formula}", domain.file)
+        raise UnsupportedPddlError(f"Fast Downward does not read {formula}", domain.file)
     return _list(_HEADS[formula.node_type.name], parts)
 
 
@@ -435,10 +410,9 @@ def _expect(lines: Iterator[str], *expected: str) -> None:
 def _variable(lines: Iterator[str]) -> Variable:
     _expect(lines, "begin_variable")
     next(lines)
-    layer = int(next(lines))
-    values = tuple([next(lines) for _ in range(int(next(lines)))])
+    variable = Variable(int(next(lines)), tuple([next(lines) for _ in range(int(next(lines)))]))
     _expect(lines, "end_variable")
-    return Variable(layer, values)
+    return variable
 
 
 def _mutex(lines: Iterator[str]) -> tuple[Fact, ...]:
@@ -449,12 +423,8 @@ def _mutex(lines: Iterator[str]) -> tuple[Fact, ...]:
 
 
 def _facts(lines: Iterator[str]) -> tuple[Fact, ...]:
-    return tuple([_fact(next(lines)) for _ in range(int(next(lines)))])
-
-
-def _fact(line: str) -> Fact:
-    variable, value = line.split()
-    return int(variable), int(value)
+    pairs = [next(lines).split() for _ in range(int(next(lines)))]
+    return tuple([(int(variable), int(value)) for variable, value in pairs])
 
 
 def _operator(lines: Iterator[str]) -> Operator:
@@ -467,12 +437,12 @@ def _operator(lines: Iterator[str]) -> Operator:
     return Operator(name, prevail, effects)
 
 
-def _axiom(lines: Iterator[str]) -> Axiom:
+def _rule(lines: Iterator[str], variables: Sequence[Variable]) -> Rule:
     _expect(lines, "begin_rule")
     needs = _facts(lines)
     variable, _, value = map(int, next(lines).split())
     _expect(lines, "end_rule")
-    return Axiom(needs, variable, value)
+    return Rule(variables[variable].layer, needs, variable, value)
 
 
 def _sas_effect(line: str) -> Effect:

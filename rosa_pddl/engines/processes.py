@@ -62,9 +62,13 @@ class ProcessHandle:
 
     Each program leads a process group of its own, which is killed when the program has ended, however it ended:
     no child of it survives, and one that keeps the output open is not waited for.
+
+    Args:
+        memory_bytes: how much data a program may hold [B]; None for no limit.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, memory_bytes: int | None = None) -> None:
+        self._memory_bytes = memory_bytes
         _HANDLES.add(self)
         self._lock = Lock()
         self._process: subprocess.Popen[bytes] | None = None
@@ -96,7 +100,6 @@ class ProcessHandle:
         *,
         given: bytes = b"",
         limit_s: float,
-        memory_bytes: int | None = None,
         environment: Mapping[str, str] | None = None,
         folder: str | None = None,
     ) -> Ended:
@@ -106,7 +109,6 @@ class ProcessHandle:
             command: the program and its arguments.
             given: what it reads from its standard input.
             limit_s: wall-clock time after which it is killed [s].
-            memory_bytes: how much data it may hold [B]; None for no limit.
             environment: variables to add to those of this process.
             folder: its working directory; by default that of this process.
 
@@ -127,7 +129,7 @@ class ProcessHandle:
                     env={**os.environ, **_NO_PYTHON_NOISE, **(environment or {})},
                 )
             try:
-                _limit(process.pid, limit_s, memory_bytes)
+                _limit(process.pid, limit_s, self._memory_bytes)
                 verdict = _verdict(process.pid, limit_s, (output, complaints))
             finally:
                 # before it is reaped, as until then its number is that of no other group

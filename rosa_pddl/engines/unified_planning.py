@@ -76,7 +76,6 @@ def asked(
     process: ProcessHandle,
     *,
     limit_s: float,
-    memory_bytes: int | None,
     overlapping: bool,
 ) -> Answer:
     """Ask an engine for a plan.
@@ -86,7 +85,6 @@ def asked(
         problem: what is to be planned.
         process: runs it.
         limit_s: wall-clock time that it may take [s].
-        memory_bytes: how much data it may hold [B].
         overlapping: whether steps may overlap: durations are kept then, else each step is an instant.
 
     Raises:
@@ -107,7 +105,6 @@ def asked(
             [sys.executable, "-P", str(Path(__file__).with_name("worker.py"))],
             given=given,
             limit_s=limit_s,
-            memory_bytes=memory_bytes,
             environment={"PYTHONPATH": os.pathsep.join(sys.path)},
         )
     except OSError as error:

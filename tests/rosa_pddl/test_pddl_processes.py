@@ -57,7 +57,7 @@ def test_a_late_program_is_killed():
 def test_a_program_may_hold_so_much_and_no_more():
     fat = [sys.executable, "-c", "x = bytearray(1 << 29)"]
     assert ProcessHandle().run(fat, limit_s=60.0).code == 0
-    assert b"MemoryError" in ProcessHandle().run(fat, limit_s=60.0, memory_bytes=1 << 27).complaints
+    assert b"MemoryError" in ProcessHandle(1 << 27).run(fat, limit_s=60.0).complaints
 
 
 def test_a_cancelled_handle_lets_nothing_run():
