@@ -3,7 +3,7 @@
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import fields, replace
 from types import MappingProxyType
-from typing import Final, Protocol, TypeVar, runtime_checkable
+from typing import Final, Protocol, TypeVar
 
 from kb import elements, facts
 from kb.declarations import flag, listed, pid
@@ -49,7 +49,6 @@ class Contents(elements.Owner, Protocol):
     def add_fact(self, fact: Fact) -> None: ...
 
 
-@runtime_checkable
 class Observer(Protocol):
     """What is informed of every change of a model, after it."""
 

@@ -73,7 +73,10 @@ def _low(interval: Interval) -> tuple[float, bool]:
 def _excluded(component: Node) -> Iterator[Finding]:
     own = bounds(component)
     parts = {part: mine for part in component.parts if not _is_contradictory(mine := bounds(part))}
-    clashes = {part: _clash(mine, own) for part, mine in parts.items()}
+    clashes = {
+        part: next((name for name in mine if name in own and mine[name].meet(own[name]).is_empty), None)
+        for part, mine in parts.items()
+    }
     if _is_contradictory(own) or all(clashes.values()):
         return
     for part, name in clashes.items():
@@ -81,10 +84,6 @@ def _excluded(component: Node) -> Iterator[Finding]:
             needs, allows = parts[part][name].text(name), own[name].text(name)
             message = f"configuration {part.name} needs {needs}, but its component {component.name} {allows}"
             yield found("never-selected", f"configuration {part.name}", message)
-
-
-def _clash(mine: Bounds, own: Bounds) -> str:
-    return next((name for name in mine if name in own and mine[name].meet(own[name]).is_empty), "")
 
 
 def _is_contradictory(values: Bounds) -> bool:
@@ -97,17 +96,16 @@ def _dominated(whole: Node) -> Iterator[Finding]:
     offered = [(part, bounds(part)) for part in ranked[:PREFERRED]]
     for part in ranked:
         needed = _bounds_in_use(part)
-        easier = [(one, own) for one, own in offered if _priority(one) < _priority(part) and _is_part_of(one, part)]
+        easier = [  # no failure tells them apart if all that one is made of is in the other too
+            (one, own)
+            for one, own in offered
+            if _priority(one) < _priority(part) and (part.kind == "configuration" or set(one.parts) <= set(part.parts))
+        ]
         names = "" if _is_contradictory(needed) else _covering(easier, needed)
         if names:
             what = f"{part.kind} {part.name}"
             message = f"{what} of {whole.kind} {whole.name} is never chosen: whenever it is feasible, so is {names}"
             yield found("never-selected", what, f"{message}, which is preferred")
-
-
-def _is_part_of(one: Node, other: Node) -> bool:
-    """Tell whether all that one is made of is in the other too, so that no failure tells them apart."""
-    return one.kind == "configuration" or set(one.parts) <= set(other.parts)
 
 
 def _covering(preferred: Sequence[tuple[Node, Bounds]], needed: Bounds) -> str:

@@ -9,7 +9,6 @@ from itertools import combinations
 from typing import Final, NamedTuple
 
 from kb.checks.findings import Finding, found, listing
-from kb.elements import Constraint
 from kb.explanation.requirements import Box, Interval, Requirements, bounds, constraints_on
 from kb.network import Network, Node
 
@@ -132,14 +131,11 @@ def _path(nodes: Iterable[Node], attribute: str, interval: Interval) -> list[str
     paths = {node: [f"{node.kind} {node.name}"] for node in nodes}
     waiting = list(paths)
     for node in waiting:
-        if any(_is_bound(one, attribute, interval) for one in constraints_on(node)):
+        own = (one.value for one in constraints_on(node) if one.attribute == attribute)
+        if any(value in (interval.low, interval.high) for value in own):
             return paths[node]
         for part in node.parts:
             if part not in paths:
                 paths[part] = [f"{part.kind} {part.name}", *paths[node]]
                 waiting.append(part)
     return []
-
-
-def _is_bound(constraint: Constraint, attribute: str, interval: Interval) -> bool:
-    return constraint.attribute == attribute and constraint.value in (interval.low, interval.high)

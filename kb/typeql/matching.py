@@ -8,7 +8,7 @@ from typing import Final, TypeVar
 
 from kb.exceptions import UnknownName
 from kb.files import ModelFileError, Place
-from kb.typeql.store import ANONYMOUS, Bindings, Part, Store, Thing, literal
+from kb.typeql.store import ANONYMOUS, Bindings, Store, Thing, literal
 from kb.typeql.syntax import Comparison, Has, Isa, Player, Players, Statement, Unsupported, Word, place_of
 from kb.typeql.vocabulary import Field, Kind, Literal, Type
 
@@ -89,8 +89,11 @@ class _Question:
         name = asked.variable if asked.variable != ANONYMOUS else None
         compared = [clause for clause in clauses if isinstance(clause, Comparison)]
         if compared and name:
-            for comparison in compared:
-                self._compare(name, comparison)
+            for one in compared:
+                if str(one.operator) in _EQUAL and one.value.type != "VARIABLE":
+                    self.known[name] = literal(one.value, place_of(self.file, one.value))
+                else:
+                    self.comparisons.append((name, one))
             return
         key = name or f"{len(self.patterns)}"
         pattern = self.patterns.setdefault(key, _Pattern(name, place_of(self.file, asked.word)))
@@ -116,13 +119,7 @@ class _Question:
         kept = [bindings for bindings in found if self._holds(bindings)]
         if not kept:
             raise place_of(self.file, self.comparisons[0][1].value).error("nothing told so far compares like this")
-        return list({tuple((name, _identity(one)) for name, one in each.items()): each for each in kept}.values())
-
-    def _compare(self, name: str, clause: Comparison) -> None:
-        if str(clause.operator) in _EQUAL and clause.value.type != "VARIABLE":
-            self.known[name] = literal(clause.value, place_of(self.file, clause.value))
-        else:
-            self.comparisons.append((name, clause))
+        return list({tuple((name, type(one), one) for name, one in each.items()): each for each in kept}.values())
 
     def _effort(self, pattern: _Pattern, bindings: Bindings) -> int:
         if pattern.variable in bindings or self._name(pattern, bindings) is not None:
@@ -181,21 +178,19 @@ class _Question:
         states: list[tuple[Found, frozenset[int]]] = [(one, frozenset()) for one in found]
         for role, variable in pattern.players:
             name, place = str(variable), place_of(self.file, role or variable)
+            wanted = None
+            if role is not None and thing.kind is not None:
+                wanted = self.store.vocabulary.roles(thing.type, thing.kind, role, place)
             every = (
                 ({**bindings, name: part.thing} if name != ANONYMOUS else bindings, used | {number})
                 for bindings, used in states
                 for number, part in enumerate(thing.parts)
                 if number not in used
                 and bindings.get(name, part.thing) is part.thing
-                and self._plays(thing, role, part, place)
+                and (wanted is None or part.role in wanted)
             )
             states = _bounded(every, place)
         return [bindings for bindings, _ in states]
-
-    def _plays(self, relation: Thing, role: Word | None, part: Part, place: Place) -> bool:
-        if role is None or relation.kind is None:
-            return True
-        return part.role in self.store.vocabulary.roles(relation.type, relation.kind, role, place)
 
     def _holds(self, bindings: Bindings) -> bool:
         for name, clause in self.comparisons:
@@ -234,7 +229,3 @@ def _compared(this: Literal, other: Literal, sign: str) -> bool:
         return _COMPARE[sign](this, other)
     except TypeError:
         return False
-
-
-def _identity(one: Thing | Literal) -> object:
-    return id(one) if isinstance(one, Thing) else (type(one), one)

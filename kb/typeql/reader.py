@@ -351,10 +351,6 @@ def _parameter(value: Literal, type_name: str | None, place: Place) -> Parameter
         raise place.error(f"{shown(value)} cannot be read as {type_name}") from None
 
 
-def _flag(value: object) -> bool:
-    return {"true": True, "false": False}[str(value).strip().lower()]
-
-
 def _whole(value: object) -> int:
     number = value if isinstance(value, float) else int(str(value))
     if number != int(number):
@@ -369,15 +365,11 @@ def _double(value: object) -> float:
     return number
 
 
-def _text(value: object) -> str:
-    return str(value).lower() if isinstance(value, bool) else str(value)
-
-
 _READERS: Final[Mapping[str, Callable[[object], bool | int | float | str]]] = {
-    **dict.fromkeys(("boolean", "bool"), _flag),
+    **dict.fromkeys(("boolean", "bool"), lambda value: {"true": True, "false": False}[str(value).strip().lower()]),
     **dict.fromkeys(("long", "integer", "int"), _whole),
     **dict.fromkeys(("double", "float"), _double),
-    **dict.fromkeys(("string", "str"), _text),
+    **dict.fromkeys(("string", "str"), lambda value: str(value).lower() if isinstance(value, bool) else str(value)),
 }
 
 
@@ -394,11 +386,8 @@ def _items(value: Literal, base: str) -> list[object]:
                 if isinstance(items, list) and all(isinstance(item, str) for item in items):
                     return list(items)
     inner = text[1:-1].strip()
-    return [_unquoted(item.strip()) for item in inner.split(",")] if inner else []
-
-
-def _unquoted(item: str) -> str:
-    return item[1:-1] if len(item) > 1 and item[0] == item[-1] and item[0] in "'\"" else item
+    items = [item.strip() for item in inner.split(",")] if inner else []
+    return [one[1:-1] if re.fullmatch(r"""'[\s\S]*'|"[\s\S]*["]""", one) else one for one in items]
 
 
 def _unused(stem: str, taken: Container[str]) -> str:

@@ -343,11 +343,6 @@ def test_a_view_of_what_is_removed_cannot_be_asserted(kb):
         kb.assert_status(view, "unfeasible")
 
 
-def test_what_watches_a_model_can_be_told():
-    with pytest.raises(ModelError, match="model_grew"):
-        rover().watch(print)
-
-
 def test_elements_are_changed_and_removed_by_a_name_that_only_one_has():
     model = Model("rover")
     function = model.function("explore")
