@@ -86,10 +86,12 @@ class _Ready:
     cost: Sum
     uses: tuple[Sum, ...]
 
-    def operation(self, cost: int, uses: Sequence[int]) -> Operation:
+    @cached_property
+    def operation(self) -> Operation:
+        """As the exact search reads it, but for its cost and uses."""
         before = [(variable, value) for _, variable, value, _ in self.effects if value >= 0]
         effects = tuple([(given, variable, after) for given, variable, _, after in self.effects])
-        return Operation(self.number, tuple(sorted({*self.prevail, *before})), effects, cost, tuple(uses))
+        return Operation(self.number, tuple(sorted({*self.prevail, *before})), effects, 0, ())
 
     @cached_property
     def text(self) -> str:
@@ -156,11 +158,16 @@ class Grounded:
         self._possible = lru_cache(maxsize=64)(self._possible_with)
         self._graph = lru_cache(maxsize=8)(self._graph_of)
 
+    @property
+    def size(self) -> int:
+        """How many operators there are."""
+        return len(self._operators)
+
     def step(self, number: int) -> Step:
         """Return the step of a number that a search names."""
         return self._operators[number].step
 
-    def search_task(self, problem: Problem) -> SearchTask:
+    def search_task(self, problem: Problem, numbers: Numbers) -> SearchTask:
         """Put the state and the goal of a problem in, and the values that its costs and limits are made of.
 
         Raises:
@@ -168,14 +175,14 @@ class Grounded:
             UnreachableGoalError: a fact of the goal cannot become true.
             UnsupportedPddlError: an amount has no value, or one below 0.
         """
-        fitted, numbers = self._fitted(problem), self._usage.numbers(problem)
+        fitted = self._fitted(problem)
         mentioned = tuple([numbers.get(text) for text in self._mentioned])
         graph, task, scales = self._graph(fitted.frozen, fitted.goal, mentioned, fitted.state if self._rules else ())
         left = self._usage.remaining(numbers)
         limits = tuple([one.whole(scale) for one, scale in zip(left, scales, strict=True)])
         return SearchTask(graph, task._replace(start=fitted.state, limits=limits), scales)
 
-    def written(self, problem: Problem) -> tuple[str, str] | None:
+    def written(self, problem: Problem, numbers: Numbers) -> tuple[str, str] | None:
         """Write the task for Fast Downward, and how to search it optimally; None if the goal holds already.
 
         Raises:
@@ -183,7 +190,7 @@ class Grounded:
             UnreachableGoalError: a fact of the goal cannot become true.
             UnsupportedPddlError: a cost has no value, or one that Fast Downward does not count with.
         """
-        fitted, numbers = self._fitted(problem), self._usage.numbers(problem)
+        fitted = self._fitted(problem)
         ready = self._possible(fitted.frozen)
         costs = self._whole_costs([one.cost for one in ready], numbers)
         if not fitted.goal:
@@ -210,7 +217,9 @@ class Grounded:
             columns.append(column)
             scales.append(scale)
         spent = zip(*columns, strict=True)
-        operations = tuple([one.operation(cost, uses) for one, (cost, *uses) in zip(ready, spent, strict=True)])
+        operations = tuple(
+            [Operation(*one.operation[:3], cost, tuple(uses)) for one, (cost, *uses) in zip(ready, spent, strict=True)]
+        )
         task = Task(self._sizes, start, goal, operations, (0,) * len(scales), self._rules)
         is_guided = math.prod(map(float, self._sizes)) > _FEWEST_STATES
         return TaskGraph(task, is_guided=is_guided), task, tuple(scales)

@@ -4,10 +4,11 @@ import sys
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, wait
 from dataclasses import replace
 from fractions import Fraction
+from functools import cached_property
 from itertools import product
 from math import isinf
 from typing import NamedTuple
@@ -36,13 +37,15 @@ from rosa_pddl.grounding import (
 )
 from rosa_pddl.outcomes import Answer, Attempt, Outcome, PlanningResult, Trouble
 from rosa_pddl.problem import Problem
+from rosa_pddl.resource_usage import Numbers
 from rosa_pddl.validate import flaw, missing_at_start, schedule_flaw
 
 __all__ = ["PlanCache", "Planner", "awaited"]
 
 _MEGABYTE = 1 << 20
-# What the search in this process looks at within a tick; some milliseconds.
+# What the search in this process looks at within a tick, in a task of no more operators; some milliseconds.
 _MOVES_IN_A_TICK = 1000
+_MOVES_FOR_AN_OPERATOR = 5
 # A state of a large domain has tens of thousands of atoms: their number counts too.
 _MOST_ATOMS = 1_000_000
 _EXACT = ("fast-downward-opt", LABEL_SETTING)
@@ -209,7 +212,7 @@ def awaited(future: "Future[PlanningResult]", budget_s: float) -> PlanningResult
 
 
 class PlanCache:
-    """The answers that were last asked for, by state, goal and costs. May be used by several threads.
+    """The answers that were last asked for. May be used by several threads.
 
     Args:
         size: how many are kept at most.
@@ -217,30 +220,23 @@ class PlanCache:
 
     def __init__(self, size: int) -> None:
         self._size = size
-        self._results: OrderedDict[tuple[object, ...], tuple[PlanningResult, int]] = OrderedDict()
+        self._results: OrderedDict[Hashable, tuple[PlanningResult, int]] = OrderedDict()
         self._weight = 0
         self._lock = threading.Lock()
 
     def __len__(self) -> int:
         return len(self._results)
 
-    def get(self, problem: Problem, found_with: object = None) -> PlanningResult | None:
-        """Return the answer to a problem; None if it is not remembered.
-
-        Args:
-            problem: what is asked.
-            found_with: what else the answer depends on.
-        """
-        key = _key(problem, found_with)
+    def get(self, key: Hashable) -> PlanningResult | None:
+        """Return what was remembered by a key; None if nothing is."""
         with self._lock:
             if key not in self._results:
                 return None
             self._results.move_to_end(key)
             return self._results[key][0]
 
-    def put(self, problem: Problem, result: PlanningResult, found_with: object = None) -> None:
-        """Remember an answer, and forget what was not asked for the longest."""
-        key, weight = _key(problem, found_with), len(problem.state) + len(problem.costs) + 1
+    def put(self, key: Hashable, result: PlanningResult, weight: int = 1) -> None:
+        """Remember an answer that takes so much to hold, and forget what was not asked for the longest."""
         with self._lock:
             if key in self._results:
                 return
@@ -249,10 +245,6 @@ class PlanCache:
             while len(self._results) > self._size or self._weight > _MOST_ATOMS:
                 _, (_, oldest) = self._results.popitem(last=False)
                 self._weight -= oldest
-
-
-def _key(problem: Problem, found_with: object) -> tuple[object, ...]:
-    return found_with, problem.domain, problem.state, problem.wanted, frozenset(problem.costs.items())
 
 
 # ---------------------------------------------------------------- one planning
@@ -309,7 +301,10 @@ class _Portfolio:
             return None
         began = time.monotonic()
         try:
-            answer = self._checked("warm", self._exact(self._warm_task(0.0), _MOVES_IN_A_TICK))
+            task = self._warm_task(0.0)
+            if task.size > _MOVES_IN_A_TICK:
+                return None
+            answer = self._checked("warm", self._exact(task, _MOVES_IN_A_TICK))
         except Exception:  # whatever keeps from an answer here is reported by the ways
             return None
         attempt = Attempt("warm", answer.outcome, took_s=time.monotonic() - began)
@@ -329,14 +324,19 @@ class _Portfolio:
             self._running.discard(self._process)
 
     def _remembered(self) -> PlanningResult | None:
-        # of equally good plans another may be found once the task is translated anew
-        known = self._cache.get(self._problem, self._grounding)
+        known = self._cache.get(self._key)
         return None if known is None else replace(known, attempts=(Attempt("cache", known.outcome),))
 
     def _kept(self, result: PlanningResult) -> PlanningResult:
         if not result.outcome.is_trouble and not result.hangs_on_the_clock:
-            self._cache.put(self._problem, result, self._grounding)
+            self._cache.put(self._key, result, len(self._problem.state) + len(self._problem.costs) + 1)
         return result
+
+    @cached_property
+    def _key(self) -> Hashable:
+        problem = self._problem
+        # of equally good plans another may be found once the task is translated anew
+        return self._grounding, problem.domain, problem.state, problem.wanted, frozenset(problem.costs.items())
 
     def _tried_in_order(self) -> PlanningResult:
         attempts: list[Attempt] = []
@@ -412,7 +412,7 @@ class _Portfolio:
 
     def _searched(self, task: Grounded, deadline: float, engine: str) -> Answer:
         try:
-            if engine in _EXACT and self._settings.moves:
+            if self._is_searched_here(task, engine):
                 try:
                     return self._exact(task, self._settings.moves)
                 except search.CapReached:
@@ -425,13 +425,18 @@ class _Portfolio:
         except NotRepresentableError as error:
             raise Trouble(Outcome.UNSUPPORTED, f"the translated task does not fit: {error}") from error
 
+    def _is_searched_here(self, task: Grounded, engine: str) -> bool:
+        # putting numbers into operators is work, too, which may take longer than it takes to start another program
+        is_small = engine == LABEL_SETTING or task.size * _MOVES_FOR_AN_OPERATOR <= self._settings.moves
+        return engine in _EXACT and is_small and self._settings.moves > 0
+
     def _exact(self, grounded: Grounded, cap: int) -> Answer:
         """Search in this process.
 
         Raises:
             CapReached: that takes too many moves.
         """
-        asked_for = grounded.search_task(self._problem)
+        asked_for = grounded.search_task(self._problem, self._numbers)
         start, limits = asked_for.task.start, asked_for.task.limits
         found = asked_for.graph.plan(start, limits, cap)
         if found is None:
@@ -440,7 +445,7 @@ class _Portfolio:
 
     def _exact_elsewhere(self, grounded: Grounded, deadline: float) -> Answer:
         """Search in a process of its own, which may be killed."""
-        asked_for, limit_s = grounded.search_task(self._problem), _left_s(deadline)
+        asked_for, limit_s = grounded.search_task(self._problem, self._numbers), _left_s(deadline)
         ended = self._process.run(
             [sys.executable, "-I", "-S", search.__file__],
             given=search.written(asked_for.task),
@@ -463,8 +468,7 @@ class _Portfolio:
         limited = self._problem.domain.limited
         if not limited or any(isinf(amount) for amount in least):
             return Answer(Outcome.UNSOLVABLE_PROVEN)
-        usage = usage_of(self._problem.domain)
-        remaining = usage.remaining(usage.numbers(self._problem))
+        remaining = usage_of(self._problem.domain).remaining(self._numbers)
         amounts = [Fraction(int(one), scale) for one, scale in zip(least, asked_for.scales, strict=True)]
         broken = [
             f"{resource.name} takes {float(amount):.12g} at least, {float(left.amount):.12g} are left"
@@ -475,7 +479,7 @@ class _Portfolio:
         return Answer(Outcome.UNSOLVABLE_PROVEN, why="; ".join(broken) or together)
 
     def _by_fast_downward(self, grounded: Grounded, deadline: float, engine: str) -> Answer:
-        written = grounded.written(self._problem)
+        written = grounded.written(self._problem, self._numbers)
         if written is None:
             return Answer(Outcome.SOLVED_OPTIMALLY)
         text, estimate = written
@@ -533,10 +537,13 @@ class _Portfolio:
 
     def _cost(self, steps: Sequence[Step]) -> float | None:
         try:
-            usage = usage_of(self._problem.domain)
-            return usage.total_cost(steps, usage.numbers(self._problem))
+            return usage_of(self._problem.domain).total_cost(steps, self._numbers)
         except UnsupportedPddlError:
             return None
+
+    @cached_property
+    def _numbers(self) -> Numbers:
+        return usage_of(self._problem.domain).numbers(self._problem)
 
 
 def _may_have_to_overlap(domain: Domain) -> bool:

@@ -345,10 +345,10 @@ def _arcs(task: Task, variable: int) -> list[tuple[int, int, int]]:
     """Return the changes of a variable, all else being left aside: from, to, and the index of the operation."""
     found = []
     for index, operation in enumerate(task.operations):
-        values = {after for _, changed, after in operation.effects if changed == variable}
-        if values:
-            needed = [value for one, value in operation.needs if one == variable]
-            found += [(one, two, index) for one in needed or range(task.sizes[variable]) for two in sorted(values)]
+        for _, changed, after in operation.effects:
+            if changed == variable:
+                needed = [value for one, value in operation.needs if one == variable]
+                found += [(before, after, index) for before in needed or range(task.sizes[variable])]
     return found
 
 

@@ -314,9 +314,9 @@ def test_trouble_is_not_remembered(extended, tmp_path, monkeypatch):
     assert planner.plan(feasible(extended)).outcome is Outcome.SOLVED_OPTIMALLY
 
 
-def test_the_cache_holds_no_more_than_its_size_and_forgets_the_oldest(extended):
+def test_the_cache_holds_no_more_than_its_size_and_forgets_the_oldest():
     cache = PlanCache(2)
-    problems = [Problem(extended, frozenset({str(number)})) for number in range(3)]
+    problems = ["first", "second", "third"]
     result = PlanningResult(Outcome.SOLVED)
     for problem in problems[:2]:
         cache.put(problem, result)
@@ -326,10 +326,10 @@ def test_the_cache_holds_no_more_than_its_size_and_forgets_the_oldest(extended):
     assert len(cache) == 2
 
 
-def test_large_states_count_for_more_in_the_cache(extended):
+def test_large_states_count_for_more_in_the_cache():
     cache = PlanCache(100)
     for number in range(4):
-        cache.put(Problem(extended, frozenset(map(str, range(400_000 + number)))), PlanningResult(Outcome.SOLVED))
+        cache.put(number, PlanningResult(Outcome.SOLVED), 400_000)
     assert len(cache) == 2
 
 

@@ -236,3 +236,35 @@ def test_two_questions_at_once_are_answered_like_one_after_the_other(extended):
     futures = [planner.start(Problem(extended, state)) for state in states * 3]
     together = [answer(future.result(60.0)) for future in futures]
     assert together == [answer(Planner(cached=0).plan(Problem(extended, state))) for state in states] * 3
+
+
+def test_what_takes_no_longer_than_a_tick_is_answered_at_once(extended):
+    planner = Planner(cached=0)
+    problem = Problem(extended, initial_state(extended) | {"(action_feasible recharge)", "(pipeline_found pipeline)"})
+    first = planner.plan(problem)
+    at_once, future = planner.plan_now(problem), planner.start(problem)
+    assert future.done()
+    assert at_once == future.result() == first
+    none = planner.plan_now(Problem(extended, initial_state(extended)))
+    assert none is not None
+    assert none.outcome is Outcome.UNSOLVABLE_PROVEN
+
+
+def test_what_takes_longer_or_is_not_translated_yet_is_not(extended, world):
+    planner = Planner(cached=0)
+    assert planner.plan_now(Problem(extended, initial_state(extended))) is None
+    assert Planner("fast-downward").plan_now(Problem(extended, initial_state(extended))) is None
+    state, costs = world.situation()
+    problem = Problem(world.domain, state, costs=costs)
+    assert planner.plan(problem).outcome is Outcome.SOLVED_OPTIMALLY
+    left_out = Planner(cached=0, moves=0)
+    assert left_out.plan(problem).cost == planner.plan(problem).cost
+    assert left_out.plan_now(problem) is None
+
+
+def test_beyond_its_cap_the_search_is_left_to_fast_downward(world):
+    state, costs = world.situation()
+    problem = Problem(world.domain, state, costs=costs)
+    here, capped = Planner(cached=0), Planner(cached=0, moves=len(world.possible) * 5 + 200)
+    assert answer(here.plan(problem)) == answer(capped.plan(problem))
+    assert ways(capped.plan(problem)) == ["warm"]
