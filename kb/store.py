@@ -300,8 +300,9 @@ class Store:
             self._wake.clear()
             if not self._is_stopping:
                 time.sleep(_PAUSE)
+            is_last = self._is_stopping  # if it is told to stop while it writes, there may be more
             self._write()
-            if self._is_stopping:
+            if is_last:
                 return
 
     def _write(self) -> None:
