@@ -81,10 +81,6 @@ class Guidance:
         `v_wanted = v_move + k (p_move - p)`,  `F = m / tau (v_wanted - v) + integral`
 
     Whoever applies the force adds the vehicle's drag, so that the loop has the lag `tau` at every speed.
-
-    Args:
-        settings: Limits, gains and the vehicle's mass.
-        position: Where the vehicle is and stays until the first setpoint [m], world frame ENU, z up.
     """
 
     def __init__(self, settings: Settings, position: Vector) -> None:
@@ -160,14 +156,7 @@ class Guidance:
 
 
 class Autopilot:
-    """Holds a heading of east and flies to setpoints.
-
-    Args:
-        settings: Gains and the control period.
-        vehicle: What is flown.
-        thrusters: What it is flown with.
-        bias: True minus commanded height [m].
-    """
+    """Holds a heading of east and flies to setpoints."""
 
     def __init__(self, settings: Settings, vehicle: Vehicle, thrusters: Thrusters, bias: float) -> None:
         self._gains = (

@@ -63,11 +63,6 @@ class SpiralSearch(Component):
     [m]. A change of altitude skips one angle. A point counts as reached within 0.4 m in x, y and z; after more than 10
     ticks without reaching it, it is sent again, and lower by 0.25 m if only the height is off, while the goal that is
     checked stays as it was.
-
-    Args:
-        settings: Constants.
-        autopilot: Where setpoints go.
-        centre: Centre (x, y) of the spiral [m], world frame ENU.
     """
 
     name = "spiral_search"
@@ -89,13 +84,11 @@ class SpiralSearch(Component):
         self._correction = 0.0
 
     def activated(self, time: float) -> None:
-        """Begin a new spiral here if the settings say so; otherwise go on with the old one."""
         if self._settings.spiral_restarts:
             x, y, _ = self._autopilot.position
             self._begin((x, y))
 
     def tick(self, time: float) -> None:
-        """Take at most one step of the spiral."""
         if not self.active or time < self._settings.start_delay_s:
             return
         altitude = self.parameters["spiral_altitude"]
@@ -144,11 +137,6 @@ class FollowPipeline(Component):
     Every 2 s it checks the point under way, and takes on as many further points as are within 0.5 m in x and in y.
     What is left of the path outlives a deactivation; the distance does not outlive the next activation.
 
-    Args:
-        settings: Constants.
-        autopilot: Where setpoints go.
-        outbox: Where the distance and the end of the path are published.
-
     Attributes:
         distance_m: Distance inspected since the last activation [m].
         total_m: Distance inspected since GUIDED [m].
@@ -179,18 +167,15 @@ class FollowPipeline(Component):
         self._path = deque(path)
 
     def activated(self, time: float) -> None:
-        """Count the distance from 0 again."""
         self.distance_m = 0.0
         self._last = None
 
     def deactivated(self, time: float) -> None:
-        """Give up the point under way, or put it back if the settings say so."""
         if self._target is not None and self._path is not None and not self._settings.follow_loses_point:
             self._path.appendleft(self._target)
         self._target = None
 
     def tick(self, time: float) -> None:
-        """Check the point under way and go on to as many further ones as are reached already."""
         if not self.active or self._path is None or time < self._settings.start_delay_s:
             return
         before = self._last
@@ -246,12 +231,6 @@ class RecoverThrusters(Component):
     """Restores the thrusters one after another: the first after 10 s, then one every 0.25 s, failed or not.
 
     Once begun it runs to its end, deactivated or not, unless the settings say otherwise.
-
-    Args:
-        settings: Constants.
-        restored: Called with the number of each thruster, 1 to 6, and the time [s] at which it works again.
-        agenda: Where the steps are entered.
-        outbox: Where each recovery is published.
     """
 
     name = "recover_thrusters"
@@ -268,7 +247,6 @@ class RecoverThrusters(Component):
         self._run = 0
 
     def activated(self, time: float) -> None:
-        """Begin a recovery."""
         self._run += 1
         for index in range(COUNT):
             due = time + self._settings.recovery_wait_s + index * self._settings.recovery_spacing_s
@@ -290,11 +268,6 @@ class Recharge(Component):
 
     Every 5 s it sends the station as setpoint and recharges if it is within 0.5 m in x and in y. By later rules it
     looks twice a second, and sends the setpoint once for each drive.
-
-    Args:
-        settings: Constants.
-        autopilot: Where setpoints go.
-        recharge: Called with the time [s] to recharge.
     """
 
     name = "recharge"
@@ -307,11 +280,9 @@ class Recharge(Component):
         self._is_sent = False
 
     def activated(self, time: float) -> None:
-        """Begin a drive to the station."""
         self._is_sent = False
 
     def tick(self, time: float) -> None:
-        """Send the station as setpoint, and recharge if the vehicle is there."""
         settings = self._settings
         if not self.active or time < settings.start_delay_s:
             return
@@ -347,12 +318,6 @@ class Change:
 
 class Components:
     """The components by name; what they are told has its effect at once, for switching takes the time of whoever asks.
-
-    Args:
-        components: What there is.
-        clock: Returns the time [s].
-        hold: Called with the time [s] when the last component that moves the vehicle was deactivated.
-        switched: Called with each change that changed something.
 
     Attributes:
         history: Every change so far that changed something, in order of time.

@@ -12,7 +12,7 @@ from suave_env.battery import LOW_LEVEL, Battery
 from suave_env.components import Change, Components, FollowPipeline, Recharge, RecoverThrusters, SpiralSearch
 from suave_env.exceptions import SuaveEnvError
 from suave_env.metrics import Disturbance, Metrics, Reaction, Reactions, Violations
-from suave_env.monitors import MISSION_STATUS, BatteryMonitor, Message, Outbox, ThrusterMonitor, VisibilityMonitor
+from suave_env.monitors import MISSION_STATUS, QA_STATUS, Message, Outbox, ThrusterMonitor, VisibilityMonitor
 from suave_env.pipeline import SEABED_Z_M, Pipeline
 from suave_env.settings import Settings, ThrusterEvent, parse_thruster_events
 from suave_env.thrusters import Thrusters
@@ -115,14 +115,13 @@ class SuaveEnv:
         settings, agenda = self._settings, self._agenda
         self._visibility_monitor = VisibilityMonitor(settings, self._water, self._outbox)
         self._thruster_monitor = ThrusterMonitor(settings, self._outbox)
-        self._battery_monitor = BatteryMonitor(self._battery, self._outbox)
         visibility_period, thruster_period = settings.visibility_monitor_period_s, settings.thruster_monitor_period_s
         agenda.every(visibility_period, phases[0] * visibility_period, self._visibility_monitor.tick)
         agenda.every(thruster_period, phases[1] * thruster_period, self._thruster_monitor.tick)
         agenda.at(phases[2] * settings.pose_period_s, self._look)
         if settings.battery:
             phase = phases[3] * settings.battery_period_s
-            agenda.at(phase, self._battery_monitor.publish)
+            agenda.at(phase, self._tell_battery)
             agenda.every(settings.battery_period_s, phase + settings.battery_period_s, self._drain)
 
     def _enter_disturbances(self) -> None:
@@ -239,12 +238,15 @@ class SuaveEnv:
         if before >= LOW_LEVEL > self._battery.level:
             self._disturb(time, "battery", f"battery level fell below {LOW_LEVEL}")
             self._judge(time, corrected=False)
-        self._battery_monitor.publish(time)
+        self._tell_battery(time)
+
+    def _tell_battery(self, time: float) -> None:
+        self._outbox.publish(time, "battery_monitor", QA_STATUS, "battery_level", self._battery.level)
 
     def _recharge(self, time: float) -> None:
         self._battery.recharge()
         if self._settings.battery:
-            self._battery_monitor.publish(time)
+            self._tell_battery(time)
         self._outbox.publish(time, "recharge", MISSION_STATUS, "battery_recharged", "true")
 
     def _thruster_event(self, event: ThrusterEvent, time: float) -> None:

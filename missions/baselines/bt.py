@@ -41,11 +41,9 @@ class TreeManager(Manager):
 
     @property
     def is_done(self) -> bool:
-        """Whether the whole pipeline is inspected."""
         return "pipeline_inspected" in self.robot.noticed
 
     def update(self) -> None:
-        """Tick the tree."""
         self._root.tick_once()
 
 

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, TypeVar
 
 from numpy.random import Generator
 
-from kb import DiagnosticProblem, KnowledgeBase
-from missions.baselines.manager import Manager, Robot, Task
+from kb import DiagnosticProblem, KnowledgeBase, RequiredAction
+from missions.baselines.manager import Manager, Robot
 from missions.engine.adaptations import Adaptation
 from missions.engine.mission import Message, Mission, MissionError, Percepts, Verdict
 from missions.engine.runner import Listener, Seen
@@ -105,7 +105,7 @@ class BaselineController:
         )
 
     @property
-    def actions(self) -> Sequence[Task]:
+    def actions(self) -> Sequence[RequiredAction]:
         return self.robot.tasks
 
     @property

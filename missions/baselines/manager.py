@@ -3,12 +3,13 @@
 import heapq
 from abc import ABC
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import replace
 from math import inf
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from numpy.random import Generator
 
+from kb import RequiredAction
 from missions.engine.components import SimulatedComponents
 from missions.engine.mission import Message, Mission, MissionError
 from missions.engine.settings import Setting
@@ -16,29 +17,10 @@ from missions.engine.settings import Setting
 if TYPE_CHECKING:
     from suave_env import Settings
 
-__all__ = ["Manager", "Robot", "Task"]
+__all__ = ["Manager", "Robot"]
 
 MEASUREMENTS = ("ea measurement", "qa status")
 COMPONENT_STATUS = "component status"
-
-
-@dataclass(slots=True)
-class Task:
-    """A task of the mission that was begun.
-
-    Attributes:
-        action: its name, such as "search_pipeline".
-        start: when it was begun [s].
-        end: when it ended [s]; None while it is being done.
-        result: "completed", "abandoned" or "failed"; None while it is being done.
-        reason: why it ended.
-    """
-
-    action: str
-    start: float
-    end: float | None = None
-    result: str | None = None
-    reason: str = ""
 
 
 class Robot:
@@ -81,7 +63,7 @@ class Robot:
         self.measured: dict[str, float] = {}
         self.told: dict[str, str] = {}
         self.noticed: dict[str, int] = {}
-        self.tasks: list[Task] = []
+        self.tasks: list[RequiredAction] = []
         self._managed = managed
         self._clock = clock
         self._later: list[tuple[float, int, Callable[[], None]]] = []
@@ -89,7 +71,6 @@ class Robot:
 
     @property
     def now(self) -> float:
-        """The time since the vehicle obeys [s]."""
         return self._clock()
 
     @property
@@ -130,7 +111,6 @@ class Robot:
 
     @property
     def due(self) -> float:
-        """When the next thing that was put off is due [s]; infinite if there is none."""
         return self._later[0][0] if self._later else inf
 
     def catch_up(self) -> None:
@@ -147,7 +127,7 @@ class Robot:
         """
         if self.task is not None:
             raise MissionError(f"cannot begin {task}: {self.task} is being done; end it first")
-        self.tasks.append(Task(task, self.now))
+        self.tasks.append(RequiredAction(task, None, self.now))
 
     def end(self, result: str, reason: str = "") -> None:
         """Take down that the task has ended: "completed", "abandoned" or "failed".
@@ -157,11 +137,9 @@ class Robot:
         """
         if self.task is None:
             raise MissionError("no task is being done that could end; begin one first")
-        task = self.tasks[-1]
-        task.end, task.result, task.reason = self.now, result, reason
+        self.tasks[-1] = replace(self.tasks[-1], end=self.now, result=result, reason=reason)
 
     def receive(self, message: Message) -> None:
-        """Take in what was published; called before the manager hears of it."""
         for status in message["status"]:
             text = status["message"].casefold()
             for key, value in status["values"].items():

@@ -213,18 +213,15 @@ class Metacontrol(Manager):
         self._is_reasoning = False
 
     def begin(self, task: str) -> None:
-        """Take on the objectives of a task; they are grounded in the next cycle."""
         self._objectives = OBJECTIVES[task]
 
     def end(self, task: str) -> None:
-        """Drop the objectives and unground their functions."""
         self._objectives = ()
         self._situation = replace(self._situation, grounded={})
         for function in OBJECTIVES[task]:
             self._modes.unground(function)
 
     def update(self) -> None:
-        """Reason about what has been told by now; what is then asked for follows when the reasoner is done."""
         if not self._is_reasoning:
             self._is_reasoning = True
             self._reason()

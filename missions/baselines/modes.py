@@ -134,11 +134,9 @@ class NoManager(Manager):
         self._modes = SystemModes(robot)
 
     def begin(self, task: str) -> None:
-        """Activate what the task needs."""
         self._modes.request(*MODES[task])
 
     def end(self, task: str) -> None:
-        """Deactivate it."""
         function, _ = MODES[task]
         self._modes.unground(function)
 
@@ -158,12 +156,10 @@ class RandomManager(Manager):
         self._modes = SystemModes(robot)
 
     def update(self) -> None:
-        """Ask for a mode, each as likely as the other."""
         if self.robot.task is not None:
             function = FUNCTIONS[self.robot.task]
             modes = self._modes.of(function)
             self._modes.request(function, modes[self.robot.rng.integers(len(modes))])
 
     def end(self, task: str) -> None:
-        """Deactivate what the task needed."""
         self._modes.unground(FUNCTIONS[task])

@@ -64,15 +64,12 @@ class RosaManager(Manager):
 
     @property
     def is_done(self) -> bool:
-        """Whether the tree has succeeded."""
         return self._runner.status is Status.SUCCESS
 
     def receive(self, message: Message) -> None:
-        """Have it inserted; the tree, which asks the knowledge base, does not hear of it earlier."""
         self._after(INSERTING, lambda: self._insert(message))
 
     def update(self) -> None:
-        """Tick the tree."""
         self._runner.tick()
 
     def _after(self, calls: int, what: Callable[[], None]) -> None:

@@ -111,7 +111,6 @@ class RosaController:
         return problems
 
     def decide(self) -> bool:
-        """Have the manager answer what is known, then tick the task layer if that is due, and answer that."""
         spent, started = self.compute_s, perf_counter()
         self._manage()
         managed = perf_counter()
@@ -147,7 +146,6 @@ class RosaController:
             self._task.close()
 
     def verdict(self, results: Mapping[str, float | None]) -> Verdict:
-        """Return the world's verdict; of a failure with what was under way, why there was no plan, or what failed."""
         verdict = self._mission.world.verdict(self.percepts, results, self._kb)
         if verdict.success:
             return verdict

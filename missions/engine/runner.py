@@ -4,9 +4,9 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from time import perf_counter
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
-from kb import DiagnosticProblem, KnowledgeBase, Model
+from kb import DiagnosticProblem, KnowledgeBase, Model, RequiredAction
 from missions.engine.adaptations import Adaptation
 from missions.engine.mission import Message, Mission, MissionError, Reaction, Sample, Verdict, World
 from missions.engine.settings import RunSettings
@@ -14,28 +14,12 @@ from missions.engine.settings import RunSettings
 if TYPE_CHECKING:
     from rosa_pddl import PlanRecord
 
-__all__ = ["Controller", "Done", "Listener", "MissionRun", "Seen", "Trace"]
+__all__ = ["Controller", "Listener", "MissionRun", "Seen", "Trace"]
 
 SAMPLE_PERIOD_S = 0.5
 
 
-class Done(Protocol):
-    """An action that was begun: `kb.RequiredAction` is one."""
-
-    @property
-    def action(self) -> str: ...
-    @property
-    def start(self) -> float: ...
-    @property
-    def end(self) -> float | None: ...
-    @property
-    def result(self) -> str | None: ...
-    @property
-    def reason(self) -> str: ...
-
-
-@dataclass(frozen=True, slots=True)
-class Seen:
+class Seen(NamedTuple):
     """What a moment of a run shows beside the world: action, configurations and designs in words."""
 
     action: str
@@ -75,7 +59,7 @@ class Controller(Protocol):
         """How the mission has to end at once; None if it may go on."""
 
     @property
-    def actions(self) -> Sequence[Done]:
+    def actions(self) -> Sequence[RequiredAction]:
         """Every action that was begun."""
 
     @property
@@ -205,7 +189,7 @@ class MissionRun:
         return self.mission.model() if self.controller.kb is None else self.controller.kb.model
 
     @property
-    def actions(self) -> Sequence[Done]:
+    def actions(self) -> Sequence[RequiredAction]:
         """Every action that was begun."""
         return self.controller.actions
 

@@ -29,7 +29,6 @@ class PipelineFound(Behaviour):
         self._percepts = percepts
 
     def update(self) -> Status:
-        """Look at what was sensed."""
         return Status.SUCCESS if self._percepts.holds("pipeline_found") else Status.FAILURE
 
 
@@ -58,20 +57,16 @@ class SearchPipeline(RosaAction):
         return self.kb.now - self._since_s
 
     def initialise(self) -> None:
-        """Count the time from now."""
         self._since_s = self.kb.now
 
     def save_progress(self) -> float:
-        """Return how long it has searched [s]."""
         return self.searched_s
 
     def restore_progress(self, progress: object) -> None:
-        """Count that in."""
         if isinstance(progress, float):
             self._since_s -= progress
 
     def update(self) -> Status:
-        """Look at what was sensed."""
         if not self._percepts.holds("pipeline_found"):
             return Status.RUNNING
         self.feedback_message = f"found after {self.searched_s:.0f} s of searching"
@@ -102,20 +97,16 @@ class InspectPipeline(RosaAction):
         self.inspected_m, self._told_m, self._heard = 0.0, 0.0, 0
 
     def initialise(self) -> None:
-        """Begin with nothing inspected."""
         self.inspected_m, self._told_m, self._heard = 0.0, 0.0, 0
 
     def save_progress(self) -> tuple[float, float]:
-        """Return how much is inspected [m], and what of it the follower told last [m]."""
         return self.inspected_m, self._told_m
 
     def restore_progress(self, progress: object) -> None:
-        """Go on counting from there."""
         if isinstance(progress, tuple):
             self.inspected_m, self._told_m = progress
 
     def update(self) -> Status:
-        """Look at what was sensed."""
         heard = self._percepts.count("distance_inspected")
         if heard != self._heard:
             self._heard = heard

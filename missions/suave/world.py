@@ -39,26 +39,21 @@ class Sea(World):
 
     @property
     def now(self) -> float:
-        """Time since the vehicle obeys [s]."""
         return self._env.now
 
     @property
     def managed(self) -> SimulatedComponents:
-        """The nodes of the vehicle."""
         return self._nodes
 
     @property
     def history(self) -> Sequence["Change"]:
-        """What was switched and set so far."""
         return self._env.components.history
 
     @property
     def settings(self) -> "Settings":
-        """The constants of the sea."""
         return self._env.settings
 
     def advance(self, until: float) -> list[Message]:
-        """Simulate until something is published or switched, at most to the time `until` [s]."""
         env, nodes = self._env, self._nodes
         try:
             while True:
@@ -69,7 +64,6 @@ class Sea(World):
             raise MissionError(str(error)) from error
 
     def switching_s(self) -> Mapping[str, float]:
-        """Return how long the nodes take."""
         settings = self._env.settings
         return {
             "activate": settings.activation_s,
@@ -78,17 +72,14 @@ class Sea(World):
         }
 
     def results(self) -> Mapping[str, float | None]:
-        """Return the metrics, and the mean reaction times."""
         from suave_env.metrics import mean_reactions
 
         return {**asdict(self._env.metrics), **mean_reactions(self._env.reactions)}
 
     def reactions(self) -> Sequence[Reaction]:
-        """Return every reaction by SUAVE's rules."""
         return self._env.reactions
 
     def sample(self) -> Sample:
-        """Return position, visibility, battery and altitude."""
         seen = self._env.observe()
         signals = {
             "water visibility [m]": seen.water_visibility,
@@ -99,27 +90,22 @@ class Sea(World):
         return Sample(seen.time, (seen.x, seen.y, seen.z), signals)
 
     def disturbances(self) -> list[tuple[float, str]]:
-        """Return the thruster events, visibility thresholds crossed and battery thresholds crossed."""
         return [(one.time, one.text) for one in self._env.disturbances]
 
     def scenery(self) -> Mapping[str, Any]:
-        """Return the pipeline and the recharge station."""
         return {"pipeline": self._env.pipeline.points[:, :2], "recharge station": [self._env.station[:2]]}
 
     def close(self) -> None:
-        """End the simulation."""
         self._env.close()
 
 
 class _SeaKind(WorldKind):
     def settings(self) -> tuple[Setting, ...]:
-        """Return every constant of the sea, the vehicle and the monitors."""
         from suave_env import Settings
 
         return declared(Settings)
 
     def open(self, values: Mapping[str, str], rng: Generator) -> Sea:
-        """Open a sea."""
         from suave_env import Settings, SuaveEnv, SuaveEnvError
 
         try:
@@ -128,7 +114,6 @@ class _SeaKind(WorldKind):
             raise MissionError(str(error)) from error
 
     def verdict(self, percepts: Percepts, results: Mapping[str, float | None], kb: KnowledgeBase) -> Verdict:
-        """Judge by the goal: the pipeline found, more than 0 m of it inspected, a recharge done if one was begun."""
         return self.judge(percepts, results, any(one.action == "recharge" for one in kb.history.actions))
 
     def judge(self, percepts: Percepts, results: Mapping[str, float | None], needed_recharge: bool) -> Verdict:

@@ -29,9 +29,7 @@ class Recharge(RosaAction):
         self._before = 0
 
     def initialise(self) -> None:
-        """Remember how many recharges there were."""
         self._before = self._percepts.count("battery_recharged")
 
     def update(self) -> Status:
-        """Look whether there was one more."""
         return Status.SUCCESS if self._percepts.count("battery_recharged") > self._before else Status.RUNNING

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from missions.engine.components import CommandFailed
-    from missions.engine.replay import replay
     from missions.testing.decisions import Decisions
     from missions.testing.golden import check_golden
     from missions.testing.leaves import LeafMock, mock_leaf
     from missions.testing.managed import FakeClock, ScriptedManaged
+    from missions.testing.recorded import replay
 
 __all__ = [
     "CommandFailed",
@@ -33,7 +33,7 @@ _HOMES = {
     "ScriptedManaged": "missions.testing.managed",
     "check_golden": "missions.testing.golden",
     "mock_leaf": "missions.testing.leaves",
-    "replay": "missions.engine.replay",
+    "replay": "missions.testing.recorded",
 }
 
 

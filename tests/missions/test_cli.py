@@ -227,7 +227,7 @@ def test_same_fault_in_diagnostics_is_told_once_and_counted(quick):
 
 
 def test_recording_carries_the_settings_so_that_its_replay_decides_the_same(quick, tmp_path):
-    from missions.engine.replay import replay
+    from missions.testing.recorded import replay
 
     changed = ["tick_period_s=0.7", "duration_s=320", "activation_s=0.4", "deactivation_s=0.2", "planning_delay_s=1.3"]
     options = [part for setting in changed for part in ("--set", setting)]

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 import missions.engine.components
-import missions.engine.replay
 import missions.testing.decisions
+import missions.testing.recorded
 from missions.testing.golden import golden_path
 
 assert missions.MISSIONS, "loaded here, so that the runs inside of a test do not load all of it a second time"

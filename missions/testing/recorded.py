@@ -2,19 +2,12 @@
 
 The knowledge base, the manager and the task layer hear the recorded messages at their times, and decide; nothing is
 measured anew. What they command takes as long as it did, and has no effect on the recording.
-
-    from missions.engine.replay import replay
-
-    def test_it_recharges_when_the_battery_drops():
-        decisions = replay("battery_drop.jsonl", "suave_extended", task="bt")
-        decisions.assert_adapts(at=150.0, from_="inspect_pipeline", to="recharge", within=0.2)
 """
 
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
-from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Protocol, runtime_checkable
 
@@ -37,7 +30,7 @@ from rosa_bt import TraceVisitor
 if TYPE_CHECKING:
     from rosa_pddl import PlanRecord
 
-__all__ = ["Decisions", "Recording", "TaskFactory", "replay"]
+__all__ = ["Recording", "TaskFactory", "replay"]
 
 TaskFactory = Callable[[KnowledgeBase, Percepts], Behaviour]
 """Makes what decides about actions: a tree, or a plan executor (whose clock is then `lambda: kb.now`)."""
@@ -112,37 +105,29 @@ class Recording(World):
     """
 
     def __init__(self, messages: Iterable[Message], managed: ScriptedManaged) -> None:
-        self._clock = managed.clock
-        if self._clock.now != 0.0:
-            raise MissionError(f"a replay begins at 0 s, not at {self._clock.now:g} s; hand in a new managed system")
-        self._messages = deque(messages)
-        self._managed = managed
+        if managed.clock.now != 0.0:
+            raise MissionError(f"a replay begins at 0 s, not at {managed.clock.now:g} s; hand in a new managed system")
+        self.unheard = deque(messages)
         self.planners: tuple[_Plans, ...] = ()
+        self._managed = managed
 
     @property
     def now(self) -> float:
-        """The time of the recording [s]."""
-        return self._clock.now
+        return self._managed.clock.now
 
     @property
     def managed(self) -> ScriptedManaged:
-        """What takes the commands."""
         return self._managed
-
-    @property
-    def unheard(self) -> int:
-        """How many messages are still to come."""
-        return len(self._messages)
 
     def advance(self, until: float) -> list[Message]:
         """Go on to the next message or end of a command, at most to the time `until` [s]."""
-        following = self._messages[0]["time"] if self._messages else math.inf
-        self._clock.advance_to(max(self.now, min(until, following, self._managed.next_event())))
+        following = self.unheard[0]["time"] if self.unheard else math.inf
+        self._managed.clock.advance_to(max(self.now, min(until, following, self._managed.next_event())))
         for planner in self.planners:  # a tick never waits, so what is due by now is waited for here
             planner.catch_up()
         heard = []
-        while self._messages and self._messages[0]["time"] <= self.now:
-            heard.append(self._messages.popleft())
+        while self.unheard and self.unheard[0]["time"] <= self.now:
+            heard.append(self.unheard.popleft())
         return heard
 
 
@@ -162,13 +147,12 @@ def _asked(
     """Return the mission to run; the planners in its tree are made known to the world."""
     if behaviour is not None and (isinstance(behaviour, Behaviour) or not callable(behaviour)):
         raise MissionError(f"what decides is made for each replay: lambda kb, percepts: ..., not {behaviour!r}")
-    if not isinstance(mission, Mission | str):
-        model = mission if isinstance(mission, Model) else _made(mission)
+    wanted = find_mission(mission) if isinstance(mission, str) else mission
+    if not isinstance(wanted, Mission):
+        model = wanted if isinstance(wanted, Model) else _made(wanted)
         if behaviour is None:
             raise MissionError(f"the model {model.name} decides nothing by itself; replay(source, model, behaviour)")
         wanted = Mission(model.name, "", lambda: model, behaviour, _Nowhere())
-    else:
-        wanted = find_mission(mission) if isinstance(mission, str) else mission
     build = behaviour or wanted.tree
 
     def tree(kb: KnowledgeBase, percepts: Percepts) -> Behaviour:
@@ -180,26 +164,44 @@ def _asked(
     return replace(wanted, tree=tree)
 
 
-def _made(make: object) -> Model:
+def _made(make: Callable[[], object]) -> Model:
     """Return the model that a function makes; anything that is none is refused."""
     try:
-        signature(make).bind()  # type: ignore[arg-type]  # that it can be called is what is asked
-    except (TypeError, ValueError):
+        model = make()
+    except TypeError:
         model = None
-    else:
-        model = make()  # type: ignore[operator]  # asked just now
     if not isinstance(model, Model):
         raise MissionError(f"a mission, its name, a model or a function that makes one is replayed to, not {make!r}")
     return model
 
 
-def _early_end(world: Recording, limits: RunSettings, verdict: Verdict) -> tuple[Moment, ...]:
-    """Return the moment when the mission ended, if that was before the recording did."""
-    if not world.unheard:
-        return ()
-    how = "aborted" if verdict.outcome == "aborted" else "time limit" if world.now >= limits.duration_s else "SUCCESS"
-    count = f"{world.unheard} message{'s were' if world.unheard > 1 else ' was'} not heard"
-    return (Moment(world.now, "end", f"the mission ended ({how}); {count}"),)
+def _decide(mission: Mission, task: str, world: Recording, limits: RunSettings) -> Decisions:
+    controller = RosaController(mission, task, world, limits)
+    run = MissionRun(mission, controller, world, limits)
+    for component in world.managed.scripted:
+        _ = run.kb.components[component]  # a script for nobody is a slip
+    events: list[Event] = []
+    run.kb.subscribe(events.append)
+    with TraceVisitor(run.kb) as visitor:
+        controller.tree.add_visitor(visitor)
+        verdict = run.run()
+        trace = visitor.trace
+    moments = list(timeline(events, run.adaptations))
+    if world.unheard:
+        is_late = world.now >= limits.duration_s
+        how = "aborted" if verdict.outcome == "aborted" else "time limit" if is_late else "SUCCESS"
+        count = f"{len(world.unheard)} message{'s were' if len(world.unheard) > 1 else ' was'} not heard"
+        moments.append(Moment(world.now, "end", f"the mission ended ({how}); {count}"))
+    return Decisions(
+        actions=tuple((one.action, one.start, one.end, one.result) for one in run.kb.history.actions),
+        plans=run.kb.plans,
+        adaptations=tuple(run.adaptations),
+        task_plans=run.plans or tuple(plan for planner in world.planners for plan in planner.plans),
+        problems=tuple(run.problems),
+        timeline=tuple(moments),
+        trace=trace,
+        kb=run.kb,
+    )
 
 
 def _refuse_slips(messages: Iterable[Message], decisions: Decisions) -> None:
@@ -224,26 +226,3 @@ def _unknown(kb: KnowledgeBase, message: Message) -> Iterator[DiagnosticProblem]
                 _ = kb.components[reading.component]
         except UnknownName as error:
             yield DiagnosticProblem(reading[0], reading[-1], str(error))
-
-
-def _decide(mission: Mission, task: str, world: Recording, limits: RunSettings) -> Decisions:
-    controller = RosaController(mission, task, world, limits)
-    run = MissionRun(mission, controller, world, limits)
-    for component in world.managed.scripted:
-        _ = run.kb.components[component]  # a script for nobody is a slip
-    events: list[Event] = []
-    run.kb.subscribe(events.append)
-    with TraceVisitor(run.kb) as visitor:
-        controller.tree.add_visitor(visitor)
-        verdict = run.run()
-        trace = visitor.trace
-    return Decisions(
-        actions=tuple((one.action, one.start, one.end, one.result) for one in run.kb.history.actions),
-        plans=run.kb.plans,
-        adaptations=tuple(run.adaptations),
-        task_plans=run.plans or tuple(plan for planner in world.planners for plan in planner.plans),
-        problems=tuple(run.problems),
-        timeline=(*timeline(events, run.adaptations), *_early_end(world, limits, verdict)),
-        trace=trace,
-        kb=run.kb,
-    )
