@@ -8,16 +8,7 @@ from numpy.random import Generator
 
 from missions.agv.building import Building, BuildingError, Corridor
 from missions.agv.joint import Place, Task
-from missions.agv.pddl import (
-    SWITCH,
-    PddlNames,
-    cross_schema,
-    facts_of,
-    numbers_of,
-    problem_of,
-    switch_schema,
-    switching_of,
-)
+from missions.agv.pddl import SWITCH, PddlNames, cross_schema, switch_schema
 from rosa_pddl import Planner, PlanningResult
 from rosa_pddl.domain import FEASIBLE
 from rosa_pddl.generation import Declarations
@@ -78,16 +69,17 @@ def _chosen(pairs: list[tuple[int, int]], places: int, corridors: int) -> list[t
 
 def declarations_of_task(task: Task) -> Declarations:
     """Return a question as PDDL by itself, with its limits."""
-    modes = {mode.name: mode for place in _places(task) for _, mode, *_ in task.crossings(place)}
-    pddl = PddlNames(task.building, modes.values(), has_inside=bool(task.start[0].corridor))
-    facts = [fact for fact, is_so in facts_of(pddl, task).items() if is_so]
+    start = task.start[0]
+    places = [*map(Place, task.building.places), *([start] if start.corridor else [])]
+    modes = {mode.name: mode for place in places for _, mode, *_ in task.crossings(place)}
+    pddl = PddlNames(task.building, modes.values(), task.limited)
+    facts = [fact for fact, is_so in pddl.facts(task).items() if is_so]
     facts += [f"({FEASIBLE} {action})" for action in (SWITCH, *pddl.actions.values())]
-    switching = switching_of(pddl, task, pddl.by_mode, task.limited)
     problem = replace(
-        problem_of(pddl, task.limited),
+        pddl.problem,
         goal=(f"(at {pddl.places[task.goal]})",),
-        facts=(*pddl.fixed, *facts),
-        numbers=switching | numbers_of(pddl, task, task.limited),
+        facts=(*pddl.problem.facts, *facts),
+        numbers=pddl.switching(task, pddl.by_mode) | pddl.numbers(task),
     )
     return Declarations("joint", [switch_schema(task.limited), cross_schema(task.limited)], problem)
 
@@ -96,8 +88,3 @@ def asked_of(planner: Planner, task: Task) -> PlanningResult:
     """Have a planner answer a question; the cost is in whole thousandths."""
     domain = declarations_of_task(task).load()
     return planner.plan(Problem(domain, initial_state(domain)))
-
-
-def _places(task: Task) -> list[Place]:
-    start = task.start[0]
-    return [*map(Place, task.building.places), *([start] if start.corridor else [])]

@@ -7,11 +7,11 @@ from types import MappingProxyType
 from typing import Final
 
 from kb import KnowledgeBase
-from missions.agv.actions import LIMITED, Planned, PlanningState, cross, switch
+from missions.agv.actions import Planned, PlanningState, cross, switch
 from missions.agv.building import Building, load_building
 from missions.agv.model import NAVIGATE, building_model
 from missions.agv.modes import Modes
-from missions.agv.pddl import PddlNames, cross_schema, problem_of, switch_schema
+from missions.agv.pddl import PddlNames, cross_schema, switch_schema
 from missions.agv.route import Route
 from missions.agv.tree import agv_tree
 from missions.agv.world import AgvKind
@@ -26,6 +26,9 @@ MAPS: Final = Path(__file__).with_name("maps")
 WEIGHTS: Final[Mapping[str, float]] = MappingProxyType({"time": 1.0, "energy": 0.02, "collisions": 10.0})
 """What is minimised unless said otherwise: seconds, joules, expected collisions; own choice."""
 
+LIMITED: Final = ("energy",)
+"""What a plan may use up no more of than there is."""
+
 
 def agv_mission(name: str, summary: str, building: Building, weights: Mapping[str, float] = WEIGHTS) -> Mission:
     """Make a mission of a map.
@@ -37,7 +40,7 @@ def agv_mission(name: str, summary: str, building: Building, weights: Mapping[st
         weights: what is minimised, see `missions.agv.joint.Question`.
     """
     known = KnowledgeBase(building_model(building), clock=lambda: 0.0)
-    pddl = PddlNames(building, Modes(known, NAVIGATE).under({}))
+    pddl = PddlNames(building, Modes(known, NAVIGATE).under({}), LIMITED)
 
     @lru_cache(maxsize=8)  # what a run is told takes time to find out, so its behaviours share it
     def planning_state(kb: KnowledgeBase, percepts: Percepts) -> PlanningState:
@@ -52,7 +55,7 @@ def agv_mission(name: str, summary: str, building: Building, weights: Mapping[st
         summary=summary,
         model=partial(building_model, building),
         tree=partial(agv_tree, building, weights),
-        problem=problem_of(pddl, LIMITED),
+        problem=pddl.problem,
         actions=by_schema(
             Planned(switch_schema(LIMITED), planning_state, switch),
             Planned(cross_schema(LIMITED), planning_state, cross),

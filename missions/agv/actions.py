@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Final
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
@@ -11,33 +10,21 @@ from kb import KnowledgeBase, ReconfigurationPlan
 from missions.agv.joint import Leg
 from missions.agv.model import FOLLOW, NAVIGATE, NAVIGATOR, heading, headings
 from missions.agv.modes import Mode, running_mode
-from missions.agv.pddl import SWITCH, PddlNames, facts_of, numbers_of, switching_of
+from missions.agv.pddl import SWITCH, PddlNames
 from missions.agv.route import Route
 from missions.engine.mission import Percepts
 from rosa_bt import RosaAction
 from rosa_pddl import Step
 from rosa_pddl.generation import ActionSchema
 
-__all__ = ["Cross", "LIMITED", "PlanningState", "Planned", "Switch", "cross", "switch"]
-
-LIMITED: Final = ("energy",)
-"""What a plan may use up no more of than there is."""
-
 
 class Cross(RosaAction):
-    """Cross a corridor, in the configuration that was planned for it.
-
-    Args:
-        route: what is believed.
-        corridor: its name.
-        choose: returns what is planned for it now.
-    """
+    """Cross a corridor, in the configuration that was planned for it; `choose` returns what is planned for it now."""
 
     def __init__(self, route: Route, corridor: str, choose: Callable[[], Leg | None]) -> None:
         super().__init__(f"cross {corridor}", route.kb, f"cross_{corridor}")
         self.corridor = corridor
-        self._route = route
-        self._choose = choose
+        self._route, self._choose = route, choose
         self._leg: Leg | None = None
 
     @property
@@ -50,8 +37,7 @@ class Cross(RosaAction):
         self._leg = self._choose()
         if self._leg is not None:
             way = headings(self._route.building).index((self._leg.corridor, self._leg.origin)) + 1.0
-            for attribute, value in {**self._leg.conditions, "way": way}.items():
-                self.kb.measure(attribute, value)
+            _measure(self._route, {**self._leg.conditions, "way": way})
             if self.kb.pending_plan is None:  # else it would be abandoned together with that one
                 self._select(self._leg)
 
@@ -72,25 +58,19 @@ class Cross(RosaAction):
 
     def terminate(self, new_status: Status) -> None:
         """Demand no more than where it stands: what is behind or given up does not lie ahead."""
-        _demand(self._route)
+        _measure(self._route, self._route.standing)
 
     def _select(self, leg: Leg) -> None:
         why = f"{leg.mode.name} is the best to cross {leg.corridor}, {leg.why}"
         self.kb.select(_designs(leg), _configurations(leg), why)
 
     def _is_selected(self, leg: Leg) -> bool:
-        designs = (self.kb.designs[name] for name in _designs(leg).values())
-        configurations = (self.kb.configurations[name] for name in _configurations(leg).values())
-        return all(one.is_selected for one in (*designs, *configurations))
+        designs = [self.kb.designs[name].is_selected for name in _designs(leg).values()]
+        return all(designs) and all(self.kb.configurations[name].is_selected for name in _configurations(leg).values())
 
 
 class Switch(RosaAction):
-    """Change to a mode, where the robot stands.
-
-    Args:
-        route: what is believed.
-        mode: which one.
-    """
+    """Change to a mode, where the robot stands."""
 
     def __init__(self, route: Route, mode: Mode) -> None:
         super().__init__(f"switch to {mode.name}", route.kb, SWITCH)
@@ -100,7 +80,7 @@ class Switch(RosaAction):
     def initialise(self) -> None:
         """Demand no more than where it stands."""
         self._plan = None
-        _demand(self._route)
+        _measure(self._route, self._route.standing)
 
     def update(self) -> Status:
         """Select the mode, and look whether the robot is configured so."""
@@ -118,12 +98,7 @@ class Switch(RosaAction):
 
 
 class PlanningState:
-    """What the plan executor is told: the names of the PDDL problem, and what holds in it.
-
-    Args:
-        route: what is believed.
-        pddl: the names of the problem.
-    """
+    """What the plan executor is told: the names of the PDDL problem, and what holds in it."""
 
     def __init__(self, route: Route, pddl: PddlNames) -> None:
         self.route, self.pddl = route, pddl
@@ -136,9 +111,8 @@ class PlanningState:
         """What holds and costs now; worked out when something has happened, not with every metre and joule."""
         if self._revision != self.route.revision:
             self._revision, task = self.route.revision, self.route.task
-            self._switching = self._switching or switching_of(self.pddl, task, self.pddl.by_mode, LIMITED)
-            numbers = numbers_of(self.pddl, task, LIMITED)
-            self._facts = {**facts_of(self.pddl, task), **self._switching, **numbers}
+            self._switching = self._switching or self.pddl.switching(task, self.pddl.by_mode)
+            self._facts = {**self.pddl.facts(task), **self._switching, **self.pddl.numbers(task)}
         return self._facts
 
     def leg(self, way: str, mode: str) -> Leg | None:
@@ -153,20 +127,13 @@ class PlanningState:
 
 @dataclass(frozen=True)
 class Planned:
-    """Makes the behaviour of a step of a plan, and declares it.
-
-    Attributes:
-        schema: what it is in PDDL.
-        planning_state: returns what a run is told.
-        make: makes it.
-    """
+    """Makes the behaviour of a step of a plan, from what a run is told, and declares it."""
 
     schema: ActionSchema
     planning_state: Callable[[KnowledgeBase, Percepts], PlanningState]
     make: Callable[[PlanningState, Step], Behaviour]
 
     def __call__(self, kb: KnowledgeBase, percepts: Percepts, step: Step) -> Behaviour:
-        """Make it."""
         return self.make(self.planning_state(kb, percepts), step)
 
 
@@ -182,8 +149,8 @@ def switch(planning_state: PlanningState, step: Step) -> Switch:
     return Switch(planning_state.route, planning_state.pddl.by_mode[step.arguments[-1]])
 
 
-def _demand(route: Route) -> None:
-    for attribute, value in route.standing.items():
+def _measure(route: Route, demands: Mapping[str, float]) -> None:
+    for attribute, value in demands.items():
         route.kb.measure(attribute, value)
 
 

@@ -6,7 +6,7 @@ import re
 import sys
 import tomllib
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cached_property
@@ -15,10 +15,8 @@ from typing import Any, Final
 
 from missions.engine.mission import MissionError
 
-__all__ = ["Building", "BuildingError", "Corridor", "building_from", "load_building"]
-
 _NAME: Final = re.compile(r"[a-z][a-z0-9_]*")
-_SAID: Final = ("name", "start", "goal", "places", "corridors")
+_NEEDED: Final = ("start", "goal", "places", "corridors")
 _KEYS: Final = ("from", "to", "length_m", "obstacles", "light")
 
 
@@ -71,15 +69,13 @@ class Building:
 
     def __post_init__(self) -> None:
         for place, point in self.places.items():
-            if not all(map(math.isfinite, point)):
-                raise BuildingError(f"place {place} is at {point}; x and y [m] are finite numbers")
+            _need(all(map(math.isfinite, point)), f"place {place} is at {point}; x and y [m] are finite numbers")
         for name, corridor in self.corridors.items():
-            if name != corridor.name:
-                raise BuildingError(f"corridor {corridor.name} is listed as {name!r}; give it one name")
+            _need(name == corridor.name, f"corridor {corridor.name} is listed as {name!r}; give it one name")
             for end in corridor.ends:
-                self.check_place(end, f"corridor {corridor.name}")
-            if corridor.ends[0] == corridor.ends[1]:
-                raise BuildingError(f"corridor {corridor.name} leads from {corridor.ends[0]} to itself; take it out")
+                self.check_place(end, f"corridor {name}")
+            one, two = corridor.ends
+            _need(one != two, f"corridor {name} leads from {one} to itself; take it out")
             _check_numbers(corridor)
         self.check_place(self.start, "start")
         self.check_place(self.goal, "goal")
@@ -88,25 +84,20 @@ class Building:
     @cached_property
     def exits(self) -> Mapping[str, tuple[Corridor, ...]]:
         """The corridors at each place, in order of declaration."""
-        found: dict[str, list[Corridor]] = {place: [] for place in self.places}
-        for corridor in self.corridors.values():
-            for end in corridor.ends:
-                found[end].append(corridor)
-        return {place: tuple(corridors) for place, corridors in found.items()}
+        corridors = self.corridors.values()
+        return {place: tuple(one for one in corridors if place in one.ends) for place in self.places}
 
     def check_place(self, place: str, what: str) -> None:
         """Raise unless there is that place."""
         if place not in self.places:
-            near = get_close_matches(str(place), self.places, n=3) or list(self.places)[:8]
-            raise BuildingError(
-                f"{what} names the place {place!r}, which map {self.name} lacks; near: {', '.join(near)}"
-            )
+            near = _near(place, self.places)
+            raise BuildingError(f"{what} names the place {place!r}, which map {self.name} lacks; near: {near}")
 
     def check_corridor(self, corridor: str) -> None:
         """Raise unless there is that corridor."""
         if corridor not in self.corridors:
-            near = get_close_matches(str(corridor), self.corridors, n=3) or list(self.corridors)[:8]
-            raise BuildingError(f"map {self.name} has no corridor {corridor!r}; near: {', '.join(near)}")
+            near = _near(corridor, self.corridors)
+            raise BuildingError(f"map {self.name} has no corridor {corridor!r}; near: {near}")
 
     def _check_connected(self) -> None:
         seen, waiting = {self.start}, [self.start]
@@ -116,9 +107,8 @@ class Building:
             seen |= ends
             waiting += sorted(ends)
         lost = [place for place in self.places if place not in seen]
-        if lost:
-            named = ", ".join(lost[:5]) + (f" and {len(lost) - 5} more" if len(lost) > 5 else "")
-            raise BuildingError(f"map {self.name} is disconnected: no way from {self.start} to {named}; add a corridor")
+        named = ", ".join(lost[:5]) + (f" and {len(lost) - 5} more" if len(lost) > 5 else "")
+        _need(not lost, f"map {self.name} is disconnected: no way from {self.start} to {named}; add a corridor")
 
 
 def load_building(path: str | Path) -> Building:
@@ -132,9 +122,8 @@ def load_building(path: str | Path) -> Building:
         text = path.read_text(encoding="utf-8")
         data = json.loads(text, object_pairs_hook=_once) if path.suffix == ".json" else tomllib.loads(text)
     except (OSError, ValueError, RecursionError) as error:
-        raise BuildingError(
-            f"map {path} cannot be read: {error}; a map is a file of TOML, or of JSON if so named"
-        ) from error
+        allowed = "a map is a file of TOML, or of JSON if so named"
+        raise BuildingError(f"map {path} cannot be read: {error}; {allowed}") from error
     return building_from(data, path.stem)
 
 
@@ -155,38 +144,33 @@ def building_from(data: Any, name: str = "unnamed") -> Building:  # noqa: ANN401
     Raises:
         BuildingError: it is no map.
     """
-    name = str(data.get("name", name)) if isinstance(data, Mapping) else name
-    for key in ("start", "goal", "places", "corridors"):
-        if not isinstance(data, Mapping) or key not in data:
-            raise BuildingError(f"map {name} says no {key}; it needs start, goal, places and corridors")
-    for key in data:
-        if key not in _SAID:
-            raise BuildingError(f"map {name} says an unknown {key!r}; known are {', '.join(_SAID)}")
+    given = data if isinstance(data, Mapping) else {}
+    name = str(given.get("name", name))
+    for key in _NEEDED:
+        _need(key in given, f"map {name} says no {key}; it needs start, goal, places and corridors")
+    _check_keys(f"map {name} says", given, ("name", *_NEEDED))
     for key in ("places", "corridors"):
-        if not isinstance(data[key], Mapping) or not data[key]:
-            raise BuildingError(f"{key} of map {name} are given by name, at least one")
-        for one in data[key]:
-            if not isinstance(one, str) or not _NAME.fullmatch(one):
-                raise BuildingError(
-                    f"{one!r} in {key} of map {name} is no name; a letter, then letters, digits, '_', all small"
-                )
-    places = {place: _point(place, point) for place, point in data["places"].items()}
-    corridors = {one: _corridor(one, told, places) for one, told in data["corridors"].items()}
-    return Building(name, places, corridors, str(data["start"]), str(data["goal"]))
+        things = given[key]
+        _need(isinstance(things, Mapping) and bool(things), f"{key} of map {name} are given by name, at least one")
+        for one in things:
+            is_name = isinstance(one, str) and bool(_NAME.fullmatch(one))
+            allowed = "a letter, then letters, digits, '_', all small"
+            _need(is_name, f"{one!r} in {key} of map {name} is no name; {allowed}")
+    places = {place: _point(place, point) for place, point in given["places"].items()}
+    corridors = {one: _corridor(one, told, places) for one, told in given["corridors"].items()}
+    return Building(name, places, corridors, str(given["start"]), str(given["goal"]))
 
 
-def _point(place: str, told: object) -> tuple[float, float]:
-    if not isinstance(told, list | tuple) or len(told) != 2:
-        raise BuildingError(f"place {place} is {told!r}; a place is x and y [m], such as [2.0, 5.0]")
+def _point(place: str, told: Any) -> tuple[float, float]:  # noqa: ANN401  # whatever stands in a file
+    is_point = isinstance(told, list | tuple) and len(told) == 2
+    _need(is_point, f"place {place} is {told!r}; a place is x and y [m], such as [2.0, 5.0]")
     return _number(f"x of place {place}", told[0]), _number(f"y of place {place}", told[1])
 
 
-def _corridor(name: str, told: object, places: Mapping[str, tuple[float, float]]) -> Corridor:
-    if not isinstance(told, Mapping) or not {"from", "to"} <= told.keys():
-        raise BuildingError(f"corridor {name} is {told!r}; it needs from and to")
-    for key in told:
-        if key not in _KEYS:
-            raise BuildingError(f"corridor {name} has an unknown {key!r}; known are {', '.join(_KEYS)}")
+def _corridor(name: str, told: Any, places: Mapping[str, tuple[float, float]]) -> Corridor:  # noqa: ANN401  # the same
+    is_corridor = isinstance(told, Mapping) and {"from", "to"} <= told.keys()
+    _need(is_corridor, f"corridor {name} is {told!r}; it needs from and to")
+    _check_keys(f"corridor {name} has", told, _KEYS)
     ends = str(told["from"]), str(told["to"])
     apart = math.dist(*(places[end] for end in ends)) if all(end in places for end in ends) else 1.0
     numbers = {"length_m": apart, "obstacles": 0.0, "light": 1.0}
@@ -207,5 +191,18 @@ def _check_numbers(corridor: Corridor) -> None:
         ("light", 0.0 <= corridor.light <= 1.0, "from 0 to 1"),
     )
     for key, holds, needed in rules:
-        if not holds:
-            raise BuildingError(f"{key} of corridor {corridor.name} is {getattr(corridor, key):g}; it must be {needed}")
+        _need(holds, f"{key} of corridor {corridor.name} is {getattr(corridor, key):g}; it must be {needed}")
+
+
+def _check_keys(what: str, given: Iterable[str], known: tuple[str, ...]) -> None:
+    for key in given:
+        _need(key in known, f"{what} an unknown {key!r}; known are {', '.join(known)}")
+
+
+def _near(name: object, known: Iterable[str]) -> str:
+    return ", ".join(get_close_matches(str(name), known, n=3) or list(known)[:8])
+
+
+def _need(holds: bool, message: str) -> None:
+    if not holds:
+        raise BuildingError(message)

@@ -13,17 +13,14 @@ from typing import Final, NamedTuple
 
 from kb import KnowledgeBase
 from missions.agv.building import Building, Corridor
-from missions.agv.costs import GOALS, Amounts, Costs, check_number, weighing
-from missions.agv.modes import Mode, Modes, running_mode
+from missions.agv.modes import GOALS, Amounts, Costs, Mode, Modes, check_number, running_mode, weighing
 from missions.engine.mission import MissionError
 from rosa_pddl.search import Move, cheapest, distances
-
-__all__ = ["Answer", "DEMANDS", "JointPlanner", "Leg", "Place", "Question", "Task"]
 
 DEMANDS: Final = ("light", "obstacles")
 """What corridors demand, as attributes: light from 0 to 1, and obstacles [1/m]."""
 
-_UNITS: Final = {"time": (" s", 1e3), "energy": (" J", 1e3), "collisions": ("", 1e6)}
+_UNITS: Final = {"time": (" s", 1e3), "energy": (" J", 1e3), "collisions": ("", 1e6)}  # and how many are counted as one
 
 
 class Place(NamedTuple):
@@ -67,12 +64,6 @@ class Question:
                 check_number(f"the {what} of {name}", value)
         if not any(self.weights.values()):
             raise MissionError(f"nothing is to be minimised; give one of {', '.join(GOALS)} a weight above 0")
-
-    @property
-    def goal_in_words(self) -> str:
-        """What is minimised, such as "time + 0.02 energy"."""
-        parts = [(name, weight) for name, weight in self.weights.items() if weight]
-        return " + ".join(name if weight == 1.0 else f"{weight:g} {name}" for name, weight in parts)
 
 
 @dataclass(frozen=True)
@@ -135,20 +126,13 @@ class _Way(NamedTuple):
 State = tuple[Place, Mode]
 _Priced = tuple[Mode, Amounts, int]
 _Crossing = tuple[_Way, Mode, Amounts, int]
-_Taken = tuple[_Way, Amounts, Amounts]
-"""A way, what switching to the mode for it takes, and what driving it takes."""
+_Taken = tuple[_Way, Amounts, Amounts]  # a way, what switching to the mode for it takes, and what driving it takes
 
 
 class Task:
     """One question as a graph of places and modes, for the exact search; and for those who judge the planner.
 
-    Args:
-        building: the map.
-        question: what is wanted.
-        modes: asks the knowledge base.
-        running: how the robot is configured at the start.
-        crossing: tells what driving takes, as `Costs.crossing`.
-        costs: what else takes something.
+    `crossing` tells what driving takes, as `Costs.crossing`; what switching takes, the costs tell.
     """
 
     def __init__(
@@ -183,19 +167,18 @@ class Task:
         self._indices = tuple(GOALS.index(name) for name in self.limited)
         self._crossing, self._costs, self._weighed = crossing, costs, weighing(question.weights)
         self._whole = {one.name: self._priced(self.way(one, one.ends[0])) for one in building.corridors.values()}
-        self._steps: dict[Place, list[tuple[State, _Crossing]]] = {}
-        self._switching: dict[Mode, dict[Mode, tuple[Amounts, int]]] = {}
+        self._steps: dict[Place, list[_Crossing]] = {}
+        self._switching: dict[tuple[Mode, Mode], tuple[Amounts, int]] = {}
 
     def moves(self, state: State) -> Iterator[Move[State, _Taken]]:
         """Yield each corridor from here in each mode that is possible in it."""
         place, before = state
         if place not in self._steps:
-            self._steps[place] = [((Place(one[0].to), one[1]), one) for one in self.crossings(place)]
-        known, indices = self._switching.setdefault(before, {}), self._indices
-        for to, (way, mode, crossing, cost) in self._steps[place]:
-            switching, more = known.get(mode) or self.switching(before, mode)
-            uses = tuple([switching[number] + crossing[number] for number in indices]) if indices else ()
-            yield Move(to, cost + more, uses, (way, switching, crossing))
+            self._steps[place] = self.crossings(place)
+        for way, mode, crossing, cost in self._steps[place]:
+            switching, more = self.switching(before, mode)
+            uses = tuple([switching[number] + crossing[number] for number in self._indices])
+            yield Move((Place(way.to), mode), cost + more, uses, (way, switching, crossing))
 
     def is_goal(self, state: State) -> bool:
         return state[0] == Place(self.goal)
@@ -213,11 +196,11 @@ class Task:
 
     def switching(self, before: Mode, after: Mode) -> tuple[Amounts, int]:
         """Return what it takes, and costs, to change modes."""
-        known = self._switching.setdefault(before, {})
-        if after not in known:
+        known = self._switching.get((before, after))
+        if known is None:
             takes = self._costs.switching(before, after)
-            known[after] = takes, self._weighed(takes)
-        return known[after]
+            known = self._switching[before, after] = takes, self._weighed(takes)
+        return known
 
     def ways(self, place: Place) -> Iterator[_Way]:
         """Yield the corridors at a place; from within one, on to its end, or back and into another."""
@@ -301,10 +284,8 @@ class JointPlanner:
                 f"corridors demand {' and '.join(DEMANDS)}, but model {kb.model.name} has no attribute "
                 f"{' nor '.join(lacking)}; declare it as environmental, even if nothing is constrained by it"
             )
-        self.building = building
-        self._kb, self._function = kb, function
-        self._modes = Modes(kb, function)
-        self._costs = costs or Costs()
+        self._building, self._kb, self._function = building, kb, function
+        self._modes, self._costs = Modes(kb, function), costs or Costs()
         # what whole corridors take is asked again and again, and what is left of one never again
         self._crossing = lru_cache(maxsize=100_000)(self._costs.crossing)
 
@@ -315,7 +296,7 @@ class JointPlanner:
             BuildingError: the question names a place or corridor that there is not.
         """
         running = running_mode(self._kb, self._function)
-        return Task(self.building, question, self._modes, running, self._crossing, self._costs)
+        return Task(self._building, question, self._modes, running, self._crossing, self._costs)
 
     def plan(self, question: Question) -> Answer:
         """Return the best plan, proven, or a proof that there is none with the reason.
@@ -338,23 +319,23 @@ class JointPlanner:
         possible = self._modes.under(way.conditions)
         designs = {tuple(one.choice.designs.values()) for one in possible}
         demands = f"light {way.conditions['light']:g} and {way.conditions['obstacles']:g} obstacles/m"
-        if len(designs) == 1:
-            why = f"the only design that is feasible with {demands}"
-        else:
-            why = f"of {len(possible)} that are feasible with {demands}"
+        choice = "the only design that is" if len(designs) == 1 else f"of {len(possible)} that are"
+        why = f"{choice} feasible with {demands}"
         return Leg(way.corridor.name, way.origin, way.to, mode, way.conditions, takes, why)
 
     def _why(self, task: Task, legs: tuple[Leg, ...], takes: Amounts) -> str:
         if not legs:
             return f"already at {task.goal}"
         route = ", ".join(leg.corridor for leg in legs)
+        weights = [(name, weight) for name, weight in task.question.weights.items() if weight]
+        goal = " + ".join(name if weight == 1.0 else f"{weight:g} {name}" for name, weight in weights)
         within = [f"{name} {task.question.limits[name]:g}" for name in task.limited]
         limits = f" within {' and '.join(within)}" if within else ""
         told = f"{takes.time_s:.1f} s, {takes.energy_j:.0f} J, {takes.expected_collisions:.3f} collisions expected"
-        return f"{route}: of all ways the best for {task.question.goal_in_words}{limits} ({told})"
+        return f"{route}: of all ways the best for {goal}{limits} ({told})"
 
     def _why_not(self, task: Task) -> str:
-        ways = [task.way(corridor, corridor.ends[0]) for corridor in self.building.corridors.values()]
+        ways = [task.way(corridor, corridor.ends[0]) for corridor in self._building.corridors.values()]
         blocked = [way for way in ways if not self._modes.under(way.conditions)]
         if len(blocked) == len(ways):
             why = self._modes.why_none(blocked[0].conditions)

@@ -1,54 +1,34 @@
 """What the ground vehicle is made of: three ways to localise, three sensors, a lamp, and a base with three speeds."""
 
-from collections.abc import Iterable, Mapping
-from types import MappingProxyType
+from collections.abc import Iterable
 from typing import Final
 
 from kb import Model
 from missions.agv.building import Building
 
-__all__ = [
-    "DRAW_W",
-    "DRIVING_W",
-    "ERROR_M",
-    "FOLLOW",
-    "NAVIGATE",
-    "NAVIGATOR",
-    "NEEDED_LIGHT",
-    "SPEEDS",
-    "agv_model",
-    "building_model",
-    "heading",
-    "headings",
-]
-
 NAVIGATE: Final = "navigate"
 FOLLOW: Final = "follow_route"
 NAVIGATOR: Final = "navigator"
 
-SPEEDS: Final[Mapping[str, float]] = MappingProxyType({"slow": 0.24, "medium": 0.35, "fast": 0.68})
+SPEEDS: Final = {"slow": 0.24, "medium": 0.35, "fast": 0.68}
 """What the base can be set to [m/s]; the figures are those of the ROSA paper's source (Camara et al.)."""
 
-DRAW_W: Final[Mapping[str, float]] = MappingProxyType(
-    {"amcl": 3.0, "mrpt": 4.0, "aruco": 1.0, "lidar": 8.0, "kinect": 5.0, "camera": 2.0, "lamp": 4.0}
-)
+DRAW_W: Final = {"amcl": 3.0, "mrpt": 4.0, "aruco": 1.0, "lidar": 8.0, "kinect": 5.0, "camera": 2.0, "lamp": 4.0}
 """What each component draws while it runs [W]; own choice, of the order of such devices."""
 
-DRIVING_W: Final[Mapping[str, float]] = MappingProxyType({"slow": 8.0, "medium": 11.0, "fast": 30.0})
+DRIVING_W: Final = {"slow": 8.0, "medium": 11.0, "fast": 30.0}
 """What the base draws at each speed [W]; own choice."""
 
-MISHAPS: Final[Mapping[str, float]] = MappingProxyType({"slow": 0.002, "medium": 0.005, "fast": 0.02})
+MISHAPS: Final = {"slow": 0.002, "medium": 0.005, "fast": 0.02}
 """Collisions expected for each obstacle that is passed at a speed; own choice."""
 
-ERROR_M: Final[Mapping[tuple[str, str], float]] = MappingProxyType(
-    {
-        ("aruco", "camera"): 0.15,
-        ("amcl", "kinect"): 0.03,
-        ("amcl", "lidar"): 0.06,
-        ("mrpt", "kinect"): 0.08,
-        ("mrpt", "lidar"): 0.09,
-    }
-)
+ERROR_M: Final = {
+    ("aruco", "camera"): 0.15,
+    ("amcl", "kinect"): 0.03,
+    ("amcl", "lidar"): 0.06,
+    ("mrpt", "kinect"): 0.08,
+    ("mrpt", "lidar"): 0.09,
+}
 """Error of the position by algorithm and sensor [m]; which go together is the paper's, the figures are own choice."""
 
 _DESIGNS: Final = (  # name, components, collisions expected for each obstacle passed; own choice

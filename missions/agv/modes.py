@@ -1,14 +1,25 @@
-"""In which ways the robot can be configured in a situation, and what each takes: read off the knowledge base."""
+"""In which ways the robot can be configured in a situation, and what each takes: read off the knowledge base.
 
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+All amounts are whole: milliseconds, millijoules and millionths of a collision, rounded once for each corridor and mode
+(by at most half of one). From there on nothing is rounded, so that limits are kept to the unit.
+"""
+
+import math
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, fields
 from itertools import product
+from typing import Any, Final, NamedTuple
 
 from kb import Choice, KnowledgeBase, Model, Situation
 from kb.elements import Constraint, EstimationKind
 from kb.status import OPERATORS
+from missions.engine.mission import MissionError
 
-__all__ = ["Mode", "Modes", "running_mode"]
+GOALS: Final = ("time", "energy", "collisions")
+"""What can be weighed: seconds, joules, and collisions expected."""
+
+_THOUSANDTHS: Final = (1.0, 1.0, 1e-3)  # of a goal in one of its amounts
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,41 +51,36 @@ class Modes:
     Args:
         kb: what to ask; its failures and measurements count.
         function: for which designs are chosen.
-        failed: components that are supposed to have failed, too.
 
     Raises:
         UnknownName: no such function.
     """
 
-    def __init__(self, kb: KnowledgeBase, function: str, failed: Iterable[str] = ()) -> None:
-        self._kb = kb
-        self._supposed = tuple(failed)
-        self._function = kb.functions[function].name
+    def __init__(self, kb: KnowledgeBase, function: str) -> None:
+        self._kb, self._function = kb, kb.functions[function].name
         self._revision = -1
         self._constraints: dict[str, list[Constraint]] = {}
         self._found: dict[tuple[object, ...], tuple[Mode, ...]] = {}
-        self._reasons: dict[tuple[object, ...], str] = {}
         self._made: dict[tuple[object, ...], Mode] = {}
 
     def under(self, conditions: Mapping[str, float]) -> tuple[Mode, ...]:
         """Return the modes that are possible while attributes have these values; none if the function is unfeasible."""
         key = self._key(conditions)
         if key not in self._found:
-            self._found[key] = tuple(self._possible(self._situation(conditions)))
+            self._found[key] = tuple(self._possible(self._kb.situation(conditions)))
         return self._found[key]
 
     def why_none(self, conditions: Mapping[str, float]) -> str:
         """Say why nothing is possible while attributes have these values."""
-        key = self._key(conditions)
-        if key not in self._reasons:
-            situation = self._situation(conditions)
-            self._reasons[key] = situation.why(situation.functions[self._function])
-        return self._reasons[key]
+        situation = self._kb.situation(conditions)
+        return situation.why(situation.functions[self._function])
 
     def _key(self, conditions: Mapping[str, float]) -> tuple[object, ...]:
         """Return which constraints hold; for one with hysteresis, which depends on more than the value, the value."""
         if self._revision != self._kb.revision:
-            self._forget()
+            self._revision, self._found, self._constraints = self._kb.revision, {}, {}
+            for one in self._kb.model.constraints:
+                self._constraints.setdefault(one.attribute, []).append(one)
         return tuple(
             [
                 value if one.hysteresis else OPERATORS[one.operator](value, one.value)
@@ -82,15 +88,6 @@ class Modes:
                 for one in self._constraints.get(attribute, ())
             ]
         )
-
-    def _forget(self) -> None:
-        self._revision = self._kb.revision
-        self._found, self._reasons, self._constraints = {}, {}, {}
-        for one in self._kb.model.constraints:
-            self._constraints.setdefault(one.attribute, []).append(one)
-
-    def _situation(self, conditions: Mapping[str, float]) -> Situation:
-        return self._kb.situation(conditions, failed=self._supposed)
 
     def _possible(self, situation: Situation) -> Iterator[Mode]:
         model = self._kb.model
@@ -110,23 +107,134 @@ def running_mode(kb: KnowledgeBase, function: str) -> Mode:
     parts = {part for one in model.designs.values() if one.function == function for part in one.components}
     active = [part for part in model.components if part in parts and kb.components[part].is_active]
     selected = {part: kb.components[part].selected_configuration for part in active}
-    configured = {part: name for part, name in selected.items() if name}
-    return _mode(model, Choice({}, configured), frozenset(active))
+    return _mode(model, Choice({}, {part: name for part, name in selected.items() if name}), frozenset(active))
 
 
 def _mode(model: Model, choice: Choice, components: frozenset[str]) -> Mode:
-    names = [*choice.designs.values(), *choice.configurations.values()]
-    chosen = {id(model.designs[one]) for one in choice.designs.values()}
-    chosen |= {id(model.configurations[one]) for one in choice.configurations.values()}
-    chosen |= {id(model.components[one]) for one in components}
+    designs = [model.designs[one] for one in choice.designs.values()]
+    configurations = [model.configurations[one] for one in choice.configurations.values()]
+    chosen = {id(one) for one in (*designs, *configurations, *(model.components[one] for one in components))}
     estimates: dict[str, float] = {}
     for one in model.estimations:
         if id(one.causer) in chosen:
             sign = -1.0 if one.kind is EstimationKind.NEGATIVE else 1.0
             estimates[one.attribute] = estimates.get(one.attribute, 0.0) + sign * one.value
-    parameters: dict[str, float] = {}
-    for name in choice.configurations.values():
-        for key, value in model.configurations[name].parameters.items():
-            if isinstance(value, int | float) and not isinstance(value, bool):
-                parameters[key] = float(value)
-    return Mode(" ".join(names), choice, components, parameters, estimates)
+    parameters = {
+        key: float(value)
+        for configuration in configurations
+        for key, value in configuration.parameters.items()
+        if isinstance(value, int | float) and not isinstance(value, bool)
+    }
+    return Mode(" ".join(one.name for one in (*designs, *configurations)), choice, components, parameters, estimates)
+
+
+class Amounts(NamedTuple):
+    """Time [ms], energy [mJ], expected collisions [millionths]."""
+
+    time: int
+    energy: int
+    collisions: int
+
+    @property
+    def time_s(self) -> float:
+        """Time [s]."""
+        return self.time / 1e3
+
+    @property
+    def energy_j(self) -> float:
+        """Energy [J]."""
+        return self.energy / 1e3
+
+    @property
+    def expected_collisions(self) -> float:
+        """How many collisions are expected."""
+        return self.collisions / 1e6
+
+
+@dataclass(frozen=True)
+class Costs:
+    """What the estimations of the knowledge base come to.
+
+    A collision is a matter of chance; what it costs, it costs as often as it is expected: the robot stands for a while.
+    Whatever is switched, is switched one after the other while the robot stands.
+
+    Attributes:
+        collision_s: for how long a collision keeps the robot [s]; own choice.
+        switch_s: to start or stop a component [s]; own choice.
+        set_s: to give a component another configuration [s]; own choice.
+        standing_w: what the robot draws while it switches [W]; own choice.
+    """
+
+    collision_s: float = 30.0
+    switch_s: float = 0.5
+    set_s: float = 0.1
+    standing_w: float = 10.0
+
+    def __post_init__(self) -> None:
+        for one in fields(self):
+            check_number(one.name, getattr(self, one.name))
+
+    def crossing(self, mode: Mode, length_m: float, passed: float) -> Amounts:
+        """Return what it takes to drive a length [m] past a number of obstacles.
+
+        Raises:
+            MissionError: the model does not say how fast the mode is or what it takes, or nothing that can be so.
+        """
+        speed = mode.parameters.get("speed", math.nan)
+        if not speed > 0.0:
+            given = f"sets speed to {speed:g}" if "speed" in mode.parameters else "sets no speed"
+            raise MissionError(f"{mode.name or 'a mode'} {given}; give its configurations a speed above 0 [m/s]")
+        collisions = passed * _taken(mode, "safety")
+        time_s = length_m / speed + collisions * self.collision_s
+        energy_j = time_s * _taken(mode, "energy")
+        try:
+            return Amounts(round(time_s * 1e3), round(energy_j * 1e3), round(collisions * 1e6))
+        except (OverflowError, ValueError):
+            told = f"{length_m:g} m and {passed:g} obstacles take {mode.name} {time_s:g} s, {energy_j:g} J"
+            raise MissionError(f"{told}, {collisions:g} collisions; finite numbers are needed") from None
+
+    def switching(self, before: Mode, after: Mode) -> Amounts:
+        """Return what it takes to change from one mode to another."""
+        had, has = before.choice.configurations, after.choice.configurations
+        time_s = self.switch_s * len(before.components ^ after.components)
+        time_s += self.set_s * sum(had.get(part) != name for part, name in has.items())
+        return Amounts(round(time_s * 1e3), round(time_s * self.standing_w * 1e3), 0)
+
+
+def weighing(weights: Mapping[str, float]) -> Callable[[Amounts], int]:
+    """Return what makes a weighted sum of amounts, in whole thousandths; raises MissionError if that is infinite."""
+    per_ms, per_mj, per_millionth = (
+        weights.get(goal, 0.0) * each for goal, each in zip(GOALS, _THOUSANDTHS, strict=True)
+    )
+
+    def weighed(amounts: Amounts) -> int:
+        time, energy, collisions = amounts
+        try:
+            return round(per_ms * time + per_mj * energy + per_millionth * collisions)
+        except OverflowError:
+            raise MissionError(f"weights {dict(weights)} are too great to count with; give smaller ones") from None
+
+    return weighed
+
+
+def check_number(what: str, value: Any, most: float = math.inf) -> None:  # noqa: ANN401  # whatever a question gives
+    """Raise MissionError unless a value is a finite number from 0, and no more than the most there may be."""
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not is_number or not 0.0 <= value <= min(most, sys.float_info.max):
+        allowed = "a finite number from 0" + (f" to {most:g}" if most < math.inf else "")
+        raise MissionError(f"{what} is {value!r}; it must be {allowed}")
+
+
+def _taken(mode: Mode, attribute: str) -> float:
+    """Return how much a mode is estimated to take from an attribute."""
+    adds = mode.estimates.get(attribute)
+    if adds is None:
+        known = ", ".join(mode.estimates) or "nothing"
+        raise MissionError(
+            f"nothing estimates what {mode.name} takes from {attribute}; estimated is {known}; give its "
+            f"designs, components or configurations an estimation of {attribute}, 0 if it takes nothing"
+        )
+    if adds > 0.0:
+        advice = "what is planned with takes from it: estimate a number from 0 of the kind 'negative'"
+        raise MissionError(f"{mode.name} is estimated to add {adds:g} to {attribute}; {advice}")
+    return 0.0 - adds

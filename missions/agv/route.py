@@ -8,8 +8,6 @@ from missions.agv.building import Building
 from missions.agv.joint import Answer, JointPlanner, Leg, Place, Question, Task
 from missions.engine.mission import Percepts
 
-__all__ = ["RESERVE", "Route"]
-
 _DAYLIGHT: Final = 1.0
 
 RESERVE: Final = 0.1
@@ -22,17 +20,13 @@ class Route:
     Args:
         building: the map.
         kb: the knowledge base of the robot.
-        percepts: what else was told.
+        percepts: what else was reported.
         weights: what is minimised, see `Question`.
-
-    Attributes:
-        plans: how often it was planned.
     """
 
     def __init__(self, building: Building, kb: KnowledgeBase, percepts: Percepts, weights: Mapping[str, float]) -> None:
-        self.building, self.kb, self.plans = building, kb, 0
-        self._percepts = percepts
-        self._weights = weights
+        self.building, self.kb = building, kb
+        self._percepts, self._weights = percepts, weights
         self._planner = JointPlanner(building, kb)
         self._believed: tuple[object, ...] = ()
         self._answer: Answer | None = None
@@ -40,9 +34,8 @@ class Route:
     @property
     def at(self) -> str:
         """The place where the robot is, or the one that it came from."""
-        return next(
-            (place for place in self.building.places if self._percepts.holds(f"at {place}")), self.building.start
-        )
+        told = (place for place in self.building.places if self._percepts.holds(f"at {place}"))
+        return next(told, self.building.start)
 
     @property
     def is_there(self) -> bool:
@@ -52,10 +45,9 @@ class Route:
     @property
     def answer(self) -> Answer:
         """The best plan from here, or why there is none."""
-        self._believe()
-        if self._answer is None:
-            self._answer = self._planner.plan(self.question)
-            self.plans += 1
+        believed = self._believes()
+        if self._answer is None or believed != self._believed:
+            self._believed, self._answer = believed, self._planner.plan(self.question)
         return self._answer
 
     @property
@@ -68,13 +60,6 @@ class Route:
     def task(self) -> Task:
         """What is to be planned from here, as a graph."""
         return self._planner.task(self.question)
-
-    def _believe(self) -> None:
-        """Drop what was planned if what is believed has changed."""
-        believed = self.believed
-        if believed != self._believed:
-            self._believed = believed
-            self._answer = None
 
     @property
     def question(self) -> Question:
@@ -102,14 +87,13 @@ class Route:
         """Differs when anything has happened; that it drives on and draws energy is nothing."""
         return self.kb.revision, self._percepts.revision, self.kb.attributes["energy"].value is None
 
-    @property
-    def believed(self) -> tuple[object, ...]:
-        """Where the robot is, what has failed and where the light has changed: what plans depend on."""
+    def _believes(self) -> tuple[object, ...]:
+        """Return where the robot is, what has failed and where the light has changed: what plans depend on."""
         failed = [name for name in self.kb.components if self.kb.components[name].status is Status.FAILURE]
         return (self.at, self.inside, *failed, *self._light.items())
 
     @property
     def _light(self) -> Mapping[str, float]:
-        """Return how light it was found to be in corridors, where that was told."""
+        """How light it was found to be in corridors, where that was reported."""
         told = {name: self._percepts.value(f"light in {name}") for name in self.building.corridors}
         return {name: light for name, light in told.items() if light is not None}

@@ -6,8 +6,6 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Aim", "aim_along", "steer", "wheel_speeds"]
-
 Array = NDArray[np.float64]
 
 _AHEAD_M: Final = 1.0  # how far ahead on the line is aimed at

@@ -15,14 +15,12 @@ from py_trees.composites import Composite
 from kb import KnowledgeBase
 from missions.agv.actions import Cross
 from missions.agv.building import Building
-from missions.agv.joint import Answer, Leg
+from missions.agv.joint import Answer
 from missions.agv.route import Route
 from missions.engine.mission import Percepts
 from rosa_bt import feasible_then_act
 from rosa_bt.decorators import UntilSuccess
 from rosa_pddl import Outcome, PlanRecord, Step
-
-__all__ = ["FollowRoute", "agv_tree"]
 
 
 class FollowRoute(Composite):
@@ -37,7 +35,7 @@ class FollowRoute(Composite):
 
     def __init__(self, route: Route) -> None:
         self._route = route
-        self._crossings = {name: Cross(route, name, self._leg) for name in route.building.corridors}
+        self._crossings = {name: Cross(route, name, lambda: route.leg) for name in route.building.corridors}
         self._by_corridor = {name: feasible_then_act(one) for name, one in self._crossings.items()}
         self.plans: tuple[PlanRecord, ...] = ()
         self._planned: Answer | None = None
@@ -85,9 +83,6 @@ class FollowRoute(Composite):
         why = self._route.answer.reason if feasible else kb.why(kb.actions[crossing.action])
         kb.cancel_action(crossing.action, "abandoned", why)
         self._by_corridor[corridor].stop(Status.INVALID)
-
-    def _leg(self) -> Leg | None:
-        return self._route.leg
 
     def _end(self, status: Status) -> None:
         if status is Status.RUNNING:

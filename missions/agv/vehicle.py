@@ -13,7 +13,7 @@ from numpy.random import Generator
 from missions.agv.building import Building, BuildingError, Corridor
 from missions.agv.steering import Aim, Array, wheel_speeds
 
-__all__ = ["HALF_TRACK_M", "RADIUS_M", "SENSORS", "Vehicle", "WHEEL_M", "boxes", "check_walls"]
+Pose = tuple[float, float, float]  # x, y [m] and yaw [rad]
 
 RADIUS_M: Final = 0.2
 """Of the vehicle [m]; as all sizes here own choice, of the order of a small research robot."""
@@ -39,17 +39,8 @@ _VEHICLE: Final = f"""
     </body>"""
 
 
-def scene_xml(
-    building: Building, placed: list[tuple[float, float, float]], pose: tuple[float, float, float], step_s: float
-) -> str:
-    """Return the scene.
-
-    Args:
-        building: corridors are straight, between their places.
-        placed: x, y [m] and yaw [rad] of each box in the way.
-        pose: of the vehicle at the start: x, y [m] and yaw [rad].
-        step_s: of the physics [s].
-    """
+def scene_xml(building: Building, placed: list[Pose], pose: Pose, step_s: float) -> str:
+    """Return the scene; see `Vehicle`."""
     x, y, yaw = pose
     walls = "\n".join(wall for corridor in building.corridors.values() for wall in _walls(building, corridor))
     blocks = "\n".join(
@@ -74,11 +65,7 @@ def scene_xml(
 
 
 def check_walls(building: Building) -> None:
-    """Assure that no corridor is closed by the walls of another one.
-
-    Raises:
-        BuildingError: two of them cross.
-    """
+    """Raise BuildingError if two corridors cross: each would be closed by the walls of the other."""
     lines = [(one, [complex(*building.places[end]) for end in one.ends]) for one in building.corridors.values()]
     for (one, (a, b)), (two, (c, d)) in combinations(lines, 2):
         if _side(a, b, c) * _side(a, b, d) < 0 and _side(c, d, a) * _side(c, d, b) < 0:
@@ -91,12 +78,8 @@ def _side(a: complex, b: complex, point: complex) -> float:
     return ((b - a).conjugate() * (point - a)).imag
 
 
-def boxes(building: Building, rng: Generator) -> list[tuple[float, float, float]]:
-    """Put boxes into the corridors, as many per metre as the map says, but no more than can be driven round.
-
-    Returns:
-        x, y [m] and yaw [rad] of each.
-    """
+def boxes(building: Building, rng: Generator) -> list[Pose]:
+    """Put boxes into the corridors, as many per metre as the map says, but no more than can be driven round."""
     placed = []
     for corridor in building.corridors.values():
         (x, y), ux, uy, length_m = _line(building, corridor)
@@ -140,19 +123,13 @@ class Vehicle:
     """A differential drive with a range finder.
 
     Args:
-        building: where it is.
-        placed: boxes in the way, see `scene.boxes`.
+        building: where it is; corridors are straight, between their places.
+        placed: x, y [m] and yaw [rad] of each box in the way.
         pose: x, y [m] and yaw [rad] at the start.
         step_s: of the physics [s].
     """
 
-    def __init__(
-        self,
-        building: Building,
-        placed: list[tuple[float, float, float]],
-        pose: tuple[float, float, float],
-        step_s: float,
-    ) -> None:
+    def __init__(self, building: Building, placed: list[Pose], pose: Pose, step_s: float) -> None:
         self._model: Any = mujoco.MjModel.from_xml_string(scene_xml(building, placed, pose, step_s))
         self._data: Any = mujoco.MjData(self._model)
         self._body = int(self._model.body("vehicle").id)
@@ -190,20 +167,8 @@ class Vehicle:
         rays = np.stack([np.cos(angles), np.sin(angles), np.zeros(count)], axis=1)
         origin = np.array([*self.position, 0.2])
         hit, far = np.zeros(count, dtype=np.int32), np.zeros(count)
-        mujoco.mj_multiRay(
-            self._model,
-            self._data,
-            origin,
-            rays.ravel(),
-            self._groups,
-            True,
-            self._body,
-            hit,
-            far,
-            None,
-            count,
-            reach_m,
-        )
+        past = self._groups, True, self._body
+        mujoco.mj_multiRay(self._model, self._data, origin, rays.ravel(), *past, hit, far, None, count, reach_m)
         found = (hit >= 0) & (far > 0.0)
         self._seen.append(origin[:2] + rays[found, :2] * far[found, None])
         apart = np.concatenate(self._seen) - self.position

@@ -2,27 +2,86 @@
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, Final
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.random import Generator
 
 from kb import KnowledgeBase, ManagedSystem
 from kb.elements import Parameters
-from missions.agv.building import Building
+from missions.agv.building import Building, BuildingError
 from missions.agv.model import DRAW_W, DRIVING_W, ERROR_M, NAVIGATOR, NEEDED_LIGHT, SPEEDS
 from missions.agv.route import Route
-from missions.agv.settings import Incident, Settings, incidents
 from missions.agv.steering import Aim, Array, aim_along, steer
 from missions.engine.components import SimulatedComponents
 from missions.engine.mission import Message, MissionError, Percepts, Sample, Setting, Verdict, World, WorldKind
+from missions.engine.settings import Constants, setting
 
-__all__ = ["AgvKind", "BuildingWorld"]
+_OWN: Final = "own choice"
+_PAPER: Final = "ROSA paper, AGV use case; where along the corridor: own choice"
 
 _STAND: Final = Aim(0.0, 0.0)
 _ERROR_KEEPS: Final = 0.98  # of the error of the position, from one look to the next
 _DARK: Final = 0.1  # where the lamps of a corridor have gone out, from 0 to 1; own choice
 _WELL_INSIDE_M: Final = 1.0  # from there on the robot is in a corridor, no longer at a place
+
+
+@dataclass(frozen=True)
+class Settings(Constants):
+    """The constants; times count from the start of the mission."""
+
+    incidents: str = setting(
+        "kinect fails in c1, dark in c3",
+        "-",
+        "what happens once within a corridor: 'COMPONENT fails|recovers in CORRIDOR', 'dark|light in CORRIDOR'",
+        _PAPER,
+    )
+    capacity_j: float = setting(20_000.0, "J", "energy at the start", _OWN, 1.0)
+    physics_step_s: float = setting(0.01, "s", "step of the physics engine", _OWN, 1e-3, 0.01)
+    control_period_s: float = setting(0.1, "s", "period of looking and steering", _OWN, 1e-2)
+    monitor_period_s: float = setting(0.5, "s", "period of the monitors of light, energy and position", _OWN, 0.1)
+    switching_s: float = setting(0.5, "s", "time that starting or stopping a component takes", _OWN, 0.0)
+    parameter_s: float = setting(0.1, "s", "time that setting parameters takes", _OWN, 0.0)
+    standing_w: float = setting(2.0, "W", "drawn by the base while the vehicle stands", _OWN, 0.0)
+    reach_m: float = setting(0.3, "m", "distance at which a place is reached", _OWN, 0.05)
+
+    def __post_init__(self) -> None:
+        steps = self.control_period_s / self.physics_step_s
+        if round(steps) < 1 or abs(steps - round(steps)) > 1e-6:
+            message = f"control_period_s {self.control_period_s:g} is no whole multiple of physics_step_s"
+            raise MissionError(f"{message} {self.physics_step_s:g}")
+
+
+class Incident(NamedTuple):
+    """Something that happens once, when the robot is within a corridor; for light, no component is named."""
+
+    what: str  # "fails", "recovers", "dark" or "light"
+    component: str
+    corridor: str
+
+
+def incidents(text: str, building: Building) -> tuple[Incident, ...]:
+    """Read what shall happen; raises MissionError if that cannot be read, or names what there is not."""
+    return tuple(_incident(part.split(), text, building) for part in text.split(",") if part.strip())
+
+
+def _incident(words: list[str], text: str, building: Building) -> Incident:
+    if len(words) == 4 and words[1] in ("fails", "recovers") and words[2] == "in":
+        component, what, _, corridor = words
+        if component not in DRAW_W:
+            raise MissionError(f"incidents name the component {component!r}; there are {', '.join(DRAW_W)}")
+    elif len(words) == 3 and words[0] in ("dark", "light") and words[1] == "in":
+        component, (what, _, corridor) = "", words
+    else:
+        allowed = "text such as 'kinect fails in c1, dark in c3', or nothing"
+        raise MissionError(f"incidents cannot be {text!r}; allowed is {allowed}")
+    try:
+        building.check_corridor(corridor)
+    except BuildingError as error:
+        message = f"incidents cannot be {text!r}: {error}; name others, or none by --set incidents="
+        raise MissionError(message) from error
+    return Incident(what, component, corridor)
 
 
 class BuildingWorld(World):
@@ -43,16 +102,14 @@ class BuildingWorld(World):
         check_walls(building)
         self._building, self._settings, self._rng = building, settings, rng
         start = building.places[building.start]
-        self._vehicle: Vehicle = Vehicle(
-            building, boxes(building, rng), (*start, rng.uniform(-math.pi, math.pi)), settings.physics_step_s
-        )
+        placed, pose = boxes(building, rng), (*start, rng.uniform(-math.pi, math.pi))
+        self._vehicle = Vehicle(building, placed, pose, settings.physics_step_s)
         self._components = _Components((*DRAW_W, "base", NAVIGATOR))
         self._managed = SimulatedComponents(lambda: self.now, self._components, self.switching_s())
         self._waiting = _placed(incidents(settings.incidents, building), rng)
         self._light = {corridor.name: corridor.light for corridor in building.corridors.values()}
         self._ticks = 0
         self._at, self._inside, self._way = building.start, "", [building.start]
-        self._goal_said = False
         self._ordered: Mapping[str, Any] = {}
         self._sensor = ""
         self._error: Array = np.zeros(2)
@@ -71,7 +128,6 @@ class BuildingWorld(World):
 
     @property
     def managed(self) -> ManagedSystem:
-        """The components of the vehicle."""
         return self._managed
 
     def advance(self, until: float) -> list[Message]:
@@ -88,12 +144,10 @@ class BuildingWorld(World):
         return [{"time": self.now, "status": said}] if said else []
 
     def switching_s(self) -> Mapping[str, float]:
-        """Return how long commands take."""
         switching_s = self._settings.switching_s
         return {"activate": switching_s, "deactivate": switching_s, "set_parameters": self._settings.parameter_s}
 
     def results(self) -> Mapping[str, float | None]:
-        """Return what was driven and used, and how often something was touched."""
         return {
             "driven_m": self._driven_total_m,
             "energy_used_j": self._settings.capacity_j - self._energy_j,
@@ -101,23 +155,21 @@ class BuildingWorld(World):
         }
 
     def sample(self) -> Sample:
-        """Return where the vehicle is, how fast it may drive, the light there and what it draws."""
         x, y = self._vehicle.position
         signals = {"light [-]": self._light_here, "draws [W]": self._draws_w(self._sensor != "")}
         return Sample(self.now, (float(x), float(y), 0.0), {**signals, "speed set [m/s]": self._speed})
 
     def disturbances(self) -> list[tuple[float, str]]:
-        """Return what failed and where it became dark."""
         return list(self._happened)
 
     def scenery(self) -> Mapping[str, Any]:
         """Return the corridors, with what is special in them."""
         shown = {}
-        for corridor in self._building.corridors.values():
-            words = [corridor.name] + (["obstructed"] if corridor.obstacles > 0 else [])
-            words += ["dark"] if self._light[corridor.name] < corridor.light or corridor.light < NEEDED_LIGHT else []
-            start, end = (np.array(self._building.places[place]) for place in corridor.ends)
-            shown[", ".join(words)] = np.linspace(start, end, 9)
+        for one in self._building.corridors.values():
+            is_dark = self._light[one.name] < one.light or one.light < NEEDED_LIGHT
+            words = {"obstructed": one.obstacles > 0, "dark": is_dark}
+            start, end = (np.array(self._building.places[place]) for place in one.ends)
+            shown[", ".join([one.name, *(word for word, holds in words.items() if holds)])] = np.linspace(start, end, 9)
         return shown
 
     # ---------------------------------------------------------------- one period
@@ -131,10 +183,9 @@ class BuildingWorld(World):
         self._energy_j = max(0.0, self._energy_j - self._draws_w(aim is not _STAND) * self._settings.control_period_s)
         self._driven_total_m += math.dist(before, self._vehicle.position)
         self._look_where_it_is()
-        due = [(one, part) for one, part in self._waiting if self._is_due(one, part)]
-        for one in due:
-            self._waiting.remove(one)
-            self._happen(one[0])
+        for one, part in [each for each in self._waiting if self._is_due(*each)]:
+            self._waiting.remove((one, part))
+            self._happen(one)
 
     def _take_orders(self) -> None:
         """Take over where to drive: to the origin first, unless the vehicle is there or in that corridor already."""
@@ -204,8 +255,8 @@ class BuildingWorld(World):
 
     def _happen(self, one: Incident) -> None:
         if one.component:
-            is_failed = one.what == "fails"
-            (self._components.failed.add if is_failed else self._components.failed.discard)(one.component)
+            is_failed, failed = one.what == "fails", self._components.failed
+            (failed.add if is_failed else failed.discard)(one.component)
             self._say("component status", one.component, "failure" if is_failed else "recovered")
             self._say("mission status", f"{one.component} failed", str(is_failed).lower())
             self._happened.append((self.now, f"{one.component} {'failed' if is_failed else 'recovered'}"))
@@ -235,9 +286,8 @@ class BuildingWorld(World):
 
     @property
     def _speed(self) -> float:
-        return (
-            float(self._components.parameters("base").get("speed", 0.0)) if self._components.is_active("base") else 0.0
-        )
+        parameters = self._components.parameters("base") if self._components.is_active("base") else {}
+        return float(parameters.get("speed", 0.0))
 
     def _draws_w(self, is_driving: bool) -> float:
         speed = next((name for name, value in SPEEDS.items() if value == self._speed), "")
@@ -286,26 +336,18 @@ def _placed(wanted: Sequence[Incident], rng: Generator) -> list[tuple[Incident, 
 
 
 class AgvKind(WorldKind):
-    """Opens a building.
-
-    Args:
-        building: the map.
-        weights: what the mission minimises, to say why there was no plan.
-    """
+    """Opens a building; by the weights that the mission minimises it says why there was no plan."""
 
     def __init__(self, building: Building, weights: Mapping[str, float]) -> None:
         self._building, self._weights = building, weights
 
     def settings(self) -> tuple[Setting, ...]:
-        """Return every constant."""
         return Settings.describe()
 
     def open(self, values: Mapping[str, str], rng: Generator) -> BuildingWorld:
-        """Open the building."""
         return BuildingWorld(self._building, Settings.read(values), rng)
 
     def verdict(self, percepts: Percepts, results: Mapping[str, float | None], kb: KnowledgeBase) -> Verdict:
-        """Judge by where the robot is."""
         route = Route(self._building, kb, percepts, self._weights)
         if route.is_there:
             return Verdict("arrived", f"the robot is at {self._building.goal}")

@@ -16,8 +16,6 @@ from missions.engine.registry import find_mission
 from missions.engine.settings import own_values, read_values
 from missions.suave.world import Sea
 
-__all__ = ["Campaign", "PlannedRun", "check_campaign", "from_data", "paper_table", "read_campaign", "with_runs"]
-
 Settings = Mapping[str, str]
 
 PAPER_MISSIONS = ("suave", "suave_extended")

@@ -10,8 +10,6 @@ from typing import Any
 from missions.experiments.results import Kept
 from missions.experiments.work import CRASHED
 
-__all__ = ["Comparison", "Group", "PAPER", "Published", "comparisons"]
-
 
 @dataclass(frozen=True, slots=True)
 class Published:

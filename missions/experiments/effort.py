@@ -24,25 +24,6 @@ from missions.engine.mission import Mission, MissionError, Percepts
 from missions.engine.registry import MISSIONS, find_mission
 from missions.suave.world import SEA
 
-__all__ = [
-    "Count",
-    "LawPoint",
-    "MODELS",
-    "MOST_ADAPTATIONS",
-    "ModelEffort",
-    "Parts",
-    "RULE",
-    "Survey",
-    "TASK_NODES",
-    "TREES",
-    "TreeEffort",
-    "as_data",
-    "count",
-    "generated_model",
-    "law",
-    "survey",
-]
-
 T = TypeVar("T")
 MODES_FILE: Final = Path(modes_module.__file__).with_name("modes.toml")
 

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw", "picture", "print_survey"]
-
 WIDTH: Final = 160
 """Of what is no terminal [letters]."""
 

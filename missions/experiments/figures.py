@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["distribution", "reaction_histograms"]
-
 WIDTH, ROW, EDGES, DPI = 9.0, 0.8, 1.1, 130  # [inch], [inch], [inch], [px/inch]
 EARLY, LATE, PLAIN, PAPER, INK = "#0072b2", "#e69f00", "#7d8790", "#d55e00", "#222222"
 BINS, LOG_BINS = 40, 36

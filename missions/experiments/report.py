@@ -18,8 +18,6 @@ from missions.experiments.results import Kept
 from missions.experiments.statistics import contrast, holm, interval_of_mean, interval_of_sd, two_clusters
 from missions.views.output import OutputFile
 
-__all__ = ["Document", "write_report"]
-
 STYLE = """
 body { font: 15px/1.45 sans-serif; color: #222; max-width: 76rem; margin: 2rem auto; padding: 0 1rem; }
 table { border-collapse: collapse; margin: 1rem 0; font-variant-numeric: tabular-nums; }

@@ -18,8 +18,6 @@ from missions.experiments.campaign import Campaign, from_data
 from missions.experiments.work import CRASHED, Outcome, provenance
 from missions.views.output import OutputFile
 
-__all__ = ["Kept", "Store", "reaction_rows", "read_store", "run_rows", "write_tables"]
-
 FORMAT = 1
 CAMPAIGN, RUNS, TIMING, CRASHES = "campaign.json", "runs.jsonl", "timing.jsonl", "crashes.txt"
 

@@ -8,8 +8,6 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-__all__ = ["Clusters", "Contrast", "Interval", "contrast", "holm", "interval_of_mean", "interval_of_sd", "two_clusters"]
-
 Array = NDArray[np.float64]
 
 DRAWS = 10_000

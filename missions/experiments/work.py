@@ -19,8 +19,6 @@ from missions.engine.runner import MissionRun
 from missions.experiments.campaign import PlannedRun
 from missions.views.output import as_json, summary
 
-__all__ = ["CRASHED", "Outcome", "crash", "do", "provenance"]
-
 CRASHED = "crashed"
 """Outcome of a run that raised an exception or took its process down with it."""
 

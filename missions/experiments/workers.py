@@ -15,8 +15,6 @@ from missions.experiments.campaign import PlannedRun
 from missions.experiments.results import Store, read_store, write_tables
 from missions.experiments.work import CRASHED, Outcome, crash, do, provenance
 
-__all__ = ["Cluster", "Processes", "Teller", "Workers", "conduct", "outcomes"]
-
 TIMEOUT_S = 10.0
 WATCH_S = 0.5
 

@@ -16,20 +16,6 @@ from missions.uav.settings import MOST_SAMPLES
 from rosa_bt import RosaAction
 from rosa_pddl.generation import ActionSchema, DeclaredProblem
 
-__all__ = [
-    "AnalyseOnSite",
-    "LandAndFoldGripper",
-    "PROBLEM",
-    "PickUpAndAnalyse",
-    "ReturnAndRecharge",
-    "SearchForSamples",
-    "Sensed",
-    "analysed",
-    "facts",
-    "is_all_analysed",
-    "is_waiting",
-]
-
 SAMPLES: Final = tuple(f"sample_{number}" for number in range(1, MOST_SAMPLES + 1))
 
 # What is wanted is sensed, so the goal changes by itself when a sample is added.

@@ -8,8 +8,6 @@ from numpy.random import Generator
 
 from missions.uav.settings import Settings
 
-__all__ = ["Field", "Sample"]
-
 OFF_LANE_M = 2.0
 """How far from the middle of its lane a sample may lie."""
 

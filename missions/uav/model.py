@@ -8,8 +8,6 @@ from typing import Final
 
 from kb import Model
 
-__all__ = ["ANALYSE_LEVEL", "PICK_UP_LEVEL", "SEARCH_LEVEL", "uav_model"]
-
 # Charge that an action needs [1], own choice: the way home takes less than 0.1, a pick-up twice as much as a look.
 PICK_UP_LEVEL: Final = 0.55
 SEARCH_LEVEL: Final = 0.3

@@ -18,8 +18,6 @@ from missions.uav.field import Field, Sample
 from missions.uav.settings import Settings
 from missions.uav.vehicle import ON_GROUND_M, Quadrotor
 
-__all__ = ["PERIOD_S", "Nodes", "Robot"]
-
 PERIOD_S: Final = 0.1
 GRIP_M: Final = 0.12  # height of the legs from which the gripper reaches the ground
 LIFT_M: Final = 2.5  # height at which a held sample is analysed

@@ -5,8 +5,6 @@ from typing import Final
 
 from missions.engine.settings import Constants, setting
 
-__all__ = ["MOST_SAMPLES", "Settings"]
-
 MOST_SAMPLES: Final = 8
 """How many samples there may be; the planned task layer has an object for each."""
 

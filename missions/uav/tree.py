@@ -30,8 +30,6 @@ from missions.uav.actions import (
 from rosa_bt import do_until_unfeasible, feasible_then_act, first_feasible, switch_safely
 from rosa_bt.decorators import UntilSuccess
 
-__all__ = ["uav_tree"]
-
 
 def uav_tree(kb: KnowledgeBase, percepts: Percepts) -> Behaviour:
     """Build the tree; it runs until all samples are analysed that are wanted."""

@@ -15,18 +15,6 @@ import mujoco
 from missions.engine.mission import MissionError
 from missions.uav.settings import Settings
 
-__all__ = [
-    "ON_GROUND_M",
-    "Quadrotor",
-    "SUBSTEPS",
-    "Vector",
-    "attitude_torques",
-    "mast",
-    "mixed",
-    "velocity_wanted",
-    "wanted_force",
-]
-
 Vector = tuple[float, float, float]
 
 ARM_M: Final = 0.18  # from the centre to a rotor, along x and along y

@@ -14,8 +14,6 @@ from missions.uav.field import Field
 from missions.uav.model import ANALYSE_LEVEL, PICK_UP_LEVEL, SEARCH_LEVEL
 from missions.uav.settings import Settings
 
-__all__ = ["SKY", "UavWorld"]
-
 STATUS = "mission status"
 LEVELS = {
     PICK_UP_LEVEL: "picking up a sample needs",

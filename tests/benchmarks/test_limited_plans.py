@@ -9,9 +9,9 @@ from figures import percentiles, shown, table
 from numpy.random import default_rng
 
 from kb import KnowledgeBase
-from missions.agv.costs import GOALS
 from missions.agv.joint import JointPlanner, Place, Question
 from missions.agv.model import agv_model
+from missions.agv.modes import GOALS
 from rosa_pddl import Declarations, Outcome, Planner, Problem, initial_state
 
 pytestmark = pytest.mark.benchmark

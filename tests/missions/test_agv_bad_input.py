@@ -9,9 +9,9 @@ import pytest
 from kb import KnowledgeBase, Model, UnknownName
 from missions import cli
 from missions.agv.building import Building, BuildingError, Corridor, building_from, load_building
-from missions.agv.costs import Costs
 from missions.agv.joint import JointPlanner, Place, Question
 from missions.agv.model import agv_model
+from missions.agv.modes import Costs
 from missions.engine.mission import MissionError
 
 HALL = {

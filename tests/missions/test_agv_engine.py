@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from numpy.random import default_rng
 
 from kb import KnowledgeBase
-from missions.agv.costs import GOALS
 from missions.agv.joint import JointPlanner, Question
 from missions.agv.model import agv_model
+from missions.agv.modes import GOALS
 from missions.agv.pddl import left_of
 from rosa_pddl import Outcome, Planner, Problem, initial_state
 

@@ -14,9 +14,9 @@ from numpy.random import default_rng
 from kb import KnowledgeBase
 from missions.agv import MAPS, WEIGHTS
 from missions.agv.building import BuildingError, building_from, load_building
-from missions.agv.costs import GOALS, Costs, weighing
 from missions.agv.joint import JointPlanner, Place, Question
 from missions.agv.model import agv_model
+from missions.agv.modes import GOALS, Costs, weighing
 from missions.engine.mission import MissionError
 from rosa_pddl import Outcome, Planner
 from rosa_pddl.search import Move, cheapest, distances

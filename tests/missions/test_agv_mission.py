@@ -18,7 +18,7 @@ from missions.agv.joint import JointPlanner, Question
 from missions.agv.model import DRAW_W, agv_model, building_model
 from missions.agv.modes import Modes
 from missions.agv.route import Route
-from missions.agv.settings import Settings
+from missions.agv.world import Settings
 from missions.engine.controller import TASK_KINDS, rosa_run
 from missions.engine.mission import MissionError, Percepts
 from missions.planning.declared import mission_domain

@@ -10,10 +10,9 @@ from agv_worlds import generated_building
 from missions.agv import agv_mission
 from missions.agv.building import BuildingError, building_from
 from missions.agv.model import NAVIGATOR, SPEEDS
-from missions.agv.settings import Settings
 from missions.agv.steering import Aim
 from missions.agv.vehicle import Vehicle, boxes, check_walls
-from missions.agv.world import BuildingWorld
+from missions.agv.world import BuildingWorld, Settings
 from missions.engine.controller import rosa_run
 from missions.engine.settings import RunSettings
 
