@@ -69,9 +69,9 @@ class Formulas:
     """
 
     def __init__(self, domain: Domain, source: Source, unknown: Callable[[Node, str], Exception] | None = None) -> None:
-        self._domain, self._source, self._unknown = domain, source, unknown or source.error
+        self._domain, self.source, self._unknown = domain, source, unknown or source.error
         self._problem = domain.up_problem
-        self._manager = domain.up_problem.environment.expression_manager
+        self.manager = domain.up_problem.environment.expression_manager
 
     def condition(self, node: Node, scope: Scope, place: str) -> UpThing:
         """Read a condition, without times and numbers.
@@ -87,29 +87,29 @@ class Formulas:
         """
         head, rest = node.head, node.children[1:]
         if not node.is_list:
-            raise self._source.error(node, f"found {node.word!r}, expected a list such as '({node.word})'")
+            raise self.source.error(node, f"found {node.word!r}, expected a list such as '({node.word})'")
         if not node.children:
-            return self._manager.TRUE()
+            return self.manager.TRUE()
         if head in (*COMPARISONS, *_CHANGES) or (head == "=" and any(part.is_list for part in rest)):
             raise self.numeric(node, place, "computes with numbers")
         if head == "preference":
             message = f"found {start_of(node)!r}: no installed engine takes preferences; LPG (up-lpg) by itself would "
             message += "do. Leave it out and add it as a soft goal: goals.add(TEXT, worth=COST)"
-            raise self._source.unsupported(node, message)
+            raise self.source.unsupported(node, message)
         if head in ("forall", "exists"):
             inner, body = self.quantified(node)
-            make = self._manager.Forall if head == "forall" else self._manager.Exists
+            make = self.manager.Forall if head == "forall" else self.manager.Exists
             variables = [variable.variable() for variable in inner.values()]
             return make(self.condition(body, {**scope, **inner}, place), *variables)
         if head == "=":
             self._expect(node, 2)
-            return self._manager.Equals(*(self._term(part, scope) for part in rest))
+            return self.manager.Equals(*(self._term(part, scope) for part in rest))
         if head in ("and", "or", "not", "imply"):
             parts = [self.condition(part, scope, place) for part in rest]
             if head in ("and", "or"):
-                return (self._manager.And if head == "and" else self._manager.Or)(parts)
+                return (self.manager.And if head == "and" else self.manager.Or)(parts)
             self._expect(node, 1 if head == "not" else 2)
-            return (self._manager.Not if head == "not" else self._manager.Implies)(*parts)
+            return (self.manager.Not if head == "not" else self.manager.Implies)(*parts)
         return self.atom(node, scope)
 
     def quantified(self, node: Node) -> tuple[Scope, Node]:
@@ -117,11 +117,11 @@ class Formulas:
         from unified_planning.model import Variable
 
         if len(node.children) != 3 or not node.children[1].is_list:
-            raise self._source.error(node, f"found {start_of(node)!r}, expected '({node.head} (?x - type) (...))'")
+            raise self.source.error(node, f"found {start_of(node)!r}, expected '({node.head} (?x - type) (...))'")
         environment = self._problem.environment
         scope = {
-            name.lower: self._manager.VariableExp(Variable(name.lower[1:], self.type_of(kind or ANY), environment))
-            for name, kind in typed(self._source, node.children[1].children, are_variables=True)
+            name.lower: self.manager.VariableExp(Variable(name.lower[1:], self.type_of(kind or ANY), environment))
+            for name, kind in typed(self.source, node.children[1].children, are_variables=True)
         }
         return scope, node.children[2]
 
@@ -136,7 +136,7 @@ class Formulas:
     def atom(self, node: Node, scope: Scope) -> UpThing:
         """Read a predicate, or a numeric fact, with its arguments."""
         if not node.head:
-            raise self._source.error(node, f"found {start_of(node)!r}, expected the name of a predicate first")
+            raise self.source.error(node, f"found {start_of(node)!r}, expected the name of a predicate first")
         inside = self._domain.inside.get(("predicate", node.head))
         if inside is None:
             raise self._unknown_name("predicate", node.children[0], (*_CONNECTIVES, *_CHANGES))
@@ -156,7 +156,7 @@ class Formulas:
 
     def number(self, node: Node, scope: Scope) -> UpThing:
         """Read a number, a numeric fact, or what is computed of both."""
-        manager = self._manager
+        manager = self.manager
         operators = {"+": manager.Plus, "-": manager.Minus, "*": manager.Times, "/": manager.Div}
         if node.head in operators:
             parts = [self.number(part, scope) for part in node.children[1:]]
@@ -166,16 +166,16 @@ class Formulas:
         try:
             value = Fraction(node.lower)
         except ValueError:
-            raise self._source.error(node, f"found {node.word!r}, expected a number") from None
+            raise self.source.error(node, f"found {node.word!r}, expected a number") from None
         return manager.Int(value.numerator) if value.denominator == 1 else manager.Real(value)
 
     def numeric(self, node: Node, place: str, why: str) -> PddlError:
         """Make the error for something that may not be done with numbers."""
-        return self._source.unsupported(node, f"{start_of(node)!r} in {place} {why}; {NUMBERS}")
+        return self.source.unsupported(node, f"{start_of(node)!r} in {place} {why}; {NUMBERS}")
 
     def _term(self, node: Node, scope: Scope) -> UpThing:
         if node.is_list:
-            raise self._source.unsupported(node, f"{start_of(node)} is no object; a formula is about what is true")
+            raise self.source.unsupported(node, f"{start_of(node)} is no object; a formula is about what is true")
         if node.lower.startswith("?"):
             if node.lower not in scope:
                 message = f"found the variable {node.word!r}, expected a parameter; {nearest(node.lower, scope)}"
@@ -184,13 +184,11 @@ class Formulas:
         inside = self._domain.inside.get(("object", node.lower))
         if inside is None:
             raise self._unknown_name("object", node, ())
-        return self._manager.ObjectExp(self._problem.object(inside))
+        return self.manager.ObjectExp(self._problem.object(inside))
 
     def _expect(self, node: Node, count: int) -> None:
         if len(node.children) != count + 1:
-            raise self._source.error(
-                node, f"found {len(node.children) - 1} parts in {start_of(node)}, expected {count}"
-            )
+            raise self.source.error(node, f"found {len(node.children) - 1} parts in {start_of(node)}, expected {count}")
 
     def _unknown_name(self, kind: str, node: Node, others: tuple[str, ...]) -> Exception:
         known = [self._domain.outside[inside] for (other, _), inside in self._domain.inside.items() if other == kind]

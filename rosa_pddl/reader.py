@@ -1,9 +1,10 @@
 """Reads PDDL into unified-planning's model; what cannot be read or planned for is refused with its place."""
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from rosa_pddl.domain import ACTION_TYPE, FEASIBLE, Domain, Limit, Resource, Schema, UpThing, conjuncts
@@ -86,7 +87,12 @@ def build_domain(domain: Source, problem: Source, actions: Mapping[str, str] | N
         actions: for PDDL actions the ROSA action that they do, as for `load_domain`.
     """
     check_frames(domain, problem)
-    read = _Reader(_with_rosa_actions(domain, problem, actions or {}), problem, actions or {}).domain()
+    told = actions or {}
+    guarded = _with_rosa_actions(domain, problem, told)
+    try:
+        read = _Reader(guarded, problem, told, has_object=False).domain()
+    except _ObjectNeeded:
+        read = _Reader(guarded, problem, told, has_object=True).domain()
     # what cannot be planned for is refused here, not at the first planning
     Problem(read, frozenset()).build()
     return read
@@ -179,29 +185,29 @@ def _guarded(schema: Node, action: str) -> Node:
 # ---------------------------------------------------------------- from lists to the model
 
 
+class _ObjectNeeded(Exception):
+    """Something has no type, or is just an object: all types are below that then."""
+
+
 class _Reader:
     """Builds unified-planning's problem, in names of which no two are the same, as it wants it."""
 
-    def __init__(self, domain: Source, problem: Source, actions: Mapping[str, str]) -> None:
+    def __init__(self, domain: Source, problem: Source, actions: Mapping[str, str], *, has_object: bool) -> None:
+        from unified_planning.environment import Environment
         from unified_planning.model import Problem as UpProblem
 
-        from rosa_pddl.engines.environment import LateEnvironment
-
-        environment = LateEnvironment()
-        self._manager, self._types = environment.expression_manager, environment.type_manager
-        defaults = {self._types.BoolType(): self._manager.FALSE()}
+        environment = Environment()
+        environment.credits_stream = None
+        self._types = environment.type_manager
+        defaults = {self._types.BoolType(): environment.expression_manager.FALSE()}
         self._up_problem = UpProblem(str(problem.root.children[1].children[1]), environment, initial_defaults=defaults)
-        self._sources, self._actions = (domain, problem), actions
+        self._actions, self._has_object = actions, has_object
         self._inside: dict[tuple[str, str], str] = {}
         self._outside = {"object": "object"}
         self._places: dict[tuple[str, str], tuple[str, int]] = {}
         self._lineages: dict[str, tuple[str, ...]] = {}
         self._schemas: dict[str, Schema] = {}
         self._costs: dict[UpThing, UpThing] = {}
-        additions = [node for schema in domain.root.children[2:] for node in _increases(schema) if schema.head in BODY]
-        targets = [node.children[1] for node in additions if len(node.children) == 3]
-        self._resources = {target.head for target in targets if len(target.children) == 1 and target.head != _COST}
-        self._has_cost = any(node.head == _COST for node in section(domain, ":functions"))
         self._draft = Domain(
             name=str(domain.root.children[1].children[1]),
             file=domain.file,
@@ -216,29 +222,33 @@ class _Reader:
             places=self._places,
             types=self._lineages,
         )
-        self._formulas = {source.file: Formulas(self._draft, source) for source in self._sources}
+        self._domain, self._problem = (
+            Formulas(self._draft, source, partial(self._unknown, source)) for source in (domain, problem)
+        )
+        targets = [node.children[1] for node in _increases(domain.root) if len(node.children) == 3]
+        self._resources = {target.head for target in targets if len(target.children) == 1 and target.head != _COST}
+        self._has_cost = any(node.head == _COST for node in section(domain, ":functions"))
 
     def domain(self) -> Domain:
-        domain, problem = self._sources
+        domain, problem = self._domain.source, self._problem.source
         self._read_types(domain)
-        for node in self._signatures(domain, ":predicates"):
-            self._read_fluent(domain, node, self._types.BoolType())
-        for node in self._signatures(domain, ":functions"):
+        for node in _signatures(domain, ":predicates"):
+            self._read_fluent(node, self._types.BoolType())
+        for node in _signatures(domain, ":functions"):
             if node.head != _COST:
-                self._read_fluent(domain, node, self._types.RealType())
-        self._read_objects(domain, ":constants")
-        self._read_objects(problem, ":objects")
+                self._read_fluent(node, self._types.RealType())
+        self._read_objects(self._domain, ":constants")
+        self._read_objects(self._problem, ":objects")
         for node in domain.root.children[2:]:
             if node.head in BODY:
                 with _located(domain, node):
-                    self._read_action(domain, node)
-        for node in section(problem, ":init"):
-            for fact in node.children[1:] if node.head == "and" else (node,):
-                with _located(problem, fact):
-                    self._read_fact(problem, fact)
+                    self._read_action(node)
+        for fact in (part for node in section(problem, ":init") for part in _parts(node)):
+            with _located(problem, fact):
+                self._read_fact(fact)
         goals = [goal for node in section(problem, ":goal") for goal in _parts(node)]
-        texts = [str(goal) for goal in goals if self._read_goal(problem, goal)]
-        self._read_metric(problem)
+        texts = [str(goal) for goal in goals if self._read_goal(goal)]
+        self._read_metric()
         self._places |= {("section", node.head): (problem.file, node.line) for node in problem.root.children[2:]}
         return replace(
             self._draft,
@@ -249,7 +259,9 @@ class _Reader:
             resources=resources_of(self._up_problem, self._outside),
         )
 
-    # ---------------------------------------------------------------- names
+    def _unknown(self, source: Source, node: Node, message: str) -> Exception:
+        is_object = node.lower == "object" and not self._has_object
+        return _ObjectNeeded() if is_object else source.error(node, message)
 
     def _declare(self, source: Source, kind: str, node: Node) -> str:
         """Note a name, and return what it is called in the model."""
@@ -269,23 +281,20 @@ class _Reader:
 
     def _read_types(self, source: Source) -> None:
         pairs = typed(source, section(source, ":types"))
-        above = {name.lower: up for name, up in pairs}
-        above |= {up.lower: None for _, up in pairs if up is not None and up.lower not in above}
         names = {up.lower: up for _, up in pairs if up is not None} | {name.lower: name for name, _ in pairs}
+        above = dict.fromkeys(names) | {name.lower: up for name, up in pairs}
         kinds: dict[str, UpThing] = {}
-        if "object" in [name.lower for name, _ in pairs] or any(
-            kind is None or kind.lower == "object" for kind in self._kinds()
-        ):
+        if self._has_object or "object" in [name.lower for name, _ in pairs]:
             kinds["object"] = self._types.UserType("object")
             self._up_problem.user_types.append(kinds["object"])
 
         def make(word: str, below: tuple[str, ...]) -> UpThing:
+            up = above[word]
             if word in below:
                 path = ", ".join(sorted(below[below.index(word) :]))
                 message = f"the types {path} are above one another, expected one on top"
-                raise source.error(above[word] or names[word], message)
+                raise source.error(up or names[word], message)
             if word not in kinds:
-                up = above[word]
                 is_top = up is None or up.lower in ("object", word)
                 father = kinds.get("object") if is_top or up is None else make(up.lower, (*below, word))
                 kinds[word] = self._types.UserType(self._declare(source, "type", names[word]), father)
@@ -296,212 +305,48 @@ class _Reader:
             if name.lower != "object":
                 make(name.lower, ())
 
-    def _kinds(self) -> Iterator[Node | None]:
-        """Yield the types of whatever is declared or quantified."""
-        domain, problem = self._sources
-        for node in (*self._signatures(domain, ":predicates"), *self._signatures(domain, ":functions")):
-            yield from (kind for _, kind in typed(domain, node.children[1:]))
-        for source, head in ((domain, ":constants"), (problem, ":objects")):
-            yield from (kind for _, kind in typed(source, section(source, head)))
-        for node in domain.root.children[2:]:
-            if node.head in BODY:
-                parameters = body_of(domain, node).get(":parameters")
-                yield from (kind for _, kind in typed(domain, parameters.children if parameters else ()))
-        for source in self._sources:
-            for node in _quantifiers(source.root):
-                yield from (kind for _, kind in typed(source, node.children[1].children))
-
-    def _signatures(self, source: Source, head: str) -> Iterator[Node]:
-        before = ""
-        for node in section(source, head):
-            expects_type, before = before == "-", str(node)
-            if node.is_list:
-                if not node.head:
-                    raise source.error(node, f"found {start_of(node)!r}, expected a name")
-                yield node
-            elif expects_type and node.lower != "number":
-                message = f"found '- {node.word}': a function that is an object is not supported; Aries (up-aries) by "
-                raise source.unsupported(node, message + "itself would do. Write a predicate with one more argument")
-            elif node.lower not in ("-", "number"):
-                raise source.error(node, f"found {node.word!r}, expected a list such as '({node.word} ?x)'")
-
-    def _variables(self, source: Source, nodes: Iterable[Node]) -> dict[str, UpThing]:
+    def _variables(self, nodes: Iterable[Node]) -> dict[str, UpThing]:
         """Return the types of variables by their names without the mark."""
         found: dict[str, UpThing] = {}
-        for name, kind in typed(source, nodes, are_variables=True):
+        for name, kind in typed(self._domain.source, nodes, are_variables=True):
             if name.lower[1:] in found:
-                raise source.error(name, f"found the parameter {name.word!r} again, expected another name")
-            found[name.lower[1:]] = self._formulas[source.file].type_of(kind or ANY)
+                raise self._domain.source.error(name, f"found the parameter {name.word!r} again, expected another name")
+            found[name.lower[1:]] = self._domain.type_of(kind or ANY)
         return found
 
-    def _read_fluent(self, source: Source, node: Node, type_: UpThing) -> None:
+    def _read_fluent(self, node: Node, type_: UpThing) -> None:
         from unified_planning.model import Fluent
 
-        parameters = self._variables(source, node.children[1:])
-        name = self._declare(source, "predicate", node.children[0])
+        parameters = self._variables(node.children[1:])
+        name = self._declare(self._domain.source, "predicate", node.children[0])
         self._up_problem.add_fluent(Fluent(name, type_, environment=self._up_problem.environment, **parameters))
 
-    def _read_objects(self, source: Source, head: str) -> None:
-        for node, kind in typed(source, section(source, head)):
-            type_ = self._formulas[source.file].type_of(kind or ANY)
-            self._up_problem.add_object(self._declare(source, "object", node), type_)
+    def _read_objects(self, formulas: Formulas, head: str) -> None:
+        for node, kind in typed(formulas.source, section(formulas.source, head)):
+            type_ = formulas.type_of(kind or ANY)
+            self._up_problem.add_object(self._declare(formulas.source, "object", node), type_)
             self._lineages[str(node)] = tuple(lineage_of(type_, self._outside))
 
-    # ---------------------------------------------------------------- actions
+    def _read_action(self, node: Node) -> None:
+        from unified_planning.model import DurativeAction, InstantaneousAction
 
-    def _read_action(self, source: Source, node: Node) -> None:
-        from unified_planning.model import (
-            DurativeAction,
-            EndTiming,
-            InstantaneousAction,
-            OpenTimeInterval,
-            StartTiming,
-        )
-
-        parts, name = body_of(source, node), str(node.children[1])
-        parameters = self._variables(source, parts[":parameters"].children if ":parameters" in parts else ())
-        unique, environment = self._declare(source, "action", node.children[1]), self._up_problem.environment
-        is_timed = node.head == ":durative-action"
-        action = (DurativeAction if is_timed else InstantaneousAction)(unique, parameters, environment)
-        scope = {f"?{word}": self._manager.ParameterExp(action.parameter(word)) for word in parameters}
-        formulas = self._formulas[source.file]
-        times = {"start": StartTiming(), "end": EndTiming(), "over_all": OpenTimeInterval(StartTiming(), EndTiming())}
-        if is_timed:
-            self._read_duration(source, parts[":duration"], action, scope)
-        needed = parts.get(":condition", parts.get(":precondition", listed()))
-        for time, condition in _timed(source, node, needed, is_effect=False):
-            expression = formulas.condition(condition, scope, name)
-            action.add_condition(times[time], expression) if is_timed else action.add_precondition(expression)
-        added: set[str] = set()
-        for time, effect in _timed(source, node, parts.get(":effect", listed()), is_effect=True):
-            when = (times[time],) if is_timed else ()
-            self._read_effect(source, effect, action, scope, name, when, added)
+        source, name = self._domain.source, str(node.children[1])
+        parts = body_of(source, node)
+        parameters = self._variables(parts[":parameters"].children if ":parameters" in parts else ())
+        kind = DurativeAction if node.head == ":durative-action" else InstantaneousAction
+        unique = self._declare(source, "action", node.children[1])
+        action = kind(unique, parameters, self._up_problem.environment)
+        reader = _ActionReader(self._domain, action, self._resources, name, has_cost=self._has_cost)
+        reader.read(node, parts)
+        if reader.cost is not None:
+            self._costs[action] = reader.cost
         self._up_problem.add_action(action)
         schema = schema_of(action, self._outside, source.file)
-        if name in self._actions:
-            schema = replace(schema, action=self._actions[name].removeprefix("?"))
-        self._schemas[name] = schema
+        does = self._actions.get(name)
+        self._schemas[name] = schema if does is None else replace(schema, action=does.removeprefix("?"))
 
-    def _read_duration(self, source: Source, node: Node, action: UpThing, scope: Scope) -> None:
-        """Set a duration; of a bound on one side any that is allowed will do."""
-        from unified_planning.model import DurationInterval
-
-        number = self._formulas[source.file].number
-        if not node.children:
-            action.set_fixed_duration(1)
-        elif _time_of(node) is not None or (node.head == "and" and len(node.children) == 2):
-            self._read_duration(source, node.children[-1], action, scope)
-        elif (
-            node.head == "and"
-            and len(node.children) == 3
-            and all(len(part.children) == 3 for part in node.children[1:])
-        ):
-            bounds = {part.head[:1]: part for part in node.children[1:]}
-            if bounds.keys() != {"<", ">"}:
-                raise source.error(node, f"found {start_of(node)!r}, expected a least and a greatest duration")
-            lower, upper = bounds[">"], bounds["<"]
-            least, most = (number(part.children[2], scope) for part in (lower, upper))
-            action.set_duration_constraint(DurationInterval(least, most, lower.head == ">", upper.head == "<"))
-        elif node.head in ("=", *COMPARISONS) and len(node.children) == 3 and node.children[1].lower == "?duration":
-            action.set_fixed_duration(number(node.children[2], scope))
-        else:
-            raise source.error(node, f"found {start_of(node)!r}, expected a duration such as '(= ?duration 5)'")
-
-    def _read_effect(
-        self,
-        source: Source,
-        node: Node,
-        action: UpThing,
-        scope: Scope,
-        place: str,
-        when: tuple[UpThing, ...],
-        added: set[str],
-        condition: UpThing = None,
-        variables: tuple[UpThing, ...] = (),
-    ) -> None:
-        formulas, head = self._formulas[source.file], node.head
-        if not node.is_list:
-            raise source.error(node, f"found {node.word!r}, expected a list such as '({node.word})'")
-        if head in ("and", "forall", "when"):
-            inner, parts = dict(scope), node.children[1:]
-            if head == "forall":
-                bound, body = formulas.quantified(node)
-                inner |= bound
-                variables, parts = (*variables, *(one.variable() for one in bound.values())), (body,)
-            elif head == "when":
-                if len(parts) != 2:
-                    raise source.error(node, f"found {len(parts)} parts in {start_of(node)}, expected 2")
-                needed = formulas.condition(parts[0], scope, place).simplify()
-                condition = needed if condition is None else self._manager.And(condition, needed)
-                parts = parts[1:]
-            for part in () if condition is not None and condition.is_false() else parts:
-                self._read_effect(source, part, action, inner, place, when, added, condition, variables)
-        elif head == "increase":
-            if condition is not None or variables:
-                raise formulas.numeric(node, place, "is no number which no condition changes")
-            self._read_increase(source, node, action, scope, place, when, added)
-        elif head == "not" and len(node.children) == 2 and node.children[1].is_list:
-            fluent = formulas.atom(node.children[1], scope)
-            action.add_effect(*when, fluent, False, True if condition is None else condition, forall=variables)
-        elif node.children:
-            if head in ("assign", "decrease", "scale-up", "scale-down"):
-                raise formulas.numeric(node, place, "computes with numbers")
-            fluent = formulas.atom(node, scope)
-            action.add_effect(*when, fluent, True, True if condition is None else condition, forall=variables)
-
-    # ---------------------------------------------------------------- numbers
-
-    def _read_increase(
-        self,
-        source: Source,
-        node: Node,
-        action: UpThing,
-        scope: Scope,
-        place: str,
-        when: tuple[UpThing, ...],
-        added: set[str],
-    ) -> None:
-        """Read what an action costs, or uses up of a resource: once each, and what is fixed before."""
-        formulas = self._formulas[source.file]
-        if len(node.children) != 3 or not node.children[1].head:
-            raise source.error(node, f"found {start_of(node)!r}, expected (increase (NAME) AMOUNT)")
-        _, target, amount = node.children
-        is_cost = target.head == _COST and self._has_cost
-        if not is_cost and len(target.children) != 1:
-            raise formulas.numeric(node, place, "adds to a number with arguments")
-        if _NUMBER.fullmatch(amount.lower) and float(amount.lower) < 0.0:
-            what = "costs are" if is_cost else "uses are"
-            raise source.unsupported(node, f"{start_of(node)!r} in {place} is less than nothing; {what} 0 or more")
-        if target.head in added:
-            what = "cost" if is_cost else "use"
-            raise source.error(node, f"found a second {what} {start_of(node)!r}, expected one; add them up")
-        added.add(target.head)
-        self._check_amount(source, amount, node, place, is_sum=not is_cost)
-        value = formulas.number(amount, scope)
-        if is_cost:
-            self._costs[action] = value
-        else:
-            action.add_increase_effect(*when, formulas.atom(target, scope), value)
-
-    def _check_amount(self, source: Source, amount: Node, within: Node, place: str, *, is_sum: bool) -> None:
-        """Assure that no action changes what an amount is made of, and that it is a sum, with numbers as factors."""
-        parts, numeric = amount.children[1:], self._formulas[source.file].numeric
-        if amount.head == _COST or amount.head in self._resources:
-            raise numeric(within, place, f"has an amount that depends on {amount}, which actions change")
-        if amount.lower.startswith("?"):
-            raise numeric(within, place, f"has the amount {amount.word}, which is no number")
-        facts = [part for part in parts if part.is_list]
-        is_product = amount.head == "*" and len(facts) > 1
-        is_odd = amount.is_list and not amount.head[:1].isalpha() and amount.head not in ("+", "-", "*")
-        if is_sum and (is_odd or (amount.head in ("+", "-", "*") and (len(parts) < 2 or is_product))):
-            raise numeric(within, place, f"has the amount {start_of(amount)}, which is no sum")
-        for part in parts if amount.head in ("+", "-", "*", "/") else ():
-            self._check_amount(source, part, within, place, is_sum=is_sum)
-
-    # ---------------------------------------------------------------- the problem
-
-    def _read_fact(self, source: Source, node: Node) -> None:
-        formulas = self._formulas[source.file]
+    def _read_fact(self, node: Node) -> None:
+        formulas, source = self._problem, self._problem.source
         if not node.is_list:
             raise source.error(node, f"found {node.word!r}, expected a list such as '({node.word})'")
         if node.head == "at" and len(node.children) == 3 and _NUMBER.fullmatch(node.children[1].lower):
@@ -516,10 +361,10 @@ class _Reader:
         else:
             self._up_problem.set_initial_value(formulas.atom(node, {}), True)
 
-    def _read_goal(self, source: Source, node: Node) -> bool:
+    def _read_goal(self, node: Node) -> bool:
         """Take in a part of the goal; return whether it is a condition, not a limit."""
-        formulas = self._formulas[source.file]
-        with _located(source, node):
+        formulas = self._problem
+        with _located(formulas.source, node):
             if node.head not in COMPARISONS or len(node.children) != 3:
                 self._up_problem.add_goal(formulas.condition(node, {}, "the goal"))
                 return True
@@ -528,22 +373,158 @@ class _Reader:
                 names = ", ".join(sorted(self._resources))
                 known = f"; what actions use up is {names}" if names else ""
                 raise formulas.numeric(node, "the goal", f"computes with numbers{known}")
-            self._check_amount(source, right, node, "the goal", is_sum=True)
-            compare = self._manager.LT if node.head in ("<", ">") else self._manager.LE
+            _check_amount(formulas, self._resources, right, node, "the goal", is_sum=True)
+            compare = formulas.manager.LT if node.head in ("<", ">") else formulas.manager.LE
             self._up_problem.add_goal(compare(formulas.atom(left, {}), formulas.number(right, {})))
             return False
 
-    def _read_metric(self, source: Source) -> None:
+    def _read_metric(self) -> None:
         from unified_planning.model.metrics import MinimizeActionCosts, MinimizeMakespan
 
+        environment, source = self._up_problem.environment, self._problem.source
         for node in section(source, ":metric")[1:]:
             if node.head != _COST:
-                self._up_problem.add_quality_metric(MinimizeMakespan(self._up_problem.environment))
+                self._up_problem.add_quality_metric(MinimizeMakespan(environment))
             elif not self._has_cost:
                 raise source.error(node, "found (total-cost), expected it among the :functions of the domain")
             else:
-                metric = MinimizeActionCosts(self._costs, self._manager.Int(0), self._up_problem.environment)
-                self._up_problem.add_quality_metric(metric)
+                nothing = environment.expression_manager.Int(0)
+                self._up_problem.add_quality_metric(MinimizeActionCosts(self._costs, nothing, environment))
+
+
+class _ActionReader:
+    """Reads what an action needs and does, how long it takes, and what it costs."""
+
+    def __init__(
+        self, formulas: Formulas, action: UpThing, resources: Collection[str], name: str, *, has_cost: bool
+    ) -> None:
+        self._formulas, self._source, self._action = formulas, formulas.source, action
+        self._resources, self._name, self._has_cost = resources, name, has_cost
+        parameter = formulas.manager.ParameterExp
+        self._scope = {f"?{one.name}": parameter(one) for one in action.parameters}
+        self._added: set[str] = set()
+        self.cost: UpThing = None
+
+    def read(self, schema: Node, parts: Mapping[str, Node]) -> None:
+        from unified_planning.model import EndTiming, OpenTimeInterval, StartTiming
+
+        action, is_timed = self._action, schema.head == ":durative-action"
+        times = {"start": StartTiming(), "end": EndTiming(), "over_all": OpenTimeInterval(StartTiming(), EndTiming())}
+        if is_timed:
+            self._read_duration(parts[":duration"])
+        needed = parts.get(":condition", parts.get(":precondition", listed()))
+        for time, condition in _timed(self._source, schema, needed, is_effect=False):
+            expression = self._formulas.condition(condition, self._scope, self._name)
+            action.add_condition(times[time], expression) if is_timed else action.add_precondition(expression)
+        for time, effect in _timed(self._source, schema, parts.get(":effect", listed()), is_effect=True):
+            self._read_effect(effect, (times[time],) if is_timed else (), self._scope, None, ())
+
+    def _read_duration(self, node: Node) -> None:
+        """Set a duration; of a bound on one side any that is allowed will do."""
+        from unified_planning.model import DurationInterval
+
+        if not node.children:
+            self._action.set_fixed_duration(1)
+        elif _time_of(node) is not None or (node.head == "and" and len(node.children) == 2):
+            self._read_duration(node.children[-1])
+        elif node.head == "and":
+            bounds = {part.head[:1]: part for part in node.children[1:] if len(part.children) == 3}
+            if bounds.keys() != {"<", ">"} or len(node.children) != 3:
+                raise self._source.error(node, f"found {start_of(node)!r}, expected a least and a greatest duration")
+            lower, upper = bounds[">"], bounds["<"]
+            least, most = (self._formulas.number(part.children[2], self._scope) for part in (lower, upper))
+            self._action.set_duration_constraint(DurationInterval(least, most, lower.head == ">", upper.head == "<"))
+        elif node.head in ("=", *COMPARISONS) and len(node.children) == 3 and node.children[1].lower == "?duration":
+            self._action.set_fixed_duration(self._formulas.number(node.children[2], self._scope))
+        else:
+            raise self._source.error(node, f"found {start_of(node)!r}, expected a duration such as '(= ?duration 5)'")
+
+    def _read_effect(
+        self, node: Node, when: tuple[UpThing, ...], scope: Scope, condition: UpThing, variables: tuple[UpThing, ...]
+    ) -> None:
+        formulas, head, parts = self._formulas, node.head, node.children[1:]
+        if not node.is_list:
+            raise self._source.error(node, f"found {node.word!r}, expected a list such as '({node.word})'")
+        if head == "and":
+            for part in parts:
+                self._read_effect(part, when, scope, condition, variables)
+        elif head == "forall":
+            bound, body = formulas.quantified(node)
+            variables = (*variables, *(one.variable() for one in bound.values()))
+            self._read_effect(body, when, {**scope, **bound}, condition, variables)
+        elif head == "when" and len(parts) == 2:
+            needed = formulas.condition(parts[0], scope, self._name).simplify()
+            if not needed.is_false():
+                both = needed if condition is None else formulas.manager.And(condition, needed)
+                self._read_effect(parts[1], when, scope, both, variables)
+        elif head == "increase" and (condition is not None or variables):
+            raise formulas.numeric(node, self._name, "is no number which no condition changes")
+        elif head == "increase":
+            self._read_increase(node, when)
+        elif head in ("assign", "decrease", "scale-up", "scale-down"):
+            raise formulas.numeric(node, self._name, "computes with numbers")
+        elif node.children:
+            is_deleted = head == "not" and len(parts) == 1 and parts[0].is_list
+            fluent = formulas.atom(parts[0] if is_deleted else node, scope)
+            holds = True if condition is None else condition
+            self._action.add_effect(*when, fluent, not is_deleted, holds, forall=variables)
+
+    def _read_increase(self, node: Node, when: tuple[UpThing, ...]) -> None:
+        """Read what an action costs, or uses up of a resource: once each, and what is fixed before."""
+        formulas, place = self._formulas, self._name
+        if len(node.children) != 3 or not node.children[1].head:
+            raise self._source.error(node, f"found {start_of(node)!r}, expected (increase (NAME) AMOUNT)")
+        _, target, amount = node.children
+        is_cost = target.head == _COST and self._has_cost
+        if not is_cost and len(target.children) != 1:
+            raise formulas.numeric(node, place, "adds to a number with arguments")
+        if _NUMBER.fullmatch(amount.lower) and float(amount.lower) < 0.0:
+            what = "costs are" if is_cost else "uses are"
+            raise self._source.unsupported(
+                node, f"{start_of(node)!r} in {place} is less than nothing; {what} 0 or more"
+            )
+        if target.head in self._added:
+            what = "cost" if is_cost else "use"
+            raise self._source.error(node, f"found a second {what} {start_of(node)!r}, expected one; add them up")
+        self._added.add(target.head)
+        _check_amount(formulas, self._resources, amount, node, place, is_sum=not is_cost)
+        value = formulas.number(amount, self._scope)
+        if is_cost:
+            self.cost = value
+        else:
+            self._action.add_increase_effect(*when, formulas.atom(target, self._scope), value)
+
+
+def _check_amount(
+    formulas: Formulas, resources: Collection[str], amount: Node, within: Node, place: str, *, is_sum: bool
+) -> None:
+    """Assure that no action changes what an amount is made of, and that it is a sum, with numbers as factors."""
+    head, parts = amount.head, amount.children[1:]
+    if head == _COST or head in resources:
+        raise formulas.numeric(within, place, f"has an amount that depends on {amount}, which actions change")
+    if amount.lower.startswith("?"):
+        raise formulas.numeric(within, place, f"has the amount {amount.word}, which is no number")
+    is_computed = amount.is_list and not head[:1].isalpha()
+    is_product = head == "*" and len([part for part in parts if part.is_list]) > 1
+    if is_sum and is_computed and (head not in ("+", "-", "*") or len(parts) < 2 or is_product):
+        raise formulas.numeric(within, place, f"has the amount {start_of(amount)}, which is no sum")
+    for part in parts if is_computed else ():
+        _check_amount(formulas, resources, part, within, place, is_sum=is_sum)
+
+
+def _signatures(source: Source, head: str) -> Iterator[Node]:
+    before = ""
+    for node in section(source, head):
+        expects_type, before = before == "-", str(node)
+        if node.is_list:
+            if not node.head:
+                raise source.error(node, f"found {start_of(node)!r}, expected a name")
+            yield node
+        elif expects_type and node.lower != "number":
+            message = f"found '- {node.word}': a function that is an object is not supported; Aries (up-aries) by "
+            raise source.unsupported(node, message + "itself would do. Write a predicate with one more argument")
+        elif node.lower not in ("-", "number"):
+            raise source.error(node, f"found {node.word!r}, expected a list such as '({node.word} ?x)'")
 
 
 @contextmanager
@@ -621,13 +602,6 @@ def _increases(node: Node) -> Iterator[Node]:
         yield node
     for child in node.children:
         yield from _increases(child)
-
-
-def _quantifiers(node: Node) -> Iterator[Node]:
-    if node.head in ("forall", "exists") and len(node.children) == 3:
-        yield node
-    for child in node.children:
-        yield from _quantifiers(child)
 
 
 # ---------------------------------------------------------------- from the model to schemas
