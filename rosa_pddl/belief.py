@@ -6,13 +6,14 @@ action from being feasible then has done so ever since, for the step has shown t
 it has gone, or the action was feasible in between, whatever keeps it from being feasible now is something else.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from math import isfinite
 from typing import Protocol, runtime_checkable
 
+from kb.log import Log
 from rosa_pddl.domain import Domain, Feasibility, State, Step, UpThing, head_of
 from rosa_pddl.exceptions import SensingError, UnsupportedPddlError
 from rosa_pddl.problem import Problem, feasible_atoms, initial_state, lock_of, with_costs, without_feasibility
@@ -30,12 +31,7 @@ Sense = Callable[[], Mapping[str, bool | float]]
 
 @dataclass(frozen=True)
 class Undo:
-    """What the start of a step changed.
-
-    Args:
-        taken: atoms that it made false.
-        given: atoms that it made true.
-    """
+    """What the start of a step changed."""
 
     taken: State = frozenset()
     given: State = frozenset()
@@ -82,7 +78,6 @@ class Belief:
 
     @property
     def domain(self) -> Domain:
-        """What the facts are about."""
         return self._domain
 
     @property
@@ -110,13 +105,11 @@ class Belief:
         return self._facts | feasible_atoms(self._domain, self._kb)
 
     def start(self, step: Step, state: State) -> Undo:
-        """Assume the effects of a step's start; return what takes them back."""
         before = self._facts
         self._facts = without_feasibility(self._domain, started(self._domain, step, state))
         return Undo(before - self._facts, self._facts - before)
 
     def end(self, step: Step, state: State) -> None:
-        """Assume the effects of a step's end."""
         self._facts = without_feasibility(self._domain, ended(self._domain, step, state))
 
     def assume(self, gone: AbstractSet[str], come: AbstractSet[str]) -> None:
@@ -137,7 +130,6 @@ class Belief:
                 self._numbers = {**self._numbers, key: float(numbers.get(key, 0) + amount)}
 
     def take_back(self, undo: Undo) -> None:
-        """Believe what would be so had a step not started."""
         self._facts = without([undo], self._facts)
 
     def _read(self) -> _Sensed:
@@ -162,7 +154,6 @@ class Belief:
         return before.updated(*self._sorted(new))
 
     def _sorted(self, answer: Mapping[str, bool | float]) -> tuple[Mapping[str, bool], Mapping[str, float]]:
-        """Return facts and numbers."""
         facts: dict[str, bool] = {}
         numbers: dict[str, float] = {}
         for text, value in answer.items():
@@ -184,41 +175,9 @@ class Belief:
 
 
 def without(undos: Iterable[Undo], state: State) -> State:
-    """Return what a state would be had steps not started."""
     for undo in undos:
         state = (state | undo.taken) - undo.given
     return state
-
-
-class _Change(Protocol):
-    @property
-    def kind(self) -> str: ...
-
-    @property
-    def name(self) -> str: ...
-
-
-class _Event(Protocol):
-    @property
-    def number(self) -> int: ...
-
-    @property
-    def changes(self) -> Sequence[_Change]: ...
-
-
-class _Log(Protocol):
-    @property
-    def last(self) -> int: ...
-
-    def since(self, number: int) -> Iterable[_Event]: ...
-
-
-@runtime_checkable
-class _Logging(Protocol):
-    """What a knowledge base may offer beside feasibility; `kb.KnowledgeBase` does."""
-
-    @property
-    def log(self) -> _Log: ...
 
 
 class FeasibilityEvents:
@@ -226,7 +185,8 @@ class FeasibilityEvents:
 
     def __init__(self, domain: Domain, kb: Feasibility) -> None:
         self._actions = frozenset(domain.rosa_actions)
-        self._log = kb.log if isinstance(kb, _Logging) else None
+        log = getattr(kb, "log", None)
+        self._log = log if isinstance(log, Log) else None
         self._seen = 0 if self._log is None else self._log.last
 
     def latest(self) -> int | None:
@@ -264,14 +224,7 @@ class _Explaining(Protocol):
 
 @dataclass(frozen=True)
 class UnmetEffect:
-    """A step that ended well without making feasible what it was to.
-
-    Args:
-        step: what was done.
-        action: the ROSA action that stayed unfeasible.
-        causes: what has kept it from being feasible ever since, by kind and name.
-        why: the same in a sentence.
-    """
+    """A step that ended well without making feasible what it was to."""
 
     step: Step
     action: str
@@ -283,12 +236,7 @@ class UnmetEffect:
 
 
 class ExpectedEffects:
-    """Which steps are relied upon to make actions feasible, as a domain without those that did not.
-
-    Args:
-        domain: what `load_domain` returned.
-        kb: says what is feasible; one that explains itself also says why not.
-    """
+    """Which steps are relied upon to make actions feasible, as a domain without those that did not."""
 
     def __init__(self, domain: Domain, kb: Feasibility) -> None:
         self._domain, self._kb = domain, kb
@@ -297,12 +245,10 @@ class ExpectedEffects:
 
     @property
     def unmet(self) -> tuple[UnmetEffect, ...]:
-        """What is not relied upon, in the order in which it happened."""
         return tuple(self._unmet.values())
 
     @property
     def domain(self) -> Domain:
-        """The domain without the effects that are unmet; the same object for the same ones."""
         return self._without(frozenset(self._unmet)) if self._unmet else self._domain
 
     def ended(self, step: Step, state: State) -> tuple[UnmetEffect, ...]:
@@ -328,7 +274,6 @@ class ExpectedEffects:
         return len(self._unmet) < before
 
     def _expected(self, step: Step, state: State) -> Iterator[str]:
-        """Yield the ROSA actions that a step is to make feasible."""
         schema = self._domain.schema_of[step.schema]
         effects = schema.start_effects + schema.end_effects
         _, made = changes(self._domain, effects, binding_of(self._domain, step), state)

@@ -20,11 +20,9 @@ class Feasibility(Protocol):
     """What this package asks a knowledge base."""
 
     @property
-    def actions(self) -> Mapping[str, object]:
-        """The ROSA actions by name."""
+    def actions(self) -> Mapping[str, object]: ...
 
-    def is_feasible(self, action: str) -> bool:
-        """Whether the action can be done now."""
+    def is_feasible(self, action: str) -> bool: ...
 
 
 @dataclass(frozen=True)

@@ -119,7 +119,6 @@ class _Interlude:
         return [] if self._running is None else [self._running.behaviour]
 
     def follow(self, step: Step) -> None:
-        """Note that a step is over: what is done next would be made of that one."""
         self._after = step
 
     def tick(self, arguments: Mapping[str, object]) -> list[Behaviour]:
@@ -234,6 +233,7 @@ class PlanExecutor(Behaviour):
         self._seen_goals = self.goals.version
         self._expected: PlanningState | None = None
         self._ticked: list[Behaviour] = []
+        self._cause: int | None = None
 
     @property
     def plans(self) -> tuple[PlanRecord, ...]:
@@ -314,7 +314,8 @@ class PlanExecutor(Behaviour):
     # ---------------------------------------------------------------- one tick
 
     def _advance(self) -> Status:
-        self._watch(self._belief.observe(), self._feasibility.latest())
+        self._cause = self._feasibility.latest()
+        self._watch(self._belief.observe())
         self._tick_steps(tuple(self._running))
         self._take_plan()
         status = self._go_on()
@@ -332,13 +333,8 @@ class PlanExecutor(Behaviour):
         self._expected = (state, self._belief.numbers)
         return self._conclude(state)
 
-    def _watch(self, state: State, cause: int | None) -> None:
-        """Stop what cannot go on, and find out whether the plan still does.
-
-        Args:
-            state: what is believed.
-            cause: number of the event that changed what is feasible since the last tick; None if none did.
-        """
+    def _watch(self, state: State) -> None:
+        """Stop what cannot go on, and find out whether the plan still does."""
         if self._effects.update() and self._plan is not None:
             self._plan = replace(self._plan, domain=self._effects.domain)
         goals_changed, self._seen_goals = self.goals.version != self._seen_goals, self.goals.version
@@ -350,14 +346,14 @@ class PlanExecutor(Behaviour):
             missing = missing_meanwhile(self._domain, running.step, state)
             if missing is not None:
                 self._release([running])
-                is_lost = self._domain.is_feasibility(missing)
                 reason = because(self._domain, running.step, missing, verb="became")
-                self._want(Decision(reason, is_needed=True, cause=cause if is_lost else None))
+                cause = self._cause if self._domain.is_feasibility(missing) else None
+                self._want(Decision(reason, is_needed=True, cause=cause))
         if self._plan is not None:
             flaw = self._flaw(self._plan, self._belief.observe())
             news = news_of(self._expected, (state, self._belief.numbers))
             decision = decide(self._policy, flaw=flaw, goals_changed=goals_changed, news=news)
-            self._want(decision if decision is None or goals_changed else replace(decision, cause=cause))
+            self._want(decision if decision is None or goals_changed else replace(decision, cause=self._cause))
 
     def _flaw(self, plan: PlanExecution, state: State) -> str | None:
         """Why the rest of the plan will not do any more, in words; looked for again only when something is new."""
@@ -393,8 +389,10 @@ class PlanExecutor(Behaviour):
                 self._drop_plan()
                 self.feedback_message = why
                 return Status.FAILURE
-            reason = "the state changed" if self._replanning.had_no_plan else "start"
-            self._want(Decision(reason, is_needed=True))
+            if self._replanning.had_no_plan:
+                self._want(Decision("the state changed", is_needed=True, cause=self._cause))
+            else:
+                self._want(Decision("start", is_needed=True))
         asked = self._replanning.ask_if_allowed(planned_from)
         if asked is not None:
             self._ended_meanwhile.clear()
@@ -452,7 +450,6 @@ class PlanExecutor(Behaviour):
     # ---------------------------------------------------------------- executing
 
     def _start_ready(self) -> tuple[_RunningStep, ...]:
-        """Start the steps that may start; return them."""
         begun: list[_RunningStep] = []
         while self._plan is not None and self._plan.startable:
             state = self._belief.observe()

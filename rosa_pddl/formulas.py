@@ -60,13 +60,7 @@ def conditions(domain: Domain, text: str) -> tuple[Condition, ...]:
 
 
 class Formulas:
-    """Makes unified-planning's expressions of formulas.
-
-    Args:
-        domain: its types, predicates and objects.
-        source: where the formulas stand.
-        unknown: makes the error for a name that the domain does not have, or has otherwise.
-    """
+    """Makes unified-planning's expressions of formulas."""
 
     def __init__(self, domain: Domain, source: Source, unknown: Callable[[Node, str], Exception] | None = None) -> None:
         self._domain, self.source, self._unknown = domain, source, unknown or source.error
@@ -75,11 +69,6 @@ class Formulas:
 
     def condition(self, node: Node, scope: Scope, place: str) -> UpThing:
         """Read a condition, without times and numbers.
-
-        Args:
-            node: the formula.
-            scope: the variables that it may mention.
-            place: what it belongs to, for messages.
 
         Raises:
             PddlError: it is none, or uses a name otherwise than it is declared.
@@ -113,7 +102,6 @@ class Formulas:
         return self.atom(node, scope)
 
     def quantified(self, node: Node) -> tuple[Scope, Node]:
-        """Return the variables of a quantifier, and the formula that is about them."""
         from unified_planning.model import Variable
 
         if len(node.children) != 3 or not node.children[1].is_list:
@@ -126,7 +114,6 @@ class Formulas:
         return scope, node.children[2]
 
     def type_of(self, node: Node) -> UpThing:
-        """Return a type by its name."""
         name = self._domain.inside.get(("type", node.lower), node.lower)
         kinds = {kind.name: kind for kind in self._problem.user_types}
         if name not in kinds:
@@ -134,7 +121,6 @@ class Formulas:
         return kinds[name]
 
     def atom(self, node: Node, scope: Scope) -> UpThing:
-        """Read a predicate, or a numeric fact, with its arguments."""
         if not node.head:
             raise self.source.error(node, f"found {start_of(node)!r}, expected the name of a predicate first")
         inside = self._domain.inside.get(("predicate", node.head))
@@ -155,7 +141,6 @@ class Formulas:
         return fluent(*arguments)
 
     def number(self, node: Node, scope: Scope) -> UpThing:
-        """Read a number, a numeric fact, or what is computed of both."""
         manager = self.manager
         operators = {"+": manager.Plus, "-": manager.Minus, "*": manager.Times, "/": manager.Div}
         if node.head in operators:
@@ -170,7 +155,6 @@ class Formulas:
         return manager.Int(value.numerator) if value.denominator == 1 else manager.Real(value)
 
     def numeric(self, node: Node, place: str, why: str) -> PddlError:
-        """Make the error for something that may not be done with numbers."""
         return self.source.unsupported(node, f"{start_of(node)!r} in {place} {why}; {NUMBERS}")
 
     def _term(self, node: Node, scope: Scope) -> UpThing:

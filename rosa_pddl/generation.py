@@ -4,7 +4,6 @@ What is made follows ROSA's convention: a type `action` with one object for each
 `(NAME_action ?a)` that tells which object is which, and `(action_feasible ?a)`, which the knowledge base answers.
 """
 
-import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from decimal import Decimal
@@ -18,7 +17,6 @@ from rosa_pddl.syntax import Node, Source, listed, parse, typed
 
 __all__ = ["ActionSchema", "Declarations", "DeclaredProblem"]
 
-_NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 _CONNECTIVES: Final = frozenset({"and", "or", "not", "imply", "when"})
 _NUMERIC: Final = frozenset({"<", ">", "<=", ">=", "assign", "increase", "decrease", "scale-up", "scale-down"})
 _TIMED: Final = frozenset({("at", "start"), ("at", "end"), ("over", "all")})
@@ -112,7 +110,7 @@ class Declarations:
         self._place = f"declarations of {name}"
         for one in self.schemas:
             _check(one)
-        self._check_names()
+        self._check_problem()
         self._signatures = self._used()
 
     @property
@@ -143,11 +141,8 @@ class Declarations:
 
     # ---------------------------------------------------------------- checks
 
-    def _check_names(self) -> None:
+    def _check_problem(self) -> None:
         problem = self.problem
-        names = (self.name, *problem.objects, *problem.objects.values(), *problem.types, *problem.types.values())
-        for name in names:
-            _check_name(name, self._place)
         if not self.schemas:
             raise PddlError("no action is declared", self._place)
         if not problem.goal:
@@ -157,11 +152,7 @@ class Declarations:
                 hint = nearest(name, self._resources)
                 raise PddlError(f"{name!r} is limited, but no action uses it up; {hint}", self._place)
         known = [each.rosa_action for each in self.schemas if each.rosa_action is not None]
-        taken: set[str] = set()
         for one in self.schemas:
-            if one.name.lower() in taken:
-                raise PddlError(f"the action {one.name!r} is declared twice (PDDL ignores case)", self._place)
-            taken.add(one.name.lower())
             for action in one.makes_feasible:
                 if action not in known:
                     message = f"makes {action!r} feasible, which no action does; {nearest(action, known)}"
@@ -182,12 +173,6 @@ class Declarations:
         for amount in self.problem.limits.values():
             if isinstance(amount, str):
                 used.join(used.numbers, _parsed(amount, self._place), {}, self._place)
-        for kind, known, texts in (
-            ("predicate", used.predicates, (*self.problem.goal, *self.problem.facts)),
-            ("numeric fact", used.numbers, self.problem.numbers),
-        ):
-            for text in texts:
-                used.check(_parsed(text, self._place), known, self._place, kind)
         return used
 
     # ---------------------------------------------------------------- what files would say
@@ -296,7 +281,6 @@ class _Signatures:
                 self.join(self.predicates, atom, inner, place)
 
     def join(self, known: dict[str, _Kinds], atom: Node, scope: _Scope, place: str) -> None:
-        """Take in one use of a predicate or a number."""
         kinds = self._kinds(atom, scope, place)
         before = known.setdefault(atom.head, kinds)
         joined = self._joined(before, kinds)
@@ -305,20 +289,7 @@ class _Signatures:
             raise PddlError(f"{message}; declare a type above both in types={{...}}", place)
         known[atom.head] = joined
 
-    def check(self, node: Node, known: Mapping[str, _Kinds], place: str, what: str) -> None:
-        """Raise unless a formula of the problem uses only what actions use, and in that way."""
-        constants = set(self.constants)
-        for atom, scope in _atoms(node, {}, place):
-            kinds = self._kinds(atom, scope, place)
-            if atom.head not in ("=", *known):
-                hint = nearest(atom.head, known)
-                raise PddlError(f"{atom}: no action mentions the {what} {atom.head!r}; {hint}", place)
-            if atom.head != "=" and self._joined(known[atom.head], kinds) != known[atom.head]:
-                raise PddlError(f"{atom} is about {_in_words(kinds)}, expected {_in_words(known[atom.head])}", place)
-        self.constants = constants
-
     def _kinds(self, atom: Node, scope: _Scope, place: str) -> _Kinds:
-        """Return the types of what an atom is about."""
         kinds = []
         for argument in atom.children[1:]:
             is_variable = argument.lower.startswith("?")
@@ -332,7 +303,6 @@ class _Signatures:
         return tuple(kinds)
 
     def _joined(self, one: _Kinds, other: _Kinds) -> _Kinds | None:
-        """Return the least types above both; None if there are none."""
         if len(one) != len(other):
             return None
         joined = [self._least(left, right) for left, right in zip(one, other, strict=True)]
@@ -383,7 +353,6 @@ def _unplaced(node: Node) -> Node:
 
 
 def _typed(node: Node, place: str) -> _Scope:
-    """Return the types of variables, in lower case."""
     found = typed(Source(place, "", node), node.children, are_variables=True)
     missing = next((name for name, kind in found if kind is None), None)
     if missing is not None:
@@ -399,22 +368,12 @@ def _of(schema: ActionSchema) -> str:
     return f"schema {schema.name}"
 
 
-def _check_name(name: str, place: str) -> None:
-    if not _NAME.fullmatch(name):
-        message = f"{name!r} is no name in PDDL; expected a letter first, then letters, digits, '_' or '-'"
-        raise PddlError(message, place)
-
-
 def _check(schema: ActionSchema) -> None:
     place = _of(schema)
     for key in ("parameters", "start", "over_all", "end", "start_effects", "end_effects", "makes_feasible"):
         if isinstance(getattr(schema, key), str):
             raise PddlError(f"{key} is one text, expected several; write ({getattr(schema, key)!r},)", place)
-    action = [] if schema.rosa_action is None else [schema.rosa_action]
-    for name in (schema.name, *schema.makes_feasible, *action, *schema.uses):
-        _check_name(name, place)
-    for name, kind in _parameters(schema).items():
-        _check_name(kind, place)
+    for name in _parameters(schema):
         if name in _reserved(schema):
             raise PddlError(f"the parameter {name} is taken: it stands for a ROSA action; choose another name", place)
     amounts = {f"uses[{name!r}]": value for name, value in schema.uses.items()}
@@ -427,7 +386,6 @@ def _check(schema: ActionSchema) -> None:
 
 
 def _reserved(schema: ActionSchema) -> list[str]:
-    """Return the parameters that stand for ROSA actions."""
     own = ["?a"] if schema.rosa_action is not None else []
     return own + [f"?a{number}" for number in range(1, len(schema.makes_feasible) + 1)]
 

@@ -152,11 +152,7 @@ class Goals:
 
 
 class GoalSimplifier:
-    """Leaves of goals what actions have to bring about.
-
-    Args:
-        domain: what `load_domain` returned.
-    """
+    """Leaves of goals what actions have to bring about."""
 
     def __init__(self, domain: Domain) -> None:
         self._domain = domain
@@ -169,12 +165,7 @@ class GoalSimplifier:
         self._rests: OrderedDict[tuple[UpThing, tuple[bool, ...]], tuple[UpThing, ...]] = OrderedDict()
 
     def simplified(self, goals: Iterable[UpThing], state: State) -> tuple[UpThing, ...]:
-        """Return goals that hold after a plan from a state exactly if the given ones do; no conjunction among them.
-
-        Args:
-            goals: what shall hold, as unified-planning expressions.
-            state: the atoms that are true now.
-        """
+        """Return goals that hold after a plan from a state exactly if the given ones do; no conjunction among them."""
         return tuple(part for goal in goals for part in self._rest(goal, state))
 
     def _rest(self, goal: UpThing, state: State) -> tuple[UpThing, ...]:
@@ -316,13 +307,7 @@ class SoftGoals:
 
 
 class PlanningTask:
-    """What the planner is asked for the goals in a domain, and how its answer is read.
-
-    Args:
-        effects: the domain, as far as its steps are relied upon.
-        numbers: returns the values, now, of numeric facts that costs are made of; the others are those of the problem
-            file.
-    """
+    """What the planner is asked for the goals in a domain, and how its answer is read."""
 
     def __init__(self, effects: ExpectedEffects, numbers: Callable[[], Mapping[str, float]]) -> None:
         self._effects, self._numbers = effects, numbers

@@ -34,12 +34,7 @@ _Numbers = Mapping[str, float]
 
 
 class Outlook(NamedTuple):
-    """What the rest of a plan leads to, if nothing comes between.
-
-    Attributes:
-        flaw: why it does not reach the goals, in words; None if it does.
-        facts: the true atoms in the end, or where it broke off.
-    """
+    """What the rest of a plan leads to, if nothing comes between."""
 
     flaw: str | None
     facts: State
@@ -49,13 +44,7 @@ class Outlook(NamedTuple):
 class PlanExecution:
     """A plan, the order of its steps, and what of it has happened.
 
-    Args:
-        domain: what `load_domain` returned.
-        steps: of the plan, in the order of their starts.
-        events: every start and end, in the order that was planned.
-        after: for each step, what has to have happened before it may start.
-        goals: what the plan shall reach.
-        happened: what has happened.
+    Before a step may start, what is in `after` at its place has to have happened.
     """
 
     domain: Domain
@@ -75,27 +64,22 @@ class PlanExecution:
         return cls(domain, result.steps, one_after_the_other(count), after, goals)
 
     def with_event(self, *events: StepEvent) -> "PlanExecution":
-        """Return the same after something has happened."""
         return replace(self, happened=self.happened.union(events))
 
     @property
     def is_finished(self) -> bool:
-        """Whether everything has happened."""
         return len(self.happened) == len(self.events)
 
     @property
     def startable(self) -> tuple[int, ...]:
-        """Numbers of the steps that may start now."""
         return tuple(number for number in self.remaining if self.after[number] <= self.happened)
 
     @property
     def remaining(self) -> tuple[int, ...]:
-        """Numbers of the steps that have not started."""
         return tuple(number for number in range(len(self.steps)) if StepEvent(number, False) not in self.happened)
 
     @property
     def unfinished_steps(self) -> tuple[Step, ...]:
-        """The steps that have not ended."""
         return tuple(step for number, step in enumerate(self.steps) if StepEvent(number, True) not in self.happened)
 
     def starts_with(self, step: Step) -> int | None:
@@ -155,7 +139,6 @@ def _not_too_early(
 
 
 def _lent(domain: Domain, step: Step) -> frozenset[str]:
-    """Return the atoms that a step makes true when it starts, and false when it ends."""
     schema, binding = domain.schema_of[step.schema], binding_of(domain, step)
     given = [effect for effect in schema.start_effects if not effect.value.is_false()]
     taken = [effect for effect in schema.end_effects if not effect.value.is_true()]
@@ -163,7 +146,6 @@ def _lent(domain: Domain, step: Step) -> frozenset[str]:
 
 
 def _waiting_for(waits: Sequence[frozenset[StepEvent]], number: int) -> set[int]:
-    """Return a step and those that have to wait for it."""
     found, more = set[int](), {number}
     while more:
         found |= more
@@ -205,7 +187,6 @@ def _precedes(domain: Domain, timed: Sequence[TimedStep], one: StepEvent, other:
 
 
 def _held(domain: Domain, step: Step) -> frozenset[str]:
-    """Return the atoms that a step looks at all the while."""
     over_all = domain.schema_of[step.schema].over_all
     return frozenset(mentioned_atoms(domain, over_all, (), binding_of(domain, step)))
 
@@ -233,9 +214,6 @@ def _interfere(one: _Touched, other: _Touched) -> bool:
 
 class ResourceLimits:
     """The limits of a domain's resources, if it has any: numbers that decide whether there is a plan.
-
-    Args:
-        domain: what `load_domain` returned.
 
     Raises:
         UnsupportedPddlError: an amount is no sum of numbers and numeric facts.
@@ -309,10 +287,6 @@ def _only_grows(amount: UpThing) -> bool:
 
 class PlanMonitor:
     """Whether the plan that is executed will still do.
-
-    Args:
-        effects: the domain, as far as its steps are relied upon.
-        numbers: returns the values, now, of numeric facts; the others are those of the problem file.
 
     Raises:
         UnsupportedPddlError: the metric cannot be kept.

@@ -45,7 +45,6 @@ class Problem:
 
     @property
     def wanted(self) -> tuple[UpThing, ...]:
-        """What shall hold, as unified-planning expressions."""
         return tuple(self.domain.up_problem.goals) if self.goals is None else self.goals
 
     def build(self) -> UpThing:
@@ -96,7 +95,6 @@ def lock_of(domain: Domain) -> Lock:
 
 
 def limits_of(domain: Domain) -> Iterator[UpThing]:
-    """Yield what the limits of resources say, as unified-planning's expressions."""
     manager = domain.up_problem.environment.expression_manager
     for resource in domain.limited:
         for limit in resource.limits:
@@ -105,12 +103,10 @@ def limits_of(domain: Domain) -> Iterator[UpThing]:
 
 
 def unlimited(domain: Domain) -> Domain:
-    """Return a domain without the limits of its resources."""
     return replace(domain, resources=tuple(replace(one, limits=()) for one in domain.resources))
 
 
 def initial_state(domain: Domain) -> State:
-    """Return the facts that the problem file begins with, as it states feasibility itself."""
     return frozenset(_initial_atoms(domain))
 
 

@@ -540,7 +540,6 @@ def _located(source: Source, node: Node) -> Iterator[None]:
 
 
 def _time_of(node: Node) -> str | None:
-    """Return when a formula such as `(at start (lit hall))` holds; None if it does not say so."""
     if len(node.children) != 3 or not node.children[2].is_list:
         return None
     return _TIMES.get((node.head, node.children[1].lower))
@@ -608,7 +607,6 @@ def _increases(node: Node) -> Iterator[Node]:
 
 
 def lineage_of(type_: UpThing, outside: Mapping[str, str]) -> Iterator[str]:
-    """Yield the name of a type and of those above it, in lower case."""
     while type_ is not None:
         yield outside[type_.name].lower()
         type_ = type_.father
@@ -616,11 +614,6 @@ def lineage_of(type_: UpThing, outside: Mapping[str, str]) -> Iterator[str]:
 
 def schema_of(action: UpThing, outside: Mapping[str, str], file: str) -> Schema:
     """Return an action as unified-planning read it in the view of ROSA.
-
-    Args:
-        action: as unified-planning has it.
-        outside: the files' spelling by unified-planning's names.
-        file: where it stands, for messages.
 
     Raises:
         UnsupportedPddlError: it changes while it runs, or is of another kind.
@@ -660,12 +653,7 @@ def _parts_in_time(action: UpThing, name: str, file: str) -> dict[str, tuple[UpT
 
 
 def resources_of(up_problem: UpThing, outside: Mapping[str, str]) -> tuple[Resource, ...]:
-    """Take the limits out of a problem's goals, and return what is limited or used up.
-
-    Args:
-        up_problem: what unified-planning read; its goals are left without limits.
-        outside: the files' spelling by unified-planning's names.
-    """
+    """Take the limits out of a problem's goals, and return what is limited or used up."""
     uses: dict[UpThing, dict[str, UpThing]] = {}
     for action in up_problem.actions:
         for effect in _effects(action):

@@ -1,14 +1,13 @@
 """When to plan anew, the dialogue with the planner, and why there is no plan."""
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass, field, replace
-from functools import partial
+from dataclasses import dataclass
 from typing import Literal, Protocol
 
 from rosa_pddl.belief import ExpectedEffects
-from rosa_pddl.domain import Domain, State, Step, UpThing
+from rosa_pddl.domain import Domain, State, Step
 from rosa_pddl.exceptions import PlannerSettingError, PlanningBudgetError
 from rosa_pddl.goals import Goal, Goals, PlanningTask
 from rosa_pddl.outcomes import Outcome, PlanningResult
@@ -72,13 +71,7 @@ class ReplanningPolicy:
 
 @dataclass(frozen=True)
 class Decision:
-    """That a plan is to be made.
-
-    Args:
-        reason: why, in words.
-        is_needed: whether the current plan is of no use any more; else it goes on unless a better one is found.
-        cause: number of the event of the knowledge base that led to it; None if it was something else, or is not known.
-    """
+    """That a plan is to be made."""
 
     reason: str
     is_needed: bool
@@ -86,14 +79,7 @@ class Decision:
 
 
 def decide(policy: ReplanningPolicy, *, flaw: str | None, goals_changed: bool, news: str | None) -> Decision | None:
-    """Decide whether to plan anew while there is a plan; None to go on with it.
-
-    Args:
-        policy: how eager.
-        flaw: why the rest of the current plan does not reach the goals, None if it does.
-        goals_changed: whether others are wanted than when it was last looked for.
-        news: what changed in the world other than by the plan, in words; None if nothing did.
-    """
+    """Decide whether to plan anew while there is a plan; None to go on with it."""
     if flaw is not None:
         return Decision(f"the goals changed: {flaw}" if goals_changed else flaw, is_needed=True)
     if goals_changed:
@@ -114,13 +100,7 @@ def news_of(expected: PlanningState | None, now: PlanningState) -> str | None:
 
 
 def wait_s(policy: ReplanningPolicy, now_s: float, last_s: float | None) -> float:
-    """Return how long the next planning has to wait [s]; 0 if it may begin now.
-
-    Args:
-        policy: sets the rate.
-        now_s: the executor's clock [s].
-        last_s: when the last planning began [s]; None if there was none.
-    """
+    """Return how long the next planning has to wait [s]; 0 if it may begin now."""
     return 0.0 if last_s is None else max(0.0, last_s + policy.at_most_every_s - now_s)
 
 
@@ -131,20 +111,12 @@ class PlansAhead(Protocol):
     def timeout_s(self) -> float:
         """After this long the planner gives up by itself [s]."""
 
-    def start(self, problem: Problem) -> "Future[PlanningResult]":
-        """Begin to plan, without waiting."""
+    def start(self, problem: Problem) -> "Future[PlanningResult]": ...
 
 
 @dataclass(frozen=True)
 class _Question:
-    """What was asked of the planner.
-
-    Args:
-        problem: what is to be planned.
-        state: the state that was believed, whatever the problem makes of it.
-        decision: why it was asked; None if only to find out why there is no plan.
-        at_s: when [s, the executor's clock].
-    """
+    """What was asked of the planner."""
 
     problem: Problem
     state: State
@@ -153,14 +125,7 @@ class _Question:
 
 
 class PlannerClient:
-    """Asks a planner beside the ticks, at most one question at a time.
-
-    Args:
-        planner: answers.
-        clock: returns the time [s].
-        delay_s: an answer is taken this long after the question, whatever it took [s]; None to take it as soon as it is
-            there.
-    """
+    """Asks a planner beside the ticks, at most one question at a time."""
 
     def __init__(self, planner: PlansAhead, clock: Callable[[], float], delay_s: float | None) -> None:
         self._planner, self._clock, self._delay_s = planner, clock, delay_s
@@ -170,11 +135,9 @@ class PlannerClient:
 
     @property
     def is_under_way(self) -> bool:
-        """Whether something is being planned."""
         return self._question is not None
 
     def ask(self, problem: Problem, state: State, decision: Decision | None) -> None:
-        """Begin to plan, in place of what was being planned."""
         self.give_up()
         self._question = _Question(problem, state, decision, self._clock())
         try:
@@ -213,7 +176,6 @@ class PlannerClient:
             _LOG.debug("the planner raised %r", error)
 
     def give_up(self) -> None:
-        """Forget the question."""
         if self._future is not None:
             self._future.cancel()
         self._question, self._future, self.was_answered_at_once = None, None, False
@@ -241,109 +203,64 @@ class PlannerClient:
             return PlanningResult(Outcome.ENGINE_CRASHED, engine=engine, message=f"{type(error).__name__}: {error}")
 
 
-@dataclass(frozen=True)
 class Diagnosis:
     """Further questions to the planner after it found no plan, and what their answers say.
 
-    Args:
-        domain: what `load_domain` returned.
-        state: from which there is no plan.
-        goals: that cannot all be reached.
-        why: the answer of the planner, in words.
-        costs: the values of numeric facts, as they were asked with.
-        answers: to the questions so far, in order.
-        is_open: whether there is anything to ask: not if it was the planner that failed.
+    First each goal alone, if there are several; then all of them, were every action feasible, or nothing limited.
     """
 
-    domain: Domain
-    state: State
-    goals: tuple[Goal, ...]
-    why: str
-    costs: Mapping[str, float] = field(default_factory=dict)
-    answers: tuple[PlanningResult, ...] = ()
-    is_open: bool = True
+    def __init__(self, problem: Problem, goals: Sequence[Goal], why: str, *, is_open: bool) -> None:
+        domain, state, costs = problem.domain, problem.state, problem.costs
+        self.problem, self._why, self._is_open = problem, why, is_open
+        self._singles = goals if len(goals) > 1 else ()
+        feasible = {domain.feasible_atom(one): one for one in domain.rosa_actions if domain.tracks_feasibility}
+        self._unfeasible = ", ".join(name for atom, name in feasible.items() if atom not in state)
+        self._limited = ", ".join(resource.name for resource in domain.limited)
+        wanted = tuple(goal.expression for goal in goals)
+        self._questions = [Problem(domain, state, (goal.expression,), costs) for goal in self._singles]
+        if self._unfeasible:
+            self._questions.append(Problem(domain, state.union(feasible), wanted, costs))
+        if self._limited:
+            self._questions.append(Problem(unlimited(domain), state, wanted, costs))
+        self._answers: list[Outcome] = []
 
     @property
     def next_question(self) -> Problem | None:
-        """What to ask next; None if enough is known.
+        """What to ask next; None if enough is known, or it was the planner that failed."""
+        asked = len(self._answers)
+        return self._questions[asked] if self._is_open and asked < len(self._questions) else None
 
-        First each goal alone, if there are several; then all of them, were every action feasible, or nothing limited.
-        """
-        questions = self._questions if self.is_open else []
-        return questions[len(self.answers)]() if len(self.answers) < len(questions) else None
-
-    def answered(self, result: PlanningResult) -> "Diagnosis":
-        """Return the diagnosis with one more answer."""
-        return replace(self, answers=(*self.answers, result))
+    def answer(self, result: PlanningResult) -> None:
+        self._answers.append(result.outcome)
 
     def __str__(self) -> str:
-        return "; ".join(filter(None, [self.why, self._which(), self._if_all_were_feasible(), self._if_unlimited()]))
-
-    @property
-    def _questions(self) -> list[Callable[[], Problem]]:
-        asked: list[Callable[[], Problem]] = [partial(self._problem, [goal]) for goal in self.goals[: self._singles]]
+        if not self._is_open:
+            return self._why
+        answers = iter(self._answers)
+        parts = [self._why, *self._of_singles([(goal.text, next(answers)) for goal in self._singles])]
         if self._unfeasible:
-            asked.append(partial(self._problem, self.goals, is_all_feasible=True))
-        if self.domain.limited:
-            asked.append(partial(self._problem, self.goals, is_limited=False))
-        return asked
+            if (outcome := next(answers)).is_solved:
+                parts.append(f"unfeasible now: {self._unfeasible}; there would be a plan if they were feasible")
+            elif not outcome.is_trouble:
+                parts.append("there would be no plan even if every action were feasible")
+        if self._limited and not (outcome := next(answers)).is_trouble:
+            are = "would" if outcome.is_solved else "would not"
+            parts.append(f"there {are} be a plan without the limits of {self._limited}")
+        return "; ".join(parts)
 
-    @property
-    def _singles(self) -> int:
-        return len(self.goals) if len(self.goals) > 1 else 0
-
-    @property
-    def _unfeasible(self) -> tuple[str, ...]:
-        if not self.domain.tracks_feasibility:
-            return ()
-        actions = self.domain.rosa_actions
-        return tuple(action for action in actions if self.domain.feasible_atom(action) not in self.state)
-
-    def _problem(self, goals: Sequence[Goal], *, is_all_feasible: bool = False, is_limited: bool = True) -> Problem:
-        domain, state = self.domain, self.state
-        if is_all_feasible:
-            state |= {domain.feasible_atom(action) for action in domain.rosa_actions}
-        if not is_limited:
-            domain = unlimited(domain)
-        expressions: tuple[UpThing, ...] = tuple(goal.expression for goal in goals)
-        return Problem(domain, state, expressions, self.costs)
-
-    def _which(self) -> str:
-        if not self._singles or not self.is_open:
-            return ""
-        answered = list(zip(self.goals, self.answers[: self._singles], strict=True))
-        out = [goal.text for goal, answer in answered if not answer.outcome.is_solved and not answer.outcome.is_trouble]
-        unknown = [goal.text for goal, answer in answered if answer.outcome.is_trouble]
-        well = [goal.text for goal, answer in answered if answer.outcome.is_solved]
-        if not out and not unknown:
-            return "each goal can be reached alone, but not all together"
-        parts = [
-            f"out of reach: {', '.join(out)}" if out else "",
-            f"in reach alone: {', '.join(well)}" if well else "",
-            f"not known: {', '.join(unknown)}" if unknown else "",
-        ]
-        return "; ".join(filter(None, parts))
-
-    def _if_all_were_feasible(self) -> str:
-        if not self._unfeasible or len(self.answers) <= self._singles:
-            return ""
-        last = self.answers[self._singles]
-        if last.outcome.is_trouble:
-            return ""
-        names = ", ".join(self._unfeasible)
-        if last.outcome.is_solved:
-            return f"unfeasible now: {names}; there would be a plan if they were feasible"
-        return "there would be no plan even if every action were feasible"
-
-    def _if_unlimited(self) -> str:
-        if not self.domain.limited or len(self.answers) < len(self._questions):
-            return ""
-        last = self.answers[-1]
-        if last.outcome.is_trouble:
-            return ""
-        names = ", ".join(resource.name for resource in self.domain.limited)
-        are = "would" if last.outcome.is_solved else "would not"
-        return f"there {are} be a plan without the limits of {names}"
+    @staticmethod
+    def _of_singles(answered: Sequence[tuple[str, Outcome]]) -> Iterator[str]:
+        if answered and all(outcome.is_solved for _, outcome in answered):
+            yield "each goal can be reached alone, but not all together"
+            return
+        for words, is_so in (
+            ("out of reach", lambda outcome: not outcome.is_solved and not outcome.is_trouble),
+            ("in reach alone", lambda outcome: outcome.is_solved),
+            ("not known", lambda outcome: outcome.is_trouble),
+        ):
+            texts = [text for text, outcome in answered if is_so(outcome)]
+            if texts:
+                yield f"{words}: {', '.join(texts)}"
 
 
 @dataclass(frozen=True)
@@ -382,29 +299,14 @@ class _DeadEnd:
 
 @dataclass(frozen=True)
 class _Found:
-    """A plan, and why it was asked for.
-
-    Args:
-        plan: the plan, of which nothing has happened yet.
-        decision: why.
-    """
+    """A plan, and why it was asked for."""
 
     plan: PlanExecution
     decision: Decision
 
 
 class Replanning:
-    """Asks for plans as a policy allows, and finds out why there is none.
-
-    Args:
-        goals: what shall be reached.
-        effects: the domain, as far as its steps are relied upon.
-        task: turns goals into problems.
-        monitor: knows whether numbers leave less than before.
-        client: asks the planner.
-        clock: returns the time [s].
-        policy: sets the rate.
-    """
+    """Asks for plans as a policy allows, and finds out why there is none."""
 
     def __init__(
         self,
@@ -427,7 +329,6 @@ class Replanning:
 
     @property
     def is_busy(self) -> bool:
-        """Whether a plan is wanted or being made."""
         return self._wanted is not None or self._client.is_under_way
 
     def why_no_plan(self, state: State) -> str | None:
@@ -439,7 +340,6 @@ class Replanning:
 
     @property
     def had_no_plan(self) -> bool:
-        """Whether the last answer was that there is none."""
         return self._dead_end is not None
 
     def want(self, decision: Decision) -> None:
@@ -479,18 +379,15 @@ class Replanning:
         self._wanted = self._diagnosis = None
 
     def take(self, state: State) -> _Found | None:
-        """Return a plan if one has just been found.
-
-        Args:
-            state: to plan from if there is none.
-        """
+        """Return a plan if one has just been found."""
         answer = self._client.take()
         if answer is None:
             return None
         question, result = answer
         if question.decision is None:
             assert self._diagnosis is not None
-            self._diagnose(self._diagnosis.answered(result), state)
+            self._diagnosis.answer(result)
+            self._diagnose(self._diagnosis, state)
             return None
         decision = question.decision
         result, promised = self._task.read(result, self._goals)
@@ -514,9 +411,8 @@ class Replanning:
             return None
         what = result.message or decision.reason
         why = f"no plan: {what}" if str(outcome) in what else f"no plan, {outcome}: {what}"
-        costs, is_open = question.problem.costs, not outcome.is_trouble
-        diagnosis = Diagnosis(domain, state, self._goals.hard, why, costs, is_open=is_open)
-        self._diagnose(diagnosis, state)
+        unsolved = Problem(domain, state, costs=question.problem.costs)
+        self._diagnose(Diagnosis(unsolved, self._goals.hard, why, is_open=not outcome.is_trouble), state)
         if result.safe_step is None:
             return None
         safe = PlanningResult(Outcome.SOLVED, (result.safe_step,))
@@ -529,11 +425,11 @@ class Replanning:
     def _diagnose(self, diagnosis: Diagnosis, state: State) -> None:
         """Ask on, or conclude that there is no plan; when the state has changed it is better to plan anew."""
         domain = self._effects.domain
-        if (state, domain) != (diagnosis.state, diagnosis.domain):
+        if (state, domain) != (diagnosis.problem.state, diagnosis.problem.domain):
             self.want(Decision("the state changed", is_needed=True))
         elif diagnosis.next_question is not None:
             self._diagnosis = diagnosis
             self._client.ask(diagnosis.next_question, state, None)
         else:
             self._diagnosis = None
-            self._give_up(state, diagnosis.costs, "; ".join(map(str, (diagnosis, *self._effects.unmet))))
+            self._give_up(state, diagnosis.problem.costs, "; ".join(map(str, (diagnosis, *self._effects.unmet))))

@@ -64,7 +64,6 @@ class Node:
 
     @property
     def is_list(self) -> bool:
-        """Whether this is a list in parentheses."""
         return self.word is None
 
     @property
@@ -96,11 +95,9 @@ class Source:
     root: Node
 
     def error(self, node: Node, message: str) -> PddlError:
-        """Make an error that points at a node."""
         return PddlError(message, self.file, node.line or None, node.column or None)
 
     def unsupported(self, node: Node, message: str) -> UnsupportedPddlError:
-        """Make an error about correct PDDL that cannot be handled."""
         return UnsupportedPddlError(message, self.file, node.line or None, node.column or None)
 
 
@@ -112,7 +109,6 @@ def listed(*parts: Node | str) -> Node:
 
 
 def start_of(node: Node) -> str:
-    """Return the text of a node, shortened."""
     text = str(node)
     return text if len(text) <= 40 else text[:37] + "..."
 
@@ -244,7 +240,6 @@ def check_frames(domain: Source, problem: Source) -> None:
 
 
 def section(source: Source, *heads: str) -> list[Node]:
-    """Return what stands in the sections of these names, in the order of the names."""
     sections = source.root.children[2:]
     return [child for head in heads for node in sections if node.head == head for child in node.children[1:]]
 
@@ -315,7 +310,6 @@ def _check_problem(source: Source) -> None:
 
 
 def _check_belongs(domain: Source, problem: Source) -> None:
-    """Assure that the problem names this domain."""
     title = domain.root.children[1].children[1]
     for node in problem.root.children[2:]:
         if node.head == ":domain" and [child.lower for child in node.children[1:]] != [title.lower]:

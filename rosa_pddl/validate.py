@@ -44,17 +44,14 @@ def missing_meanwhile(domain: Domain, step: Step, state: State) -> str | None:
 
 
 def missing_at_end(domain: Domain, step: Step, state: State) -> str | None:
-    """Return the first condition that keeps a running step from ending well, as text."""
     return missing_of(domain, domain.schema_of[step.schema].end, binding_of(domain, step), state)
 
 
 def started(domain: Domain, step: Step, state: State) -> State:
-    """Return the state after the effects at the start of a step."""
     return _after(domain, domain.schema_of[step.schema].start_effects, binding_of(domain, step), state)
 
 
 def ended(domain: Domain, step: Step, state: State) -> State:
-    """Return the state of a running step after the effects at its end."""
     return _after(domain, domain.schema_of[step.schema].end_effects, binding_of(domain, step), state)
 
 
@@ -137,7 +134,6 @@ def _happen(
 
 
 def one_after_the_other(count: int) -> tuple[StepEvent, ...]:
-    """Return the starts and ends of steps that follow one another."""
     return tuple(StepEvent(number, is_end) for number in range(count) for is_end in (False, True))
 
 
@@ -186,7 +182,6 @@ def _lasts_as_declared(domain: Domain, timed: TimedStep) -> bool:
 
 
 def _moments(schedule: Sequence[TimedStep]) -> Iterator[list[StepEvent]]:
-    """Yield what happens at once, in the order of time."""
     dated = [(timed.start_s, StepEvent(number, False)) for number, timed in enumerate(schedule)]
     dated += [(timed.end_s, StepEvent(number, True)) for number, timed in enumerate(schedule)]
     together: list[StepEvent] = []
@@ -213,13 +208,11 @@ def _is_feasibility(domain: Domain, formula: UpThing) -> bool:
 
 
 def binding_of(domain: Domain, step: Step) -> Binding:
-    """Return what the parameters of a step's action are bound to."""
     names = (name for name, _ in domain.schema_of[step.schema].parameters)
     return dict(zip(names, step.arguments, strict=True))
 
 
 def missing_of(domain: Domain, formulas: Iterable[UpThing], binding: Binding, state: Facts) -> str | None:
-    """Return the first formula that does not hold in a state, as text."""
     for formula in formulas:
         if not holds(domain, formula, binding, state):
             return text_of(domain, formula, binding)
@@ -227,7 +220,6 @@ def missing_of(domain: Domain, formulas: Iterable[UpThing], binding: Binding, st
 
 
 def holds(domain: Domain, formula: UpThing, binding: Binding, state: Facts) -> bool:
-    """Whether a formula holds in a state, its parameters being what they are bound to."""
     if formula.is_fluent_exp():
         return text_of(domain, formula, binding) in state
     if formula.is_bool_constant():

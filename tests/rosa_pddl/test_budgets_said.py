@@ -146,7 +146,6 @@ def test_numbers_are_written_with_all_their_digits():
             "'energy' is limited, but no action uses it up; nearest: energy_used",
         ),
         (replace(CROSS, uses={"risk": -1}), WALK, "uses['risk'] is -1, expected a number that is not negative"),
-        (replace(CROSS, uses={"(risk)": 1}), WALK, "'(risk)' is no name in PDDL"),
         (replace(CROSS, uses={**CROSS.uses, "risk": "(takes ?x)"}), WALK, "unknown parameter '?x'"),
     ],
 )

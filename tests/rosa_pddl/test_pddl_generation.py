@@ -156,8 +156,8 @@ def problem(**changes):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (bad(name="look here"), "schema look here: 'look here' is no name in PDDL"),
-        (bad(action="2nd look"), "'2nd look' is no name in PDDL"),
+        (bad(name="look here"), "'look here_action', expected a name: a letter"),
+        (bad(action="2nd look"), "'2nd look_action', expected a name: a letter"),
         (bad(parameters=("?x",)), "schema look: found the parameter \\?x, expected one with its type"),
         (bad(parameters=("x - crater",)), "found 'x', expected a variable such as"),
         (bad(parameters="?x - crater"), "parameters is one text, expected several; write"),
@@ -175,15 +175,18 @@ def problem(**changes):
         (bad(cost=float("nan")), "cost is nan"),
         (bad(makes_feasible=("dive",)), "makes 'dive' feasible, which no action does; known: look"),
         (problem(goal=()), "there is no goal"),
-        (problem(goal=("(sene pit)",)), "no action mentions the predicate 'sene'; nearest: seen"),
-        (problem(facts=("(deep pit)",)), "no action mentions the predicate 'deep'"),
-        (problem(objects={"pit": "rover"}), "\\(seen pit\\) is about \\(rover\\), expected \\(crater\\)"),
-        (problem(objects={"pit": "crater", "big pit": "crater"}), "'big pit' is no name"),
-        (problem(numbers={"(depth pit)": 3}), "no action mentions the numeric fact 'depth'"),
+        (problem(goal=("(sene pit)",)), "unknown predicate 'sene', expected a declared one; nearest: seen"),
+        (problem(facts=("(deep pit)",)), "unknown predicate 'deep'"),
+        (
+            problem(objects={"pit": "rover"}),
+            "the arguments of 'seen' are of other types than declared: \\(seen \\?x1 - crater\\)",
+        ),
+        (problem(objects={"pit": "crater", "big pit": "crater"}), "the object 'big pit', expected a name"),
+        (problem(numbers={"(depth pit)": 3}), "unknown predicate 'depth'"),
         (lambda: Declarations("cave", [], PROBLEM), "declarations of cave: no action is declared"),
-        (lambda: declared(LOOK, LOOK), "the action 'look' is declared twice"),
+        (lambda: declared(LOOK, LOOK), "the action 'look' was declared before"),
     ],
 )
 def test_slip_in_a_declaration_is_said_with_what_was_expected(make, message):
     with pytest.raises(PddlError, match=message):
-        make()
+        make().load()
