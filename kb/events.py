@@ -1,6 +1,6 @@
 """Events: everything that becomes known, one after the other, as data that can be written down and told again."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from enum import StrEnum
 from typing import Any, Final, NamedTuple, Self
 
@@ -91,8 +91,13 @@ class Event(NamedTuple):
         """What, in words, e.g. "light is 0.3" or "gripper has failed"."""
         if self.words:
             return self.words
-        given = ", ".join(map(_shown, self.arguments))
-        return f"{self.verb.replace('_', ' ')}: {given}"
+        if self.plan is not None:
+            return str(self.plan)
+        if self.effects:
+            return ", ".join(f"{name} is {'' if is_so else 'not '}selected" for _, name, is_so in self.effects)
+        found = _WORDS.get(self.verb)
+        given = map(str, self.arguments)
+        return f"{self.verb.replace('_', ' ')}: {', '.join(given)}" if found is None else found(self)
 
     def to_json(self) -> dict[str, Any]:
         """Return it as values that JSON can hold; `from_json` is the way back, but for the plan."""
@@ -143,5 +148,33 @@ def _plain(value: object) -> object:
     return value
 
 
-def _shown(value: object) -> str:
-    return " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
+def _of(event: Event, place: int) -> str:
+    """Return an argument that is a reason, in brackets; nothing if none was given."""
+    return f" ({event.arguments[place]})" if event.arguments[place] else ""
+
+
+_WORDS: Final[Mapping[str, Callable[[Event], str]]] = {
+    "measure": lambda one: f"{one.subject} is {one.arguments[1]:g}",
+    "component_failed": lambda one: f"{one.subject} has failed{_of(one, 1)}",
+    "component_recovered": lambda one: f"{one.subject} is recovered",
+    "component_active": lambda one: f"{one.subject} is {'active' if one.arguments[1] else f'inactive{_of(one, 2)}'}",
+    "component_started": lambda one: f"{one.subject} runs as process {one.arguments[1]}",
+    "component_ended": lambda one: f"{one.subject} no longer runs as process {one.arguments[1] or ''}".rstrip(),
+    "request_action": lambda one: f"{one.subject} is requested",
+    "cancel_action": lambda one: f"{one.subject} is {': '.join(filter(None, one.arguments[1:]))}",
+    "retract_status": lambda one: f"{one.subject} is no longer asserted",
+    "lapse": lambda one: f"{one.subject} is no longer asserted {one.arguments[1]}: its time is over",
+    "assert_required": lambda one: f"{one.subject} is {'' if one.arguments[1] else 'no longer '}asserted required",
+    "assert_selected": lambda one: f"{one.subject} is {'' if one.arguments[1] else 'not '}selected{_of(one, 2)}",
+    "note_no_choice": lambda one: (
+        f"nothing can be selected because {one.subject}" if one.subject else "something can be selected again"
+    ),
+    "finish_plan": lambda one: "plan {} is {}".format(*one.arguments),
+    "finish_attempt": lambda one: f"attempt {one.arguments[0]} is {one.arguments[1]}{_of(one, 2)}",
+    "record_answer": lambda one: (
+        f"plan {one.arguments[0]} {'is vetoed' if one.arguments[1] else 'may be executed'}{_of(one, 2)}"
+    ),
+    "store": lambda one: str(one.arguments[0]),
+    "begin": lambda _: "begins with what the model states",
+}
+"""An event in words, by its verb."""

@@ -67,10 +67,12 @@ def propagate(state: State, touched: Iterable[Node]) -> list[Change]:
             if new is not old:
                 state.status[index] = new
                 changes.append(Change(node, old, new))
+                may_be_chosen_for = node.kind in ("function", "component")
+                adaptable = may_be_chosen_for and is_adaptable(state, node)
                 for whole in _concerned(state, node, old, new):
                     agenda[whole.level][whole] = None
-            if node.kind in ("function", "component"):
-                state.adaptable.mark(node, is_adaptable(state, node))
+                if may_be_chosen_for:
+                    state.adaptable.mark(node, adaptable)
     return changes
 
 

@@ -19,7 +19,7 @@ from kb.explanation.choice import note_nothing
 from kb.explanation.reasons import shortest, why_selected
 from kb.facts import ActiveFact, Fact, MeasurementFact, RequiredActionFact, RequiredFact, SelectedFact, StatusFact
 from kb.individuals import Serials
-from kb.inference import Change, grow, initial_state, propagate, shrink
+from kb.inference import Change, grow, initial_state, is_adaptable, propagate, shrink
 from kb.log import Log
 from kb.measurements import Judged, Measurements
 from kb.network import Network, Node, Ref, is_steady
@@ -41,6 +41,20 @@ _ENDED: Final = 4
 """How many requests that have ended a plan names as its reason at most."""
 
 _STATUSES: Final = ("asserted", "verdict")
+
+_RECORDS: Final = frozenset(
+    {
+        "component_configured",
+        "component_ended",
+        "component_started",
+        "finish_attempt",
+        "finish_plan",
+        "record_answer",
+        "record_attempt",
+        "store",
+    }
+)
+"""What changes no fact of the state."""
 
 
 class Outcome(NamedTuple):
@@ -65,12 +79,8 @@ class Outcome(NamedTuple):
     matters: bool | None = True
 
 
-class _Pending(NamedTuple):
-    event: Event
-    puts: Sequence[Put]
-    is_laid: bool
-    matters: bool
-    changed: Sequence[Node]
+_Pending = tuple[Event, Sequence[Put], bool, bool, Sequence[Node]]
+"""An event; what is put in place; whether the layer is, too; whether it matters to a planner; what changed status."""
 
 
 class Knowledge:
@@ -92,6 +102,7 @@ class Knowledge:
         changed_by: number of the event that last changed the status of a node, by index.
         feasibility: number of the event that last made an action feasible or unfeasible.
         in_words: whether measurements are put in words, too.
+        pending: what has been interrupted while it was put in place; see `finish`.
         heard: called after a change of the model, without the lock.
     """
 
@@ -109,8 +120,9 @@ class Knowledge:
         self.in_words = False
         self.heard: Callable[[], None] = _nobody
         self._clock, self._lock = clock, lock
-        self._layer = Overlay(self.state)
-        self._pending: _Pending | None = None
+        self._layer = Overlay(self.state, lasting=True)
+        self._is_laid = False
+        self.pending: _Pending | None = None
 
     @property
     def now(self) -> float:
@@ -128,22 +140,24 @@ class Knowledge:
             arguments: of the event, checked.
             cause: of the event.
         """
-        self.finish()
-        self._layer.clear()
+        if self.pending is not None:
+            self.finish()
+        if verb not in _RECORDS:
+            self._lay()
         event = Event(self.log.last + 1, time, verb, arguments, (), cause)
         outcome: Outcome | None = getattr(self, f"_{verb}")(event, *arguments)
         return None if outcome is None else self._put(event, outcome)
 
     def measure(self, node: Node, value: float, time: float) -> Event:
         """Make an event of a measurement; the quickest of all, for it is the most frequent."""
-        if self._pending is not None:
+        if self.pending is not None:
             self.finish()
         index, state, measurements = node.index, self.state, self.measurements
         before, was_stale = state.value[index], state.stale[index]
         thresholds = self.network.thresholds(node)
-        recent = measurements.with_latest(node, value)
-        count = len(measurements.history(node))
-        event = Event(self.log.last + 1, time, "measure", (node.name, value))
+        recent = () if node.element.agreement == (1, 1) else measurements.with_latest(node, value)  # type: ignore[union-attr]  # of an attribute
+        history = state.histories.get(index)
+        count = 0 if history is None else len(history.pairs)
         put = partial(measurements.put, node, value, time, count, recent)
         touched: Sequence[Node] = ()
         if before is None or was_stale:
@@ -151,10 +165,12 @@ class Knowledge:
         elif value != before:
             touched = thresholds.crossed(before, value)
         words = f"{node.name} is {shortest(value, thresholds.around(value))}" if self.in_words else ""
+        event = Event(self.log.last + 1, time, "measure", (node.name, value), (), None, (), None, words)
         if not touched and not thresholds.steady:
-            return self._put(event, Outcome(puts=(put,), words=words, matters=None))
-        self._layer.clear()
-        layer = self._layer
+            self.pending = event, (put,), False, False, ()
+            self.finish()
+            return event
+        layer = self._lay()
         layer.value[index], layer.time[index], layer.stale[index] = value, time, False
         judged = [measurements.judge(one, value, recent, state.verdict[one.index], time) for one in thresholds.steady]
         touched = [*self._judged(judged), *touched]
@@ -178,27 +194,30 @@ class Knowledge:
 
     def finish(self) -> None:
         """Put in place what was interrupted."""
-        pending = self._pending
+        pending = self.pending
         if pending is None:
             return
-        event = pending.event
-        if pending.is_laid:
+        event, puts, is_laid, matters, changed = pending
+        if is_laid:
             self._layer.put_in_place()
             self.state.visited += self._layer.visited
             self._layer.visited = 0
-        for put in pending.puts:
-            put()
-        if event.changes:
-            for node in pending.changed:
-                self.changed_by[node.index] = event.number
-            if any(one.kind == "action" and Status.UNFEASIBLE in (one.old, one.new) for one in event.changes):
-                self.feasibility = event.number
-        if pending.is_laid:
             self.state.version = event.number
-        if pending.matters:
+        for put in puts:
+            put()
+        for node in changed:
+            self.changed_by[node.index] = event.number
+            if node.kind == "action":
+                self._note_turn(event)
+        if matters:
             self.revision = event.number
         self.log.append(event)
-        self._pending = None
+        self.pending = None
+
+    def _note_turn(self, event: Event) -> None:
+        """Note that an action has become feasible or unfeasible, if one has."""
+        if any(one.kind == "action" and Status.UNFEASIBLE in (one.old, one.new) for one in event.changes):
+            self.feasibility = event.number
 
     def _put(self, event: Event, outcome: Outcome) -> Event:
         touched, puts, changes, effects, plan, words, matters = outcome
@@ -206,13 +225,19 @@ class Knowledge:
             changes = [*changes, *propagate(self._layer, touched)]
         if changes or effects or plan is not None or words:
             named = tuple(StatusChange(node.kind, node.name, old, new) for node, old, new in changes)
-            event = event._replace(changes=named, effects=effects, plan=plan, words=words)
-        is_laid = event.verb != "measure" or bool(touched)
-        changed = [node for node, _, _ in changes]
+            event = Event(*event[:4], named, event.cause, effects, plan, words)
+        is_laid = bool(touched) if event.verb == "measure" else event.verb not in _RECORDS
         matters = bool(changes) if matters is None else matters
-        self._pending = _Pending(event, puts, is_laid, matters, changed)
+        self.pending = event, puts, is_laid, matters, [node for node, _, _ in changes]
         self.finish()
         return event
+
+    def _lay(self) -> Overlay:
+        """Return the layer without anything in it."""
+        if self._is_laid:
+            self._layer.clear()
+        self._is_laid = True
+        return self._layer
 
     def _judged(self, judged: Iterable[Judged]) -> list[Node]:
         """Enter the verdicts of debounced constraints in the layer; returns those that are not what they were."""
@@ -256,7 +281,7 @@ class Knowledge:
         node = self.network.components[name]
         self._layer.failed[node.index] = True
         self._layer.give_reason("failed", node, reason)
-        return Outcome([node], words=f"{name} has failed{Reason(reason)}")
+        return Outcome([node])
 
     def _component_recovered(self, _: Event, name: str) -> Outcome:
         node, layer = self.network.components[name], self._layer
@@ -265,13 +290,13 @@ class Knowledge:
             layer.give_reason("asserted", node)
         layer.failed[node.index] = False
         layer.give_reason("failed", node)
-        return Outcome([node], words=f"{name} is recovered")
+        return Outcome([node])
 
     def _component_active(self, _: Event, name: str, active: bool, reason: str) -> Outcome:
         node = self.network.components[name]
         self._layer.active[node.index] = active
         self._layer.give_reason("active", node, "" if active else reason)
-        return Outcome([node], words=f"{name} is {'active' if active else f'inactive{Reason(reason)}'}")
+        return Outcome([node])
 
     def _assert_status(self, _: Event, ref: Ref, status: str, reason: str, until: float | None) -> Outcome:
         node = self.network.referred(ref)
@@ -292,7 +317,7 @@ class Knowledge:
     def _assert_required(self, _: Event, ref: Ref, required: bool | None) -> Outcome:
         node = self.network.referred(ref)
         self._layer.asserted_required[node.index] = bool(required)
-        return Outcome([node], words=f"{node.name} is {'' if required else 'no longer '}asserted required")
+        return Outcome([node])
 
     def _assert_selected(self, _: Event, ref: Ref, selected: bool | None, reason: str) -> Outcome:
         node, layer = self.network.referred(ref), self._layer
@@ -301,12 +326,11 @@ class Knowledge:
         whole = node.wholes[0]
         is_without = not any(layer.selected[part.index] for part in whole.parts)
         layer.give_reason("unselected", whole, reason if is_without else "")
-        return Outcome([node], words=f"{node.name} is {'' if is_selected else 'not '}selected{Reason(reason)}")
+        return Outcome([node])
 
     def _note_no_choice(self, _: Event, reason: str) -> Outcome:
         note_nothing(self._layer, reason)
-        words = f"nothing can be selected because {reason}" if reason else "something can be selected again"
-        return Outcome(words=words, matters=False)
+        return Outcome(matters=False)
 
     # ---------------------------------------------------------------- requests and plans
 
@@ -315,7 +339,7 @@ class Knowledge:
         self._layer.requested[node.index] = True
         weights = MappingProxyType(dict(preference)) if isinstance(preference, Mapping) else preference
         record = RequiredAction(name, weights, event.time, cause=event.cause, number=event.number)
-        return Outcome([node], (partial(self.records.request, record),), words=f"{name} is requested")
+        return Outcome([node], (partial(self.records.request, record),))
 
     def _cancel_action(self, event: Event, name: str, result: str, reason: str) -> Outcome:
         node, record = self.network.actions[name], self.records.required[name]
@@ -325,7 +349,7 @@ class Knowledge:
         put = partial(
             self.records.end_request, record, ended, event.number, result=result, end=event.time, reason=reason
         )
-        return Outcome([node], (put,), words=words)
+        return Outcome([node], (put,))
 
     def _select(
         self,
@@ -346,15 +370,14 @@ class Knowledge:
             node for node in selection.reselected if layer.selected[node.index] != self.state.selected[node.index]
         ]
         effects = tuple((node.kind, node.name, layer.selected[node.index]) for node in dict.fromkeys(changed))
-        if selection:
+        if any(selection[:3]):
             why = why_selected(self.state, [*chosen, *given], event.time, reason, ended)
             plan = planned(self.state, selection, why, event.time, event.cause, len(self.records.plans) + 1)
             put = partial(self.records.plan, plan)
-            return Outcome((), (put,), selection.changes, effects, plan, str(plan), matters=False)
+            return Outcome((), (put,), selection.changes, effects, plan, matters=False)
         if not effects and not self._has_new_reasons():
             return None
-        words = ", ".join(f"{name} is {'' if is_so else 'not '}selected" for _, name, is_so in effects)
-        return Outcome((), (), selection.changes, effects, None, words, matters=bool(effects))
+        return Outcome((), (), selection.changes, effects, matters=bool(effects))
 
     def _has_new_reasons(self) -> bool:
         known = self.state.reasons
@@ -363,7 +386,7 @@ class Knowledge:
     def _finish_plan(self, event: Event, number: int, result: str) -> Outcome:
         plan = self.records.plans[number]
         put = partial(self.records.end_plan, plan, result, event.time)
-        return Outcome(puts=(put,), words=f"{plan} is {result}", matters=result != "failed")
+        return Outcome(puts=(put,), matters=result != "failed")
 
     # ---------------------------------------------------------------- records
 
@@ -374,7 +397,7 @@ class Knowledge:
     def _component_started(self, event: Event, name: str, pid: int) -> Outcome:
         process = Process(name, pid, event.time, number=event.number)
         put = partial(self.records.processes.__setitem__, event.number, process)
-        return Outcome(puts=(put,), words=f"{name} runs as process {pid}", matters=False)
+        return Outcome(puts=(put,), matters=False)
 
     def _component_ended(self, event: Event, name: str, pid: int | None) -> Outcome | None:
         ended = [
@@ -383,8 +406,7 @@ class Knowledge:
             if one.component == name and one.end is None and pid in (None, one.pid)
         ]
         puts = [partial(finish, one, end=event.time) for one in ended]
-        words = f"{name} no longer runs as process {', '.join(str(one.pid) for one in ended)}"
-        return Outcome(puts=puts, words=words, matters=False) if ended else None
+        return Outcome(puts=puts, matters=False) if ended else None
 
     def _record_attempt(
         self,
@@ -401,21 +423,19 @@ class Knowledge:
         made = self.records.plans[plan]
         given = MappingProxyType(dict(parameters))
         attempt = Attempt(made, component, operation, configuration, given, number, event.time, serial=serial)
-        return Outcome(puts=(partial(self.records.attempt, attempt),), words=str(attempt), matters=False)
+        return Outcome(puts=(partial(self.records.attempt, attempt),), matters=False)
 
     def _finish_attempt(self, event: Event, serial: int, result: str, reason: str) -> Outcome:
         attempt = self.records.attempts[serial]
         put = partial(finish, attempt, result=result, reason=reason, end=event.time)
-        told = f"{attempt.operation} {attempt.component}, attempt {attempt.number}: {result}"
-        return Outcome(puts=(put,), words=f"{told}: {reason}" if reason else told, matters=False)
+        return Outcome(puts=(put,), matters=False)
 
     def _record_answer(self, event: Event, plan: int, is_vetoed: bool, reason: str) -> Outcome:
         answer = VetoAnswer(self.records.plans[plan], event.time, is_vetoed, reason)
-        words = f"{answer.plan} {'is vetoed' if is_vetoed else 'may be executed'}{Reason(reason)}"
-        return Outcome(puts=(partial(self.records.answer, event.number, answer),), words=words, matters=False)
+        return Outcome(puts=(partial(self.records.answer, event.number, answer),), matters=False)
 
-    def _store(self, _: Event, text: str) -> Outcome:
-        return Outcome(words=text, matters=False)
+    def _store(self, _: Event, __: str) -> Outcome:
+        return Outcome(matters=False)
 
     # ---------------------------------------------------------------- the model
 
@@ -424,7 +444,7 @@ class Knowledge:
         for position, fact in enumerate(facts):
             self._begin_with(fact, -position - 1, now)
         self.log = Log()
-        self.log.append(Event(1, now, "begin", (), words="begins with what the model states"))
+        self.log.append(Event(1, now, "begin", ()))
         self.changed_by.clear()
         self.feasibility, self.revision, self.state.version = None, 1, 1
 
@@ -471,8 +491,10 @@ class Knowledge:
                 node = self.network.find(element)
                 touched = [node]
                 if node.kind in ("constraint", "attribute"):
-                    self.network.moved(node if node.kind == "attribute" else node.parts[0])
+                    self.network.changed(node)
                     touched = self.measurements.renew(node, self._clock())
+                else:
+                    self.state.adaptable.mark(node, is_adaptable(self.state, node))
             self._amended("changed", [element], touched)
         self.heard()
 
@@ -493,7 +515,7 @@ class Knowledge:
 
     def _amended(self, how: str, changed: Sequence[Changeable], touched: Sequence[Node]) -> None:
         self.finish()
-        self._layer.clear()
+        self._lay()
         written = amendment(how, changed, self.serials)
         named = [one for one in changed if not isinstance(one, Estimation)] or changed
         names = ", ".join(one.name if isinstance(one, Element) else str(one) for one in named)

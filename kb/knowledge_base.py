@@ -26,8 +26,9 @@ from kb.log import Log, Publisher
 from kb.model import Model
 from kb.network import Node
 from kb.questions import ELEMENTS, Meant, meant, outline
-from kb.reconfiguration import by_whole, planned, reselect
+from kb.reconfiguration import planned, reselect
 from kb.records import (
+    RESULTS,
     Attempt,
     HistoryView,
     Process,
@@ -62,9 +63,11 @@ def _telling(method: Callable[Concatenate["KnowledgeBase", P], T]) -> Callable[C
     @wraps(method)
     def held(self: "KnowledgeBase", *args: P.args, **kwargs: P.kwargs) -> T:
         with self._lock:
-            self._check_open()
+            if self._is_closed:
+                self._check_open()
             result = method(self, *args, **kwargs)
-        self._publisher.deliver()
+        if self._publisher.is_heard:
+            self._publisher.deliver()
         return result
 
     return held  # type: ignore[return-value]  # with self as a name, which is never used
@@ -239,7 +242,7 @@ class KnowledgeBase:
             UnknownName: no such attribute.
             InvalidValue: not a finite number; the facts are as they were.
         """
-        node = named(self._knowledge.network.attributes, "attribute", attribute)
+        node = _found(self._knowledge.network.attributes, "attribute", attribute)
         number = value if type(value) is float and math.isfinite(value) else _measured(attribute, value)
         with self._lock:
             self._check_open()
@@ -247,7 +250,7 @@ class KnowledgeBase:
             if now >= known.measurements.alarms.next:
                 known.advance(now)
             known.measure(node, number, now)
-        if self._publisher:
+        if self._publisher.is_heard:
             self._publisher.deliver()
 
     @_telling
@@ -380,7 +383,7 @@ class KnowledgeBase:
                 the latest that made an action feasible or unfeasible.
         """
         known = self._knowledge
-        node = named(known.network.actions, "action", action)
+        node = _found(known.network.actions, "action", action)
         wanted, now = self._preference(preference), self._advanced()
         if node.name in known.records.required:
             return Reply(True, f"{node.name} is required already")
@@ -403,7 +406,7 @@ class KnowledgeBase:
             cause: number of the event that led to it; without one, that which made the action unfeasible, if it is.
         """
         known = self._knowledge
-        node = named(known.network.actions, "action", action)
+        node = _found(known.network.actions, "action", action)
         check_result(result)
         text("the reason why an action ends", reason)
         now = self._advanced()
@@ -433,15 +436,16 @@ class KnowledgeBase:
         Returns:
             The plan that leads there from the present state; None if there is nothing to do.
         """
-        text("the reason of a choice", reason)
+        if reason != "":
+            text("the reason of a choice", reason)
         known = self._knowledge
         network = known.network
         chosen = [
-            _owned(named(network.designs, "function design", name), named(network.functions, "function", of))
+            _owned(_found(network.designs, "function design", name), _found(network.functions, "function", of))
             for of, name in _pairs(designs)
         ]
         given = [
-            _owned(named(network.configurations, "configuration", name), named(network.components, "component", of))
+            _owned(_found(network.configurations, "configuration", name), _found(network.components, "component", of))
             for of, name in _pairs(configurations)
         ]
         now = self._advanced()
@@ -451,7 +455,7 @@ class KnowledgeBase:
             selection = reselect(layer, chosen, given)
             return planned(layer, selection, reasons, now) if selection else None
         cause = known.cause_of_choice([*chosen, *given]) if cause is None else cause
-        event = known.apply(now, "select", (by_whole(chosen), by_whole(given), reason), cause)
+        event = known.apply(now, "select", (_by_whole(chosen), _by_whole(given), reason), cause)
         return None if event is None else event.plan
 
     @_telling
@@ -465,7 +469,8 @@ class KnowledgeBase:
         Returns:
             Whether it was open.
         """
-        check_result(result)
+        if result not in RESULTS:
+            check_result(result)
         records = self._knowledge.records
         if isinstance(plan, int):
             plan = records.plan_of(plan)
@@ -532,9 +537,9 @@ class KnowledgeBase:
         known = self._knowledge
         name, of = self._component(component).name, None
         if configuration is not None:
-            of = named(known.network.configurations, "configuration", configuration).name
+            of = _found(known.network.configurations, "configuration", configuration).name
         given = MappingProxyType(dict(checked_parameters(name, parameters or {})))
-        made = known.records.plan_of(plan)
+        made = plan if isinstance(plan, ReconfigurationPlan) else known.records.plan_of(plan)
         self._tell("record_attempt", made.number, name, operation, of, given, number)
         return next(reversed(known.records.attempts.values()))
 
@@ -547,8 +552,10 @@ class KnowledgeBase:
             result: "completed", "failed" or "abandoned".
             reason: why it failed, in words, or what was odd about it.
         """
-        check_result(result)
-        text("the reason why an attempt ends", reason)
+        if result not in RESULTS:
+            check_result(result)
+        if reason != "":
+            text("the reason why an attempt ends", reason)
         serial = attempt if isinstance(attempt, int) else attempt.serial
         record = self._knowledge.records.attempts.get(serial)
         if record is None or record.end is not None:
@@ -623,8 +630,11 @@ class KnowledgeBase:
 
     def _advanced(self) -> float:
         """Let time do what it has done until now, and return that [s]."""
-        now = self._clock()
-        self._knowledge.advance(now)
+        now, known = self._clock(), self._knowledge
+        if known.pending is not None:
+            known.finish()
+        if now >= known.measurements.alarms.next:
+            known.advance(now)
         return now
 
     def _check_open(self) -> None:
@@ -635,8 +645,7 @@ class KnowledgeBase:
             )
 
     def _component(self, name: str) -> Node:
-        self._knowledge.finish()
-        return named(self._knowledge.network.components, "component", name)
+        return _found(self._knowledge.network.components, "component", name)
 
     def _node(self, element: Meant, kinds: Iterable[str]) -> Node:
         self._knowledge.finish()
@@ -647,9 +656,9 @@ class KnowledgeBase:
         if given is None:
             return None
         if not isinstance(given, Mapping):
-            return named(attributes, "attribute", given).name
+            return _found(attributes, "attribute", given).name
         return MappingProxyType(
-            {named(attributes, "attribute", name).name: finite_number(one) for name, one in given.items()}
+            {_found(attributes, "attribute", name).name: finite_number(one) for name, one in given.items()}
         )
 
 
@@ -665,7 +674,8 @@ class _Reading:
         self._lock.acquire()
         try:
             known = self._knowledge
-            known.finish()
+            if known.pending is not None:
+                known.finish()
             due = known.measurements.alarms.next
             if due != math.inf and due <= (now := self._clock()):
                 known.advance(now)
@@ -676,14 +686,24 @@ class _Reading:
 
     def __exit__(self, *_: object) -> None:
         self._lock.release()
-        if self._publisher:
+        if self._publisher.is_heard:
             self._publisher.deliver()
+
+
+def _found(table: Mapping[str, Node], kind: str, name: Any) -> Node:  # noqa: ANN401  # whatever is given as a name
+    """Return the node that is meant, mostly by its name."""
+    node = table.get(name) if type(name) is str else None
+    return named(table, kind, name) if node is None else node
 
 
 def _pairs(chosen: Mapping[str, str] | None) -> Iterable[tuple[str, str]]:
     if chosen is not None and not isinstance(chosen, Mapping):
         raise InvalidValue(f"what is selected is given as choice by name of what it is for, not as {chosen!r}")
     return (chosen or {}).items()
+
+
+def _by_whole(chosen: Iterable[Node]) -> Mapping[str, str]:
+    return MappingProxyType({node.wholes[0].name: node.name for node in chosen})
 
 
 def _owned(node: Node, owner: Node) -> Node:

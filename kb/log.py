@@ -79,16 +79,17 @@ class Publisher:
     Args:
         log: the events.
         lock: held while events are added to the log.
+
+    Attributes:
+        is_heard: there are subscribers.
     """
 
     def __init__(self, log: Log, lock: AbstractContextManager[object]) -> None:
         self._log, self._lock = log, lock
         self._subscribers: list[Callable[[Event], None]] = []
+        self.is_heard = False
         self._heard = 0
         self._turn = Lock()
-
-    def __bool__(self) -> bool:
-        return bool(self._subscribers)
 
     def subscribe(self, callback: Callable[[Event], None]) -> Callable[[], None]:
         """Have a function called with every event from now on; returns how to stop that."""
@@ -98,10 +99,12 @@ class Publisher:
             if not self._subscribers:
                 self._heard = self._log.last
             self._subscribers.append(callback)
+            self.is_heard = True
 
         def unsubscribe() -> None:
             if callback in self._subscribers:
                 self._subscribers.remove(callback)
+            self.is_heard = bool(self._subscribers)
 
         return unsubscribe
 

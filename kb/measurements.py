@@ -113,7 +113,7 @@ class Measurements:
             attribute: what was measured.
             value: in its unit.
             time: when [s].
-            count: how many measurements there were before.
+            count: how much there was in the history before.
             recent: those that count, with this one.
         """
         index, state, element = attribute.index, self._state, attribute.element
@@ -123,7 +123,7 @@ class Measurements:
         if element.max_age != math.inf:  # type: ignore[union-attr]  # it is an attribute
             self.alarms.set(index, _after(time + element.max_age))  # type: ignore[union-attr]  # it is an attribute
         history = self.history(attribute)
-        if len(history) == count:
+        if len(history.pairs) == count:
             history.add(time, value)
 
     def put_judged(self, judged: Iterable[Judged], now: float) -> None:

@@ -42,27 +42,24 @@ class Node:
 
     Attributes:
         index: its position in every array of a state.
+        name: the element's; a constraint is called by its text.
         constraints: the constraints on it (of an attribute: those that compare it).
         parts: what its status is inferred from, one level or more below: a component's configurations, a design's
             components, a function's designs, an action's functions, a constraint's attribute.
         wholes: what is inferred from its status.
     """
 
-    __slots__ = ("constraints", "element", "index", "kind", "level", "parts", "wholes")
+    __slots__ = ("constraints", "element", "index", "kind", "level", "name", "parts", "wholes")
 
     def __init__(self, index: int, kind: str, element: Element | Constraint) -> None:
         self.index = index
         self.kind = kind
         self.level = LEVELS[kind]
         self.element = element
+        self.name = _name(element)
         self.constraints: list[Node] = []
         self.parts: list[Node] = []
         self.wholes: list[Node] = []
-
-    @property
-    def name(self) -> str:
-        """The element's name; a constraint is called by its text."""
-        return self.element.name if isinstance(self.element, Element) else str(self.element)
 
     @property
     def ref(self) -> Ref:
@@ -265,9 +262,10 @@ class Network:
             constraint.wholes.remove(node)
         return wholes
 
-    def moved(self, attribute: Node) -> None:
-        """Take note that the constraints on an attribute turn elsewhere."""
-        self._thresholds.pop(attribute, None)
+    def changed(self, node: Node) -> None:
+        """Take note that an attribute or constraint is not what it was."""
+        node.name = _name(node.element)
+        self._thresholds.pop(node if node.kind == "attribute" else node.parts[0], None)
 
     def thresholds(self, attribute: Node) -> Thresholds:
         """Return the constraints on an attribute in order."""
@@ -275,6 +273,10 @@ class Network:
         if found is None:
             found = self._thresholds[attribute] = Thresholds(attribute.constraints)
         return found
+
+
+def _name(element: Element | Constraint) -> str:
+    return element.name if isinstance(element, Element) else str(element)
 
 
 def _join(part: Node, whole: Node) -> None:

@@ -56,11 +56,13 @@ def reselect(state: State, designs: Iterable[Node], configurations: Iterable[Nod
     replaced, changed = _choose(state, designs)
     _, newly_configured = _choose(state, configurations)
     changes = propagate(state, [*changed, *newly_configured])
-    idle = [node for node in state.obsolete.nodes() if node.kind == "component"]
-    unselected = [node for node in state.obsolete.nodes() if node.kind != "component"]
+    unneeded = state.obsolete.nodes()
+    idle = [node for node in unneeded if node.kind == "component"]
+    unselected = [node for node in unneeded if node.kind != "component"]
     for node in unselected:
         state.selected[node.index] = False
-    changes += propagate(state, unselected)
+    if unselected:
+        changes += propagate(state, unselected)
     given_up = [part for design in replaced for part in design.parts if not _is_needed(state, part)]
     return Selection(
         activate=_names(_lacking(state)),

@@ -63,6 +63,13 @@ class _Layer(dict[int, T], Generic[T]):
         return self.below[index]
 
 
+def _quick_layer(below: list[T]) -> "_Layer[T]":
+    """Return a layer over a list that finds what is below without a call; it takes longer to make."""
+    quick = type("_QuickLayer", (_Layer,), {"__slots__": (), "__missing__": below.__getitem__})
+    layer: _Layer[T] = quick(below)
+    return layer
+
+
 class Marked:
     """A set of nodes; one on top of another answers from its own changes first."""
 
@@ -157,19 +164,22 @@ class History:
 
     Args:
         packed: what `packed` returned of another one.
+
+    Attributes:
+        pairs: time and value by turns.
     """
 
-    __slots__ = ("_pairs",)
+    __slots__ = ("pairs",)
 
     def __init__(self, packed: bytes = b"") -> None:
-        self._pairs = array("d", packed)  # time and value by turns, so that a measurement is there as a whole or not
+        self.pairs = array("d", packed)  # one array, so that a measurement is there as a whole or not
 
     def __len__(self) -> int:
-        return len(self._pairs) // 2
+        return len(self.pairs) // 2
 
     def add(self, time: float, value: float) -> None:
         """Add a measurement; mostly it is the newest."""
-        pairs = self._pairs
+        pairs = self.pairs
         if not pairs or time >= pairs[-2]:
             pairs.extend((time, value))
         else:
@@ -179,19 +189,19 @@ class History:
     def at(self, time: float) -> float | None:
         """Return the value that was the latest at a time [s], or None before the first."""
         place = self._place(time)
-        return self._pairs[2 * place - 1] if place else None
+        return self.pairs[2 * place - 1] if place else None
 
     def samples(self, most: int | None = None) -> tuple[tuple[float, float], ...]:
         """Return all of it, or the newest only, as (time [s], value)."""
-        pairs = self._pairs if most is None else self._pairs[-2 * most :]
+        pairs = self.pairs if most is None else self.pairs[-2 * most :]
         return tuple(zip(pairs[::2], pairs[1::2], strict=True))
 
     def packed(self, most: int) -> bytes:
         """Return the newest measurements as bytes."""
-        return self._pairs[-2 * most :].tobytes()
+        return self.pairs[-2 * most :].tobytes()
 
     def _place(self, time: float) -> int:
-        return bisect_right(range(len(self)), time, key=lambda place: self._pairs[2 * place])
+        return bisect_right(range(len(self)), time, key=lambda place: self.pairs[2 * place])
 
 
 FACTS: Final[Mapping[str, object]] = {
@@ -293,14 +303,20 @@ class State:
 
 
 class Overlay(State):
-    """A state on top of another: changes made here leave the one below as it is."""
+    """A state on top of another: changes made here leave the one below as it is.
 
-    def __init__(self, below: State) -> None:
+    Args:
+        below: the other one.
+        lasting: it is used often, and is on top of no other layer.
+    """
+
+    def __init__(self, below: State, *, lasting: bool = False) -> None:
         self.network = below.network
         self._below = below
         self._layers: dict[str, _Layer[Any]] = {}
         for name in (*FACTS, *_INFERRED):
-            layer: _Layer[Any] = _Layer(getattr(below, name))
+            column = getattr(below, name)
+            layer: _Layer[Any] = _quick_layer(column) if lasting else _Layer(column)
             self._layers[name] = layer
             setattr(self, name, layer)
         self.reasons = {}
@@ -346,7 +362,8 @@ class Overlay(State):
     def clear(self) -> None:
         """Be as the state below again."""
         for layer in self._layers.values():
-            layer.clear()
+            if layer:
+                layer.clear()
         self.reasons.clear()
         for marked in (self.users, self.adaptable, self.obsolete, self.lacking):
             marked.clear()
