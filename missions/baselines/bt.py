@@ -113,7 +113,7 @@ def _tree(robot: Robot, modes: SystemModes) -> Behaviour:
         "motion",
         sequence(
             "thrusters ok",
-            _Holds("all thrusters ok?", lambda: all(word in ("RECOVERED", "OK") for word in robot.told.values())),
+            _Holds("all thrusters ok?", lambda: all(word in ("RECOVERED", "OK") for word in robot.reported.values())),
             request(MOTION, "fd_all_thrusters"),
         ),
         request(MOTION, "fd_recover_thrusters"),

@@ -1,7 +1,6 @@
 """What a manager of the vehicle is: the few lines to write for one of your own."""
 
 import heapq
-from abc import ABC
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from math import inf
@@ -29,12 +28,8 @@ class Robot:
     Switching takes as long as the settings of the sea say, whoever asks for it.
 
     Args:
-        mission: what is to be done.
         managed: the components.
-        settings: the constants of the sea and of SUAVE's nodes.
-        rng: all the manager's chance.
         clock: gives the time [s].
-        options: values of the manager's options by name.
 
     Attributes:
         mission: what is to be done: its model, its tree.
@@ -42,7 +37,7 @@ class Robot:
         rng: all the manager's chance.
         options: values of the manager's options by name.
         measured: last published number by key, e.g. {"water_visibility": 3.1, "battery_level": 0.9}.
-        told: last published word by component, e.g. {"c_thruster_1": "FALSE"}.
+        reported: last published word by component, e.g. {"c_thruster_1": "FALSE"}.
         noticed: how often something else was published, by key, e.g. {"pipeline_found": 1}.
         tasks: every task that was begun, in order.
     """
@@ -56,16 +51,12 @@ class Robot:
         clock: Callable[[], float],
         options: Mapping[str, float] | None = None,
     ) -> None:
-        self.mission = mission
-        self.settings = settings
-        self.rng = rng
-        self.options = options or {}
+        self.mission, self.settings, self.rng, self.options = mission, settings, rng, options or {}
         self.measured: dict[str, float] = {}
-        self.told: dict[str, str] = {}
+        self.reported: dict[str, str] = {}
         self.noticed: dict[str, int] = {}
         self.tasks: list[RequiredAction] = []
-        self._managed = managed
-        self._clock = clock
+        self._managed, self._clock = managed, clock
         self._later: list[tuple[float, int, Callable[[], None]]] = []
         self._entered = 0
 
@@ -146,12 +137,12 @@ class Robot:
                 if text in MEASUREMENTS:
                     self.measured[key] = float(value)
                 elif text == COMPONENT_STATUS:
-                    self.told[key] = value
+                    self.reported[key] = value
                 else:
                     self.noticed[key] = self.noticed.get(key, 0) + 1
 
 
-class Manager(ABC):  # noqa: B024  # a manager that does nothing is one too
+class Manager:
     """Keeps the vehicle configured for the task that is being done; run with `rosa run suave --manager package:Class`.
 
     By default the mission is that of SUAVE's mission node: search until the pipeline is found, then inspect it. A
@@ -173,16 +164,16 @@ class Manager(ABC):  # noqa: B024  # a manager that does nothing is one too
     def __init__(self, robot: Robot) -> None:
         self.robot = robot
 
-    def begin(self, task: str) -> None:  # noqa: B027  # what nobody needs need not be written
+    def begin(self, task: str) -> None:
         """Configure the vehicle for a task that begins: "search_pipeline" or "inspect_pipeline"."""
 
-    def end(self, task: str) -> None:  # noqa: B027  # what nobody needs need not be written
+    def end(self, task: str) -> None:
         """Undo what was done for a task, which has ended."""
 
-    def receive(self, message: Message) -> None:  # noqa: B027  # what nobody needs need not be written
+    def receive(self, message: Message) -> None:
         """Hear of what was published, at once."""
 
-    def update(self) -> None:  # noqa: B027  # what nobody needs need not be written
+    def update(self) -> None:
         """Look at the vehicle and change what needs to be changed; called every `period_s`, and never waits."""
 
     @property

@@ -3,7 +3,7 @@
 Every 1.5 s it reasons about its objectives by the rules of TOMASys, as pure functions, and asks for modes.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cache
@@ -101,13 +101,9 @@ def _design(one: Any) -> Design:  # noqa: ANN401  # an individual of owlready2
         one.name,
         one.solves_function.name,
         float(one.has_performance),
-        _sorted(component.name for component in one.requires_component),
-        _sorted((quality.of_attribute.name, float(quality.has_value)) for quality in one.requires_quality),
+        tuple(sorted(component.name for component in one.requires_component)),
+        tuple(sorted((quality.of_attribute.name, float(quality.has_value)) for quality in one.requires_quality)),
     )
-
-
-def _sorted(values: Iterable[Any]) -> tuple[Any, ...]:
-    return tuple(sorted(values))
 
 
 class Standing(StrEnum):
@@ -228,7 +224,7 @@ class Metacontrol(Manager):
 
     def _reason(self) -> None:
         before = self._situation
-        failed = frozenset(name for name, word in self.robot.told.items() if word in ("FALSE", "ERROR"))
+        failed = frozenset(name for name, word in self.robot.reported.items() if word in ("FALSE", "ERROR"))
         situation = self._situation = replace(
             before,
             measured=dict(self.robot.measured),

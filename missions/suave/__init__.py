@@ -2,9 +2,8 @@
 
 from missions.engine.mission import Mission
 from missions.planning.declared import by_schema
-from missions.suave.actions import PROBLEM, InspectPipeline, SearchPipeline, facts
 from missions.suave.model import suave_model
-from missions.suave.tree import suave_tree
+from missions.suave.tree import PROBLEM, InspectPipeline, SearchPipeline, facts, suave_tree
 from missions.suave.world import SEA
 
 __all__ = ["MISSION"]

@@ -1,21 +1,137 @@
-"""The mission as a behaviour tree: find the pipeline, then inspect it.
+"""The mission as a behaviour tree, find the pipeline, then inspect it, and the actions that tree and plans are made of.
 
 until inspected
 └── search and inspect
     ├── find: pipeline found?, or else search if feasible
     └── inspect if feasible
+
+Each action says when it is finished; the nodes that it needs do the moving. Its schema is what the PDDL is made of.
 """
 
+from collections.abc import Mapping
+from typing import ClassVar, Final
+
 from py_trees.behaviour import Behaviour
+from py_trees.common import Status
 from py_trees.composites import Selector, Sequence
 
 from kb import KnowledgeBase
 from missions.engine.mission import Percepts
-from missions.suave.actions import InspectPipeline, PipelineFound, SearchPipeline
-from rosa_bt import feasible_then_act
+from rosa_bt import RosaAction, feasible_then_act
 from rosa_bt.decorators import UntilSuccess
+from rosa_pddl.generation import ActionSchema, DeclaredProblem
 
-__all__ = ["search_and_inspect", "suave_tree"]
+__all__ = ["InspectPipeline", "PROBLEM", "PipelineFound", "SearchPipeline", "facts", "search_and_inspect", "suave_tree"]
+
+PROBLEM: Final = DeclaredProblem(
+    objects={"pipeline": "pipeline", "bluerov": "robot"}, goal=("(pipeline_inspected pipeline)",)
+)
+
+
+class PipelineFound(Behaviour):
+    """Condition: SUCCESS once the camera has seen the pipeline."""
+
+    def __init__(self, name: str, percepts: Percepts) -> None:
+        super().__init__(name)
+        self._percepts = percepts
+
+    def update(self) -> Status:
+        return Status.SUCCESS if self._percepts.holds("pipeline_found") else Status.FAILURE
+
+
+class SearchPipeline(RosaAction):
+    """Search until the camera has seen the pipeline.
+
+    The spiral goes on where it was after an interruption, by itself; how long the search took, all goes together, is
+    kept here.
+    """
+
+    schema: ClassVar = ActionSchema(
+        "search_pipeline",
+        parameters=("?p - pipeline", "?r - robot"),
+        end_effects=("(pipeline_found ?p)",),
+        duration_s=60,
+    )
+
+    def __init__(self, kb: KnowledgeBase, percepts: Percepts) -> None:
+        super().__init__("search", kb, self.schema.rosa_action)
+        self._percepts = percepts
+        self._since_s = 0.0
+
+    @property
+    def searched_s(self) -> float:
+        """How long it has searched [s]."""
+        return self.kb.now - self._since_s
+
+    def initialise(self) -> None:
+        self._since_s = self.kb.now
+
+    def save_progress(self) -> float:
+        return self.searched_s
+
+    def restore_progress(self, progress: object) -> None:
+        if isinstance(progress, float):
+            self._since_s -= progress
+
+    def update(self) -> Status:
+        if not self._percepts.holds("pipeline_found"):
+            return Status.RUNNING
+        self.feedback_message = f"found after {self.searched_s:.0f} s of searching"
+        return Status.SUCCESS
+
+
+class InspectPipeline(RosaAction):
+    """Follow the pipeline until all of it is inspected.
+
+    The follower goes on where it was after an interruption, by itself, but counts its metres from 0 again; the metres
+    of all goes together are kept here.
+
+    Attributes:
+        inspected_m: how much of the pipeline is inspected [m].
+    """
+
+    schema: ClassVar = ActionSchema(
+        "inspect_pipeline",
+        parameters=("?p - pipeline", "?r - robot"),
+        start=("(pipeline_found ?p)",),
+        end_effects=("(pipeline_inspected ?p)",),
+        duration_s=60,
+    )
+
+    def __init__(self, kb: KnowledgeBase, percepts: Percepts) -> None:
+        super().__init__("inspect", kb, self.schema.rosa_action)
+        self._percepts = percepts
+        self.inspected_m, self._told_m, self._heard = 0.0, 0.0, 0
+
+    def initialise(self) -> None:
+        self.inspected_m, self._told_m, self._heard = 0.0, 0.0, 0
+
+    def save_progress(self) -> tuple[float, float]:
+        return self.inspected_m, self._told_m
+
+    def restore_progress(self, progress: object) -> None:
+        if isinstance(progress, tuple):
+            self.inspected_m, self._told_m = progress
+
+    def update(self) -> Status:
+        heard = self._percepts.count("distance_inspected")
+        if heard != self._heard:
+            self._heard = heard
+            self._count(self._percepts.value("distance_inspected") or 0.0)
+        return Status.SUCCESS if self._percepts.holds("pipeline_inspected") else Status.RUNNING
+
+    def _count(self, told_m: float) -> None:
+        self.inspected_m += told_m - self._told_m if told_m >= self._told_m else told_m
+        self._told_m = told_m
+        self.feedback_message = f"{self.inspected_m:.1f} m inspected"
+
+
+def facts(kb: KnowledgeBase, percepts: Percepts) -> Mapping[str, bool]:
+    """Return what was sensed as facts of the PDDL problem."""
+    return {
+        "(pipeline_found pipeline)": percepts.holds("pipeline_found"),
+        "(pipeline_inspected pipeline)": percepts.holds("pipeline_inspected"),
+    }
 
 
 def suave_tree(kb: KnowledgeBase, percepts: Percepts) -> Behaviour:

@@ -2,11 +2,10 @@
 
 from missions.engine.mission import Mission
 from missions.planning.declared import by_schema
-from missions.suave.actions import PROBLEM, InspectPipeline, SearchPipeline, facts
+from missions.suave.tree import PROBLEM, InspectPipeline, SearchPipeline, facts
 from missions.suave.world import SEA
-from missions.suave_extended.actions import Recharge
 from missions.suave_extended.model import suave_extended_model
-from missions.suave_extended.tree import suave_extended_tree
+from missions.suave_extended.tree import Recharge, suave_extended_tree
 
 __all__ = ["MISSION"]
 

@@ -159,7 +159,7 @@ class Cautious(Manager):
         altitude = max(1.0, self.robot.measured.get("water_visibility", 0.0) - 0.5)
         if self.robot.task == "search_pipeline":
             self.robot.set_parameters("spiral_search", {"spiral_altitude": altitude})
-        if "FALSE" in self.robot.told.values() and not self.robot.is_active("recover_thrusters"):
+        if "FALSE" in self.robot.reported.values() and not self.robot.is_active("recover_thrusters"):
             self.robot.activate("recover_thrusters")
 '''
 

@@ -19,7 +19,7 @@ from missions.engine.mission import MissionError
 from missions.engine.registry import MISSIONS
 from missions.planning.declared import by_schema, declarations_of, mission_domain
 from missions.planning.tree import plan_registry
-from missions.suave.actions import SearchPipeline
+from missions.suave.tree import SearchPipeline
 from rosa_bt import load_xml
 from rosa_pddl import ActionSchema, Planner, Problem, initial_state, load_domain
 

@@ -9,7 +9,7 @@ from running import run_mission
 from kb import KnowledgeBase
 from missions.engine.mission import Percepts
 from missions.engine.runner import Listener
-from missions.suave.actions import InspectPipeline, SearchPipeline
+from missions.suave.tree import InspectPipeline, SearchPipeline
 from missions.suave_extended.model import suave_extended_model
 from missions.suave_extended.tree import suave_extended_tree
 from rosa_bt import TreeRunner
