@@ -79,8 +79,8 @@ def test_replanning_after_the_battery_drop(tables, monkeypatch, tmp_path):
         ["", "median", "90 %", "99 %"],
         [[way, *map(shown, some)] for way, some in found.items()],
     )
-    # 8 ms, or on a machine that is busy with other things, what that takes there
-    assert found["warm"][0] <= max(0.008, 3 * found["the search's start alone"][0])
+    # 1 ms, or on a machine that is busy with other things, what starting a program takes there
+    assert found["warm"][0] <= max(0.001, found["the search's start alone"][0])
     assert found["unified-planning"][0] >= 15 * found["warm"][0]
     assert found["judging the plan"][0] <= 0.001
 
