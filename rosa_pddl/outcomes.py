@@ -5,7 +5,7 @@ from enum import Enum
 
 from rosa_pddl.domain import Step, TimedStep
 
-__all__ = ["Answer", "Attempt", "Outcome", "PlanningResult", "Trouble"]
+__all__ = ["Attempt", "Outcome", "PlanningResult", "Trouble"]
 
 
 class Outcome(Enum):
@@ -43,23 +43,6 @@ class Trouble(Exception):
         super().__init__(message)
         self.outcome = outcome
         self.message = message
-
-
-@dataclass(frozen=True)
-class Answer:
-    """What an engine found.
-
-    Args:
-        outcome: how it ended.
-        steps: the plan, in the order of their starts.
-        schedule: when each step starts and how long it takes, if steps may overlap.
-        why: why there is no plan, if more is known than that.
-    """
-
-    outcome: Outcome
-    steps: tuple[Step, ...] = ()
-    schedule: tuple[TimedStep, ...] = ()
-    why: str = ""
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from rosa_pddl.exceptions import UnsupportedPddlError
 from rosa_pddl.goals import Goal, Goals
 from rosa_pddl.outcomes import PlanningResult
 from rosa_pddl.problem import Problem, exact
-from rosa_pddl.resource_usage import Remaining, ResourceUsage, template_of
+from rosa_pddl.resource_usage import Remaining, ResourceUsage, sum_of
 from rosa_pddl.validate import (
     SAME_TIME_S,
     StepEvent,
@@ -227,7 +227,7 @@ class ResourceLimits:
         limits = [limit.amount for resource in limited for limit in resource.limits]
         self._used = frozenset(_names(domain, used))
         # a limit on the whole grows when less was used up before
-        limiting = [template_of(domain, one).bound({}) for one in (*limits, *(each.fluent for each in limited))]
+        limiting = [sum_of(domain, one) for one in (*limits, *(each.fluent for each in limited))]
         self._limiting = frozenset(text for one in limiting for _, text in one.terms)
         self._is_simple = all(_only_grows(amount) for amount in used)
 

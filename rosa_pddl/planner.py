@@ -35,7 +35,7 @@ from rosa_pddl.grounding import (
     translated,
     usage_of,
 )
-from rosa_pddl.outcomes import Answer, Attempt, Outcome, PlanningResult, Trouble
+from rosa_pddl.outcomes import Attempt, Outcome, PlanningResult, Trouble
 from rosa_pddl.problem import Problem
 from rosa_pddl.resource_usage import Numbers
 from rosa_pddl.validate import flaw, missing_at_start, schedule_flaw
@@ -343,11 +343,11 @@ class _Portfolio:
         for way, budget_s in self._budgeted():
             began = time.monotonic()
             answer = self._tried(way, budget_s)
-            message = answer.why if answer.outcome.is_trouble else ""
+            message = answer.message if answer.outcome.is_trouble else ""
             attempts.append(Attempt(way, answer.outcome, message, time.monotonic() - began))
             if answer.outcome.is_solved or answer.outcome is Outcome.UNSOLVABLE_PROVEN:
                 return self._report(answer, way, attempts)
-        return self._report(Answer(_outcome_of(attempts)), self._settings.engine, attempts)
+        return self._report(PlanningResult(_outcome_of(attempts)), self._settings.engine, attempts)
 
     def _budgeted(self) -> Iterator[tuple[str, float]]:
         """Yield each way with the wall-clock time that it may take [s]."""
@@ -359,7 +359,7 @@ class _Portfolio:
             left_s = _left_s(deadline)
             yield way, min(settings.budgets_s.get(way, left_s if number == len(ways) else left_s / 2), left_s)
 
-    def _tried(self, way: str, budget_s: float) -> Answer:
+    def _tried(self, way: str, budget_s: float) -> PlanningResult:
         try:
             missed = missing(self._engine_of(way), self._problem.domain)
             if missed is not None:
@@ -368,18 +368,18 @@ class _Portfolio:
                 raise Trouble(Outcome.OUT_OF_TIME, f"of {self._settings.timeout_s:g} s no time was left for it")
             return self._checked(way, self._answer(way, time.monotonic() + budget_s))
         except Trouble as trouble:
-            return Answer(trouble.outcome, why=trouble.message)
+            return PlanningResult(trouble.outcome, message=trouble.message)
         except UnsupportedPddlError as error:
-            return Answer(Outcome.UNSUPPORTED, why=str(error))
+            return PlanningResult(Outcome.UNSUPPORTED, message=str(error))
         except Cancelled:
             raise
         except Exception as error:  # whatever goes wrong here must not stop the tree; it is reported by name
-            return Answer(Outcome.ENGINE_CRASHED, why=f"{type(error).__name__}: {error}")
+            return PlanningResult(Outcome.ENGINE_CRASHED, message=f"{type(error).__name__}: {error}")
 
     def _engine_of(self, way: str) -> str:
         return self._settings.engine if way in ("warm", "cold") else way
 
-    def _answer(self, way: str, deadline: float) -> Answer:
+    def _answer(self, way: str, deadline: float) -> PlanningResult:
         limited = ", ".join(resource.name for resource in self._problem.domain.limited)
         if limited and self._engine_of(way) in fast_downward.SEARCHES:
             message = f"Fast Downward keeps no limits (of {limited}); Planner({LABEL_SETTING!r}) does"
@@ -410,7 +410,7 @@ class _Portfolio:
             raise Trouble(Outcome.UNSUPPORTED, "the translated task has axioms, which hold for one state only")
         return task
 
-    def _searched(self, task: Grounded, deadline: float, engine: str) -> Answer:
+    def _searched(self, task: Grounded, deadline: float, engine: str) -> PlanningResult:
         try:
             if self._is_searched_here(task, engine):
                 try:
@@ -421,7 +421,7 @@ class _Portfolio:
                 return self._exact_elsewhere(task, deadline)
             return self._by_fast_downward(task, deadline, engine)
         except UnreachableGoalError:
-            return Answer(Outcome.UNSOLVABLE_PROVEN)
+            return PlanningResult(Outcome.UNSOLVABLE_PROVEN)
         except NotRepresentableError as error:
             raise Trouble(Outcome.UNSUPPORTED, f"the translated task does not fit: {error}") from error
 
@@ -430,7 +430,7 @@ class _Portfolio:
         is_small = engine == LABEL_SETTING or task.size * _MOVES_FOR_AN_OPERATOR <= self._settings.moves
         return engine in _EXACT and is_small and self._settings.moves > 0
 
-    def _exact(self, grounded: Grounded, cap: int) -> Answer:
+    def _exact(self, grounded: Grounded, cap: int) -> PlanningResult:
         """Search in this process.
 
         Raises:
@@ -441,9 +441,9 @@ class _Portfolio:
         found = asked_for.graph.plan(start, limits, cap)
         if found is None:
             return self._unsolvable(asked_for, asked_for.graph.least_uses(start))
-        return Answer(Outcome.SOLVED_OPTIMALLY, tuple([grounded.step(move.what) for move in found.moves]))
+        return PlanningResult(Outcome.SOLVED_OPTIMALLY, tuple([grounded.step(move.what) for move in found.moves]))
 
-    def _exact_elsewhere(self, grounded: Grounded, deadline: float) -> Answer:
+    def _exact_elsewhere(self, grounded: Grounded, deadline: float) -> PlanningResult:
         """Search in a process of its own, which may be killed."""
         asked_for, limit_s = grounded.search_task(self._problem, self._numbers), _left_s(deadline)
         ended = self._process.run(
@@ -455,7 +455,7 @@ class _Portfolio:
             raise Trouble(Outcome.OUT_OF_TIME, f"no answer after {limit_s:.3g} s; allow more time or ask for less")
         kind, *numbers = ended.output.decode(errors="replace").split() or [""]
         if kind == "plan":
-            return Answer(Outcome.SOLVED_OPTIMALLY, tuple([grounded.step(int(number)) for number in numbers]))
+            return PlanningResult(Outcome.SOLVED_OPTIMALLY, tuple([grounded.step(int(number)) for number in numbers]))
         if kind == "least":
             return self._unsolvable(asked_for, tuple([float(number) for number in numbers]))
         if MemoryError.__name__ in ended.last_words:
@@ -463,11 +463,11 @@ class _Portfolio:
         message = f"the search ended with exit code {ended.code} and no answer. It said: {ended.last_words}"
         raise Trouble(Outcome.ENGINE_CRASHED, message)
 
-    def _unsolvable(self, asked_for: SearchTask, least: Sequence[float]) -> Answer:
+    def _unsolvable(self, asked_for: SearchTask, least: Sequence[float]) -> PlanningResult:
         """Say which limits keep from the goal, given what it takes at least of each resource."""
         limited = self._problem.domain.limited
         if not limited or any(isinf(amount) for amount in least):
-            return Answer(Outcome.UNSOLVABLE_PROVEN)
+            return PlanningResult(Outcome.UNSOLVABLE_PROVEN)
         remaining = usage_of(self._problem.domain).remaining(self._numbers)
         amounts = [Fraction(int(one), scale) for one, scale in zip(least, asked_for.scales, strict=True)]
         broken = [
@@ -476,12 +476,12 @@ class _Portfolio:
             if left.is_exceeded_by(amount)
         ]
         together = f"no plan keeps the limits of {', '.join(resource.name for resource in limited)}"
-        return Answer(Outcome.UNSOLVABLE_PROVEN, why="; ".join(broken) or together)
+        return PlanningResult(Outcome.UNSOLVABLE_PROVEN, message="; ".join(broken) or together)
 
-    def _by_fast_downward(self, grounded: Grounded, deadline: float, engine: str) -> Answer:
+    def _by_fast_downward(self, grounded: Grounded, deadline: float, engine: str) -> PlanningResult:
         written = grounded.written(self._problem, self._numbers)
         if written is None:
-            return Answer(Outcome.SOLVED_OPTIMALLY)
+            return PlanningResult(Outcome.SOLVED_OPTIMALLY)
         text, estimate = written
         # each line that is written wakes this process up
         quiet = "verbosity=silent"
@@ -494,14 +494,14 @@ class _Portfolio:
             limit_s=_left_s(deadline),
         )
         if isinstance(found, Outcome):
-            return Answer(found)
+            return PlanningResult(found)
         try:
             steps = tuple([grounded.step(number) for number in found])
         except IndexError as error:
             raise Trouble(Outcome.ENGINE_CRASHED, "the search named steps that the task does not have") from error
-        return Answer(Outcome.SOLVED_OPTIMALLY if engine == "fast-downward-opt" else Outcome.SOLVED, steps)
+        return PlanningResult(Outcome.SOLVED_OPTIMALLY if engine == "fast-downward-opt" else Outcome.SOLVED, steps)
 
-    def _checked(self, way: str, answer: Answer) -> Answer:
+    def _checked(self, way: str, answer: PlanningResult) -> PlanningResult:
         """Replay a plan; raise Trouble if it does not work."""
         if not answer.outcome.is_solved:
             return answer
@@ -517,12 +517,12 @@ class _Portfolio:
         message = f"{self._engine_of(way)} returned a plan that does not work: {wrong}"
         raise Trouble(Outcome.ENGINE_CRASHED, message)
 
-    def _report(self, answer: Answer, way: str, attempts: list[Attempt]) -> PlanningResult:
+    def _report(self, answer: PlanningResult, way: str, attempts: list[Attempt]) -> PlanningResult:
         engine, domain, outcome = self._engine_of(way), self._problem.domain, answer.outcome
         if outcome.is_solved:
             cost = self._cost(answer.steps)
             return PlanningResult(outcome, answer.steps, engine, "", cost, answer.schedule, tuple(attempts))
-        message = f"{engine}: {outcome}" + (f": {answer.why}" if answer.why else "")
+        message = f"{engine}: {outcome}" + (f": {answer.message}" if answer.message else "")
         if outcome is Outcome.UNSOLVABLE_PROVEN and not self._settings.overlapping and _may_have_to_overlap(domain):
             outcome = Outcome.UNSOLVABLE_AS_FAR_AS_KNOWN
             message = f"{engine}: {outcome}: there is no plan of one step after the other; {_OVERLAP}"

@@ -4,23 +4,22 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import reduce
 from math import ceil, floor, lcm
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 from rosa_pddl.domain import Domain, Step, UpThing
 from rosa_pddl.exceptions import UnsupportedPddlError, nearest
 from rosa_pddl.problem import Exact, Problem, action_costs, exact
 
-__all__ = ["Numbers", "Remaining", "ResourceUsage", "Sum", "template_of", "whole"]
+__all__ = ["Numbers", "Remaining", "ResourceUsage", "Sum", "sum_of", "whole"]
 
 Numbers: TypeAlias = Mapping[str, Exact]
 """The values of numeric facts such as `(travel_cost a b)` by their text, decimals taken as they are written."""
 
 
-@dataclass(frozen=True)
-class Sum:
-    """A constant, and numeric facts with their factors.
+class Sum(NamedTuple):
+    """A constant, and numeric facts with their factors; words of these with a mark, such as `?x`, are parameters.
 
-    Args:
+    Attributes:
         constant: added to the rest.
         terms: factor and text of each numeric fact.
     """
@@ -28,29 +27,17 @@ class Sum:
     constant: Exact
     terms: tuple[tuple[Exact, str], ...] = ()
 
+    def bound(self, binding: Mapping[str, str]) -> "Sum":
+        """Return the sum with its parameters replaced by what they are bound to."""
+        words = [(factor, text[1:-1].split()) for factor, text in self.terms]
+        bound = [(factor, " ".join([binding.get(word, word) for word in some])) for factor, some in words]
+        return Sum(self.constant, tuple([(factor, f"({text})") for factor, text in bound]))
 
-@dataclass(frozen=True)
-class Template:
-    """A sum with parameters.
+    def times(self, factor: Exact) -> "Sum":
+        return Sum(factor * self.constant, tuple((factor * weight, text) for weight, text in self.terms))
 
-    Args:
-        constant: added to the rest.
-        terms: factor and words of each numeric fact; words with a mark are parameters.
-    """
-
-    constant: Exact
-    terms: tuple[tuple[Exact, tuple[str, ...]], ...] = ()
-
-    def bound(self, binding: Mapping[str, str]) -> Sum:
-        """Return the sum with its parameters, such as `?x`, replaced by what they are bound to."""
-        terms = [(factor, " ".join([binding.get(word, word) for word in words])) for factor, words in self.terms]
-        return Sum(self.constant, tuple([(factor, f"({text})") for factor, text in terms]))
-
-    def times(self, factor: Exact) -> "Template":
-        return Template(factor * self.constant, tuple((factor * weight, words) for weight, words in self.terms))
-
-    def plus(self, other: "Template") -> "Template":
-        return Template(self.constant + other.constant, self.terms + other.terms)
+    def plus(self, other: "Sum") -> "Sum":
+        return Sum(self.constant + other.constant, self.terms + other.terms)
 
 
 @dataclass(frozen=True)
@@ -91,13 +78,13 @@ class ResourceUsage:
         self._domain = domain
         self._in_file = dict(_numbers_of_the_file(domain))
         metric = action_costs(domain)
-        self._costs: dict[str, Template] = {}
+        self._costs: dict[str, Sum] = {}
         for action in domain.up_problem.actions:
             cost = None if metric is None else metric.get_action_cost(action)
-            fixed = Template(1 if metric is None else 0)
-            self._costs[domain.outside[action.name]] = fixed if cost is None else template_of(domain, cost)
+            fixed = Sum(1 if metric is None else 0)
+            self._costs[domain.outside[action.name]] = fixed if cost is None else sum_of(domain, cost)
         self._uses = [
-            {name: template_of(domain, amount) for name, amount in resource.uses.items()} for resource in domain.limited
+            {name: sum_of(domain, amount) for name, amount in resource.uses.items()} for resource in domain.limited
         ]
 
     def cost_of(self, step: Step) -> Sum:
@@ -106,7 +93,7 @@ class ResourceUsage:
 
     def uses_of(self, step: Step) -> tuple[Sum, ...]:
         """Return what a step uses up of each limited resource."""
-        binding, nothing = self._binding(step), Template(0)
+        binding, nothing = self._binding(step), Sum(0)
         return tuple([each.get(step.schema, nothing).bound(binding) for each in self._uses])
 
     def numbers(self, problem: Problem) -> Numbers:
@@ -180,31 +167,31 @@ class ResourceUsage:
         return dict(zip(names, step.arguments, strict=True))
 
     def _value_of(self, amount: UpThing, numbers: Numbers) -> Exact:
-        return self.value(template_of(self._domain, amount).bound({}), numbers)
+        return self.value(sum_of(self._domain, amount), numbers)
 
 
-def template_of(domain: Domain, amount: UpThing) -> Template:
-    """Return an amount, an expression of unified-planning, as a sum.
+def sum_of(domain: Domain, amount: UpThing) -> Sum:
+    """Return an amount, an expression of unified-planning, as a sum, with parameters if it has some.
 
     Raises:
         UnsupportedPddlError: it is none.
     """
     if amount.is_constant():
-        return Template(exact(amount.constant_value()))
+        return Sum(exact(amount.constant_value()))
     if amount.is_fluent_exp():
         words = [domain.outside[amount.fluent().name]]
         for part in amount.args:
             is_parameter = part.is_parameter_exp()
             words.append(f"?{part.parameter().name}" if is_parameter else domain.outside[part.object().name])
-        return Template(0, ((1, tuple(words)),))
-    parts = [template_of(domain, part) for part in amount.args]
+        return Sum(0, ((1, f"({' '.join(words)})"),))
+    parts = [sum_of(domain, part) for part in amount.args]
     if amount.is_plus():
-        return reduce(Template.plus, parts)
+        return reduce(Sum.plus, parts)
     if amount.is_minus():
         return parts[0].plus(parts[1].times(-1))
     factors = [part for part in parts if not part.terms]
     if amount.is_times() and len(factors) >= len(parts) - 1:
-        product = next((part for part in parts if part.terms), Template(1))
+        product = next((part for part in parts if part.terms), Sum(1))
         return reduce(lambda one, factor: one.times(factor.constant), factors, product)
     message = f"the cost {amount} is no sum of numbers and numeric facts; Fast Downward plans with those only"
     raise UnsupportedPddlError(message, domain.file)

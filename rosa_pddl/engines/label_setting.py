@@ -27,7 +27,7 @@ from rosa_pddl.outcomes import Outcome, PlanningResult
 from rosa_pddl.planner import Planner
 from rosa_pddl.problem import Problem, initial_state
 from rosa_pddl.reader import lineage_of, resources_of, schema_of
-from rosa_pddl.resource_usage import template_of
+from rosa_pddl.resource_usage import sum_of
 
 __all__ = ["LabelSetting"]
 
@@ -227,7 +227,7 @@ def _check_amounts(domain: Domain) -> None:
         if metric.is_minimize_action_costs():
             amounts += [cost for cost in map(metric.get_action_cost, domain.up_problem.actions) if cost is not None]
     for amount in amounts:
-        template_of(domain, amount)
+        sum_of(domain, amount)
         if any(part in changed for part in _parts(amount)):
             message = f"the amount '{amount}' depends on what actions change; {NUMBERS}"
             raise UnsupportedPddlError(message, domain.file)

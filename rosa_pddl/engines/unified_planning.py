@@ -11,7 +11,7 @@ from rosa_pddl.domain import Domain, TimedStep, UpThing
 from rosa_pddl.engines.fast_downward import INSTALL_ADVICE, SEARCHES, missing_part
 from rosa_pddl.engines.processes import ProcessHandle
 from rosa_pddl.exceptions import nearest
-from rosa_pddl.outcomes import Answer, Outcome, Trouble
+from rosa_pddl.outcomes import Outcome, PlanningResult, Trouble
 from rosa_pddl.problem import Problem, limits_of, lock_of
 
 __all__ = ["LABEL_SETTING", "TRANSLATED", "asked", "missing", "register_engine"]
@@ -77,7 +77,7 @@ def asked(
     *,
     limit_s: float,
     overlapping: bool,
-) -> Answer:
+) -> PlanningResult:
     """Ask an engine for a plan.
 
     Args:
@@ -126,7 +126,8 @@ def asked(
     if outcome.is_trouble:
         said = " / ".join(answer.get("said", "").split("\n")[-3:]).strip() or "nothing"
         raise Trouble(outcome, f"it said: {said}")
-    return Answer(outcome, tuple(timed.step for timed in schedule), schedule if overlapping else ())
+    steps = tuple(timed.step for timed in schedule)
+    return PlanningResult(outcome, steps, schedule=schedule if overlapping else ())
 
 
 def _timed_step(
