@@ -427,8 +427,10 @@ class Knowledge:
 
     def _finish_attempt(self, event: Event, serial: int, result: str, reason: str) -> Outcome:
         attempt = self.records.attempts[serial]
-        put = partial(finish, attempt, result=result, reason=reason, end=event.time)
-        return Outcome(puts=(put,), matters=False)
+        puts = [partial(finish, attempt, result=result, reason=reason, end=event.time)]
+        if attempt.operation == "configure" and result == "completed":
+            puts.append(partial(self.state.parameters.__setitem__, attempt.component, attempt.parameters))
+        return Outcome(puts=tuple(puts), matters=False)
 
     def _record_answer(self, event: Event, plan: int, is_vetoed: bool, reason: str) -> Outcome:
         answer = VetoAnswer(self.records.plans[plan], event.time, is_vetoed, reason)

@@ -547,6 +547,8 @@ class KnowledgeBase:
     def finish_attempt(self, attempt: Attempt | int, result: str, reason: str = "") -> bool:
         """Put on record what came of a command; returns whether that was not known yet.
 
+        The parameters of a command that has configured a component are in force then.
+
         Args:
             attempt: what `record_attempt` returned, or its serial number.
             result: "completed", "failed" or "abandoned".

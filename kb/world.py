@@ -11,7 +11,7 @@ from threading import Lock
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
-from kb.elements import KINDS, Action, Attribute, Component, Configuration
+from kb.elements import KINDS, Action, Attribute, Component, Configuration, Parameters
 from kb.events import Event
 from kb.exceptions import UnknownName
 from kb.facts import ActiveFact, Fact, RequiredFact, SelectedFact, StatusFact
@@ -188,8 +188,14 @@ class _Chronicle:
         if verb == "measure":
             name, value = arguments
             yield self.measurement(name, value, time)
-        elif verb in ("component_failed", "component_recovered", "component_active", "component_configured"):
+        elif verb in ("component_failed", "component_recovered", "component_active"):
             yield from self._of_component(time, verb, named_id(Component, arguments[0]), arguments)
+        elif verb == "component_configured":
+            yield from self._configured(time, *arguments)
+        elif verb == "finish_attempt":
+            attempt = self._known.records.attempts.get(arguments[0])
+            if attempt is not None and (attempt.operation, attempt.result) == ("configure", "completed"):
+                yield from self._configured(time, attempt.component, attempt.parameters)
         elif verb in ("assert_status", "retract_status", "lapse"):
             about = self._about(arguments[0])
             yield from self._ended("AssertedStatus", about, time)
@@ -217,16 +223,18 @@ class _Chronicle:
             yield from self._is_so("Failure", about, time, False)
             if about in self._asserted_failed:
                 yield from self._ended("AssertedStatus", about, time)
-        elif verb == "component_active":
-            yield from self._is_so("Activity", about, time, arguments[1])
         else:
-            yield from self._ended("ParametersInForce", about, time)
-            own = self._next()
-            within = list(nested(PARAMETER, own, arguments[1]))
-            values: Values = {"about": (Ref(about),), "start": (float(time),)}
-            yield from within
-            yield Individual("ParametersInForce", own, {**values, "hasParameter": tuple(Ref(one.id) for one in within)})
-            self._open["ParametersInForce", about] = own
+            yield from self._is_so("Activity", about, time, arguments[1])
+
+    def _configured(self, time: float, component: str, parameters: Parameters) -> Iterator[Individual]:
+        about = named_id(Component, component)
+        yield from self._ended("ParametersInForce", about, time)
+        own = self._next()
+        within = list(nested(PARAMETER, own, parameters))
+        values: Values = {"about": (Ref(about),), "start": (float(time),)}
+        yield from within
+        yield Individual("ParametersInForce", own, {**values, "hasParameter": tuple(Ref(one.id) for one in within)})
+        self._open["ParametersInForce", about] = own
 
     def _selected(self, event: Event) -> Iterator[Individual]:
         designs, configurations, reason = event.arguments

@@ -163,9 +163,7 @@ class StagedExecutor:
             return False
         if result == "failed":
             self._give_up(kb, command)
-        elif command.configuration is not None:
-            kb.component_configured(command.component, command.configuration.parameters)
-        else:
+        elif command.configuration is None:
             kb.component_active(command.component, command.operation == "activate")
         return True
 

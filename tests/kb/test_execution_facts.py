@@ -152,6 +152,15 @@ def test_attempts_can_be_asked_for_with_their_plans():
     assert rows == [("camera", "failed", "no light", "failed"), ("lidar", "completed", None, "completed")]
 
 
+def test_parameters_of_an_attempt_that_succeeded_are_in_force_and_can_be_asked_for():
+    kb, clock, _, manager = start()
+    kb.request_action("explore")
+    turn(manager, clock, 3)
+    assert kb.components["camera"].parameters_in_force == {"exposure": 0.01}
+    asked = "SELECT ?key ?value { ?p a :ParametersInForce ; :hasParameter ?v . ?v :key ?key ; :parameterValue ?value }"
+    assert kb.query(asked) == [("exposure", "0.01")]
+
+
 def test_a_veto_can_be_asked_for_with_its_plan():
     kb, _, _, manager = start(veto=lambda plan: "no lamps at night")
     kb.request_action("explore")
