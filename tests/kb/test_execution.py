@@ -452,21 +452,15 @@ def commanded(kb):
 
 @in_life
 @given(models(), st.data())
-def test_the_facts_tell_the_truth_whatever_the_system_does(model, data):
+def test_after_any_trouble_facts_and_record_are_true_and_what_is_selected_is_reached(model, data):
     kb, clock, managed, manager = lived(model, data)
     come_to_rest(manager, kb, clock, most=400, quiet=20)
     assert commanded(kb) == managed.running
     for one in kb.components.values():
         if one.is_active and one.selected_configuration is not None and one.status is Status.SOLVED:
             assert one.parameters_in_force == kb.configurations[one.selected_configuration].parameters
-
-
-@in_life
-@given(models(), st.data())
-def test_the_plan_after_the_trouble_leads_to_the_state_that_is_selected(model, data):
-    kb, clock, managed, manager = lived(model, data)
+    check_record(kb, managed)
     managed.script.clear()
-    come_to_rest(manager, kb, clock, most=400, quiet=20)
     for name in model.components:
         kb.component_recovered(name)
     come_to_rest(manager, kb, clock, most=400, quiet=20)
@@ -478,11 +472,8 @@ def test_the_plan_after_the_trouble_leads_to_the_state_that_is_selected(model, d
     assert not kb.obsolete().components
 
 
-@in_life
-@given(models(), st.data())
-def test_the_record_is_whole(model, data):
-    kb, clock, managed, manager = lived(model, data)
-    come_to_rest(manager, kb, clock, most=400, quiet=20)
+def check_record(kb, managed):
+    """Assert that every command is on record, with how it ended."""
     assert len(kb.history.attempts) == len(managed.log)
     for one in kb.history.attempts:
         assert one.plan in kb.plans
