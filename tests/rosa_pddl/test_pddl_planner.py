@@ -4,15 +4,15 @@ import sys
 import threading
 from collections import deque
 from concurrent.futures import CancelledError
-from itertools import permutations, product
+from itertools import product
 from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pddl_world import ROOMS_DOMAIN, ROOMS_PROBLEM, FakeKb, as_global, load_mission, load_text
+from pddl_world import ROOMS_DOMAIN, ROOMS_PROBLEM, FakeKb, load_mission, load_text
 
-from rosa_pddl import Outcome, Planner, Problem, Step, UnsupportedPddlError, feasible_atoms, initial_state
+from rosa_pddl import Outcome, Planner, Problem, UnsupportedPddlError, feasible_atoms, initial_state
 from rosa_pddl.engines import fast_downward as downward
 from rosa_pddl.validate import ended, flaw, goal_holds, missing_at_start, started
 
@@ -343,37 +343,3 @@ def test_plans_are_as_short_as_those_of_the_naive_twin(request, which, data):
     assert result.outcome is (Outcome.UNSOLVABLE_PROVEN if expected is None else Outcome.SOLVED_OPTIMALLY)
     assert len(result.steps) == (expected or 0)
     assert expected is None or flaw(domain, result.steps, problem.state) is None
-
-
-def is_valid_for_unified_planning(problem, steps):
-    from unified_planning.engines.plan_validator import SequentialPlanValidator
-    from unified_planning.plans import ActionInstance, SequentialPlan
-
-    up_problem = problem.build()
-    inner = {outer: inner for inner, outer in reversed(problem.domain.outside.items()) if inner.endswith("schema")}
-    instances = []
-    for step in steps:
-        action = up_problem.action(inner.get(step.schema, step.schema))
-        objects = [up_problem.object(problem.domain.inside["object", name]) for name in step.arguments]
-        instances.append(
-            ActionInstance(action, tuple(up_problem.environment.expression_manager.ObjectExp(o) for o in objects))
-        )
-    with as_global(up_problem.environment):  # its grounder works in the global environment only
-        validator = SequentialPlanValidator()
-        validator.skip_checks = True
-        return bool(validator.validate(up_problem, SequentialPlan(instances, up_problem.environment)))
-
-
-@pytest.mark.parametrize("which", ["rooms", "extended"])
-def test_the_judge_agrees_with_the_validator_of_unified_planning(request, which):
-    domain = request.getfixturevalue(which)
-    problem = problem_of(domain)
-    good = Planner().plan(problem).steps
-    assert len(good) >= 2
-    candidates = {steps for length in range(len(good) + 1) for steps in permutations(good, length)}
-    extra = Step("clean", ("robby",)) if which == "rooms" else good[0]
-    candidates |= {(extra, *good), (*good, extra), (*good[:1], extra, *good[1:])}
-    verdicts = {steps: flaw(domain, steps, problem.state) is None for steps in candidates}
-    assert {True, False} <= set(verdicts.values())
-    for steps, verdict in verdicts.items():
-        assert verdict == is_valid_for_unified_planning(problem, steps), steps
