@@ -31,14 +31,14 @@ def analysed(percepts: Percepts) -> int:
     return sum(percepts.holds(f"{one}_analysed") for one in SAMPLES)
 
 
-def target(percepts: Percepts) -> str:
+def _target(percepts: Percepts) -> str:
     """Return the sample that is to be analysed next; empty if there is none."""
     return next((one for one in SAMPLES if percepts.holds(f"{one}_target")), "")
 
 
 def is_waiting(percepts: Percepts) -> bool:
     """Whether there is a sample to be analysed next."""
-    return bool(target(percepts))
+    return bool(_target(percepts))
 
 
 def is_all_analysed(percepts: Percepts) -> bool:
@@ -49,20 +49,12 @@ def is_all_analysed(percepts: Percepts) -> bool:
 
 def facts(kb: KnowledgeBase, percepts: Percepts) -> Mapping[str, bool]:
     """Return what was sensed as facts of the PDDL problem."""
-    told = {
-        f"({what} {one})": percepts.holds(f"{one}_{what}")
-        for what in ("wanted", "analysed", "target")
-        for one in SAMPLES
-    }
-    return told | {
-        "(looking drone)": not is_waiting(percepts),
-        "(gripper_folded drone)": percepts.holds("gripper_folded") and not _is_starting(kb, "gripper"),
-    }
-
-
-def _is_starting(kb: KnowledgeBase, component: str) -> bool:
-    """Whether a component will run before long, also if what it was for has been given up."""
-    return kb.pending_plan is not None and component in kb.pending_plan.activate
+    kinds = ("wanted", "analysed", "target")
+    told = {f"({what} {one})": percepts.holds(f"{one}_{what}") for what in kinds for one in SAMPLES}
+    is_folded = percepts.holds("gripper_folded")
+    if is_folded and kb.pending_plan is not None:  # it unfolds before long, also if what it was for has been given up
+        is_folded = "gripper" not in kb.pending_plan.activate
+    return told | {"(looking drone)": not is_waiting(percepts), "(gripper_folded drone)": is_folded}
 
 
 class Sensed(Behaviour):
@@ -76,9 +68,21 @@ class Sensed(Behaviour):
         return Status.SUCCESS if self._holds(self._percepts) else Status.FAILURE
 
 
-class SearchForSamples(RosaAction):
+class UavAction(RosaAction):
+    """An action with its schema and the name of its behaviour; works when all that it needs runs."""
+
+    schema: ClassVar[ActionSchema]
+    title: ClassVar[str]
+
+    def __init__(self, kb: KnowledgeBase, percepts: Percepts) -> None:
+        super().__init__(self.title, kb, self.schema.rosa_action, wait=True)
+        self.percepts = percepts
+
+
+class SearchForSamples(UavAction):
     """Search until there is a sample to be analysed."""
 
+    title: ClassVar = "search"
     schema: ClassVar = ActionSchema(
         "search_for_samples",
         parameters=("?s - sample", "?r - robot"),
@@ -88,30 +92,18 @@ class SearchForSamples(RosaAction):
         cost=1,
     )
 
-    def __init__(self, kb: KnowledgeBase, percepts: Percepts) -> None:
-        super().__init__("search", kb, self.schema.rosa_action, wait=True)
-        self._percepts = percepts
-
     def update(self) -> Status:
-        return Status.SUCCESS if is_waiting(self._percepts) else Status.RUNNING
+        return Status.SUCCESS if is_waiting(self.percepts) else Status.RUNNING
 
 
-class _Analyse(RosaAction):
+class _Analyse(UavAction):
     """Analyse one sample; finished when the one for which it was begun is not to be analysed any more."""
 
-    schema: ClassVar[ActionSchema]
-    title: ClassVar[str]
-
-    def __init__(self, kb: KnowledgeBase, percepts: Percepts) -> None:
-        super().__init__(self.title, kb, self.schema.rosa_action, wait=True)
-        self._percepts = percepts
-        self._sample = ""
-
     def initialise(self) -> None:
-        self._sample = target(self._percepts)
+        self._sample = _target(self.percepts)
 
     def update(self) -> Status:
-        return Status.RUNNING if self._percepts.holds(f"{self._sample}_target") else Status.SUCCESS
+        return Status.RUNNING if self.percepts.holds(f"{self._sample}_target") else Status.SUCCESS
 
 
 class PickUpAndAnalyse(_Analyse):
@@ -144,9 +136,10 @@ class AnalyseOnSite(_Analyse):
     )
 
 
-class LandAndFoldGripper(RosaAction):
+class LandAndFoldGripper(UavAction):
     """Land and fold the gripper."""
 
+    title: ClassVar = "land and fold"
     schema: ClassVar = ActionSchema(
         "land_and_fold_gripper",
         parameters=("?r - robot",),
@@ -155,20 +148,17 @@ class LandAndFoldGripper(RosaAction):
         cost=1,
     )
 
-    def __init__(self, kb: KnowledgeBase, percepts: Percepts) -> None:
-        super().__init__("land and fold", kb, self.schema.rosa_action, wait=True)
-        self._percepts = percepts
-
     def update(self) -> Status:
-        return Status.SUCCESS if self._percepts.holds("gripper_folded") else Status.RUNNING
+        return Status.SUCCESS if self.percepts.holds("gripper_folded") else Status.RUNNING
 
 
-class ReturnAndRecharge(RosaAction):
+class ReturnAndRecharge(UavAction):
     """Return to the base and recharge; in a plan only when nothing waits that can still be analysed on site.
 
     It costs more than analysing every sample on site, so no plan recharges for the sake of a better analysis.
     """
 
+    title: ClassVar = "recharge"
     schema: ClassVar = ActionSchema(
         "return_and_recharge",
         parameters=("?r - robot",),
@@ -178,13 +168,8 @@ class ReturnAndRecharge(RosaAction):
         makes_feasible=("search_for_samples", "pick_up_and_analyse", "analyse_on_site"),
     )
 
-    def __init__(self, kb: KnowledgeBase, percepts: Percepts) -> None:
-        super().__init__("recharge", kb, self.schema.rosa_action, wait=True)
-        self._percepts = percepts
-        self._before = 0
-
     def initialise(self) -> None:
-        self._before = self._percepts.count("battery_recharged")
+        self._before = self.percepts.count("battery_recharged")
 
     def update(self) -> Status:
-        return Status.SUCCESS if self._percepts.count("battery_recharged") > self._before else Status.RUNNING
+        return Status.SUCCESS if self.percepts.count("battery_recharged") > self._before else Status.RUNNING

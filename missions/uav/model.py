@@ -33,12 +33,10 @@ def uav_model() -> Model:
         parts = [model.component(name, kind="lifecycle") for name in components]
         model.function(function).design(f"by_{components[0]}", parts, priority=1)
 
-    model.action("search_for_samples", requires=["generate_search_path", "detect_samples"]).constrain(
-        battery >= SEARCH_LEVEL
-    )
-    model.action(
-        "pick_up_and_analyse", requires=["generate_pick_up_path", "grip_sample", "analyse_held_sample"]
-    ).constrain(battery >= PICK_UP_LEVEL)
+    needs = ["generate_pick_up_path", "grip_sample", "analyse_held_sample"]
+    search = model.action("search_for_samples", requires=["generate_search_path", "detect_samples"])
+    search.constrain(battery >= SEARCH_LEVEL)
+    model.action("pick_up_and_analyse", requires=needs).constrain(battery >= PICK_UP_LEVEL)
     model.action("analyse_on_site", requires=["analyse_from_above"]).constrain(battery >= ANALYSE_LEVEL)
     model.action("return_and_recharge", requires=["go_to_base"])
     model.action("land_and_fold_gripper", requires=["fold_gripper"])

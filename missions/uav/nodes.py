@@ -1,10 +1,9 @@
-"""The components of the vehicle; each acts only while it is active, ten times a second.
+"""The field in which samples lie, and the components of the vehicle; each acts while it is active, 10 times a second.
 
 What moves the vehicle leaves it hovering where it is when it is stopped: that is the safe state between two actions.
 """
 
-import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from difflib import get_close_matches
 from math import dist, hypot, inf, tan
@@ -14,7 +13,6 @@ from numpy.random import Generator
 
 from kb.elements import Parameters
 from missions.engine.mission import MissionError
-from missions.uav.field import Field, Sample
 from missions.uav.settings import Settings
 from missions.uav.vehicle import ON_GROUND_M, Quadrotor
 
@@ -24,45 +22,101 @@ LIFT_M: Final = 2.5  # height at which a held sample is analysed
 LOOK_M: Final = 2.0  # height from which the infra-red camera looks
 FOLDED_RAD: Final = 0.15  # out of the view; it has folded at half of that, so that a gust does not bring it back
 FULL: Final = 0.99
+OFF_LANE_M: Final = 2.0  # how far from the middle of its lane a sample may lie
 
 
-@dataclass
+@dataclass(slots=True)
+class Sample:
+    """Something to be analysed."""
+
+    name: str  # "sample_1" and so on
+    place: tuple[float, float]  # (x, y) [m], world frame
+    wanted_s: float = 0.0  # from when on it is wanted [s]
+    is_reported: bool = False  # an operator told where it is; it goes before those that were found
+    is_found: bool = False  # it is known where it is
+    quality: float | None = None  # worth of its analysis, up to 1; None before
+
+
+class Field:
+    """Lanes along the x axis; samples lie in two patches, and between them is a third of the lanes without any.
+
+    Attributes:
+        samples: all of them, those included that nobody wants yet.
+        target: the one to be analysed next; None while none is waiting.
+    """
+
+    def __init__(self, settings: Settings, rng: Generator) -> None:
+        self.target: Sample | None = None
+        self._settings = settings
+        every = int(settings.lanes)
+        lanes = [one for one in range(every) if not every // 3 <= one < every - every // 3]
+        count = int(settings.samples)
+        places = [self._place(lanes[number * len(lanes) // count], rng) for number in range(count)]
+        self.samples = [Sample(f"sample_{number}", place) for number, place in enumerate(places, start=1)]
+        added = Sample(f"sample_{count + 1}", self._place(lanes[0], rng), settings.added_s, is_reported=True)
+        self.samples += [added] if settings.added_s > 0 else []
+
+    def _lane_y(self, lane: int) -> float:
+        return (lane + 0.5) * self._settings.lane_m
+
+    def _place(self, lane: int, rng: Generator) -> tuple[float, float]:
+        x, off = rng.uniform(0.1, 0.95) * self._settings.field_x_m, rng.uniform(-OFF_LANE_M, OFF_LANE_M)
+        return float(x), self._lane_y(lane) + float(off)
+
+    @property
+    def path(self) -> list[tuple[float, float]]:
+        """Corners of the way along all lanes, to and fro: (x, y) [m], world frame."""
+        ends = (0.0, self._settings.field_x_m)
+        lanes = range(int(self._settings.lanes))
+        return [(x, self._lane_y(lane)) for lane in lanes for x in (ends if lane % 2 == 0 else ends[::-1])]
+
+    def seen(self, place: tuple[float, float], radius: float) -> Iterator[Sample]:
+        """Yield the samples around a place [m] that were not found before."""
+        for one in self.samples:
+            if not one.is_found and not one.is_reported and dist(one.place, place) <= radius:
+                yield one
+
+    def aim(self, place: tuple[float, float]) -> bool:
+        """Choose the next target if there is none: reported ones first, then the nearest; tell whether that is new."""
+        waiting = [one for one in self.samples if one.is_found and one.quality is None]
+        if self.target is not None or not waiting:
+            return False
+        self.target = min(waiting, key=lambda one: (not one.is_reported, dist(one.place, place)))
+        return True
+
+
 class Robot:
     """What the components share.
 
-    Attributes:
+    Args:
         settings: the constants.
         vehicle: what flies.
         field: where the samples are.
         rng: all chance.
         tell: publishes: text of the message, key, value.
         disturb: notes what truly happened.
-        now: the time [s].
-        level: charge of the battery, 0 to 1.
-        held: the sample that is in the gripper.
-        jams_s: when the gripper jams [s].
-        is_jammed: whether it has.
-        is_charging: whether the vehicle stands at its charger.
-        pick_ups: how many samples were lifted.
-        recharges: how often the battery was charged until it was full.
-        qualities: worth of each analysis that was done.
     """
 
-    settings: Settings
-    vehicle: Quadrotor
-    field: Field
-    rng: Generator
-    tell: Callable[[str, str, str], None]
-    disturb: Callable[[str], None]
-    now: float = 0.0
-    level: float = 1.0
-    held: Sample | None = None
-    jams_s: float = inf
-    is_jammed: bool = False
-    is_charging: bool = False
-    pick_ups: int = 0
-    recharges: int = 0
-    qualities: list[float] = dataclasses.field(default_factory=list)
+    def __init__(
+        self,
+        settings: Settings,
+        vehicle: Quadrotor,
+        field: Field,
+        rng: Generator,
+        tell: Callable[[str, str, str], None],
+        disturb: Callable[[str], None],
+    ) -> None:
+        self.settings, self.vehicle, self.field, self.rng = settings, vehicle, field, rng
+        self.tell, self.disturb = tell, disturb
+        self.now = 0.0  # [s]
+        self.level = 1.0  # charge of the battery, 0 to 1
+        self.held: Sample | None = None  # by the gripper
+        self.jams_s = inf  # when the gripper jams [s]
+        self.is_jammed = False
+        self.is_charging = False
+        self.pick_ups = 0  # how many samples were lifted
+        self.recharges = 0  # how often the battery was charged until it was full
+        self.qualities: list[float] = []  # worth of each analysis that was done
 
     def over(self, sample: Sample, height: float) -> tuple[float, float, float]:
         """Return the place with the legs that high above a sample [m], world frame."""
@@ -88,21 +142,25 @@ class Robot:
 class Node:
     """A component that can be active or inactive.
 
-    Args:
-        robot: what it shares with the others.
-
     Attributes:
         name: its identity.
         moves: whether it tells the vehicle where to go.
-        is_active: whether it acts.
+        watts: its power while it is active [W].
     """
 
     name: ClassVar[str]
     moves: ClassVar[bool] = False
+    watts = 0.0
 
     def __init__(self, robot: Robot) -> None:
         self.robot = robot
         self.is_active = False
+        self._worked_s = 0.0
+
+    def worked_s(self, works: bool) -> float:
+        """Return for how long it has worked without a break [s], this period included if it works in it."""
+        self._worked_s = self._worked_s + PERIOD_S if works else 0.0
+        return self._worked_s
 
     def begin(self) -> None:
         """Begin; called when it has become active."""
@@ -112,11 +170,6 @@ class Node:
 
     def update(self) -> None:
         """Act; called while it is active."""
-
-    @property
-    def watts(self) -> float:
-        """Its power while it is active [W]."""
-        return 0.0
 
 
 class SearchPlanner(Node):
@@ -129,12 +182,10 @@ class SearchPlanner(Node):
         self._ahead = robot.field.path
 
     def end(self) -> None:
-        """Remember where to go on."""
         x, y, _ = self.robot.vehicle.position
         self._ahead = [(x, y), *self._ahead]
 
     def update(self) -> None:
-        """Fly to the next corner; after the last one from the beginning."""
         robot = self.robot
         x, y = self._ahead[0]
         robot.vehicle.go_to((x, y, ON_GROUND_M + robot.settings.cruise_m))
@@ -173,10 +224,10 @@ class Gripper(Node):
 
     def __init__(self, robot: Robot) -> None:
         super().__init__(robot)
-        self._closing_s = 0.0
+        self.watts = robot.settings.pick_up_w / 2
 
     def begin(self) -> None:
-        self._closing_s = 0.0
+        self.worked_s(False)
         self.robot.vehicle.fold(False)
         self.robot.tell("mission status", "gripper_folded", "false")
 
@@ -193,8 +244,7 @@ class Gripper(Node):
         if robot.is_jammed or robot.held is not None or target is None:
             return
         reached = robot.vehicle.is_near(robot.over(target, GRIP_M), 0.15) and robot.vehicle.arm_rad > 1.2
-        self._closing_s = self._closing_s + PERIOD_S if reached else 0.0
-        if self._closing_s >= robot.settings.grip_s:
+        if self.worked_s(reached) >= robot.settings.grip_s:
             self._close(target)
 
     def _close(self, target: Sample) -> None:
@@ -205,10 +255,6 @@ class Gripper(Node):
         if 0 < settings.gripper_worn_s <= robot.now:
             robot.jams_s = robot.now + float(robot.rng.uniform(0.1, settings.jam_delay_s))
 
-    @property
-    def watts(self) -> float:
-        return self.robot.settings.pick_up_w / 2
-
 
 class Analyser(Node):
     """Analyses what is held, once it is lifted."""
@@ -217,19 +263,14 @@ class Analyser(Node):
 
     def __init__(self, robot: Robot) -> None:
         super().__init__(robot)
-        self._worked_s = 0.0
+        self.watts = robot.settings.pick_up_w / 2
 
     def update(self) -> None:
         robot = self.robot
         is_lifted = robot.held is not None and robot.vehicle.altitude > LIFT_M - 0.5
-        self._worked_s = self._worked_s + PERIOD_S if is_lifted else 0.0
-        if self._worked_s >= robot.settings.analysis_s:
+        if self.worked_s(is_lifted) >= robot.settings.analysis_s:
             robot.analysed(1.0)
             robot.let_go()
-
-    @property
-    def watts(self) -> float:
-        return self.robot.settings.pick_up_w / 2
 
 
 class HoverPlanner(Node):
@@ -250,19 +291,13 @@ class InfraredCamera(Node):
 
     def __init__(self, robot: Robot) -> None:
         super().__init__(robot)
-        self._worked_s = 0.0
+        self.watts = robot.settings.infrared_w
 
     def update(self) -> None:
         robot, target = self.robot, self.robot.field.target
         sees = target is not None and robot.vehicle.is_near(robot.over(target, LOOK_M), 0.4)
-        sees = sees and robot.vehicle.arm_rad < FOLDED_RAD
-        self._worked_s = self._worked_s + PERIOD_S if sees else 0.0
-        if self._worked_s >= robot.settings.infrared_s:
+        if self.worked_s(sees and robot.vehicle.arm_rad < FOLDED_RAD) >= robot.settings.infrared_s:
             robot.analysed(robot.settings.infrared_quality)
-
-    @property
-    def watts(self) -> float:
-        return self.robot.settings.infrared_w
 
 
 class ReturnPlanner(Node):

@@ -31,13 +31,9 @@ VERTICAL_M_S2: Final = 4.0  # the same, upwards; downwards it is half of gravity
 
 
 def velocity_wanted(position: Vector, target: Vector, speed: float, climb: float) -> Vector:
-    """Return the velocity at which to approach a target.
+    """Return the velocity [m/s] at which to approach a target [m], world frame.
 
-    Args:
-        position: (x, y, z) [m], world frame.
-        target: (x, y, z) [m], world frame.
-        speed: horizontal limit [m/s].
-        climb: vertical limit [m/s].
+    Limits: `speed` is horizontal, `climb` vertical [m/s].
     """
     x, y, z = (POSITION_GAIN * (to - at) for at, to in zip(position, target, strict=True))
     scale = min(1.0, speed / max(math.hypot(x, y), 1e-9))
@@ -45,16 +41,13 @@ def velocity_wanted(position: Vector, target: Vector, speed: float, climb: float
 
 
 def wanted_force(error: Vector, trim: Vector, mass: float, gravity: float) -> Vector:
-    """Return the force of the rotors that corrects a velocity.
+    """Return the force of the rotors that corrects a velocity [N], world frame; always upwards.
 
     Args:
         error: wanted minus actual velocity [m/s], world frame.
         trim: acceleration that was found to be needed in the long run [m/s2], world frame.
         mass: of the vehicle [kg].
         gravity: [m/s2].
-
-    Returns:
-        (x, y, z) [N], world frame; always upwards.
     """
     x, y, z = (VELOCITY_GAIN * one + more for one, more in zip(error, trim, strict=True))
     scale = min(1.0, SIDEWAYS_M_S2 / max(math.hypot(x, y), 1e-9))
@@ -73,15 +66,12 @@ def mast(quaternion: Sequence[float]) -> tuple[Vector, Vector, Vector]:
 
 
 def attitude_torques(axes: tuple[Vector, Vector, Vector], rates: Vector, force: Vector) -> Vector:
-    """Return the torques that turn the mast towards a force, and the nose to the east.
+    """Return the torques [N m], body frame, that turn the mast towards a force, and the nose to the east.
 
     Args:
         axes: of the body in the world frame.
         rates: angular velocity [rad/s], body frame.
         force: wanted force [N], world frame.
-
-    Returns:
-        (x, y, z) [N m], body frame.
     """
     size = math.sqrt(_dot(force, force))
     forward, left, up = (_dot(axis, force) / size for axis in axes)
@@ -155,9 +145,12 @@ class Quadrotor:
         self.model: Any = _compiled(settings)
         self.data: Any = mujoco.MjData(self.model)
         self._mass = float(self.model.body_subtreemass[0])
-        self._drag = settings.drag
         self._push = (settings.drag * wind[0], settings.drag * wind[1])
-        _check_push(math.hypot(*self._push), TRIM_LIMIT * self._mass)
+        push, held = math.hypot(*self._push), TRIM_LIMIT * self._mass
+        if push > held:
+            told = f"the wind would push with {push:.3g} N (drag times wind_m_s)"
+            advice = f"the vehicle keeps its place against {held:.3g} N; set drag or wind_m_s lower"
+            raise MissionError(f"{told}, and {advice}")
         area = math.pi * settings.rotor_radius_m**2
         self._watts = 1 / (settings.figure_of_merit * math.sqrt(2 * settings.air_kg_m3 * area))
         self._target: Vector | None = None
@@ -169,8 +162,6 @@ class Quadrotor:
         self.is_landed = True
         self.rotor_w = 0.0
         self.has_power = True
-
-    # ---------------------------------------------------------------- what it is told
 
     def go_to(self, target: Vector) -> None:
         """Fly to a place [m], world frame; at travelling height, unless it is near."""
@@ -199,8 +190,6 @@ class Quadrotor:
         for body in (0, self.model.body("vehicle").id, load):
             self.model.body_subtreemass[body] += change
 
-    # ---------------------------------------------------------------- what it is like
-
     @property
     def altitude(self) -> float:
         """Height of the legs above the ground [m]."""
@@ -214,8 +203,6 @@ class Quadrotor:
     def is_near(self, target: Vector, within: float) -> bool:
         """Whether it is that close to a place [m] and slow."""
         return math.dist(self.position, target) <= within and math.hypot(*self.velocity) < 0.4
-
-    # ---------------------------------------------------------------- flying
 
     def step(self) -> None:
         """Choose thrusts and advance by one period of the control."""
@@ -233,13 +220,9 @@ class Quadrotor:
         self._touch_down(thrusts)
 
     def _touch_down(self, thrusts: list[float]) -> None:
-        is_low = self.altitude < TOUCH_M
-        if (
-            self._lands
-            and is_low
-            and math.hypot(*self.velocity) < TOUCH_M_S
-            and math.dist(self.position[:2], (self._target or self.position)[:2]) < STRAIGHT_M
-        ):
+        is_low, speed = self.altitude < TOUCH_M, math.hypot(*self.velocity)
+        off_m = math.dist(self.position[:2], (self._target or self.position)[:2])
+        if self._lands and is_low and speed < TOUCH_M_S and off_m < STRAIGHT_M:
             self._target, self._lands = None, False
             self._trim = (0.0, 0.0, 0.0)
         self.is_landed = is_low and self._target is None and not any(thrusts)
@@ -253,35 +236,21 @@ class Quadrotor:
         force = wanted_force(error, self._trim, self._mass, settings.gravity_m_s2)
         axes = mast(qpos[3:7])
         torques = attitude_torques(axes, (qvel[3], qvel[4], qvel[5]), force)
-        up = axes[2]
-        return mixed(up[0] * force[0] + up[1] * force[1] + up[2] * force[2], torques, settings.rotor_limit_n)
+        return mixed(_dot(axes[2], force), torques, settings.rotor_limit_n)
 
     def _aim(self) -> Vector:
         """Return where to go now: up first, then along, then down."""
         assert self._target is not None
-        x, y, z = self._target
-        if math.dist((x, y), self.position[:2]) <= STRAIGHT_M:
-            return x, y, z
-        cruise = self._settings.cruise_m
-        if self.altitude < cruise - 2.0:
-            return self.position[0], self.position[1], cruise + ON_GROUND_M
-        return x, y, cruise + ON_GROUND_M
+        here, there, cruise = self.position[:2], self._target[:2], self._settings.cruise_m
+        if math.dist(there, here) <= STRAIGHT_M:
+            return self._target
+        return (*(here if self.altitude < cruise - 2.0 else there), cruise + ON_GROUND_M)
 
 
 def _trimmed(trim: Vector, error: Vector, step_s: float) -> Vector:
-    x, y, z = (
-        max(-TRIM_LIMIT, min(TRIM_LIMIT, one + TRIM_GAIN * max(-1.0, min(1.0, off)) * step_s))
-        for one, off in zip(trim, error, strict=True)
-    )
+    more = (TRIM_GAIN * max(-1.0, min(1.0, off)) * step_s for off in error)
+    x, y, z = (max(-TRIM_LIMIT, min(TRIM_LIMIT, one + add)) for one, add in zip(trim, more, strict=True))
     return x, y, z
-
-
-def _check_push(push: float, held: float) -> None:
-    if push > held:
-        raise MissionError(
-            f"the wind would push with {push:.3g} N (drag times wind_m_s), and the vehicle keeps its place against "
-            f"{held:.3g} N; set drag or wind_m_s lower"
-        )
 
 
 def _compiled(settings: Settings) -> Any:  # noqa: ANN401  # MuJoCo ships no types

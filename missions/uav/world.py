@@ -10,7 +10,6 @@ from kb import KnowledgeBase
 from missions.engine.components import SimulatedComponents
 from missions.engine.mission import Message, Percepts, Sample, Setting, Verdict, World, WorldKind
 from missions.uav.actions import analysed, is_all_analysed
-from missions.uav.field import Field
 from missions.uav.model import ANALYSE_LEVEL, PICK_UP_LEVEL, SEARCH_LEVEL
 from missions.uav.settings import Settings
 
@@ -39,7 +38,7 @@ class UavWorld(World):
         bearing, phase = rng.uniform(0, 2 * pi), rng.uniform(0, settings.battery_period_s)
         self._battery_due = float(phase)
         wind = (settings.wind_m_s * cos(bearing), settings.wind_m_s * sin(bearing))
-        from missions.uav.nodes import PERIOD_S, Nodes, Robot
+        from missions.uav.nodes import PERIOD_S, Field, Nodes, Robot
         from missions.uav.vehicle import SUBSTEPS, Quadrotor
 
         field = Field(settings, rng)
@@ -53,16 +52,12 @@ class UavWorld(World):
         self._tell(STATUS, "gripper_folded", "true")
         self._tell("QA measurement", "battery_level", "1.0")
 
-    # ---------------------------------------------------------------- what a mission needs
-
     @property
     def now(self) -> float:
-        """The time [s]."""
         return self._now
 
     @property
     def managed(self) -> SimulatedComponents:
-        """The components."""
         return self._managed
 
     def advance(self, until: float) -> list[Message]:
@@ -79,10 +74,7 @@ class UavWorld(World):
         return said
 
     def switching_s(self) -> Mapping[str, float]:
-        """Return how long commands take."""
         return {"activate": self._settings.activation_s, "deactivate": self._settings.deactivation_s}
-
-    # ---------------------------------------------------------------- one step
 
     def _step(self, step_s: float) -> None:
         robot, before = self._robot, self._robot.vehicle.position
@@ -128,17 +120,13 @@ class UavWorld(World):
                 self._tell(STATUS, f"{one.name}_found", "true")
 
     def _tell(self, message: str, key: str, value: str) -> None:
-        self._outbox.append(
-            {"time": self._now, "status": [{"name": "uav", "message": message, "values": {key: value}}]}
-        )
+        status = {"name": "uav", "message": message, "values": {key: value}}
+        self._outbox.append({"time": self._now, "status": [status]})
 
     def _disturb(self, text: str) -> None:
         self._disturbances.append((self._now, text))
 
-    # ---------------------------------------------------------------- what is reported
-
     def results(self) -> dict[str, float | None]:
-        """Return how many samples were analysed and how well, and what that took."""
         robot = self._robot
         return {
             "analysed_samples": float(len(robot.qualities)),
@@ -151,7 +139,6 @@ class UavWorld(World):
         }
 
     def sample(self) -> Sample:
-        """Return position, battery, height and power."""
         robot = self._robot
         signals = {
             "battery level [-]": robot.level,
@@ -162,21 +149,17 @@ class UavWorld(World):
         return Sample(self._now, robot.vehicle.position, signals)
 
     def disturbances(self) -> list[tuple[float, str]]:
-        """Return what happened to battery, gripper and goal."""
         return list(self._disturbances)
 
     def scenery(self) -> Mapping[str, Any]:
-        """Return the base and where the samples were in the beginning."""
         return {"base": [(0.0, 0.0)], **{name.replace("_", " "): place for name, place in self._places.items()}}
 
 
 class _SkyKind(WorldKind):
     def settings(self) -> tuple[Setting, ...]:
-        """Return every constant."""
         return Settings.describe()
 
     def open(self, values: Mapping[str, str], rng: Generator) -> UavWorld:
-        """Open a field with a vehicle at its base."""
         return UavWorld(Settings.read(values), rng)
 
     def verdict(self, percepts: Percepts, results: Mapping[str, float | None], kb: KnowledgeBase) -> Verdict:

@@ -9,7 +9,7 @@ from missions.engine.controller import TASK_KINDS, rosa_run
 from missions.engine.registry import find_mission
 from missions.engine.runner import Listener
 from missions.engine.settings import RunSettings
-from missions.uav.field import Sample
+from missions.uav.nodes import Sample
 from missions.uav.settings import Settings
 from missions.uav.world import UavWorld
 
