@@ -156,7 +156,7 @@ class Grounded:
         amounts = [amount for one in self._operators for amount in (one.cost, *one.uses)]
         self._mentioned = tuple(dict.fromkeys(text for amount in amounts for _, text in amount.terms))
         self._possible = lru_cache(maxsize=64)(self._possible_with)
-        self._graph = lru_cache(maxsize=8)(self._graph_of)
+        self._graph = lru_cache(maxsize=4)(self._graph_of)
 
     @property
     def size(self) -> int:

@@ -38,8 +38,8 @@ Fact: TypeAlias = tuple[int, int]
 State: TypeAlias = tuple[int, ...]
 """The value of each variable."""
 
-# Beyond this many states a graph forgets what it has worked out.
-_MOST_KNOWN = 20_000
+# Beyond this many moves a graph forgets what it has worked out.
+_MOST_KNOWN = 200_000
 
 
 class CapReached(Exception):
@@ -254,6 +254,7 @@ class TaskGraph:
 
     def __init__(self, task: Task, *, is_guided: bool = True) -> None:
         self._task, self._is_guided = task, is_guided
+        self._known = 0
         self._moves: dict[State, tuple[Move[State, int], ...]] = {}
         self._least: dict[State, tuple[float, tuple[float, ...]]] = {}
         self._by_need = _by_need(task)
@@ -277,8 +278,8 @@ class TaskGraph:
         Raises:
             CapReached: looking at so many moves gives no answer.
         """
-        if len(self._moves) > _MOST_KNOWN or len(self._least) > _MOST_KNOWN:
-            self._moves, self._least = {}, {}
+        if self._known > _MOST_KNOWN:
+            self._moves, self._least, self._known = {}, {}, 0
         return cheapest(self, self._closed(list(start)), limits, cap)
 
     def least_uses(self, start: State) -> tuple[float, ...]:
@@ -294,6 +295,7 @@ class TaskGraph:
         moves = self._moves.get(state)
         if moves is None:
             moves = self._moves[state] = tuple(self._possible(state))
+            self._known += 1 + len(moves)
         return moves
 
     def least(self, state: State) -> tuple[float, tuple[float, ...]]:
