@@ -317,7 +317,7 @@ class Change:
 
 
 class Components:
-    """The components by name; what they are told has its effect at once, for switching takes the time of whoever asks.
+    """The components by name; a change has its effect at once, for switching takes the time of whoever asks.
 
     Attributes:
         history: Every change so far that changed something, in order of time.

@@ -32,14 +32,14 @@ OBSERVED = (
 )
 """What the parts of an observation are."""
 
-_UNTOLD = (0.0, 1.0, *[1.0] * COUNT, 0.0)
+_UNKNOWN = (0.0, 1.0, *[1.0] * COUNT, 0.0)
 _WORDS = {"FALSE": 0.0, "ERROR": 0.0, "RECOVERED": 1.0, "OK": 1.0, "true": 1.0}
 
 
 class SuaveGym(gymnasium.Env[NDArray[np.float32], NDArray[np.int64]]):
     """The mission of SUAVE, one action per step of simulated time.
 
-    Observation, (9,): what the monitors told last (`OBSERVED`): visibility [m], 0 before the first; battery level from
+    Observation, (9,): what was published last (`OBSERVED`): visibility [m], 0 before the first; battery level from
     0 to 1; for each thruster 1 if it works and 0 if it has failed; 1 once the pipeline is found.
     Action, (5,): for each of `COMPONENTS` 1 if it shall be active and 0 if not, then an index into `ALTITUDES_M`.
     Reward: metres of the pipeline inspected in the step, without SUAVE's reset. An episode is terminated when all of it
@@ -76,7 +76,7 @@ class SuaveGym(gymnasium.Env[NDArray[np.float32], NDArray[np.int64]]):
         super().reset(seed=seed)
         self.close()
         self._env = SuaveEnv(self._settings, self.np_random)
-        self._told = dict(zip(OBSERVED, _UNTOLD, strict=True))
+        self._known = dict(zip(OBSERVED, _UNKNOWN, strict=True))
         self._wanted: tuple[int, ...] = (0,) * len(COMPONENTS)
         self._altitude_m = self._settings.spiral_altitude_m
         self._inspected_m, self._done = 0.0, False
@@ -111,12 +111,12 @@ class SuaveGym(gymnasium.Env[NDArray[np.float32], NDArray[np.int64]]):
         for message in messages:
             for status in message["status"]:
                 for key, value in status["values"].items():
-                    if key in self._told:
-                        self._told[key] = _WORDS[value] if value in _WORDS else float(value)
+                    if key in self._known:
+                        self._known[key] = _WORDS[value] if value in _WORDS else float(value)
                     self._done = self._done or key == "pipeline_inspected"
 
     def _observation(self) -> NDArray[np.float32]:
-        return np.array([self._told[name] for name in OBSERVED], dtype=np.float32)
+        return np.array([self._known[name] for name in OBSERVED], dtype=np.float32)
 
     def _info(self, env: SuaveEnv) -> dict[str, Any]:
         return {"time_s": env.now, "search_time_s": env.metrics.search_time_s}

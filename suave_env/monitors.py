@@ -126,6 +126,6 @@ class ThrusterMonitor:
 
 
 def thruster_words(settings: Settings, fails: bool) -> tuple[str, ...]:
-    """Return the words in which a failure or a recovery is told, one message each."""
+    """Return the words in which a failure or a recovery is published, one message each."""
     words = ("FALSE", "ERROR") if fails else ("RECOVERED", "OK")
     return words if settings.thruster_told_twice else words[:1]

@@ -2,24 +2,19 @@
 
 import sys
 import traceback
-from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from math import inf
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 from numpy.random import Generator
 
-from kb import DiagnosticProblem, KnowledgeBase, RequiredAction
+from kb import DiagnosticProblem, RequiredAction
 from missions.baselines.manager import Manager, Robot
-from missions.engine.adaptations import Adaptation
 from missions.engine.mission import Message, Mission, MissionError, Percepts, Verdict
-from missions.engine.runner import Listener, Seen
+from missions.engine.runner import Controller, Seen
 from missions.suave.world import SEA, Sea
-
-if TYPE_CHECKING:
-    from rosa_pddl import PlanRecord
 
 __all__ = ["BaselineController"]
 
@@ -47,7 +42,7 @@ class _Timer:
         return True
 
 
-class BaselineController:
+class BaselineController(Controller):
     """Has a manager of the sea's vehicle decide.
 
     Args:
@@ -57,7 +52,7 @@ class BaselineController:
         world: the sea.
         rng: all chance of the manager and of its timers.
         options: values of the manager's options by name.
-        inputs: which of them are told among the results.
+        inputs: which of them show among the results.
 
     Attributes:
         robot: what the manager knows and has done.
@@ -76,23 +71,16 @@ class BaselineController:
         options: Mapping[str, float],
         inputs: Iterable[str] = (),
     ) -> None:
-        self.kb: KnowledgeBase | None = None
-        self.trouble: Verdict | None = None
-        self.adaptations: list[Adaptation] = []
-        self.plans: tuple[PlanRecord, ...] = ()
-        self.inputs: Mapping[str, float] = {f"input_from_paper_{name}": options[name] for name in inputs}
-        self.compute_s: defaultdict[str, float] = defaultdict(float)
+        super().__init__(name, "tree of the manager" if manager.decides_tasks else "mission node")
+        self.inputs = {f"input_from_paper_{name}": options[name] for name in inputs}
         self._world, self._class = world, manager
         phases = rng.random(2).tolist()
         self.robot = Robot(mission, world.managed, world.settings, rng, lambda: world.now, options)
-        self.manager = name
         self._manager = self._ask(manager, self.robot)
         self._percepts = Percepts()
-        self.task = "tree of the manager" if manager.decides_tasks else "mission node"
         self._mission_timer = _Timer(world.settings.mission_period_s, phases[0])
         self._manager_timer = _Timer(self._ask(_checked, self._manager.period_s), phases[1])
-        self._listeners: Sequence[Listener] = ()
-        self._tasks_told = self._changes_told = 0
+        self._tasks_reported = self._changes_reported = 0
 
     @property
     def due(self) -> float:
@@ -111,9 +99,6 @@ class BaselineController:
     @property
     def measured(self) -> Mapping[str, float | None]:
         return dict(self.robot.measured)
-
-    def begin(self, listeners: Sequence[Listener]) -> None:
-        self._listeners = listeners
 
     def receive(self, message: Message) -> Sequence[DiagnosticProblem]:
         started = perf_counter()
@@ -183,15 +168,15 @@ class BaselineController:
         self._ask(self._manager.end, task)
 
     def _tell(self) -> None:
-        """Tell the listeners what has been done since they were told last."""
-        if not self._listeners:
+        """Tell the listeners what has been done since the last time."""
+        if not self.listeners:
             return
         tasks, changes = self.robot.tasks, self._world.history
-        said = [(task.start, f"{task.action} is begun") for task in tasks[self._tasks_told :]]
-        said += [(change.time, str(change)) for change in changes[self._changes_told :]]
-        self._tasks_told, self._changes_told = len(tasks), len(changes)
+        said = [(task.start, f"{task.action} is begun") for task in tasks[self._tasks_reported :]]
+        said += [(change.time, str(change)) for change in changes[self._changes_reported :]]
+        self._tasks_reported, self._changes_reported = len(tasks), len(changes)
         for time, text in sorted(said):
-            for listener in self._listeners:
+            for listener in self.listeners:
                 listener.action(text, time)
 
 

@@ -125,7 +125,7 @@ class Standing(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Situation:
-    """What Metacontrol has been told, and what it inferred in the pass before.
+    """What Metacontrol has heard, and what it inferred in the pass before.
 
     Attributes:
         measured: last value by attribute.
@@ -189,7 +189,7 @@ OBJECTIVES: Final = {
 class Metacontrol(Manager):
     """Grounds the objectives of a task in function designs, and changes the designs of those that are in error.
 
-    One pass of reasoning sees what was told; what follows from an inference of the pass is seen by the next one. So a
+    One pass of reasoning sees what was heard; what follows from an inference of the pass is seen by the next one. So a
     component that fails makes designs unrealisable in one pass and puts an objective in error in a second one, which
     follows at once.
     """

@@ -1,6 +1,6 @@
 """ROSA as it was published: our knowledge base and tree, at the pace of ROSA's services.
 
-ROSA's knowledge base is a server. Whatever is told to it or asked of it is the call of a service, and its planner and
+ROSA's knowledge base is a server. Whatever it is to know or is asked is the call of a service, and its planner and
 executor are programs of their own, which call one after the other. What is rebuilt here is how many calls follow each
 other before something is done; how long one takes is an input, chosen once so that the published reaction times come
 out. Calls of different programs do not delay each other, and a round of planning that finds nothing costs nothing.
@@ -103,7 +103,7 @@ class RosaManager(Manager):
         self._after(PLANNING, self._end_round)
 
     def _end_round(self) -> None:
-        """Plan, unless something else was told meanwhile; each of that is answered by a round of its own."""
+        """Plan, unless something else came in meanwhile; each of that is answered by a round of its own."""
         self._asked -= 1
         plan = None if self._asked else self._planner.plan(self._kb)
         if plan is not None:

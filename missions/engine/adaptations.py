@@ -108,7 +108,7 @@ class AdaptationLog:
     - was given up, or failed, because it had become unfeasible, or failed at all, or was given up after other news,
     - or was taken up when it was feasible again, after it had been given up itself.
 
-    The plans that configure the robot for it belong to it. If none follows by the end of the run, that is told, too. A
+    The plans that configure the robot for it belong to it. If none follows by the end of the run, that is one, too. A
     task plan that was made anew, and has steps that the one before had not, is one too, unless the action that is begun
     for it tells as much.
 
@@ -117,7 +117,7 @@ class AdaptationLog:
 
     Args:
         kb: the knowledge base to listen to.
-        tell: called with each adaptation once it is in force or has failed.
+        report: called with each adaptation once it is in force or has failed.
         plans: returns the task plans made so far.
 
     Attributes:
@@ -127,11 +127,11 @@ class AdaptationLog:
     def __init__(
         self,
         kb: KnowledgeBase,
-        tell: Callable[[Adaptation], None] = lambda adaptation: None,
+        report: Callable[[Adaptation], None] = lambda adaptation: None,
         plans: Callable[[], Sequence["PlanRecord"]] = tuple,
     ) -> None:
         self.adaptations: list[Adaptation] = []
-        self._kb, self._tell, self._plans = kb, tell, plans
+        self._kb, self._report, self._plans = kb, report, plans
         self._stamp: float | None = None
         # what was news: since the last tick, with whether it made a difference; before it; and what did, by its tick
         self._heard: list[tuple[_News, bool]] = []
@@ -162,7 +162,7 @@ class AdaptationLog:
         self._stamp = stamp
 
     def sensed(self, text: str) -> None:
-        """Say that the task layer was told of something that is not as before, while there is news."""
+        """Say that something the task layer alone perceives is not as before, while there is news."""
         if self._stamp is not None:
             self._heard.append((_News(self._stamp, text), True))
 
@@ -189,7 +189,7 @@ class AdaptationLog:
                 self._is_switching = False
         for one in [one for one in self._under_way if one.is_over(self._kb, self._last_tick)]:
             self._under_way.remove(one)
-            self._tell(one.close())
+            self._report(one.close())
 
     def finish(self) -> None:
         """Tell of an action that was given up and that none has followed; called when a run ends short of its goal."""
@@ -198,7 +198,7 @@ class AdaptationLog:
             return
         given_up = self._change(last, "nothing", last.at_s, last.cause, self._prelude)
         self.adaptations.sort(key=lambda one: one.at_s)
-        self._tell(given_up.close())
+        self._report(given_up.close())
 
     # ---------------------------------------------------------------- what is heard
 
@@ -243,7 +243,7 @@ class AdaptationLog:
         if action in self._lost:
             return self._lost[action]
         if result == "failed":
-            return _News(event.time, f"{action} has failed", reason or f"{action} told no reason")
+            return _News(event.time, f"{action} has failed", reason or f"{action} gave no reason")
         if event.cause in self._lost:
             return self._lost[event.cause]
         plan = self._new_plan()
@@ -258,7 +258,7 @@ class AdaptationLog:
         """Return what was news when a plan was asked for, or else why it was."""
         until = max((tick for tick, _ in self._turns if tick <= plan.at_s), default=None)
         led = _together([news for tick, news in self._turns if tick == until])
-        return _News(plan.at_s, plan.reason, plan.reason) if led is None else led._replace(reason=plan.reason)
+        return _News(plan.at_s, plan.reason, plan.reason) if led is None else _News(led.time, led.text, plan.reason)
 
     # ---------------------------------------------------------------- what comes of it
 
@@ -279,7 +279,7 @@ class AdaptationLog:
         self._end_task()
         plan = self._new_plan()
         if plan is not None and not cause.reason:
-            cause = cause._replace(reason=plan.reason)
+            cause = _News(cause.time, cause.text, plan.reason)
         self._task = self._change(before, action, time, cause, prelude)
         return True
 
@@ -313,7 +313,7 @@ class AdaptationLog:
 
     def _end_task(self) -> None:
         if self._task is not None:
-            self._tell(self._task.close())
+            self._report(self._task.close())
             self._task = None
 
     def _settle_task_plans(self, *, is_told: bool) -> None:
@@ -326,9 +326,9 @@ class AdaptationLog:
             if added and self._steps and not is_told:
                 change = f"plan anew, with {', '.join(dict.fromkeys(added))}"
                 cause = self._cause_of_plan(plan)
-                told = Adaptation(self._this_tick, "task", cause.text, cause.reason, change, None, cause.time).close()
-                self.adaptations.append(told)
-                self._tell(told)
+                made = Adaptation(self._this_tick, "task", cause.text, cause.reason, change, None, cause.time).close()
+                self.adaptations.append(made)
+                self._report(made)
             self._steps = frozenset(plan.steps)
 
     def _put_down(self, plan: ReconfigurationPlan) -> None:

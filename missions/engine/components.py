@@ -21,7 +21,7 @@ class CommandFailed(Exception):
 
 
 class Command(NamedTuple):
-    """What a component was told.
+    """A command to a component.
 
     Attributes:
         time: when [s].
@@ -110,7 +110,7 @@ class Operation:
 
 
 class SimulatedComponents:
-    """A managed system in simulated time: every component does what it is told unless a script says otherwise.
+    """A managed system in simulated time: every component obeys unless a script says otherwise.
 
     Commands to one component are carried out one after the other. See `kb.ManagedSystem` for what they are.
 

@@ -1,6 +1,5 @@
 """Who decides in a run of ours: knowledge base, configuration manager and task layer, a tree or a plan executor."""
 
-from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from inspect import signature
@@ -15,7 +14,7 @@ from py_trees.trees import BehaviourTree
 from kb import ConfigurationManager, DiagnosticProblem, Event, EventKind, KnowledgeBase, RequiredAction
 from missions.engine.adaptations import Adaptation, AdaptationLog
 from missions.engine.mission import Message, Mission, MissionError, Percepts, Verdict, World
-from missions.engine.runner import Listener, MissionRun, Seen
+from missions.engine.runner import Controller, Listener, MissionRun, Seen
 from missions.engine.settings import RunSettings
 from rosa_bt import TreeRunner
 
@@ -30,8 +29,8 @@ OURS: Final = "ours"
 TASK_KINDS: Final = ("bt", "pddl")
 
 
-class RosaController:
-    """The knowledge base is told what is published, the manager keeps the architecture right, the task layer decides.
+class RosaController(Controller):
+    """The knowledge base hears what is published, the manager keeps the architecture right, the task layer decides.
 
     Args:
         mission: what is to be done.
@@ -40,31 +39,26 @@ class RosaController:
         settings: how it is run.
 
     Attributes:
-        percepts: what the task layer is told beside what the knowledge base knows.
+        percepts: what the task layer perceives beside what the knowledge base knows.
 
     Raises:
         MissionError, rosa_pddl.RosaPddlError, kb.KnowledgeBaseError: the mission cannot be run.
     """
 
     def __init__(self, mission: Mission, task: str, world: World, settings: RunSettings) -> None:
-        self.manager, self.task = OURS, task
-        self.inputs: Mapping[str, float] = {}
-        self.compute_s: defaultdict[str, float] = defaultdict(float)
-        self.trouble: Verdict | None = None
+        super().__init__(OURS, task)
         self.percepts = Percepts()
         self._mission, self._world = mission, world
-        self.kb: KnowledgeBase | None  # as a controller has it; here it always is one
         self.kb = self._kb = KnowledgeBase(mission.model(), clock=self._now)
         self._manager = ConfigurationManager(self._kb, world.managed)
         self._task = build_task(task, mission, self._kb, self.percepts, self._now, settings.planning_delay_s)
         deciding = self._task.plans if self._task.is_planned else tuple
-        self._log = AdaptationLog(self._kb, self._tell_adaptation, deciding)
+        self._log = AdaptationLog(self._kb, self._report_adaptation, deciding)
         self._kb.subscribe(self._hear)
         self._runner = TreeRunner(self._task.root, clock=self._now, period=settings.tick_period_s)
         self._runner.tree.setup()
         self._configurable = [one for one in self._kb.components.values() if one.configurations]
         self._choices = [one for one in self._kb.functions.values() if len(one.designs) > 1]
-        self._listeners: Sequence[Listener] = ()
         self._answered = -1
         self._plans_checked = 0
         self._left = ""
@@ -97,9 +91,6 @@ class RosaController:
     @property
     def plans(self) -> tuple["PlanRecord", ...]:
         return self._task.plans()
-
-    def begin(self, listeners: Sequence[Listener]) -> None:
-        self._listeners = listeners
 
     def receive(self, message: Message) -> Sequence[DiagnosticProblem]:
         started = perf_counter()
@@ -156,16 +147,16 @@ class RosaController:
         elif plan is not None and not plan.outcome.is_solved:
             more = f"there was no plan: {plan.outcome}"
         elif failed:
-            more = f"{failed.action} failed last: {failed.reason or 'no reason told'}"
+            more = f"{failed.action} failed last: {failed.reason or 'no reason given'}"
         else:
             return verdict
-        return verdict._replace(reason=f"{verdict.reason}; {more}")
+        return Verdict(verdict.outcome, f"{verdict.reason}; {more}", verdict.detail)
 
     def _now(self) -> float:
         return self._world.now
 
     def _perceive(self, message: Message) -> None:
-        """Pass on what the task layer alone is told, and note what is not so any more, or only now."""
+        """Pass on what the task layer alone perceives, and note what is not so any more, or only now."""
         keys = [key for status in message["status"] for key in status["values"]]
         held = {key: self.percepts.holds(key) for key in keys}
         self.percepts.receive(message)
@@ -188,17 +179,17 @@ class RosaController:
 
     def _hear(self, event: Event) -> None:
         if event.kind is EventKind.ACTION_UPDATE:
-            for listener in self._listeners:
+            for listener in self.listeners:
                 listener.action(event.text, event.time)
 
-    def _tell_adaptation(self, adaptation: Adaptation) -> None:
-        for listener in self._listeners:
+    def _report_adaptation(self, adaptation: Adaptation) -> None:
+        for listener in self.listeners:
             listener.adaptation(adaptation)
 
 
 @runtime_checkable
 class Planning(Protocol):
-    """A behaviour that plans, such as `rosa_pddl.PlanExecutor`: a tree with one in it has its plans told."""
+    """A behaviour that plans, such as `rosa_pddl.PlanExecutor`: the plans of one in a tree are those of the run."""
 
     @property
     def plans(self) -> tuple["PlanRecord", ...]:
@@ -256,7 +247,7 @@ def build_task(
         kind: "bt" or "pddl".
         mission: whose task logic.
         kb: the knowledge base that the task layer asks and tells.
-        percepts: what else it is told.
+        percepts: what it perceives beside that.
         clock: gives the time [s].
         planning_delay_s: simulated time in which a plan is found [s].
 
@@ -335,22 +326,22 @@ class _Made:
         self._kb, self._percepts = kb, percepts
 
     def by(self, schema: str, action: Callable[..., Behaviour]) -> Callable[["Step"], Behaviour]:
-        """Return what makes the behaviour of a step; it is told the step if it asks for it.
+        """Return what makes the behaviour of a step; it is given the step if it asks for it.
 
         Raises:
             MissionError: it asks for something else, too.
         """
         parameters = signature(action)
-        is_told = "step" in parameters.parameters
+        takes_step = "step" in parameters.parameters
         try:
-            parameters.bind(self._kb, self._percepts, **({"step": None} if is_told else {}))
+            parameters.bind(self._kb, self._percepts, **({"step": None} if takes_step else {}))
         except TypeError as error:
             given = "the knowledge base, the percepts and, as `step`, the step"
             raise MissionError(f"what does the PDDL action {schema} is given {given}: {error}") from error
 
         def make(step: "Step") -> Behaviour:
             try:
-                made = action(self._kb, self._percepts, **({"step": step} if is_told else {}))
+                made = action(self._kb, self._percepts, **({"step": step} if takes_step else {}))
                 if not isinstance(made, Behaviour):
                     raise MissionError(f"what does the PDDL action {schema} is {made!r}, not a py_trees behaviour")
                 return made

@@ -50,7 +50,7 @@ class Percepts:
 
     @property
     def revision(self) -> int:
-        """How often something was told; while it is the same, so is all that was sensed."""
+        """How often something was received; while it is the same, so is all that was sensed."""
         return self._revision
 
     def receive(self, message: Mapping[str, Any]) -> None:
@@ -79,7 +79,7 @@ class Percepts:
 
 
 class Reaction(Protocol):
-    """An answer to an uncertainty: which, when it was told first, and when the answer was in force [s]."""
+    """An answer to an uncertainty: which, when it was reported first, and when the answer was in force [s]."""
 
     @property
     def uncertainty(self) -> str: ...
@@ -161,7 +161,7 @@ class World(ABC):
         return ()
 
     def sample(self) -> Sample | None:
-        """Return what there is to see now; None for no more than what the knowledge base is told."""
+        """Return what there is to see now; None for no more than what the knowledge base knows."""
         return None
 
     def disturbances(self) -> list[tuple[float, str]]:
@@ -216,7 +216,7 @@ class Mission:
         engines: what plans, see `rosa_pddl.Planner`: the first by itself, the others if that fails; if none is named,
             the default.
         fixed: settings of the world that belong to this mission.
-        why_not: says why its goal cannot be reached, from what is known and was sensed; empty if it cannot tell more
+        why_not: says why its goal cannot be reached, from what is known and was sensed; empty if it knows no more
             than the planner.
     """
 

@@ -1,10 +1,11 @@
 """One run of a mission: a world and who decides in it, in lock-step with the world's clock."""
 
+from abc import ABC, abstractmethod
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from time import perf_counter
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple
 
 from kb import DiagnosticProblem, KnowledgeBase, Model, RequiredAction
 from missions.engine.adaptations import Adaptation
@@ -27,72 +28,6 @@ class Seen(NamedTuple):
     designs: str = ""
 
 
-class Controller(Protocol):
-    """Who decides in a run: our knowledge base, manager and task layer, or a baseline.
-
-    A run asks for the time that it is due, tells it what was published by then, and has it decide.
-
-    Attributes:
-        manager: its name, as `rosa run --manager` takes it.
-        task: the kind of its task layer.
-        inputs: figures of results that were put in, by name.
-        compute_s: seconds of this machine's time by part, not part of any decision.
-        kb: its knowledge base; None if it has none.
-    """
-
-    manager: str
-    task: str
-    inputs: Mapping[str, float]
-    compute_s: defaultdict[str, float]
-    kb: KnowledgeBase | None
-
-    @property
-    def due(self) -> float:
-        """When it wants to decide next, whatever is published until then [s]."""
-
-    @property
-    def is_done(self) -> bool:
-        """Whether the mission is over."""
-
-    @property
-    def trouble(self) -> Verdict | None:
-        """How the mission has to end at once; None if it may go on."""
-
-    @property
-    def actions(self) -> Sequence[RequiredAction]:
-        """Every action that was begun."""
-
-    @property
-    def measured(self) -> Mapping[str, float | None]:
-        """What was measured last, by attribute."""
-
-    @property
-    def adaptations(self) -> list[Adaptation]:
-        """Every adaptation so far, in the order in which they were decided."""
-
-    @property
-    def plans(self) -> tuple["PlanRecord", ...]:
-        """The task plans so far; only added to."""
-
-    def begin(self, listeners: Sequence["Listener"]) -> None:
-        """Get to know who hears of actions and adaptations."""
-
-    def receive(self, message: Message) -> Sequence[DiagnosticProblem]:
-        """Take in what was published; return what of it cannot be used."""
-
-    def decide(self) -> bool:
-        """Answer what was taken in, and do what is due; return whether something was."""
-
-    def look(self) -> Seen:
-        """Return what is done and configured now."""
-
-    def end(self) -> None:
-        """Let go of everything; the run is over however it ended."""
-
-    def verdict(self, results: Mapping[str, float | None]) -> Verdict:
-        """Say how the mission has ended, which is over."""
-
-
 class Listener:
     """Hears of a run as it happens; a subclass overrides what it wants to hear."""
 
@@ -113,6 +48,82 @@ class Listener:
 
     def tick(self, run: "MissionRun") -> None:
         """Hear that the controller has decided."""
+
+
+class Controller(ABC):
+    """Who decides in a run: our knowledge base, manager and task layer, or a baseline.
+
+    A run asks for the time that it is due, passes on what was published by then, and has it decide.
+
+    Args:
+        manager: its name, as `rosa run --manager` takes it.
+        task: the kind of its task layer.
+
+    Attributes:
+        kb: its knowledge base; None if it has none.
+        inputs: figures of results that were put in, by name.
+        compute_s: seconds of this machine's time by part, not part of any decision.
+        listeners: who hears of actions and adaptations.
+        trouble: how the mission has to end at once; None if it may go on.
+    """
+
+    def __init__(self, manager: str, task: str) -> None:
+        self.manager, self.task = manager, task
+        self.kb: KnowledgeBase | None = None
+        self.inputs: Mapping[str, float] = {}
+        self.compute_s: defaultdict[str, float] = defaultdict(float)
+        self.listeners: Sequence[Listener] = ()
+        self.trouble: Verdict | None = None
+
+    @property
+    @abstractmethod
+    def due(self) -> float:
+        """When it wants to decide next, whatever is published until then [s]."""
+
+    @property
+    @abstractmethod
+    def is_done(self) -> bool:
+        """Whether the mission is over."""
+
+    @property
+    @abstractmethod
+    def actions(self) -> Sequence[RequiredAction]:
+        """Every action that was begun."""
+
+    @property
+    @abstractmethod
+    def measured(self) -> Mapping[str, float | None]:
+        """What was measured last, by attribute."""
+
+    @property
+    def adaptations(self) -> list[Adaptation]:
+        """Every adaptation so far, in the order in which they were decided."""
+        return []
+
+    @property
+    def plans(self) -> tuple["PlanRecord", ...]:
+        """The task plans so far; only added to."""
+        return ()
+
+    @abstractmethod
+    def receive(self, message: Message) -> Sequence[DiagnosticProblem]:
+        """Take in what was published; return what of it cannot be used."""
+
+    @abstractmethod
+    def decide(self) -> bool:
+        """Answer what was taken in, and do what is due; return whether something was."""
+
+    @abstractmethod
+    def look(self) -> Seen:
+        """Return what is done and configured now."""
+
+    @abstractmethod
+    def end(self) -> None:
+        """Let go of everything; the run is over however it ended."""
+
+    @abstractmethod
+    def verdict(self, results: Mapping[str, float | None]) -> Verdict:
+        """Say how the mission, which is over, has ended."""
 
 
 @dataclass(slots=True)
@@ -160,7 +171,7 @@ class MissionRun:
         self._world_s = 0.0
         self._sampled_at = -SAMPLE_PERIOD_S
         self._plans_heard = 0
-        controller.begin(listeners)
+        controller.listeners = listeners
 
     @property
     def manager(self) -> str:
@@ -244,7 +255,7 @@ class MissionRun:
             self._sample()
             for listener in self._listeners:
                 listener.tick(self)
-        self._tell_plans()
+        self._report_plans()
 
     def _take_in(self, message: Message) -> float:
         """Have a message heard; return how long that took the controller [s]."""
@@ -259,7 +270,7 @@ class MissionRun:
                 listener.problem(problem, float(message["time"]))
         return took_s
 
-    def _tell_plans(self) -> None:
+    def _report_plans(self) -> None:
         plans = self.plans
         heard, self._plans_heard = self._plans_heard, len(plans)
         for plan in plans[heard:]:

@@ -81,8 +81,8 @@ class Setting:
 
 def setting(default: Value, unit: str, meaning: str, source: str, low: float = 0.0, high: float = inf) -> Any:  # noqa: ANN401  # as of dataclasses.field: it stands where a value of the field's type would
     """Declare a setting as a field of a dataclass; see `Setting` for the arguments."""
-    told = {"unit": unit, "meaning": meaning, "source": source, "low": low, "high": high}
-    return field(default=default, metadata=told)
+    metadata = {"unit": unit, "meaning": meaning, "source": source, "low": low, "high": high}
+    return field(default=default, metadata=metadata)
 
 
 def declared(kind: Any) -> tuple[Setting, ...]:  # noqa: ANN401  # any dataclass whose fields say these things
