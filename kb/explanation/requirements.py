@@ -132,12 +132,7 @@ Repair = Recovered | Retracted | MissingDesign
 
 @dataclass(frozen=True, slots=True)
 class Box:
-    """One way in which an element is possible.
-
-    Attributes:
-        intervals: by name of each attribute that matters, the values that it may have.
-        repairs: what has to change besides.
-    """
+    """One way in which an element is possible: the values of each attribute that matters, and what is repaired."""
 
     intervals: Mapping[str, Interval] = field(default_factory=dict)
     repairs: frozenset[Repair] = frozenset()
@@ -162,12 +157,7 @@ class Box:
 
 
 class Alternatives(NamedTuple):
-    """The ways in which an element is possible.
-
-    Attributes:
-        boxes: none that another one covers; empty if there is no way.
-        complete: these are all; otherwise there were too many to look at each, and there may be more.
-    """
+    """The ways in which an element is possible, none that another one covers, and whether these are all."""
 
     boxes: tuple[Box, ...]
     complete: bool
@@ -286,11 +276,9 @@ class Requirements:
         if any(one == NOTHING for one in restricting):
             return NOTHING
         limit = min(self._limit, max(2, WORK // max(1, sum(len(one.boxes) for one in restricting))))
-        together = FREE
-        for one in restricting:
-            complete = together.complete and one.complete
-            boxes = _meetings(together.boxes, one.boxes)
-            together = one if together is FREE else self._kept(boxes, complete, limit)
+        together = restricting[0] if restricting else FREE
+        for one in restricting[1:]:
+            together = self._kept(_meetings(together.boxes, one.boxes), together.complete and one.complete, limit)
         return together
 
     def _kept(self, boxes: Iterable[Box], complete: bool, limit: int) -> Alternatives:
@@ -376,11 +364,7 @@ class Measured:
 
 @dataclass(frozen=True, slots=True)
 class Remedy:
-    """Facts that together would make an element feasible; no fewer of them would, whatever their values.
-
-    Attributes:
-        facts: what is to be measured, by name, and then what is to be repaired.
-    """
+    """Facts that together would make an element feasible, measurements first; no fewer would, whatever their values."""
 
     facts: tuple[Measured | Repair, ...]
 
@@ -405,12 +389,7 @@ class Remedy:
 
 
 class Remedies(NamedTuple):
-    """What would make an element feasible.
-
-    Attributes:
-        found: the smallest first; empty if it is not unfeasible, or if nothing would help.
-        complete: these are all.
-    """
+    """What would make an element feasible, the smallest first, and whether these are all."""
 
     found: tuple[Remedy, ...]
     complete: bool

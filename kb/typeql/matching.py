@@ -32,15 +32,7 @@ _EQUAL: Final = ("None", "=", "==")
 
 @dataclass(slots=True)
 class _Pattern:
-    """What is asked of one thing.
-
-    Attributes:
-        variable: what it is bound to; None for one without a name.
-        place: where it is asked for.
-        types: each with whether it must be that very type.
-        attributes: what it must have.
-        players: what it must relate.
-    """
+    """What is asked of one thing, which may have no name; each type with whether it must be that very type."""
 
     variable: str | None
     place: Place

@@ -30,15 +30,7 @@ _TYPES: Final[Mapping[Value, tuple[type, ...]]] = {
 
 
 class Own(NamedTuple):
-    """A thing has an attribute.
-
-    Attributes:
-        field: what we make of it; None if ROSA has no such attribute.
-        label: what it is called there.
-        value: of the field's type.
-        place: where the attribute is named.
-        order: of the statement, over all files.
-    """
+    """A thing has an attribute; the field is None if ROSA has none such, the order is that of the statement."""
 
     field: Field | None
     label: str
@@ -66,12 +58,10 @@ class Thing:
 
     @property
     def kind(self) -> Kind | None:
-        """What we make of it."""
         return self.type.kind
 
     @property
     def name(self) -> str:
-        """What it is called."""
         own = self.own("name")
         if own is None and self.kind:
             raise self.place.error(f"this {self.type.label} has no name; write `has {self.kind.label}-name '...'`")
@@ -82,7 +72,6 @@ class Thing:
         return next((own for own in reversed(self.owns) if own.field and own.field.name == name), None)
 
     def value(self, name: str) -> Literal | None:
-        """Return the value of the attribute of that name."""
         own = self.own(name)
         return own.value if own else None
 
@@ -96,14 +85,7 @@ Bindings = Mapping[str, Thing | Literal]
 
 
 class Store:
-    """All that was said so far.
-
-    Attributes:
-        vocabulary: the types, roles and attributes that there are.
-        things: in order, by what we make of them.
-        named: those that have a name, by kind and name.
-        notes: what was passed over, and where.
-    """
+    """All that was said so far: things by kind, in order and by name; and notes of what was passed over."""
 
     def __init__(self, vocabulary: Vocabulary) -> None:
         self.vocabulary = vocabulary
@@ -117,7 +99,6 @@ class Store:
         _Insertion(self, file, bindings or {}).run(statements)
 
     def of(self, kind: Kind) -> list[Thing]:
-        """Return the things of a kind."""
         return self.things.get(kind, [])
 
     def note(self, place: Place, text: str) -> None:
@@ -125,7 +106,6 @@ class Store:
         self.notes.append(f"{place}: {text}")
 
     def add(self, label: Word, place: Place) -> Thing:
-        """Begin a new thing."""
         thing = Thing(self.vocabulary.type(label, place), place)
         if thing.kind is None:
             self.note(place, f"{thing.type.label} is no sort of anything in ROSA; it is passed over")
@@ -133,7 +113,6 @@ class Store:
         return thing
 
     def give(self, thing: Thing, label: str, value: Literal, place: Place) -> None:
-        """Let a thing have an attribute."""
         found = self.vocabulary.field(thing.kind, label) if thing.kind else None
         if found is None or thing.kind is None:
             if thing.kind and not self.vocabulary.declares(label):

@@ -141,13 +141,9 @@ ATTRIBUTES: Final[Mapping[Kind, tuple[Field, ...]]] = dict.fromkeys(Kind, ()) | 
 
 @dataclass(slots=True, eq=False)
 class Type:
-    """A type of thing.
+    """A type of thing; its kind is None if ROSA does not know it.
 
-    Attributes:
-        label: as it is written.
-        kind: what we make of it; None for what ROSA does not know.
-        parent: the type it is a sort of.
-        roles: those that the files declare of it, and which role of its parent each stands for, if they say.
+    The roles are those that files declare of it, and which role of its parent each stands for, if they say.
     """
 
     label: str
@@ -182,7 +178,6 @@ class Vocabulary:
         self._fields: dict[tuple[Kind, str], Field | None] = {}
 
     def define(self, query: Define, file: str) -> None:
-        """Take note of what a file declares."""
         for label, clauses in query.definitions:
             for clause in clauses:
                 if clause.keyword == "sub":
@@ -219,15 +214,7 @@ class Vocabulary:
         return label in self._owned or label in self._attributes
 
     def role(self, of: Type, kind: Kind, word: Word | None, player: Type, place: Place) -> Role:
-        """Return the role of a relation that a player has.
-
-        Args:
-            of: the type of the relation.
-            kind: what we make of it.
-            word: what the role is called, or None if that is left out.
-            player: the type of what plays it.
-            place: where the player is written.
-        """
+        """Return the role of a relation that a player of a type has, by what it is called, if that is not left out."""
         if kind not in ROLES:
             raise place.error(f"{of.label} is no relation; nothing plays a role in it")
         candidates = ROLES[kind] if word is None else self.roles(of, kind, word, place)
