@@ -90,6 +90,8 @@ def pid(value: object) -> int:
 
 def choice(what: str, options: type[ChoiceT], given: object) -> ChoiceT:
     """Return one of a few words."""
+    if isinstance(given, options):
+        return given
     try:
         return options(str(given))
     except ValueError:
@@ -98,7 +100,7 @@ def choice(what: str, options: type[ChoiceT], given: object) -> ChoiceT:
 
 def listed(what: str, values: object) -> tuple[Any, ...]:
     """Return the items of a list; one text by itself is not taken for its letters."""
-    if isinstance(values, str | bytes) or not isinstance(values, Iterable):
+    if not isinstance(values, tuple | list) and (isinstance(values, str | bytes) or not isinstance(values, Iterable)):
         raise ModelError(f"{what} are given as a list, not as {values!r}")
     return tuple(values)
 

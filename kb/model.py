@@ -171,8 +171,13 @@ class Model:
         """
         kind, table = KINDS[cls], self._tables[cls]
         name = identifier(kind, name)
-        element = cls(name, self, **{field: self._checked(cls, name, field, value) for field, value in given.items()})
-        wanted = self._expressions(constraints)
+        checks = CHECKS[cls]
+        values = {
+            field: checks[field].check(field, name, value) if field in checks else self._names(cls, name, field, value)
+            for field, value in given.items()
+        }
+        element = cls(name, self, **values)
+        wanted = self._expressions(constraints) if constraints != () else ()
         if name in table:
             raise DuplicateName(f"{kind} {name!r} is declared already; names are unique within a kind")
         table[name] = element
@@ -334,10 +339,8 @@ class Model:
         max_age, when_stale, agreement = given
         return self.declare(Attribute, name, kind=kind, max_age=max_age, when_stale=when_stale, agreement=agreement)
 
-    def _checked(self, cls: type[Element], name: str, field: str, value: object) -> object:
-        found = CHECKS[cls].get(field)
-        if found is not None:
-            return found.check(field, name, value)
+    def _names(self, cls: type[Element], name: str, field: str, value: object) -> object:
+        """Return the names that a field is given that names other elements."""
         if field not in REFERENCES:
             raise UnknownName(f"field of {KINDS[cls]}", field, CHECKS[cls])
         if field not in ("functions", "components"):
@@ -376,7 +379,7 @@ class Model:
         return constraint
 
     def _grew(self, added: Sequence[Changeable]) -> None:
-        for observer in self._watching():
+        for observer in self._watching() if self._observers else ():
             observer.model_grew(added)
 
     def _watching(self) -> list[Observer]:

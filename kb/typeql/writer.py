@@ -3,7 +3,7 @@
 import json
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import MISSING, fields
+from dataclasses import fields
 from datetime import UTC, datetime, timedelta
 from typing import Final
 
@@ -19,6 +19,12 @@ _STEPS: Final = {
     "parameter-adaptation": ("component-configuration", "parameters", Configuration),
 }
 """The steps of a plan: the role in each, the field that lists who has it, and of which class they are."""
+_ELEMENTS: Final = {kind: cls for cls, kind in CLASSES.items()}
+_DEFAULTS: Final = {cls: {field.name: field.default for field in fields(cls)} for cls in CLASSES}
+_FIELDS: Final = {
+    cls: [field for field in ATTRIBUTES[kind] if field.name in ("weights", *_DEFAULTS[cls])]
+    for cls, kind in CLASSES.items()
+}
 _UNSAFE: Final = re.compile(r'[\\"\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]')
 _ESCAPES: Final = {"\n": "\\n", "\t": "\\t", "\r": "\\r", "\\": "\\\\", '"': '\\"'}
 
@@ -91,15 +97,13 @@ class _Writer:
 
     def _described(self, one: Changeable | Fact, variable: str, players: Iterable[tuple[str, str]]) -> str:
         kind = CLASSES[type(one)]
-        classes = {of: cls for cls, of in CLASSES.items()}
         named = []
         for role in ROLES.get(kind, ()):
             for player in _players(one, role.field):
                 known = self.variables.get(player)
-                named.append((role.name, known or self._of(classes[role.kinds[0]], player)))
+                named.append((role.name, known or self._of(_ELEMENTS[role.kinds[0]], player)))
         label = kind.label if kind in ROLES else SPECIAL.get(str(getattr(one, "kind", "")), kind.title())
-        defaults = {field.name: field.default for field in fields(one)}
-        given = {field.label: _written(field, one, defaults) for field in ATTRIBUTES[kind]}
+        given = {field.label: _written(field, one) for field in _FIELDS[type(one)]}
         return _statement(variable, [*named, *players], label, given)
 
     def _of(self, cls: type[Element], name: str) -> str:
@@ -152,13 +156,13 @@ def _players(one: object, field: str) -> tuple[str, ...]:
     return () if value is None else (value,)
 
 
-def _written(field: Field, one: object, defaults: Mapping[str, object]) -> str | None:
+def _written(field: Field, one: object) -> str | None:
     """Write an attribute of an element or fact; None if it has none, or what it is by default."""
     if field.name == "weights":
         preference = getattr(one, "preference", None)
         return None if preference is None else quoted(json.dumps(list(preference.values())))
-    value = getattr(one, field.name, None)
-    if value is None or (field.name != "latest" and value == defaults.get(field.name, MISSING)):
+    value = getattr(one, field.name)
+    if value is None or (value == _DEFAULTS[type(one)][field.name] and field.name != "latest"):
         return None
     if field.name == "agreement":
         return quoted("{} of {}".format(*value))
