@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import fields
 from enum import StrEnum
 from typing import Any, Final, NamedTuple
-from urllib.parse import quote, unquote
+from urllib.parse import quote
 
 from kb.contents import Contents, tables_of
 from kb.elements import (
@@ -57,7 +57,6 @@ __all__ = [
     "individual",
     "individuals",
     "kind_of",
-    "name_of",
     "named_id",
     "nested",
     "parameter_values",
@@ -197,11 +196,6 @@ def element_id(element: Changeable, serials: Serials) -> str:
     """Return the id of an element."""
     name = element.name if isinstance(element, Element) else str(serials.of(element))
     return named_id(type(element), name)
-
-
-def name_of(own: str) -> str:
-    """Return the name in the id of an element."""
-    return unquote(own.partition(".")[2], errors="surrogatepass")
 
 
 def individuals(model: Contents, serials: Serials | None = None) -> Iterator[Individual]:

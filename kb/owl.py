@@ -21,7 +21,7 @@ from kb.individuals import CLASSES, GENERAL, MODEL, PARAMETER, PREFERENCE, STATE
 from kb.queries import FUNCTIONS, Question, complaint, read_question
 from kb.rdfxml import ROSA, order, plain_text
 
-__all__ = ["Answer", "Book", "database", "inconsistency", "load_owl"]
+__all__ = ["Answer", "Book", "inconsistency", "load_owl"]
 
 _TYPE: Final = "http://www.w3.org/1999/02/22-rdf-syntax-ns#type"
 _KINDS: Final = frozenset({*CLASSES.values(), *GENERAL, MODEL, PARAMETER, PREFERENCE})
@@ -159,25 +159,17 @@ class Book:
 
     Args:
         base: the IRI of the model.
-        path: the file of the world, which is there; without it the world is in memory.
-        connection: to the file, which stays locked.
     """
 
-    def __init__(self, base: str, path: Path | None = None, connection: sqlite3.Connection | None = None) -> None:
+    def __init__(self, base: str) -> None:
         self.base = base
-        connection = connection or database(":memory:")
-        self.world = owlready2.World(filename=str(path or ":memory:"), connection=connection)
+        connection = sqlite3.connect(":memory:", isolation_level="EXCLUSIVE", check_same_thread=False)
+        self.world = owlready2.World(filename=":memory:", connection=connection)
         self._db = self.world.graph.db
         self._contexts = {
             name: self.world.get_ontology(f"{base}/{name}#").graph.c for name in ("model", "told", "inferred")
         }
         self._words: dict[str, int] = {}
-
-    @property
-    def connection(self) -> sqlite3.Connection:
-        """The database of the world."""
-        connection: sqlite3.Connection = self._db
-        return connection
 
     def describe(self, words: str, given: Iterable[Individual]) -> None:
         """Begin with the words of ROSA and a model."""
@@ -197,14 +189,6 @@ class Book:
         """Replace what is inferred of the model."""
         self._clear("inferred")
         self._write("inferred", given)
-
-    def forget(self, numbers: Iterable[int]) -> None:
-        """Remove facts."""
-        text = str([_FIRST + number for number in numbers])
-        if text == "[]":
-            return
-        for table, column in (("objs", "s"), ("datas", "s"), ("resources", "storid")):
-            self._db.execute(f"DELETE FROM {table} WHERE {column} IN (SELECT value FROM json_each(?))", (text,))
 
     def ask(self, query: str, timeout: float) -> list[tuple[Answer, ...]]:
         """Answer a SPARQL query.
@@ -260,55 +244,9 @@ class Book:
             else:
                 yield f"_:{-cell}" if cell < 0 else self.world._unabbreviate(cell)
 
-    def forget_measurements(self) -> None:
-        """Remove all measurements."""
-        kind = (self._word(_TYPE), self._word(f"{ROSA}Measurement"))
-        found = self._db.execute("SELECT s FROM objs WHERE p=? AND o=?", kind).fetchall()
-        self.forget(one - _FIRST for (one,) in found)
-
-    @property
-    def number(self) -> int:
-        """How many facts were told."""
-        told = (self._word(f"{ROSA}told"), self._contexts["told"])
-        ((number,),) = self._db.execute("SELECT o FROM datas WHERE p=? AND c=?", told).fetchall() or ((0,),)
-        return int(number)
-
-    @number.setter
-    def number(self, number: int) -> None:
-        told = (number, self._word(f"{ROSA}told"), self._contexts["told"])
-        self._db.execute("UPDATE datas SET o=? WHERE p=? AND c=?", told)
-
-    def facts(self) -> list[Individual]:
-        """Return what was told, in order, and what is nested in it first."""
-        c = (self._contexts["told"],)
-        iris = dict(self._db.execute("SELECT storid, iri FROM resources").fetchall())
-        values: dict[int, dict[str, list[Value]]] = {}
-        for subject, word, value in self._db.execute("SELECT s, p, o FROM objs WHERE c=? ORDER BY rowid", c):
-            named = Ref(iris[value].removeprefix(f"{self.base}#"))
-            values.setdefault(subject, {}).setdefault(iris[word], []).append(named)
-        for subject, word, value, datatype in self._db.execute(
-            "SELECT s, p, o, d FROM datas WHERE c=? ORDER BY rowid", c
-        ):
-            read = value == "true" if iris.get(datatype, "").endswith("#boolean") else value
-            values.setdefault(subject, {}).setdefault(iris[word], []).append(read)
-        found = (_individual(iris[subject], values[subject]) for subject in sorted(values))
-        return [one._replace(id=one.id.removeprefix(f"{self.base}#")) for one in found if one is not None]
-
     def commit(self) -> None:
         """Have everything that was written last."""
         self._db.commit()
-
-    def roll_back(self) -> None:
-        """Forget what was written since the last commit."""
-        self._words.clear()
-        self._db.rollback()
-
-    def copy_to(self, other: "Book") -> None:
-        """Make another book the same as this one."""
-        for book in (self, other):  # a transaction left open by a look into the file would be waited for, for ever
-            book._db.commit()
-        self._db.backup(other._db)
-        other._words.clear()
 
     def close(self) -> None:
         """Give the file back."""
@@ -354,15 +292,6 @@ class Book:
         if found is None:
             found = self._words[iri] = self.world._abbreviate(iri)
         return found
-
-
-def database(path: Path | str) -> sqlite3.Connection:
-    """Open a new database with small pages: a commit writes each page that it touches."""
-    connection = sqlite3.connect(path, isolation_level="EXCLUSIVE", check_same_thread=False)
-    connection.execute("PRAGMA page_size=4096")
-    connection.execute("BEGIN EXCLUSIVE")
-    connection.execute("PRAGMA user_version=0")  # from here on owlready2 cannot have larger pages
-    return connection
 
 
 def _said(one: Individual) -> Iterator[tuple[str, Value]]:

@@ -171,7 +171,7 @@ def meant(base: Readable, state: State, element: Meant, kinds: Iterable[str], *,
     """
     network = state.network
     if isinstance(element, ElementView):
-        if not element.is_of(base):
+        if element.base is not base:
             raise InvalidValue(f"{element!r} is a view of another knowledge base; take it from this one")
         element = element.element
     if isinstance(element, Element) and network.model is not element.model:

@@ -6,20 +6,9 @@ A view answers from the base it was taken from each time it is asked; nothing ca
 from collections.abc import ItemsView, Iterator, Mapping, ValuesView
 from contextlib import AbstractContextManager
 from types import MappingProxyType
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Generic, Protocol, TypeVar
 
-from kb.elements import (
-    Attribute,
-    Component,
-    ComponentKind,
-    Configuration,
-    Constraint,
-    Element,
-    Function,
-    FunctionDesign,
-    Parameters,
-    finite_number,
-)
+from kb.elements import AttributeKind, ComponentKind, Constraint, Element, Parameters, finite_number
 from kb.exceptions import UnknownName
 from kb.network import Network, Node
 from kb.state import State
@@ -39,6 +28,9 @@ __all__ = [
     "named",
     "views_of",
 ]
+
+
+T = TypeVar("T")
 
 
 class Readable(Protocol):
@@ -62,273 +54,255 @@ class ElementView:
         self._node = node
 
     @property
+    def base(self) -> Readable:
+        """What it was taken from."""
+        return self._base
+
+    @property
+    def node(self) -> Node:
+        """Its place there."""
+        return self._node
+
+    @property
     def name(self) -> str:
-        """The element's name, unique within its kind."""
-        return self._node.name
+        """The element's name, unique within its kind; a constraint is called by its text."""
+        return self.node.name
 
     @property
     def element(self) -> Element | Constraint:
         """The element of the model that this is a view of, e.g. to amend it there."""
-        return self._node.element
+        return self.node.element
 
-    def is_of(self, base: Readable) -> bool:
-        """Tell whether it was taken from this base."""
-        return self._base is base
-
-    def _known(self, column: str) -> Any:  # noqa: ANN401  # what the array holds
-        with self._base.reading() as state:
-            return getattr(state, column)[self._node.index]
+    def reading(self) -> AbstractContextManager[State]:
+        """Give the facts and statuses to answer from."""
+        return self.base.reading()
 
     def __repr__(self) -> str:
-        return f"<{self._node.kind} {self.name!r}>"
+        return f"<{self.node.kind} {self.name!r}>"
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, ElementView) and other._node is self._node and other._base is self._base
+        return isinstance(other, ElementView) and other.node is self.node and other.base is self.base
 
     def __hash__(self) -> int:
-        return hash((id(self._base), self._node.index))
+        return hash((id(self.base), self.node.index))
 
 
-class _StatusView(ElementView):
+class Known(Generic[T]):
+    """What is known of an element at this moment.
+
+    Args:
+        column: name of the array of the state that holds it.
+    """
+
+    def __init__(self, column: str) -> None:
+        self._column = column
+
+    def __get__(self, view: ElementView, _: type) -> T:
+        with view.reading() as state:
+            value: T = getattr(state, self._column)[view.node.index]
+            return value
+
+
+class Declared(Generic[T]):
+    """What the model says of an element, by the name of the field."""
+
+    def __set_name__(self, _: type, name: str) -> None:
+        self._field = name
+
+    def __get__(self, view: ElementView, _: type) -> T:
+        value: T = getattr(view.element, self._field)
+        return value
+
+
+class ConstraintView(ElementView):
+    """A constraint: `attribute operator value`.
+
+    Attributes:
+        status: the one that it has now.
+        attribute: name of the attribute that is compared.
+        operator: one of `>=`, `>`, `<=`, `<`.
+        value: the threshold, in the attribute's unit.
+    """
+
     __slots__ = ()
 
-    @property
-    def status(self) -> Status:
-        """The one status that the element has now."""
-        status: Status = self._known("status")
-        return status
+    status = Known[Status]("status")
+    attribute = Declared[str]()
+    operator = Declared[str]()
+    value = Declared[float]()
 
 
-class ConstraintView(_StatusView):
-    """A constraint: `attribute operator value`."""
-
-    __slots__ = ()
-
-    @property
-    def attribute(self) -> str:
-        """Name of the attribute that is compared."""
-        return self._constraint.attribute
-
-    @property
-    def operator(self) -> str:
-        """One of `>=`, `>`, `<=`, `<`."""
-        return self._constraint.operator
-
-    @property
-    def value(self) -> float:
-        """The threshold, in the attribute's unit."""
-        return self._constraint.value
-
-    @property
-    def _constraint(self) -> Constraint:
-        assert isinstance(self._node.element, Constraint)
-        return self._node.element
-
-
-class _ConstrainedView(_StatusView):
+class _ConstrainedView(ElementView):
     __slots__ = ()
 
     @property
     def constraints(self) -> tuple[ConstraintView, ...]:
         """The constraints on this element itself."""
-        return tuple(ConstraintView(self._base, node) for node in self._node.constraints)
+        return tuple(ConstraintView(self.base, node) for node in self.node.constraints)
 
 
-class _RequiredView(_StatusView):
-    __slots__ = ()
+class ActionView(_ConstrainedView):
+    """An action, and whether it can be done now.
 
-    @property
-    def is_required(self) -> bool:
-        """Whether what the mission is doing needs it."""
-        return bool(self._known("required"))
-
-
-class ActionView(_RequiredView, _ConstrainedView):
-    """An action, and whether it can be done now."""
+    Attributes:
+        status: the one that it has now.
+        is_required: the mission is doing it.
+    """
 
     __slots__ = ()
+
+    status = Known[Status]("status")
+    is_required = Known[bool]("required")
 
     @property
     def functions(self) -> tuple[str, ...]:
         """Names of the functions that it requires."""
-        return tuple(part.name for part in self._node.parts)
+        return tuple(part.name for part in self.node.parts)
 
 
-class FunctionView(_RequiredView):
-    """A function, and whether it is realised now."""
+class FunctionView(ElementView):
+    """A function, and whether it is realised now.
+
+    Attributes:
+        status: the one that it has now.
+        is_required: what the mission is doing needs it.
+        always_improve: a better design is taken even while it is solved.
+    """
 
     __slots__ = ()
 
-    @property
-    def always_improve(self) -> bool:
-        """Whether a better design is taken even while it is solved."""
-        assert isinstance(self._node.element, Function)
-        return self._node.element.always_improve
+    status = Known[Status]("status")
+    is_required = Known[bool]("required")
+    always_improve = Declared[bool]()
 
     @property
     def designs(self) -> tuple[str, ...]:
         """Names of its designs, in order of declaration."""
-        return tuple(part.name for part in self._node.parts)
+        return tuple(part.name for part in self.node.parts)
 
 
-class ComponentView(_RequiredView, _ConstrainedView):
-    """A component: whether it runs, and with which parameters."""
+class ComponentView(_ConstrainedView):
+    """A component: whether it runs, and with which parameters.
+
+    Attributes:
+        status: the one that it has now.
+        is_required: what the mission is doing needs it.
+        is_active: it is running.
+        always_improve: a better configuration is taken even while it is solved.
+        kind: how it is switched: plain, process or lifecycle.
+        stops_to_configure: new parameters are given while it is stopped.
+        package: where its program is found.
+        executable: its program's name.
+    """
 
     __slots__ = ()
 
-    @property
-    def always_improve(self) -> bool:
-        """Whether a better configuration is taken even while it is solved."""
-        return self._component.always_improve
-
-    @property
-    def is_active(self) -> bool:
-        """Whether it is running."""
-        return bool(self._known("active"))
-
-    @property
-    def kind(self) -> ComponentKind:
-        """How it is switched: plain, process or lifecycle."""
-        return self._component.kind
-
-    @property
-    def stops_to_configure(self) -> bool:
-        """Whether new parameters are given while it is stopped."""
-        return self._component.stops_to_configure
-
-    @property
-    def package(self) -> str:
-        """Where its program is found."""
-        return self._component.package
-
-    @property
-    def executable(self) -> str:
-        """Its program's name."""
-        return self._component.executable
+    status = Known[Status]("status")
+    is_required = Known[bool]("required")
+    is_active = Known[bool]("active")
+    always_improve = Declared[bool]()
+    kind = Declared[ComponentKind]()
+    stops_to_configure = Declared[bool]()
+    package = Declared[str]()
+    executable = Declared[str]()
 
     @property
     def configurations(self) -> tuple[str, ...]:
         """Names of its configurations, in order of declaration."""
-        return tuple(part.name for part in self._node.parts)
+        return tuple(part.name for part in self.node.parts)
 
     @property
     def selected_configuration(self) -> str | None:
         """Name of the configuration that is selected, if one is."""
-        with self._base.reading() as state:
-            return next((part.name for part in self._node.parts if state.selected[part.index]), None)
+        with self.reading() as state:
+            return next((part.name for part in self.node.parts if state.selected[part.index]), None)
 
     @property
     def parameters_in_force(self) -> Parameters:
         """The parameters that it was last given; empty before that."""
-        with self._base.reading() as state:
+        with self.reading() as state:
             return MappingProxyType(dict(state.parameters.get(self.name, {})))
-
-    @property
-    def _component(self) -> Component:
-        assert isinstance(self._node.element, Component)
-        return self._node.element
 
 
 class _SelectableView(_ConstrainedView):
     __slots__ = ()
 
-    @property
-    def is_selected(self) -> bool:
-        """Whether it is the one chosen."""
-        return bool(self._known("selected"))
+    status = Known[Status]("status")
+    is_selected = Known[bool]("selected")
+    priority = Declared[float | None]()
 
     @property
     def reason(self) -> str:
         """Why it was selected, in the words of whoever selected it; empty if that was not said, or it is not."""
-        with self._base.reading() as state:
-            return state.reason("selected", self._node).text if state.selected[self._node.index] else ""
-
-    @property
-    def priority(self) -> float | None:
-        """The lowest number is preferred; None comes last."""
-        assert isinstance(self._node.element, FunctionDesign | Configuration)
-        return self._node.element.priority
+        with self.reading() as state:
+            return state.reason("selected", self.node).text if state.selected[self.node.index] else ""
 
 
 class DesignView(_SelectableView):
-    """A function design: one set of components that realises a function."""
+    """A function design: one set of components that realises a function.
+
+    Attributes:
+        status: the one that it has now.
+        is_selected: it is the one chosen.
+        priority: the lowest number is preferred; None comes last.
+        function: name of the function that it realises.
+        components: names of its components.
+    """
 
     __slots__ = ()
 
-    @property
-    def function(self) -> str:
-        """Name of the function that it realises."""
-        return self._node.wholes[0].name
-
-    @property
-    def components(self) -> tuple[str, ...]:
-        """Names of its components."""
-        return tuple(part.name for part in self._node.parts)
+    function = Declared[str]()
+    components = Declared[tuple[str, ...]]()
 
 
 class ConfigurationView(_SelectableView):
-    """A component configuration: one set of parameter values."""
+    """A component configuration: one set of parameter values.
+
+    Attributes:
+        status: the one that it has now.
+        is_selected: it is the one chosen.
+        priority: the lowest number is preferred; None comes last.
+        component: name of the component that it configures.
+        parameters: its values by parameter name.
+    """
 
     __slots__ = ()
 
-    @property
-    def component(self) -> str:
-        """Name of the component that it configures."""
-        return self._node.wholes[0].name
-
-    @property
-    def parameters(self) -> Parameters:
-        """Its values by parameter name."""
-        assert isinstance(self._node.element, Configuration)
-        return self._node.element.parameters
+    component = Declared[str]()
+    parameters = Declared[Parameters]()
 
 
 class AttributeView(ElementView):
-    """A measured attribute."""
+    """A measured attribute.
+
+    Attributes:
+        kind: what it describes: "quality" (the robot) or "environmental".
+        max_age: how long a measurement holds [s].
+        value: the latest measurement, or None before the first.
+        time: when that was measured [s], or None.
+        is_stale: that is longer ago than `max_age`.
+    """
 
     __slots__ = ()
 
-    @property
-    def kind(self) -> str:
-        """What it describes: "quality" (the robot) or "environmental"."""
-        assert isinstance(self._node.element, Attribute)
-        return str(self._node.element.kind)
-
-    @property
-    def value(self) -> float | None:
-        """The latest measurement, or None before the first."""
-        value: float | None = self._known("value")
-        return value
-
-    @property
-    def time(self) -> float | None:
-        """When that was measured [s], or None."""
-        time: float | None = self._known("time")
-        return time
-
-    @property
-    def is_stale(self) -> bool:
-        """Whether that is longer ago than `max_age`."""
-        return bool(self._known("stale"))
-
-    @property
-    def max_age(self) -> float:
-        """How long a measurement holds [s]."""
-        assert isinstance(self._node.element, Attribute)
-        return self._node.element.max_age
+    kind = Declared[AttributeKind]()
+    max_age = Declared[float]()
+    value = Known[float | None]("value")
+    time = Known[float | None]("time")
+    is_stale = Known[bool]("stale")
 
     @property
     def history(self) -> tuple[tuple[float, float], ...]:
         """Every measurement so far, as (time [s], value), by time."""
-        with self._base.reading() as state:
-            history = state.histories.get(self._node.index)
+        with self.reading() as state:
+            history = state.histories.get(self.node.index)
             return () if history is None else history.samples()
 
     def at(self, time: float) -> float | None:
         """Return what the latest measurement was at a time [s]; None before the first."""
         finite_number(time)
-        with self._base.reading() as state:
-            history = state.histories.get(self._node.index)
+        with self.reading() as state:
+            history = state.histories.get(self.node.index)
             return None if history is None else history.at(time)
 
 
