@@ -22,21 +22,6 @@ from kb.status import OPERATORS, STATUSES
 from kb.views import ActionView, ComponentView, ConfigurationView, DesignView, FunctionView
 from rosa_bt.exceptions import in_words
 
-__all__ = [
-    "ActionBehaviour",
-    "ActionRequest",
-    "HasStatus",
-    "IsActionFeasible",
-    "KbBehaviour",
-    "Measurement",
-    "RosaAction",
-    "StatusView",
-    "WaitForArchitecture",
-    "forget_progress",
-    "halt",
-    "why",
-]
-
 _log = logging.getLogger(__name__)
 
 StatusView = ActionView | FunctionView | ComponentView | DesignView | ConfigurationView

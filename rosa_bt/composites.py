@@ -10,8 +10,6 @@ from py_trees.composites import Composite
 from rosa_bt.behaviours import ActionBehaviour
 from rosa_bt.decorators import ForAction
 
-__all__ = ["DoUntilUnfeasible", "Posture", "SafeSwitch", "gave_way"]
-
 
 def gave_way(task: Behaviour) -> bool:
     """Tell whether a task that failed did so because an action in it is unfeasible, or no longer in the model."""

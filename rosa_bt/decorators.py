@@ -11,8 +11,6 @@ from kb import KnowledgeBase
 from rosa_bt.behaviours import ActionRequest, halt, why
 from rosa_bt.exceptions import in_words
 
-__all__ = ["ForAction", "UntilSuccess"]
-
 
 class ForAction(Decorator):
     """Puts any behaviour, as it is, under a ROSA action: done only while that is feasible, requested meanwhile.

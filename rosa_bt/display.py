@@ -19,8 +19,6 @@ from rosa_bt.composites import DoUntilUnfeasible, SafeSwitch
 from rosa_bt.decorators import ForAction
 from rosa_bt.exceptions import in_words
 
-__all__ = ["ascii_tree", "dot_tree", "svg_tree"]
-
 _MARKS: Final = {Status.SUCCESS: "o", Status.FAILURE: "x", Status.RUNNING: "*", Status.INVALID: "-"}
 _FILLS: Final = {
     Status.SUCCESS: "#d5ecd4",

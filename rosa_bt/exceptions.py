@@ -3,17 +3,6 @@
 from collections.abc import Iterable
 from difflib import get_close_matches
 
-__all__ = [
-    "ExportError",
-    "RegistryError",
-    "RosaBtError",
-    "TraceError",
-    "TreeChangeError",
-    "XmlError",
-    "hint",
-    "in_words",
-]
-
 
 class RosaBtError(Exception):
     """Base of every error that this package raises on purpose."""

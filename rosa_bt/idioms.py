@@ -12,8 +12,6 @@ from rosa_bt.composites import DoUntilUnfeasible, Posture, SafeSwitch
 from rosa_bt.decorators import ForAction
 from rosa_bt.exceptions import TreeChangeError
 
-__all__ = ["do_until_unfeasible", "feasible_then_act", "first_feasible", "switch_safely"]
-
 
 def feasible_then_act(task: Behaviour) -> Behaviour:
     """Return an action that is done only while it is feasible, asked at each tick.

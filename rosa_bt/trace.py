@@ -22,8 +22,6 @@ from kb import Status as ElementStatus
 from rosa_bt.exceptions import TraceError
 from rosa_bt.trees import TreeRunner
 
-__all__ = ["Decision", "Node", "Tick", "Trace", "TraceVisitor", "Visit", "read_trace", "replay_trace"]
-
 _VERSION: Final = 2
 _KEPT: Final = 10_000
 _ENCODER: Final = json.JSONEncoder(separators=(",", ":"), ensure_ascii=False)

@@ -13,8 +13,6 @@ from rosa_bt.behaviours import KbBehaviour, RosaAction, halt
 from rosa_bt.decorators import ForAction
 from rosa_bt.exceptions import in_words
 
-__all__ = ["GuardedTree", "TreeRunner"]
-
 Handler = Callable[[BehaviourTree], None]
 
 _HARMLESS: Final = frozenset({Failure, Running, Selector, Sequence, Success})

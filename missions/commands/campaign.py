@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from missions.experiments.results import Store
     from missions.experiments.workers import Workers
 
-__all__ = ["campaign", "report"]
-
 
 def campaign(
     file: Annotated[Path | None, typer.Argument(metavar="FILE.toml", help="What to run.")] = None,

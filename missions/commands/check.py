@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from kb.checks.findings import Finding
     from missions.engine.mission import Mission
 
-__all__ = ["Judgement", "check", "judge"]
-
 COLOURS = {"error": "red", "warning": "yellow"}
 
 

@@ -6,8 +6,6 @@ import typer
 
 from missions.commands import open_console
 
-__all__ = ["list_missions", "list_settings"]
-
 
 def list_missions() -> None:
     """List the missions."""

@@ -11,8 +11,6 @@ from missions.commands import FAILED
 if TYPE_CHECKING:
     from missions.planning.question import Answer
 
-__all__ = ["plan"]
-
 
 def plan(
     files: Annotated[list[Path] | None, typer.Argument(metavar="DOMAIN PROBLEM", help="Two PDDL files.")] = None,

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from missions.engine.mission import Verdict
     from missions.engine.runner import Listener, MissionRun
 
-__all__ = ["run"]
-
 
 def run(
     mission: str,

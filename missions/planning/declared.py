@@ -9,8 +9,6 @@ from py_trees.behaviour import Behaviour
 from missions.engine.mission import Mission, MissionError
 from rosa_pddl import ActionSchema, Declarations, DeclaredProblem, Domain, load_domain
 
-__all__ = ["by_schema", "check_facts", "declarations_of", "mission_domain", "schema_of"]
-
 Action = Callable[..., Behaviour]
 
 

@@ -14,8 +14,6 @@ from rosa_pddl.exceptions import nearest
 from rosa_pddl.formulas import Condition, conditions
 from rosa_pddl.problem import unlimited, without_feasibility
 
-__all__ = ["Answer", "Question", "Supposed", "answer", "ask", "read_situation"]
-
 FAILED: Final = "failed"
 
 

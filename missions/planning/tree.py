@@ -23,8 +23,6 @@ from rosa_pddl.formulas import conditions
 from rosa_pddl.syntax import Node, parse
 from rosa_pddl.validate import binding_of, holds, mentioned_atoms
 
-__all__ = ["plan_registry", "plan_tree", "plan_xml", "written"]
-
 Factory = Callable[[Step], Behaviour]
 Binding = Mapping[str, str]
 Change = Callable[[State], tuple[set[str], set[str]]]

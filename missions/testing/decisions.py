@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from rosa_bt import Trace
     from rosa_pddl import PlanRecord
 
-__all__ = ["Decisions", "Moment", "seconds", "timeline"]
-
 SLACK_S: Final = 1e-6
 """Sums of ticks miss a time by rounding [s]."""
 MOST_PROBLEMS: Final = 8

@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:
     from rosa_bt import Trace
 
-__all__ = ["check_golden", "golden_path", "readable"]
-
 MOST: Final = 40
 """How many lines of a difference are shown."""
 

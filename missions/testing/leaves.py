@@ -9,8 +9,6 @@ from py_trees.common import Status
 from kb import UnknownName
 from rosa_bt import RosaAction
 
-__all__ = ["LeafMock", "mock_leaf"]
-
 LETTERS: Final = {"R": Status.RUNNING, "S": Status.SUCCESS, "F": Status.FAILURE}
 
 

@@ -5,8 +5,6 @@ from collections.abc import Mapping
 from kb.elements import Parameters
 from missions.engine.components import VERBS, SimulatedComponents, checked_times
 
-__all__ = ["FakeClock", "ScriptedManaged"]
-
 
 class FakeClock:
     """A clock that stands still until it is moved; hand it to whatever takes a `clock`.

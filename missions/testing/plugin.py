@@ -11,8 +11,6 @@ if TYPE_CHECKING:
     from missions.testing import Decisions, FakeClock, ScriptedManaged
     from rosa_bt import Trace
 
-__all__ = ["fake_clock", "golden_trace", "managed", "pytest_addoption", "pytest_terminal_summary", "replay"]
-
 _WRITTEN = pytest.StashKey[list[Path]]()
 
 

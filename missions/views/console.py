@@ -20,8 +20,6 @@ from missions.views.output import OutputFile, figure_in_words
 if TYPE_CHECKING:
     from rosa_pddl import PlanRecord
 
-__all__ = ["CampaignProgress", "Narrator", "Pace", "Recorder", "print_result"]
-
 COLOURS = {"parameter": "cyan", "structural": "yellow", "task": "magenta"}
 
 

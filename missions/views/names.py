@@ -16,8 +16,6 @@ from rosa_bt import IsActionFeasible, RosaAction
 from rosa_pddl.domain import ACTION_TYPE
 from rosa_pddl.syntax import Node, Source, read_source, section, typed
 
-__all__ = ["Uses", "names_in_pddl", "names_in_tree", "planned_names", "tree_builder"]
-
 ACTION_SUFFIX: Final = "_action"
 
 

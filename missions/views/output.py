@@ -15,8 +15,6 @@ from typing import Any, BinaryIO, Final, Self
 from missions.engine.mission import MissionError, Verdict
 from missions.engine.runner import MissionRun
 
-__all__ = ["OutputFile", "as_json", "figure_in_words", "open_files", "summary", "timing_of"]
-
 SIGNS: Final = {"j": "J", "w": "W", "percent": "%"}
 """How units are written that a name has in small letters or in full."""
 

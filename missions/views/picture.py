@@ -22,8 +22,6 @@ from missions.engine.runner import MissionRun
 from missions.views.output import figure_in_words
 from missions.views.timeline import Array, Events, RunTimeline, bare, brief, listed, panels_of, timeline_of
 
-__all__ = ["draw", "picture"]
-
 WIDTH, HEIGHT, DPI = 1600, 1200, 125  # [px], [px], [px/inch]
 LEFT, RIGHT = 150, 1395  # ends of the time axis, where names are short [px]
 LETTER = 9  # width of a letter of a name, about [px]

@@ -21,8 +21,6 @@ from rosa_pddl import Domain, State, Step
 from rosa_pddl.domain import UpThing
 from rosa_pddl.validate import binding_of, ended, mentioned_atoms, started
 
-__all__ = ["CausalOrder", "Link", "causal_order", "causes_of", "lines_of", "svg_of", "tree_of"]
-
 _LETTERS: Final = 38
 """After how many characters a line in a box is broken."""
 _LETTER, _LINE, _GAP, _ROW_GAP, _LANE = 6.9, 16.0, 24.0, 46.0, 16.0

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from kb import Model
 from missions.engine.runner import MissionRun
 
-__all__ = ["Array", "Events", "Leg", "RunTimeline", "bare", "brief", "listed", "panels_of", "timeline_of"]
-
 Array = NDArray[np.float64]
 Events = Sequence[Mapping[str, Any]]
 

@@ -9,8 +9,6 @@ from py_trees.ports import PortInformation
 
 from rosa_bt.xml.nodes import DONE, FAILURE, RUNNING, SKIPPED, SUCCESS, Control, NodeError, Slot, Ticking
 
-__all__ = ["CONTROLS"]
-
 
 class _InOrder(Control):
     """One child after the other; `current_child` is where it has got to, None is the beginning."""

@@ -11,8 +11,6 @@ from rosa_bt.xml.nodes import DONE, FAILURE, RUNNING, SKIPPED, SUCCESS, OneChild
 from rosa_bt.xml.ports import Ports
 from rosa_bt.xml.scripts import parse_script, truth
 
-__all__ = ["DECORATORS", "Timed"]
-
 
 class _Translated(OneChild):
     """The outcome of the child, called something else."""

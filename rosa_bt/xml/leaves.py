@@ -11,8 +11,6 @@ from rosa_bt.xml.nodes import Slot
 from rosa_bt.xml.ports import Declared, Ports
 from rosa_bt.xml.scripts import parse_script, truth
 
-__all__ = ["LEAVES", "XmlLeaf"]
-
 
 class XmlLeaf(Behaviour):
     """A leaf of BehaviorTree.CPP: made of what other nodes are made of, but has no children."""

@@ -7,8 +7,6 @@ from py_trees.ports import PortInformation
 from rosa_bt.xml.decorators import Timed
 from rosa_bt.xml.nodes import DONE, FAILURE, RUNNING, SKIPPED, SUCCESS, Control, OneChild, Ticking
 
-__all__ = ["NAV2"]
-
 
 class RecoveryNode(Control):
     """The first child; each time it fails the second, and the first again, as often as it may be retried."""

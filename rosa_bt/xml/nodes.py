@@ -20,24 +20,6 @@ from rosa_bt.exceptions import RosaBtError
 from rosa_bt.xml.ports import Blackboard, Declared, Ports
 from rosa_bt.xml.scripts import Script, truth
 
-__all__ = [
-    "DONE",
-    "FAILURE",
-    "MAX_NODES",
-    "RUNNING",
-    "SKIPPED",
-    "SUCCESS",
-    "Branch",
-    "Control",
-    "NodeError",
-    "OneChild",
-    "Rules",
-    "Slot",
-    "Ticking",
-    "XmlNode",
-    "is_plain",
-]
-
 SUCCESS: Final = Status.SUCCESS
 FAILURE: Final = Status.FAILURE
 RUNNING: Final = Status.RUNNING

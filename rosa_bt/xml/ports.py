@@ -10,8 +10,6 @@ from py_trees.ports_utils import convert_str_to_type, is_instance_of_type
 
 from rosa_bt.exceptions import RosaBtError, hint
 
-__all__ = ["Blackboard", "Clock", "Declared", "Port", "PortError", "Ports", "key_of"]
-
 Clock = Callable[[], float]
 """Gives the time [s]."""
 Declared = Mapping[str, PortInformation]

@@ -18,8 +18,6 @@ from rosa_bt.xml.ports import Blackboard, Clock, Ports, key_of
 from rosa_bt.xml.registry import BehaviourRegistry, Entry
 from rosa_bt.xml.scripts import parse_script
 
-__all__ = ["Document", "Element", "MAX_DEPTH", "MAX_SIZE", "SubTree", "load_xml"]
-
 MAX_SIZE: Final = 1_000_000
 """Of one file or text [bytes]."""
 MAX_DEPTH: Final = 100

@@ -17,8 +17,6 @@ from rosa_bt.xml.leaves import LEAVES
 from rosa_bt.xml.nodes import MAX_NODES, Branch
 from rosa_bt.xml.ports import Blackboard, Declared, Port, PortError, Ports, key_of
 
-__all__ = ["BUILT_IN", "BehaviourRegistry", "Entry", "Kind"]
-
 Factory = Callable[..., Behaviour]
 F = TypeVar("F", bound=Factory)
 Kind = Literal["action", "condition"]

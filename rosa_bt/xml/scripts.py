@@ -7,8 +7,6 @@ from typing import Any, Final
 
 from rosa_bt.exceptions import RosaBtError
 
-__all__ = ["Script", "ScriptError", "parse_script", "truth"]
-
 Script = Callable[[MutableMapping[str, Any]], Any]
 """What a script does to a blackboard; returns the value of its last statement."""
 

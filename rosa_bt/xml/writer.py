@@ -18,8 +18,6 @@ from rosa_bt.xml.reader import Document, SubTree
 from rosa_bt.xml.reader import Element as Read
 from rosa_bt.xml.registry import BUILT_IN, BehaviourRegistry
 
-__all__ = ["export_xml"]
-
 _SAME: Final[Mapping[type[Behaviour], str]] = {
     Inverter: "Inverter",
     FailureIsSuccess: "ForceSuccess",
