@@ -53,18 +53,15 @@ _RESULTS: Final = {Status.SUCCESS: "completed", Status.FAILURE: "failed", Status
 
 @dataclass(slots=True)
 class _Ledger:
-    """What is kept for one knowledge base.
-
-    Attributes:
-        holders: how many running behaviours hold the request of an action: when a tree switches between two of them,
-            the new one starts before the old one is stopped, and the request has to outlive the switch.
-        progress: what interrupted behaviours saved, by action and name of the behaviour.
-        reasons: why an action has its status, by action: the revision of the knowledge base, and the sentence.
-    """
+    """What is kept for one knowledge base."""
 
     holders: Counter[str] = field(default_factory=Counter)
+    """How many running behaviours hold the request of an action: when a tree switches between two of them, the new one
+    starts before the old one is stopped, and the request has to outlive the switch."""
     progress: dict[tuple[str, str], object] = field(default_factory=dict)
+    """What interrupted behaviours saved, by action and name of the behaviour."""
     reasons: dict[str, tuple[int, str]] = field(default_factory=dict)
+    """Why an action has its status: the revision of the knowledge base, and the sentence."""
 
 
 _ledgers: WeakKeyDictionary[KnowledgeBase, _Ledger] = WeakKeyDictionary()
@@ -80,10 +77,7 @@ def forget_progress(kb: KnowledgeBase) -> None:
 
 
 def why(kb: KnowledgeBase, action: str) -> str:
-    """Return why an action has its status: made anew only when what is known has changed.
-
-    The sentence is as of that change: a value that has moved on since without changing any status is not in it.
-    """
+    """Return why an action has its status, in the values of when a status changed last: cached until one does."""
     reasons = _ledger(kb).reasons
     found = reasons.get(action)
     if found is None or found[0] != kb.revision:
@@ -140,12 +134,7 @@ class ActionRequest:
         return Status.RUNNING, f"waiting: {lacking}"
 
     def close(self, status: Status, reason: str) -> None:
-        """Let go of the action; the last one who holds it tells the knowledge base how it ended.
-
-        Args:
-            status: of the behaviour at its end.
-            reason: why it failed.
-        """
+        """Let go of the action; the last one who holds it tells the knowledge base how it ended."""
         action, self._held = self._held, None
         if action is None:
             return
@@ -153,10 +142,9 @@ class ActionRequest:
         holders[action] -= 1
         if holders[action] or action not in kb.actions:  # one that left the model was cancelled with it
             return
-        if status is Status.INVALID and not kb.is_feasible(action):
-            kb.cancel_action(action, _RESULTS[status], kb.why(kb.actions[action]))
-        else:
-            kb.cancel_action(action, _RESULTS[status], reason if status is Status.FAILURE else "")
+        if status is Status.INVALID:
+            reason = "" if kb.is_feasible(action) else kb.why(kb.actions[action])
+        kb.cancel_action(action, _RESULTS[status], "" if status is Status.SUCCESS else reason)
 
 
 class KbBehaviour(PortsMixin, Behaviour):
@@ -167,8 +155,8 @@ class KbBehaviour(PortsMixin, Behaviour):
     Args:
         name: what the behaviour is called in pictures of the tree.
         kb: the knowledge base to ask.
-        behaviour_class_name: as in py_trees.
         port_arguments: what the constructor was given of the ports; None where the port carries the value.
+        behaviour_class_name: as in py_trees.
     """
 
     INPUT_PORTS: dict[str, PortInformation] = {}  # noqa: RUF012  # py_trees declares it so
@@ -200,7 +188,6 @@ class KbBehaviour(PortsMixin, Behaviour):
         return self.get_input(port) if value is None else value
 
     def tick(self) -> Iterator[Behaviour]:
-        """Do what py_trees does at a tick; an exception is a failure."""
         try:
             new_status = self._advance()
         except Exception as error:
@@ -234,6 +221,11 @@ class KbBehaviour(PortsMixin, Behaviour):
             raise TypeError(f"update returned {status!r}, which is no py_trees.common.Status")
         return status
 
+    def _answer(self, objection: str) -> Status:
+        """Return what a condition is: FAILURE if something speaks against it, which is the feedback."""
+        self.feedback_message = objection
+        return Status.FAILURE if objection else Status.SUCCESS
+
 
 class ActionBehaviour(KbBehaviour):
     """A behaviour about one ROSA action, named directly or through the port `action`."""
@@ -254,8 +246,7 @@ class ActionBehaviour(KbBehaviour):
     @property
     def action(self) -> str:
         """Name of the ROSA action: as constructed, or else what the port `action` carries."""
-        action: str | None = self.port_arguments["action"]
-        return str(self.get_input("action")) if action is None else action
+        return str(self.argument("action"))
 
 
 class IsActionFeasible(ActionBehaviour):
@@ -272,11 +263,7 @@ class IsActionFeasible(ActionBehaviour):
 
     def update(self) -> Status:
         action = self.action
-        if self.kb.is_feasible(action):
-            self.feedback_message = ""
-            return Status.SUCCESS
-        self.feedback_message = why(self.kb, action)
-        return Status.FAILURE
+        return self._answer("" if self.kb.is_feasible(action) else why(self.kb, action))
 
 
 class HasStatus(KbBehaviour):
@@ -323,11 +310,7 @@ class HasStatus(KbBehaviour):
         element, wanted = _find(self.kb, self.argument("element")), str(self.argument("status"))
         _check_status(element, wanted)
         status = element.status
-        if status == wanted:
-            self.feedback_message = ""
-            return Status.SUCCESS
-        self.feedback_message = f"{element.name} is not {wanted} but {status}"
-        return Status.FAILURE
+        return self._answer("" if status == wanted else f"{element.name} is not {wanted} but {status}")
 
 
 def _find(kb: KnowledgeBase, element: str | StatusView) -> StatusView:
@@ -335,7 +318,7 @@ def _find(kb: KnowledgeBase, element: str | StatusView) -> StatusView:
     if not isinstance(element, str):
         return element
     tables: tuple[Mapping[str, StatusView], ...]
-    tables = (kb.actions, kb.functions, kb.components, kb.designs, kb.configurations)
+    tables = kb.actions, kb.functions, kb.components, kb.designs, kb.configurations
     found = [table[element] for table in tables if element in table]
     if not found:
         raise UnknownName("element", element, [name for table in tables for name in table])
@@ -346,7 +329,6 @@ def _find(kb: KnowledgeBase, element: str | StatusView) -> StatusView:
 
 
 def _check_status(element: StatusView, status: str) -> None:
-    """Raise unless an element of this kind can have that status."""
     kind = _KINDS[type(element)]
     possible = STATUSES[kind.partition(" ")[2]]
     if status not in possible:
@@ -389,7 +371,6 @@ class Measurement(KbBehaviour):
     ) -> None:
         given = {"attribute": attribute, "operator": operator, "value": value}
         super().__init__(name, kb, behaviour_class_name=behaviour_class_name, port_arguments=given)
-        self._view = None if attribute is None else kb.attributes[attribute]
         self._unknown = unknown
 
     def check_ports(self, given: Mapping[str, Any]) -> None:
@@ -400,18 +381,15 @@ class Measurement(KbBehaviour):
             raise ValueError(f"{given['operator']!r} compares nothing; an operator is one of {known}")
 
     def update(self) -> Status:
-        attribute = self._view or self.kb.attributes[str(self.get_input("attribute"))]
+        attribute = self.kb.attributes[str(self.argument("attribute"))]
         sign, threshold = str(self.argument("operator")), float(self.argument("value"))
         self.check_ports({"operator": sign})
         measured = attribute.value
         if measured is None or attribute.is_stale:
             self.feedback_message = f"{attribute.name} is not measured{'' if measured is None else ' any more'}"
             return self._unknown
-        if OPERATORS[sign](measured, threshold):
-            self.feedback_message = ""
-            return Status.SUCCESS
-        self.feedback_message = f"{attribute.name} {measured:.6g} is not {sign} {threshold:.6g}"
-        return Status.FAILURE
+        holds = OPERATORS[sign](measured, threshold)
+        return self._answer("" if holds else f"{attribute.name} {measured:.6g} is not {sign} {threshold:.6g}")
 
 
 class WaitForArchitecture(ActionBehaviour):
@@ -508,7 +486,6 @@ class RosaAction(ActionBehaviour):
 
     @property
     def waits(self) -> bool:
-        """Whether it waits until the robot is configured for the action."""
         return self._request.timeout is not None
 
     def save_progress(self) -> object | None:
@@ -545,7 +522,6 @@ class RosaAction(ActionBehaviour):
             self.stop(Status.INVALID)
 
     def _advance(self) -> Status:
-        """Request the action when a round begins, wait if asked to, then work."""
         if self.status is not Status.RUNNING:
             reply = self._request.open(self.action, self.preference)
             if not reply:

@@ -57,16 +57,13 @@ class DoUntilUnfeasible(_Parts):
 
     @property
     def task(self) -> Behaviour:
-        """What is to be done."""
         return self.children[0]
 
     @property
     def meanwhile(self) -> Behaviour:
-        """What is done while that is unfeasible."""
         return self.children[1]
 
     def tick(self) -> Iterator[Behaviour]:
-        """Tick the task, and the other instead if the task is unfeasible."""
         if self.status is not Status.RUNNING:
             self._begin()
         if self.memory and self.meanwhile.status is Status.RUNNING:
@@ -127,7 +124,6 @@ class SafeSwitch(_Parts):
         self._from = tuple(transitions)
 
     def tick(self) -> Iterator[Behaviour]:
-        """Tick the transition if there has to be one, and the action after it."""
         if self.status is not Status.RUNNING:
             self._begin()
         transition, task = self._transition(), self.children[-1]
@@ -150,6 +146,5 @@ class SafeSwitch(_Parts):
         yield self
 
     def _transition(self) -> Behaviour | None:
-        """Return what has to be done before the action, as the robot is now."""
         after = self.posture.after
         return self.children[self._from.index(after)] if after in self._from else None

@@ -53,7 +53,6 @@ class ForAction(Decorator):
         self._is_ready = False
 
     def tick(self) -> Iterator[Behaviour]:
-        """Ask, request when a round begins, then tick the child."""
         try:
             new_status = self._admit()
             if new_status is Status.SUCCESS:
@@ -68,7 +67,6 @@ class ForAction(Decorator):
         yield self
 
     def update(self) -> Status:
-        """Return the child's status, its feedback with it."""
         self.feedback_message = self.decorated.feedback_message
         return self.decorated.status
 
@@ -84,7 +82,6 @@ class ForAction(Decorator):
             self._request.close(new_status, self.feedback_message)
 
     def shutdown(self) -> None:
-        """Stop if still running; called when the tree is shut down."""
         if self.status is Status.RUNNING:
             self.stop(Status.INVALID)
 
@@ -114,7 +111,6 @@ class UntilSuccess(Decorator):
     """
 
     def tick(self) -> Iterator[Behaviour]:
-        """Tick the child, and once more if it failed."""
         yield from self.decorated.tick()
         if self.decorated.status is Status.FAILURE:
             yield from self.decorated.tick()
@@ -125,5 +121,4 @@ class UntilSuccess(Decorator):
         yield self
 
     def update(self) -> Status:
-        """Return the child's status, RUNNING for a failure."""
         return Status.RUNNING if self.decorated.status is Status.FAILURE else self.decorated.status

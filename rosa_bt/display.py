@@ -116,7 +116,6 @@ def _drawn(behaviour: Behaviour, said: set[str] | None = None, *, is_idle: bool 
 
 
 def _plain(text: str) -> str:
-    """Return a text as one line of what can be shown."""
     return "".join(letter if letter.isprintable() else "?" for letter in " ".join(text.split()))
 
 
@@ -147,7 +146,6 @@ def _lines(drawn: _Drawn, lead: str, below: str) -> Iterator[str]:
 
 
 def _text(drawn: _Drawn) -> list[str]:
-    """Return the lines in a box: what it is first, then its notes, broken."""
     return [drawn.title, *(line for note in drawn.notes for line in wrap(note, _WIDTH))]
 
 
@@ -199,6 +197,5 @@ class _Svg:
 
 
 def _size(drawn: _Drawn) -> tuple[float, float]:
-    """Return width and height of a box [px]."""
     lines = _text(drawn)
     return 16 + _LETTER * max(len(line) * (1.1 if line is lines[0] else 1.0) for line in lines), 10 + _LINE * len(lines)

@@ -86,7 +86,6 @@ def switch_safely(root: Behaviour, transitions: Mapping[tuple[str, str], Behavio
 def _switched(
     root: Behaviour, task: RosaAction | ForAction, needed: Mapping[str, Behaviour], posture: Posture
 ) -> Behaviour:
-    """Put an action and its transitions in the place of the action; return the root."""
     parent = task.parent
     if parent is not None and not isinstance(parent, composites.Composite | Decorator):
         raise TreeChangeError(f"{parent.name!r} is neither a composite nor a decorator; its children are its own")

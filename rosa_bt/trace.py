@@ -176,11 +176,9 @@ class TraceVisitor(VisitorBase):
         self._is_ticking = True
 
     def run(self, behaviour: Behaviour) -> None:
-        """See a behaviour that was ticked."""
         self._seen.append((behaviour, behaviour.status, behaviour.feedback_message))
 
     def finalise(self) -> None:
-        """Write the tick down."""
         self._is_ticking = False
         if self._seen != self._seen_before:
             self._number()
@@ -219,7 +217,6 @@ class TraceVisitor(VisitorBase):
         return self._kb.why(self._kb.actions[action])
 
     def _number(self) -> None:
-        """Number the behaviours of the tree, parents before children, if there are new ones."""
         if all(node in self._numbers for node, _, _ in self._seen):
             return
         shown: list[Node] = []

@@ -84,7 +84,6 @@ class GuardedTree(BehaviourTree):
             raise errors[0]
 
     def _guard_all(self) -> None:
-        """Guard what is new in the tree, and let go of what is not in it any more."""
         guarded, found = self._guarded, 0
         pending = [self.root]
         while pending:

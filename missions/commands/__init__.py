@@ -24,7 +24,6 @@ def open_console() -> "Console":
 
 
 def complain(text: str) -> None:
-    """Print to standard error what went wrong."""
     from rich.console import Console
     from rich.markup import escape
 

@@ -92,7 +92,6 @@ def _workers(cluster: str | None, count: int | None, asked: "Campaign") -> "Call
 def _conduct(
     console: "Console", store: "Store", folder: Path, open_workers: "Callable[[], Workers]", retry: bool, again: str
 ) -> int:
-    """Run the campaign, show how far it is, and return how many runs crashed."""
     from contextlib import closing
     from time import perf_counter
 

@@ -63,7 +63,6 @@ class Judgement:
         return [one for one in self.findings if one.severity == severity]
 
     def as_json(self) -> str:
-        """Return it as JSON text."""
         counts = {f"{severity}s": len(self.of(severity)) for severity in COLOURS}
         return json.dumps({"model": self.model, **counts, "findings": [asdict(one) for one in self.findings]}, indent=2)
 
@@ -113,7 +112,6 @@ def _model(files: Sequence[Path], mission: "Mission | None") -> "Model":
 def _placed(
     findings: "Iterable[Finding]", places: Mapping[str, Sequence[str]], is_complete: bool
 ) -> "Iterator[Finding]":
-    """Yield the findings about names with their places."""
     for one in findings:
         if one.code == "unknown-action":
             first, *others = places[one.element]
@@ -142,7 +140,6 @@ def _contradictions(files: Sequence[Path], mission: "Mission | None") -> Iterato
 
 
 def _print(judgement: Judgement) -> None:
-    """Print the findings by severity and code, with what to do about each code."""
     from rich.markup import escape
 
     from kb.checks.findings import rules

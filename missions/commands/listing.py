@@ -22,8 +22,7 @@ def list_missions() -> None:
 
 
 def list_settings(
-    mission: str,
-    manager: Annotated[str, typer.Option(help="List what is to be set of this manager, too.")] = "ours",
+    mission: str, manager: Annotated[str, typer.Option(help="List what is to be set of this manager, too.")] = "ours"
 ) -> None:
     """List what `rosa run MISSION --set NAME=VALUE` takes, with default, unit, what is allowed, and source."""
     from rich.table import Table

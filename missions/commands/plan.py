@@ -59,7 +59,6 @@ def plan(
 
 
 def _written(option: str, found: "Answer", path: Path | None) -> str:
-    """Return what is written for an option."""
     from missions.views.output import as_json
     from missions.views.plan import causes_of, svg_of, tree_of
 

@@ -58,12 +58,10 @@ class Question:
 
     @property
     def problem(self) -> Problem:
-        """What a planner gets."""
         return self.supposing(self.unfeasible)
 
     @property
     def unfeasible(self) -> tuple[str, ...]:
-        """The ROSA actions that cannot be done."""
         return tuple(action for action in self.domain.rosa_actions if not self.kb.is_feasible(action))
 
     def supposing(self, unfeasible: Iterable[str], goals: Sequence[Condition] | None = None) -> Problem:
@@ -189,7 +187,6 @@ def _model(domain: Domain, mission: Mission | None, models: Sequence[Path]) -> M
 
 
 def _suppose_feasible(kb: KnowledgeBase, domain: Domain, given: Sequence[str] | None, has_model: bool) -> None:
-    """Tell the knowledge base what is feasible, if that is given instead of following from a model."""
     if given is not None:
         feasible, reason = _known(domain, given), "it is not among those given as feasible"
     else:

@@ -143,13 +143,7 @@ class Decisions:
         raise self._failure(f"{from_ or 'any'} -> {to or 'any'}", at, within, [_in_words(one) for one in found])
 
     def assert_reconfigures(
-        self,
-        *,
-        at: float,
-        activate: Names = (),
-        deactivate: Names = (),
-        configure: Names = (),
-        within: float = 1.0,
+        self, *, at: float, activate: Names = (), deactivate: Names = (), configure: Names = (), within: float = 1.0
     ) -> ReconfigurationPlan:
         """Assert that a plan does at least this, and has been carried out in time.
 
@@ -208,7 +202,6 @@ class Decisions:
             )
 
     def _steps(self, activate: Names, deactivate: Names, configure: Names, least: int = 1) -> Steps:
-        """Return what is asked for by verb, with names that the model has."""
         steps = [("activate", activate), ("deactivate", deactivate), ("configure", configure)]
         asked = [(verb, _names(names)) for verb, names in steps if names]
         if len(asked) < least:
@@ -219,7 +212,6 @@ class Decisions:
         return asked
 
     def _check(self, kind: str, name: str) -> None:
-        """Raise unless the model has that name; the message says which are near."""
         getattr(self.kb, kind)[name]
 
     def _failure(self, expected: str, at: float, within: float, instead: list[str]) -> AssertionError:

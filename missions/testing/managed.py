@@ -18,11 +18,9 @@ class FakeClock:
 
     @property
     def now(self) -> float:
-        """The time [s]."""
         return self._now
 
     def __call__(self) -> float:
-        """Return the time [s]."""
         return self._now
 
     def __repr__(self) -> str:

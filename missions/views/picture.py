@@ -152,7 +152,6 @@ class _Room:
         self._taken: Array = np.empty((0, 2, 2))
 
     def name(self, xy: Array, text: str, marker: str, size: float, color: str = INK) -> None:
-        """Mark a point [m] and name it."""
         point = self._axes.plot(xy[0], xy[1], marker, color=color, markersize=size, zorder=6)[0]
         point.set(markeredgecolor="white", markeredgewidth=0.7)
         x, y = self.lead(xy, 8.8 * len(text) + 4, 18)
@@ -231,7 +230,6 @@ def _map(axes: Axes, timeline: RunTimeline, places: Mapping[str, Array], shown: 
 
 
 def _choices(room: _Room, timeline: RunTimeline) -> None:
-    """Write onto each longer part of the way what was chosen there, and ring where an action was completed."""
     long = [leg for leg in timeline.legs if leg.length_m * room.scale > 0.8 * LETTER * len(leg.choice)]
     for leg in long if len({leg.choice for leg in long}) > 1 else []:
         room.note(leg.middle, leg.choice, timeline.hues[listed([leg.action])[0]])
@@ -351,7 +349,6 @@ def _events(
 
 
 def _aside(axes: Axes, text: str, y: float, color: str = MUTED) -> None:
-    """Write to the right of a row, at a part of its height."""
     axes.text(1.006, y, text, transform=axes.transAxes, va="center", color=color, fontsize=8)
 
 
@@ -367,7 +364,6 @@ def _bars(axes: Axes, timeline: RunTimeline, title: str, column: Sequence[str]) 
 
 
 def _panel(axes: Axes, timeline: RunTimeline, names: list[str]) -> None:
-    """Draw a signal and those that share its panel, the thresholds of the model, and the disturbances it shows."""
     for name, start, end in timeline.spans(timeline.actions):
         axes.axvspan(start, end, color=timeline.hues[name], alpha=0.09, linewidth=0, zorder=0.5)
     for name, color, dashes in zip(names, (INK, "#7b3294", "#0f6b78"), ("-", "--", ":"), strict=False):

@@ -84,7 +84,6 @@ def tree_of(answer: Answer, *, xml: bool) -> str:
 
 
 def causes_of(answer: Answer) -> CausalOrder:
-    """Return why the steps of a plan that was asked for come in their order."""
     question = answer.question
     return causal_order(
         question.domain, answer.result.steps, question.state, [goal.expression for goal in question.goals]
@@ -209,7 +208,6 @@ class _Box:
 
 
 def _boxes(order: CausalOrder) -> list[_Box]:
-    """Return a box for each step and one for the goal, each in the row below all that it waits for."""
     goal = len(order.steps)
     boxes: list[_Box] = []
     for number in range(goal + 1):
@@ -238,7 +236,6 @@ def _path(source: _Box, target: _Box, rows: list[list[_Box]]) -> list[_Box]:
 
 
 def _place(rows: list[list[_Box]]) -> tuple[float, float]:
-    """Place the boxes of each row below those that they wait for, as near as may be; returns the size of all."""
     y = 2 * _GAP
     for row in rows:
         row.sort(key=_wish)
@@ -255,7 +252,6 @@ def _place(rows: list[list[_Box]]) -> tuple[float, float]:
 
 
 def _wish(box: _Box) -> float:
-    """Return where the middle of a box would best be."""
     return sum(one.middle for one in box.above) / len(box.above) if box.above else 0.0
 
 

@@ -85,7 +85,6 @@ class RunTimeline:
 
     @property
     def hues(self) -> dict[str, str]:
-        """The colour of each action."""
         return {name: HUES[index % len(HUES)] for index, name in enumerate(listed(self.actions))}
 
     def spans(self, column: Sequence[str]) -> Iterator[tuple[str, float, float]]:
@@ -150,7 +149,6 @@ def listed(column: Iterable[str]) -> list[str]:
 
 
 def bare(signal: str) -> str:
-    """Return the name of a signal without its unit."""
     return signal.split(" [")[0]
 
 

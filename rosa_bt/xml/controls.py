@@ -141,7 +141,6 @@ class _Together(Control):
         return number
 
     def _go_on(self, slot: Slot) -> Ticking:
-        """Tick a child unless it has finished."""
         if slot in self._ended:
             return self._ended[slot]
         verdict = yield from slot.tick()
@@ -168,7 +167,7 @@ class Parallel(_Together):
         for slot in self.slots:
             skipped += (yield from self._go_on(slot)) is SKIPPED
             succeeded, failed = self._ended_with(SUCCESS), self._ended_with(FAILURE)
-            if succeeded >= successes or (counts_skipped and succeeded + skipped >= successes):
+            if succeeded + skipped * counts_skipped >= successes:
                 return self.end(SUCCESS)
             if len(self.children) - failed < successes or failed == failures:
                 return self.end(FAILURE)
@@ -195,7 +194,7 @@ class ParallelAll(_Together):
 class _Conditional(Control):
     """The first child is a condition for the others."""
 
-    CHILDREN = (2, 3)
+    CHILDREN = 2, 3
 
     def _ask(self) -> Ticking:
         verdict = yield from self.slots[0].tick()
@@ -258,22 +257,18 @@ class Switch(Control):
 
     def _matching(self) -> Slot:
         *cases, default = self.slots
-        if self.ports.exists("variable"):
-            variable = self.ports.get("variable")
-            for number, slot in enumerate(cases, start=1):
-                case = f"case_{number}"
-                if self.ports.exists(case) and _is_same(variable, self.ports.get(case)):
-                    return slot
-        return default
+        numbered = (
+            (f"case_{number}", slot) for number, slot in enumerate(cases, start=1) if self.ports.exists("variable")
+        )
+        said = (slot for case, slot in numbered if self.ports.exists(case) and self._is(case))
+        return next(said, default)
 
-
-def _is_same(one: object, other: object) -> bool:
-    if str(one) == str(other):
-        return True
-    try:
-        return float(str(one)) == float(str(other))
-    except ValueError:
-        return False
+    def _is(self, case: str) -> bool:
+        one, other = str(self.ports.get("variable")), str(self.ports.get(case))
+        try:
+            return one == other or float(one) == float(other)
+        except ValueError:
+            return False
 
 
 def _switch(cases: int) -> type[Switch]:
@@ -282,11 +277,9 @@ def _switch(cases: int) -> type[Switch]:
     return type(f"Switch{cases}", (Switch,), {"PORTS": ports, "CHILDREN": (cases + 1, cases + 1)})
 
 
-_KINDS: Final[tuple[type[Control], ...]] = (
-    *(Sequence, AsyncSequence, SequenceWithMemory, ReactiveSequence),
-    *(Fallback, AsyncFallback, ReactiveFallback),
-    *(Parallel, ParallelAll, IfThenElse, WhileDoElse),
-    *map(_switch, range(2, 7)),
-)
-CONTROLS: Final[dict[str, type[Control]]] = {kind.__name__: kind for kind in _KINDS}
+_SEQUENCES: Final = (Sequence, AsyncSequence, SequenceWithMemory, ReactiveSequence)
+_OTHERS: Final = (Fallback, AsyncFallback, ReactiveFallback, Parallel, ParallelAll, IfThenElse, WhileDoElse)
+CONTROLS: Final[dict[str, type[Control]]] = {
+    kind.__name__: kind for kind in (*_SEQUENCES, *_OTHERS, *map(_switch, range(2, 7)))
+}
 """By tag."""

@@ -28,7 +28,6 @@ _TRANSLATED: Final[dict[str, dict[Status, Status]]] = {
     "ForceFailure": {SUCCESS: FAILURE},
     "KeepRunningUntilFailure": {SUCCESS: RUNNING, SKIPPED: RUNNING},
 }
-"""What is called what, by tag."""
 
 
 class _Again(OneChild):
@@ -83,7 +82,6 @@ class RunOnce(OneChild):
 
     @property
     def runs(self) -> bool:  # type: ignore[override]  # here it depends on what was done
-        """Whether the child is still to be ticked."""
         return self._outcome is SKIPPED
 
     def decide(self) -> Ticking:
@@ -107,8 +105,7 @@ class Timed(OneChild):
         now = self.ports.clock()
         if self._since is None:
             self._since = now
-        milliseconds: int = self.ports.get(self.port)
-        return now - self._since >= milliseconds / 1000 - 1e-9
+        return bool(now - self._since >= self.ports.get(self.port) / 1000 - 1e-9)
 
 
 class Delay(Timed):
@@ -147,13 +144,8 @@ class Timeout(Timed):
         return verdict
 
 
-class Otherwise(Enum):
-    """What a Precondition can say instead of its child."""
-
-    SUCCESS = SUCCESS
-    FAILURE = FAILURE
-    RUNNING = RUNNING
-    SKIPPED = SKIPPED
+Otherwise = Enum("Otherwise", {"SUCCESS": SUCCESS, "FAILURE": FAILURE, "RUNNING": RUNNING, "SKIPPED": SKIPPED})
+"""What a Precondition can say instead of its child."""
 
 
 class Precondition(OneChild):
@@ -171,8 +163,7 @@ class Precondition(OneChild):
     def decide(self) -> Ticking:
         self._is_begun = self._is_begun or truth(self._condition(self.ports.blackboard))
         if not self._is_begun:
-            otherwise: Otherwise = self.ports.get("else")
-            return otherwise.value
+            return Status(self.ports.get("else").value)
         verdict = yield from self.child.tick()
         self._is_begun = verdict is RUNNING
         return verdict

@@ -26,18 +26,15 @@ class RecoveryNode(Control):
             if verdict is RUNNING:
                 return RUNNING
             if slot is task and verdict is FAILURE and self._retries < allowed:
-                task.reset()
                 self._is_recovering = True
-            elif slot is recovery and verdict is SUCCESS:
-                recovery.reset()
+            elif slot is recovery and verdict in (SUCCESS, SKIPPED):
                 self._is_recovering = False
-                self._retries += 1
-            elif slot is recovery and verdict is SKIPPED:
-                recovery.reset()
-                self._is_recovering = False
-                return FAILURE
             else:
                 return self.end(verdict)
+            slot.reset()
+            if verdict is SKIPPED:
+                return FAILURE
+            self._retries += verdict is SUCCESS
         return self.end(FAILURE)
 
 
@@ -147,9 +144,8 @@ class GoalUpdatedController(OneChild):
         return [self.ports.get(name) if self.ports.exists(name) else None for name in ("goal", "goals")]
 
 
-_KINDS: Final[tuple[type[Control] | type[OneChild], ...]] = (
-    *(RecoveryNode, PipelineSequence, RoundRobin),
-    *(RateController, SingleTrigger, GoalUpdatedController),
-)
-NAV2: Final[dict[str, type[Control] | type[OneChild]]] = {kind.__name__: kind for kind in _KINDS}
+NAV2: Final[dict[str, type[Control] | type[OneChild]]] = {
+    **{kind.__name__: kind for kind in (RecoveryNode, PipelineSequence, RoundRobin)},
+    **{kind.__name__: kind for kind in (RateController, SingleTrigger, GoalUpdatedController)},
+}
 """By tag."""

@@ -38,12 +38,7 @@ class NodeError(RosaBtError, RuntimeError):
 
 @dataclass(frozen=True)
 class Rules:
-    """Pre- and post-conditions of a node, and the blackboard that they speak of.
-
-    Attributes:
-        blackboard: of the SubTree that the node is in.
-        scripts: by attribute, e.g. `_skipIf`.
-    """
+    """Pre- and post-conditions of a node by attribute, e.g. `_skipIf`, and the blackboard that they speak of."""
 
     blackboard: Blackboard
     scripts: Mapping[str, Script]
@@ -62,7 +57,6 @@ class Rules:
         return None
 
     def follow(self, *names: str) -> None:
-        """Run post-conditions."""
         for name in names:
             if name in self.scripts:
                 self.scripts[name](self.blackboard)
@@ -70,21 +64,16 @@ class Rules:
 
 @dataclass(eq=False)
 class Slot:
-    """The place of a child in its parent.
-
-    Attributes:
-        node: the child.
-        is_condition: a leaf that is asked again after it has finished; any other leaf stays finished until it is reset.
-        source: the tag and the attributes with which it was written; None for a behaviour that came later.
-        rules: its pre- and post-conditions.
-        status: INVALID is idle; kept until the parent resets it.
-    """
+    """The place of a child in its parent."""
 
     node: Behaviour
     is_condition: bool = False
+    """A leaf that is asked again after it has finished; any other leaf stays finished until it is reset."""
     source: tuple[str, Mapping[str, str]] | None = None
+    """The tag and the attributes with which it was written; None for a behaviour that came later."""
     rules: Rules | None = None
     status: Status = field(default=Status.INVALID, init=False)
+    """INVALID is idle; kept until the parent resets it."""
 
     def tick(self) -> Ticking:
         """Tick the child; INVALID if it was skipped."""
@@ -158,11 +147,9 @@ class XmlNode(Behaviour):
         return self._slots
 
     def decide(self) -> Ticking:
-        """Tick children and return the outcome."""
         raise NotImplementedError
 
     def forget(self) -> None:
-        """Begin anew next time."""
         for name in self.FORGETS:
             vars(self).pop(name, None)
 
@@ -177,7 +164,6 @@ class XmlNode(Behaviour):
         yield self
 
     def update(self) -> Status:
-        """Return the status; what it is was decided in `tick`."""
         return self.status
 
     def stop(self, new_status: Status = Status.INVALID) -> None:
@@ -192,7 +178,6 @@ class XmlNode(Behaviour):
         return verdict
 
     def reset_children(self) -> None:
-        """Make every child idle; halt those that are running."""
         for slot in self.slots:
             slot.reset()
 
@@ -222,7 +207,6 @@ class OneChild(XmlNode, Decorator):
 
     @property
     def child(self) -> Slot:
-        """The place of the child."""
         return self.slots[0]
 
 
@@ -235,9 +219,6 @@ class Branch(OneChild):
 
 def is_plain(behaviour: Behaviour) -> bool:
     """Tell whether a leaf keeps nothing from tick to tick: it neither begins nor ends, so it is a condition."""
-    if isinstance(behaviour, RosaAction):
-        return False
     kind = type(behaviour)
-    begins = kind.initialise is not Behaviour.initialise
-    ends = kind.terminate is not Behaviour.terminate
-    return not (begins or ends or behaviour.children)
+    begins_or_ends = (kind.initialise, kind.terminate) != (Behaviour.initialise, Behaviour.terminate)
+    return not (begins_or_ends or behaviour.children or isinstance(behaviour, RosaAction))

@@ -95,12 +95,7 @@ class Blackboard(MutableMapping[str, Any]):
 
 
 class Ports:
-    """The ports of one node.
-
-    Args:
-        declared: which it has.
-        written: the attributes of its element, without `name`, `ID` and those that begin with an underscore.
-        blackboard: of the SubTree that it is in.
+    """The ports that a node declares, as the attributes of its element fill them.
 
     Raises:
         PortError: an attribute is no port of it, or a literal is of another type.
@@ -182,31 +177,20 @@ class Ports:
             return float(value)
         if wanted is int and isinstance(value, float) and value.is_integer():
             return int(value)
-        if isinstance(value, str) and wanted is not str:
-            is_right, value = _read(value, wanted)
-        else:
-            is_right = _is_of(value, wanted)
+        try:
+            if isinstance(value, str) and wanted is not str:
+                is_right, converted = convert_str_to_type(value, wanted)
+            else:
+                is_right, converted = is_instance_of_type(value, wanted), value
+        except NotImplementedError:
+            is_right, converted = isinstance(value, get_origin(wanted)), value
+        except (ValueError, TypeError):
+            is_right = False
         if not is_right:
             raise PortError(
                 f"the port {name!r} takes a value of type {getattr(wanted, '__name__', wanted)}, not {value!r}"
             )
-        return value
-
-
-def _read(text: str, wanted: Any) -> tuple[bool, Any]:  # noqa: ANN401  # py_trees takes any type
-    """Return whether a text says a value of a type, and the value."""
-    try:
-        done, value = convert_str_to_type(text, wanted)
-    except (ValueError, TypeError):
-        done = False
-    return done, value if done else text
-
-
-def _is_of(value: object, wanted: Any) -> bool:  # noqa: ANN401  # py_trees takes any type
-    try:
-        return is_instance_of_type(value, wanted)
-    except NotImplementedError:
-        return isinstance(value, get_origin(wanted))
+        return converted
 
 
 @dataclass(frozen=True)
@@ -217,9 +201,7 @@ class Port:
     name: str
 
     def get(self) -> Any:  # noqa: ANN401  # whatever is on the blackboard
-        """Return the value that it has now."""
         return self.ports.get(self.name)
 
     def set(self, value: object) -> None:
-        """Write a value."""
         self.ports.set(self.name, value)

@@ -4,7 +4,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final, Protocol, cast
+from typing import Any, Final, cast
 
 from py_trees.behaviour import Behaviour
 
@@ -29,19 +29,13 @@ _MODELS: Final = (*_EXPLICIT, "SubTree")
 
 @dataclass(frozen=True)
 class Element:
-    """One element of a file.
-
-    Attributes:
-        tag: e.g. `Sequence`.
-        attributes: as written.
-        children: the elements in it; text is passed over, as BehaviorTree.CPP does.
-        where: file and line of its start, for messages; the file is `<text>` for a text that was handed in.
-    """
+    """One element of a file; text in it is passed over, as BehaviorTree.CPP does."""
 
     tag: str
     attributes: Mapping[str, str]
     children: tuple["Element", ...]
     where: str
+    """File and line of its start; the file is `<text>` for a text that was handed in."""
 
     @property
     def node(self) -> str:
@@ -50,17 +44,14 @@ class Element:
 
     @property
     def ports(self) -> dict[str, str]:
-        """The attributes that are ports."""
         return {key: text for key, text in self.attributes.items() if key not in ("name", "ID") and key[:1] != "_"}
 
     def get(self, attribute: str) -> str:
-        """Return an attribute that has to be there."""
         if not self.attributes.get(attribute):
             raise self.error(f"<{self.tag}> has no {attribute}; write {attribute}=... in it")
         return self.attributes[attribute]
 
     def error(self, problem: str) -> XmlError:
-        """Return an error that says where this element is."""
         return XmlError(self.where, problem)
 
 
@@ -80,10 +71,10 @@ class Document:
         self.trees: dict[str, Element] = {}
         self.models: dict[str, Element] = {}
         self._seen: set[Path] = set()
-        text = text_or_path.lstrip("\ufeff \t\r\n") if isinstance(text_or_path, str) else None
-        if text == "":
+        text = text_or_path.lstrip("\ufeff \t\r\n") if isinstance(text_or_path, str) else "a path"
+        if not text:
             raise XmlError("<text>", "the text is empty; give the XML itself, or the path of a file")
-        if text is not None and text.startswith("<"):
+        if text.startswith("<"):
             self.root = _parse(text, "<text>")
             self._collect(self.root, Path.cwd(), [])
         else:
@@ -105,7 +96,6 @@ class Document:
         return next(iter(self.trees))
 
     def tree(self, name: str, asked_by: Element) -> Element:
-        """Return a tree by its ID."""
         if name not in self.trees:
             raise asked_by.error(f"no tree has the ID {name!r}; {hint(name, self.trees, 'trees')}")
         return self.trees[name]
@@ -176,7 +166,7 @@ def _parse(text: str | bytes, file: str) -> Element:
         raise XmlError(file, f"it has more than {MAX_SIZE} bytes; divide it and include the parts")
     target = _Target(file)
     parser = XMLParser(target=target, forbid_dtd=True)
-    target.expat = cast(_Expat, parser.parser)
+    target.expat = parser.parser
     try:
         parser.feed(text)
         return cast(Element, parser.close())
@@ -190,14 +180,10 @@ def _parse(text: str | bytes, file: str) -> Element:
         raise XmlError(target.where, f"it cannot be decoded: {error}") from None
 
 
-class _Expat(Protocol):
-    CurrentLineNumber: int
-
-
 class _Target:
     """Takes what the parser finds; makes elements of it."""
 
-    expat: _Expat
+    expat: Any  # the parser that calls this, which knows the line; it has no type
 
     def __init__(self, file: str) -> None:
         self._file = file
@@ -241,11 +227,9 @@ class SubTree(Branch):
         models: of the file that it was read from.
     """
 
-    def __init__(self, name: str, slot: Slot, ports: Ports, tree: str, models: tuple[Element, ...]) -> None:
-        super().__init__(name, [slot], ports)
-        self.blackboard = ports.blackboard
-        self.tree = tree
-        self.models = models
+    def __init__(self, name: str, slot: Slot, board: Blackboard, tree: str, models: tuple[Element, ...]) -> None:
+        super().__init__(name, [slot], Ports({}, {}, board))
+        self.blackboard, self.tree, self.models = board, tree, models
 
 
 def load_xml(
@@ -267,13 +251,9 @@ def load_xml(
         XmlError: the file cannot be read, or a tree not be made of it; the message begins with file and line.
     """
     document = Document(text_or_path)
-    builder = _Builder(document, registry)
-    return builder.tree(document.main(tree), document.root, None, _Place(Blackboard(clock or _clock_of(registry))))
-
-
-def _clock_of(registry: BehaviourRegistry) -> Clock:
     kb = registry.bound.get("kb")
-    return time.monotonic if kb is None else lambda: float(kb.now)
+    board = Blackboard(clock or (time.monotonic if kb is None else lambda: float(kb.now)))
+    return _Builder(document, registry).tree(document.main(tree), document.root, None, _Place(board))
 
 
 @dataclass(frozen=True)
@@ -292,14 +272,13 @@ class _Builder:
         self._count = 0
 
     def tree(self, tree: str, asked_by: Element, name: str | None, place: _Place) -> SubTree:
-        """Make a tree with all that is in it."""
         if tree in place.trees:
             raise asked_by.error(f"a tree is in itself: {' -> '.join([*place.trees, tree])}")
         element = self._document.tree(tree, asked_by)
         if len(element.children) != 1:
             raise element.error(f"a tree has one child, not {len(element.children)}; put a Sequence around")
         slot = self._slot(element.children[0], replace(place, trees=(*place.trees, tree)))
-        return SubTree(name or tree, slot, Ports({}, {}, place.board), tree, tuple(self._document.models.values()))
+        return SubTree(name or tree, slot, place.board, tree, tuple(self._document.models.values()))
 
     def _slot(self, element: Element, place: _Place) -> Slot:
         self._count += 1
@@ -325,9 +304,9 @@ class _Builder:
             return self._subtree(element, place), False
         if tag in self._registry:
             return self._registered(element, name, place)
-        kind = _NODES.get(tag)
-        if kind is None:
+        if tag not in _NODES:
             raise element.error(self._unknown(tag))
+        kind = _NODES[tag]
         _check_children(element, *kind.CHILDREN)
         ports = Ports(kind.PORTS, element.ports, place.board)
         ports.check_required()
@@ -355,24 +334,22 @@ class _Builder:
         autoremap = element.attributes.get("_autoremap", "false").lower()
         if autoremap not in ("true", "false", "1", "0"):
             raise element.error(f"_autoremap is true or false, not {autoremap!r}")
-        written = {**self._defaults(element, tree), **element.ports}
+        written = self._defaults(element, tree) | element.ports
         keys = {name: key for name, text in written.items() if (key := key_of(text, name)) is not None}
         constants = {name: text for name, text in written.items() if name not in keys}
         board = Blackboard(place.board.clock, place.board, keys, constants, autoremap=autoremap in ("true", "1"))
         return self.tree(tree, element, element.attributes.get("name"), replace(place, board=board))
 
     def _defaults(self, element: Element, tree: str) -> dict[str, str]:
-        """Return what the model of a tree says of ports that are not written."""
         model = self._document.models.get(tree)
         found = {}
         for port in model.children if model is not None and model.tag == "SubTree" else ():
-            if port.tag not in ("input_port", "output_port", "inout_port"):  # editors write other things, too
-                continue
-            name = port.get("name")
-            if "default" in port.attributes:
-                found[name] = port.attributes["default"]
-            elif name not in element.ports:
-                raise element.error(f"the tree {tree!r} needs {name}=..., its model ({port.where}) says")
+            if port.tag.endswith("put_port"):  # editors write other things, too
+                name = port.get("name")
+                if "default" in port.attributes:
+                    found[name] = port.attributes["default"]
+                elif name not in element.ports:
+                    raise element.error(f"the tree {tree!r} needs {name}=..., its model ({port.where}) says")
         return found
 
     def _unknown(self, tag: str) -> str:
@@ -408,5 +385,5 @@ def _check_children(element: Element, least: int, most: int) -> None:
         return
     wanted = f"{least}" if least == most else f"at least {least}" if most >= MAX_NODES else f"{least} to {most}"
     advice = "; put a Sequence around them" if most == 1 and count > 1 else ""
-    has = f"{count} {'child' if count == 1 else 'children'}"
+    has = "1 child" if count == 1 else f"{count} children"
     raise element.error(f"<{element.node}> has {has}; it takes {wanted}{advice}")

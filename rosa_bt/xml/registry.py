@@ -33,17 +33,12 @@ _FREE: Final = PortInformation(object, required=False)
 
 @dataclass(frozen=True)
 class Entry:
-    """What is registered under a name.
-
-    Attributes:
-        factory: makes the behaviour.
-        kind: what was said of it; None for nothing.
-        bound: arguments that every factory is given that has a parameter of that name.
-    """
+    """What is registered under a name."""
 
     factory: Factory
     kind: Kind | None
     bound: Mapping[str, Any]
+    """Arguments that every factory is given that has a parameter of that name."""
 
     def children(self) -> tuple[int, int]:
         """Return how many children it takes, at least and at most."""
@@ -52,17 +47,7 @@ class Entry:
         return (1, 1) if "child" in self._parameters else (0, 0)
 
     def make(self, name: str, written: Mapping[str, str], branches: Sequence[Branch], board: Blackboard) -> Behaviour:
-        """Make the behaviour.
-
-        Args:
-            name: what it is called.
-            written: its attributes.
-            branches: its children.
-            board: what it reads and writes.
-
-        Raises:
-            PortError: an attribute has no meaning for it, is missing, or is of another type.
-        """
+        """Make the behaviour; PortError if an attribute has no meaning for it, is missing, or of another type."""
         ports = self._class_ports or {}
         declared = self._declared(written)
         mine = {key: text for key, text in written.items() if key in declared}
@@ -87,7 +72,6 @@ class Entry:
 
     @cached_property
     def _maker(self) -> Factory:
-        """The class or function that a partial one calls."""
         maker = self.factory
         while isinstance(maker, partial):
             maker = maker.func
@@ -135,14 +119,12 @@ class Entry:
         }
 
     def _offered(self, name: str, branches: Sequence[Branch]) -> dict[str, Any]:
-        """Return the arguments that are no attributes."""
         offered: dict[str, Any] = {**self.bound, self._name_parameter: name, "children": list(branches)}
         if branches:
             offered["child"] = branches[0]
         takes_name = any(one.kind is one.VAR_KEYWORD for one in self._parameters.values())
-        return {
-            key: value for key, value in offered.items() if key in self._parameters or (key == "name" and takes_name)
-        }
+        known = {*self._parameters, "name"} if takes_name else self._parameters
+        return {key: value for key, value in offered.items() if key in known}
 
 
 def _arguments(declared: Declared, mine: Mapping[str, str], board: Blackboard) -> dict[str, Any]:

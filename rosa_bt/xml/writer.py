@@ -88,7 +88,6 @@ class _Writer:
         return name
 
     def element(self, slot: Slot) -> Element:
-        """Write what stands in a slot."""
         node, source = slot.node, slot.source
         if type(node) is Branch:
             return self.element(node.child)
