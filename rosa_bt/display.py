@@ -40,20 +40,15 @@ _WIDTH: Final = 44
 
 @dataclass(frozen=True, slots=True)
 class _Drawn:
-    """What is drawn of a behaviour.
-
-    Attributes:
-        title: its status, what it is (e.g. "->" for a sequence) and its name.
-        status: of the last tick.
-        edge: colour: whether its action is feasible.
-        notes: feasibility with the reason, and feedback that says something else.
-        children: what is drawn below it.
-    """
+    """What is drawn of a behaviour."""
 
     title: str
+    """Its status, what it is (e.g. "->" for a sequence) and its name."""
     status: Status
     edge: str
+    """The colour says whether its action is feasible."""
     notes: tuple[str, ...]
+    """Feasibility with the reason, and feedback that says something else."""
     children: tuple["_Drawn", ...]
 
 
@@ -160,10 +155,7 @@ _LETTER: Final = 6.9
 class _Svg:
     """Places behaviours in pixels from the upper left corner: children below one another at the right of their parent.
 
-    Attributes:
-        starts: where the column of each depth begins; last, where one more would.
-        edges: lines from parents to children.
-        shapes: boxes with their text.
+    A column for each depth begins at one of `starts`; the last one is where one more would.
     """
 
     def __init__(self, root: _Drawn) -> None:

@@ -1,24 +1,16 @@
 """Running a tree in somebody else's time: the clock of a simulator, a recording or the wall."""
 
 from collections.abc import Callable, Iterator
-from typing import Final
 
 from py_trees.behaviour import Behaviour
-from py_trees.behaviours import Failure, Running, Success
 from py_trees.common import Status
 from py_trees.composites import Selector, Sequence
 from py_trees.trees import BehaviourTree
 
-from rosa_bt.behaviours import KbBehaviour, RosaAction, halt
-from rosa_bt.decorators import ForAction
+from rosa_bt.behaviours import RosaAction, halt
 from rosa_bt.exceptions import in_words
 
 Handler = Callable[[BehaviourTree], None]
-
-_HARMLESS: Final = frozenset({Failure, Running, Selector, Sequence, Success})
-"""What raises nothing of its own; a subclass may."""
-_CAREFUL: Final = (KbBehaviour, RosaAction, ForAction)
-"""What deals with exceptions itself, also below a plain tree; unless a subclass ticks in another way."""
 
 
 class GuardedTree(BehaviourTree):
@@ -38,11 +30,7 @@ class GuardedTree(BehaviourTree):
         self._guard_all()
 
     def tick(self, pre_tick_handler: Handler | None = None, post_tick_handler: Handler | None = None) -> None:
-        """Tick once; handlers and visitors as in py_trees, but visitors of ticked behaviours cost nobody else.
-
-        Raises:
-            Exception: of a handler or visitor.
-        """
+        """Tick once; handlers and visitors as in py_trees, but visitors of ticked behaviours cost nobody else."""
         for handler in [pre_tick_handler, *self.pre_tick_handlers]:
             if handler is not None:
                 handler(self)
@@ -90,10 +78,8 @@ class GuardedTree(BehaviourTree):
             behaviour = pending.pop()
             found += 1
             if behaviour not in guarded:
-                is_free = behaviour is not self.root and _is_trusted(behaviour)
-                guarded[behaviour] = (lambda: None) if is_free else _guard(behaviour)
-            if behaviour.children:
-                pending += behaviour.children
+                guarded[behaviour] = _guard(behaviour)
+            pending += behaviour.children
         if found != len(guarded):
             self._let_go()
 
@@ -106,13 +92,6 @@ class GuardedTree(BehaviourTree):
         for behaviour in present:
             if isinstance(behaviour, Selector | Sequence) and behaviour.current_child not in behaviour.children:
                 halt(behaviour)
-
-
-def _is_trusted(behaviour: Behaviour) -> bool:
-    """Tell whether a behaviour needs no guard, which costs a little of each tick."""
-    kind = type(behaviour)
-    as_ours = [one for one in _CAREFUL if issubclass(kind, one) and (kind.tick, kind.stop) == (one.tick, one.stop)]
-    return kind in _HARMLESS or bool(as_ours)
 
 
 class _EndedBadly(Exception):
@@ -183,7 +162,6 @@ class TreeRunner:
     Attributes:
         tree: the py_trees tree, for visitors and handlers, and to be changed between ticks (`insert_subtree` and the
             like).
-        due: when the next tick is due [s].
     """
 
     def __init__(self, root: Behaviour, *, clock: Callable[[], float], period: float = 0.1) -> None:

@@ -48,12 +48,7 @@ def check(
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """What was found about a model.
-
-    Attributes:
-        model: what the model is called.
-        findings: the errors first.
-    """
+    """What was found about a model, the errors first."""
 
     model: str
     findings: "tuple[Finding, ...]"
@@ -68,13 +63,7 @@ class Judgement:
 
 
 def judge(files: Sequence[Path], mission: "Mission | None", trees: Sequence[str], pddl: Sequence[Path]) -> Judgement:
-    """Judge a model.
-
-    Args:
-        files: what the model is read from, in order; without any it is the mission's.
-        mission: whose tree and PDDL files use the model.
-        trees: further trees that use it, each as module:callable.
-        pddl: further PDDL files that use it.
+    """Judge a model, from files or else the mission's, with the trees (module:callable) and PDDL files that use it.
 
     Raises:
         MissionError, KnowledgeBaseError, RosaPddlError: something cannot be read or built; the message says where.
@@ -122,11 +111,7 @@ def _placed(
 
 
 def _contradictions(files: Sequence[Path], mission: "Mission | None") -> Iterator[str]:
-    """Have a reasoner of OWL judge a model: OWL files as they stand, anything else as the ontology that it makes.
-
-    Raises:
-        KnowledgeBaseError: there is no Java for the reasoner; the message says so.
-    """
+    """Have a reasoner of OWL judge a model: OWL files as they stand, anything else as the ontology that it makes."""
     from kb.files import read_text
     from kb.owl import inconsistency
     from kb.rdfxml import owl_text

@@ -20,49 +20,34 @@ def by_schema(*actions: Action) -> Mapping[str, Action]:
     """
     named: dict[str, Action] = {}
     for action in actions:
-        schema: Any = getattr(action, "schema", None)
-        name = schema.name if isinstance(schema, ActionSchema) else getattr(action, "__name__", repr(action))
-        schema_of(name, action)
+        name = schema_of(action).name
         if named.setdefault(name, action) is not action:
             raise MissionError(f"two actions declare the schema {name!r}; give each its own name")
     return named
 
 
-def schema_of(name: str, action: Action) -> ActionSchema:
-    """Return what an action declares.
-
-    Raises:
-        MissionError: it declares nothing, or is listed under another name.
-    """
+def schema_of(action: Action, name: str | None = None) -> ActionSchema:
+    """Return what an action declares; MissionError if that is nothing, or has another name than it is listed under."""
     schema: Any = getattr(action, "schema", None)
     title = getattr(action, "__name__", repr(action))
     if not isinstance(schema, ActionSchema):
-        advice = f"write schema = ActionSchema({name!r}, ...) in it, or give the mission a domain file"
+        advice = f"write schema = ActionSchema({name or title!r}, ...) in it, or give the mission a domain file"
         raise MissionError(f"the action {title} declares no schema; {advice}")
-    if schema.name != name:
+    if name not in (None, schema.name):
         raise MissionError(f"the action {title} is listed as {name!r}, but declares {schema.name!r}")
     return schema
 
 
 def declarations_of(mission: Mission) -> Declarations | None:
-    """Return what the PDDL of a mission is made of; None if it has files, or nothing to plan with.
-
-    Raises:
-        MissionError, rosa_pddl.PddlError: an action declares nothing, or what has no meaning.
-    """
+    """Return what the PDDL of a mission is made of; None if it has files, or nothing to plan with."""
     if mission.domain is not None or not isinstance(mission.problem, DeclaredProblem):
         return None
-    schemas = [schema_of(name, action) for name, action in mission.actions.items()]
+    schemas = [schema_of(action, name) for name, action in mission.actions.items()]
     return Declarations(mission.name, schemas, mission.problem)
 
 
 def mission_domain(mission: Mission) -> Domain:
-    """Return the domain and problem of a mission.
-
-    Raises:
-        MissionError: it has neither files nor declarations, or only one of two files.
-        rosa_pddl.PddlError: they cannot be read.
-    """
+    """Return the domain and problem of a mission; MissionError if it has none, or only one of two files."""
     declared = declarations_of(mission)
     if declared is not None:
         return declared.load()
@@ -74,11 +59,7 @@ def mission_domain(mission: Mission) -> Domain:
 
 
 def check_facts(mission: Mission) -> None:
-    """Raise unless the facts of a mission are called as they have to be.
-
-    Raises:
-        MissionError: they take something else; the message says what.
-    """
+    """Raise a MissionError unless the facts of a mission are called with what they are called with."""
     try:
         signature(mission.facts).bind(None, None)
     except TypeError as error:

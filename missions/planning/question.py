@@ -19,42 +19,29 @@ FAILED: Final = "failed"
 
 @dataclass(frozen=True)
 class Supposed:
-    """What is supposed to be so.
-
-    Attributes:
-        feasible: the ROSA actions that are feasible, and no others; None to have the knowledge base say it.
-        measured: values of attributes, in their units.
-        failed: components that have failed.
-    """
+    """What is supposed to be so: values of attributes, in their units, and components that have failed."""
 
     feasible: tuple[str, ...] | None = None
+    """The ROSA actions that are feasible, and no others; None to have the knowledge base say it."""
     measured: Mapping[str, float] = field(default_factory=dict)
     failed: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class Question:
-    """A domain, the state to plan from, and what shall be reached.
-
-    Attributes:
-        domain: what `load_domain` returned.
-        kb: says what is feasible, and why not.
-        state: the true atoms.
-        goals: what shall hold.
-        oversights: what may be one in the domain or the model, in sentences.
-        numbers: what costs and limits are made of, as far as the mission knows it.
-        engines: what plans, see `Mission`.
-        why_not: says why there is no plan, as far as the mission can tell; empty if it cannot.
-    """
+    """A domain, the state to plan from, and what shall be reached."""
 
     domain: Domain
     kb: KnowledgeBase
     state: State
     goals: tuple[Condition, ...]
     oversights: tuple[str, ...] = ()
+    """What may be one in the domain or the model, in sentences."""
     numbers: Mapping[str, float] = field(default_factory=dict)
+    """What costs and limits are made of, as far as the mission knows it."""
     engines: tuple[str, ...] = ()
     why_not: Callable[[], str] = str
+    """Says why there is no plan, as far as the mission can tell; empty if it cannot."""
 
     @property
     def problem(self) -> Problem:
@@ -77,13 +64,7 @@ class Question:
 
 @dataclass(frozen=True)
 class Answer:
-    """A plan, or why there is none.
-
-    Attributes:
-        question: what was asked.
-        result: what the planner answered.
-        obstacles: why there is no plan, in sentences.
-    """
+    """A plan, or why there is none, in sentences."""
 
     question: Question
     result: PlanningResult
@@ -93,26 +74,21 @@ class Answer:
 def ask(
     files: Sequence[Path], mission: Mission | None, models: Sequence[Path], supposed: Supposed, goals: Sequence[str]
 ) -> Question:
-    """Make a question of what is given.
+    """Make a question of a domain and a problem file, or else of a mission, which gives the model, too.
 
     Without a model every ROSA action is feasible, unless something else is supposed or the problem file says so.
-
-    Args:
-        files: a domain and a problem.
-        mission: gives them, and the model, if there are no files.
-        models: files of the model, each may add to those before.
-        supposed: what is so.
-        goals: what shall be reached, as text; without any, the goal of the problem.
+    Without goals, conditions as text, the goal is that of the problem.
 
     Raises:
         MissionError, KnowledgeBaseError, RosaPddlError: something is missing, unknown or cannot be read.
     """
     has_model = bool(models or mission)
     domain = _domain(files, mission)
-    if (supposed.measured or supposed.failed) and not has_model:
-        raise MissionError("a situation is about a model; name its file with --model FILE, or a mission")
-    if (supposed.measured or supposed.failed) and supposed.feasible is not None:
-        raise MissionError("what is feasible follows from the situation; give --feasible or --situation, not both")
+    if supposed.measured or supposed.failed:
+        if not has_model:
+            raise MissionError("a situation is about a model; name its file with --model FILE, or a mission")
+        if supposed.feasible is not None:
+            raise MissionError("what is feasible follows from the situation; give --feasible or --situation, not both")
     kb = KnowledgeBase(_model(domain, mission, models), clock=lambda: 0.0)
     oversights = domain.check(kb)
     for attribute, value in supposed.measured.items():
@@ -133,33 +109,23 @@ def ask(
     texts = [f"(and {text})" for text in goals] if goals else domain.goals
     wanted = tuple(condition for text in texts for condition in conditions(domain, text))
     engines = mission.engines if mission is not None else ()
-    made = Question(domain, kb, state, wanted, oversights, numbers, engines)
-    if mission is None or files or goals:
-        return made
-    return replace(made, why_not=partial(mission.why_not, kb, Percepts()))
+    why_not = str if mission is None or files or goals else partial(mission.why_not, kb, Percepts())
+    return Question(domain, kb, state, wanted, oversights, numbers, engines, why_not)
 
 
 def read_situation(texts: Iterable[str], feasible: Iterable[str] | None = None) -> Supposed:
-    """Read what is supposed, such as `battery_level=0.2,camera=failed`.
-
-    Args:
-        texts: values of attributes and failed components.
-        feasible: names of the ROSA actions that are feasible, several with commas; None for what follows.
-
-    Raises:
-        MissionError: it is of another form.
-    """
+    """Read what is supposed, such as `battery_level=0.2,camera=failed`, and the names of what is feasible."""
     measured: dict[str, float] = {}
     failed: list[str] = []
     for part in (part for text in texts for part in text.split(",")):
         name, equals, value = (word.strip() for word in part.partition("="))
         if not equals or not name:
             raise MissionError(f"--situation takes ATTRIBUTE=NUMBER or COMPONENT={FAILED}, not {part!r}")
-        if value == FAILED:
-            failed.append(name)
-            continue
         try:
-            measured[name] = float(value)
+            if value == FAILED:
+                failed.append(name)
+            else:
+                measured[name] = float(value)
         except ValueError as error:
             message = f"--situation takes {name}=NUMBER, or {name}={FAILED} for a component, not {part.strip()!r}"
             raise MissionError(message) from error
@@ -213,14 +179,8 @@ def _known(domain: Domain, names: Iterable[str]) -> set[str]:
 def answer(question: Question, timeout_s: float) -> Answer:
     """Plan with what the mission plans with, or else what the domain needs; if there is no plan, find out why.
 
-    Within limits it is label setting that plans, and otherwise Fast Downward and then Aries.
-
-    Args:
-        question: what to plan.
-        timeout_s: wall-clock time for each planning [s].
-
-    Raises:
-        rosa_pddl.PlannerSettingError: the time is not positive.
+    Within limits it is label setting that plans, and otherwise Fast Downward and then Aries; each planning may take
+    `timeout_s` of the wall clock.
     """
     usual = ("label-setting",) if question.domain.limited else ("fast-downward-opt", "aries")
     engine, *fallback = question.engines or usual
@@ -250,9 +210,9 @@ class _Diagnosis:
             return [self._unreachable(out, "whatever is done"), *known]
         if _is_unsolvable(self._plan(question.supposing(()))):
             return [self._unreachable((), "even if every action were feasible"), *known]
-        needed = self._needed()
-        told = [f"there would be a plan if {needed} were feasible"] if needed else []
-        return [self._unreachable(out, "as it is"), *known, *told]
+        if needed := self._needed():
+            known.append(f"there would be a plan if {needed} were feasible")
+        return [self._unreachable(out, "as it is"), *known]
 
     def _unreachable(self, unfeasible: Sequence[str], how: str) -> str:
         """Say what cannot be reached while these actions are unfeasible, and whether that is for the limits."""
@@ -282,11 +242,9 @@ class _Diagnosis:
             return self._plan(self._question.supposing(left_out)).outcome.is_solved
 
         single = [action for action in out if enough([action])]
-        if single:
+        if single or not enough(out):
             return _listed(single, "or")
         needed = list(out)
-        if not enough(needed):
-            return ""
         for action in out:
             fewer = [one for one in needed if one != action]
             needed = fewer if enough(fewer) else needed

@@ -28,17 +28,11 @@ Steps = list[tuple[str, tuple[str, ...]]]
 
 
 class Moment(NamedTuple):
-    """One line of a timeline.
-
-    Attributes:
-        time: when [s].
-        what: "heard", "action" or "plan"; "end", of a mission that ended before its recording.
-        text: what happened, in words.
-        reason: why; empty where nobody asked.
-    """
+    """One line of a timeline, at a time [s]; without a reason where nobody asked."""
 
     time: float
     what: str
+    """One of "heard", "action" or "plan"; "end", of a mission that ended before its recording."""
     text: str
     reason: str = ""
 
@@ -236,12 +230,7 @@ def seconds(time: float) -> str:
 
 
 def timeline(events: Iterable[Event], adaptations: Iterable[Adaptation]) -> tuple[Moment, ...]:
-    """Return what happened as moments, in order.
-
-    Args:
-        events: all, in order.
-        adaptations: made in answer to them.
-    """
+    """Return all events, in order, as moments, with the reasons of the adaptations."""
     reasons = {(one.at_s, one.action): one.why for one in adaptations}
     moments = []
     for event in events:

@@ -14,13 +14,7 @@ MOST: Final = 40
 
 
 def golden_path(test_file: Path, test: str, name: str = "") -> Path:
-    """Return where the golden trace of a test is kept: in a folder beside its file.
-
-    Args:
-        test_file: the file that the test is in.
-        test: the name of the test, with its parameters.
-        name: for one of several traces of a test.
-    """
+    """Return where the golden trace of a test is kept, or the one of a name if it has several: beside its file."""
     words = (re.sub(r"[^\w\-]+", "_", part).strip("_") for part in (test_file.stem, test, name) if part)
     return test_file.parent / "golden" / f"{'.'.join(words)}.trace"
 

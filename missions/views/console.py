@@ -8,7 +8,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
+from rich.table import Column, Table
 
 from kb import DiagnosticProblem
 from missions.engine.adaptations import Adaptation
@@ -23,13 +23,21 @@ if TYPE_CHECKING:
 COLOURS = {"parameter": "cyan", "structural": "yellow", "task": "magenta"}
 
 
-class Narrator(Listener):
-    """Prints what happens, above a bar that shows the time.
+class _WithBar:
+    """Shows a bar while it is open; not on anything but a terminal."""
 
-    Args:
-        console: where to print.
-        duration_s: length of the bar [s].
-    """
+    _progress: Progress
+
+    def __enter__(self) -> Self:
+        self._progress.start()
+        return self
+
+    def __exit__(self, *reason: object) -> None:
+        self._progress.stop()
+
+
+class Narrator(_WithBar, Listener):
+    """Prints what happens, above a bar of so many simulated seconds."""
 
     def __init__(self, console: Console, duration_s: float) -> None:
         self._console = console
@@ -41,13 +49,6 @@ class Narrator(Listener):
         )
         self._progress = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
         self._bar = self._progress.add_task("", total=duration_s)
-
-    def __enter__(self) -> Self:
-        self._progress.start()
-        return self
-
-    def __exit__(self, *reason: object) -> None:
-        self._progress.stop()
 
     def action(self, text: str, time_s: float) -> None:
         self._say(time_s, escape(text))
@@ -101,13 +102,12 @@ class Pace(Listener):
         time.sleep(max(0.0, self._start + run.world.now - time.monotonic()))
 
 
-class CampaignProgress:
+class CampaignProgress(_WithBar):
     """Shows how far a campaign is, how fast it goes and how long it will take, and each run that crashes."""
 
     def __init__(self, console: Console) -> None:
         self.count = self.total = self.new = self.crashed = 0
         self._console = console
-        self._shows = console.is_terminal
         self._started = time.perf_counter()
         self._progress = Progress(
             BarColumn(),
@@ -117,17 +117,9 @@ class CampaignProgress:
             TextColumn("left  [dim]{task.description}[/]"),
             console=console,
             transient=True,
+            disable=not console.is_terminal,
         )
         self._bar = self._progress.add_task("", total=None, rate=0.0)
-
-    def __enter__(self) -> Self:
-        if self._shows:
-            self._progress.start()
-        return self
-
-    def __exit__(self, *reason: object) -> None:
-        if self._shows:
-            self._progress.stop()
 
     def begin(self, done: int, total: int) -> None:
         self._started = time.perf_counter()
@@ -142,7 +134,7 @@ class CampaignProgress:
             self._print("bold red", f"{record['run']} crashed: {record['error']}; again: {record['rerun']}")
         rate = self.new / max(time.perf_counter() - self._started, 1e-9)
         self._progress.update(self._bar, completed=self.count, rate=rate, description=escape(record["run"]))
-        if not self._shows and self.count * 10 // self.total > (self.count - 1) * 10 // self.total:
+        if self._progress.disable and self.count * 10 // self.total > (self.count - 1) * 10 // self.total:
             left = (self.total - self.count) / rate
             self._print("dim", f"{self.count}/{self.total} runs, {rate:.2f} a second, {left:.0f} s left")
 
@@ -158,9 +150,8 @@ def print_result(console: Console, run: MissionRun, verdict: Verdict, wall_s: fl
     if run.adaptations and with_adaptations:
         console.print(_table_of(run.adaptations))
     figures = {**run.results(), "simulated_s": run.world.now, "computed in_s": wall_s}
-    shown = [*(figure_in_words(name, value) for name, value in figures.items())]
-    shown += [("times real time", "", f"{run.world.now / wall_s:.1f}")]
-    for words, unit, value in shown:
+    shown = [figure_in_words(name, value) for name, value in figures.items()]
+    for words, unit, value in [*shown, ("times real time", "", f"{run.world.now / wall_s:.1f}")]:
         console.print(f"{words + (f' [{unit}]' if unit else ''):<32}{value:>8}", highlight=False, markup=False)
     if run.problems:
         _, first = run.problems[0]
@@ -173,12 +164,13 @@ def print_result(console: Console, run: MissionRun, verdict: Verdict, wall_s: fl
 
 
 def _table_of(adaptations: Iterable[Adaptation]) -> Table:
-    table = Table(expand=True, box=SIMPLE_HEAD, pad_edge=False)
-    table.add_column(escape("at [s]"), justify="right", no_wrap=True)
-    table.add_column("kind", no_wrap=True)
-    table.add_column("what was changed", ratio=4)
-    table.add_column("why", ratio=4)
-    table.add_column(escape("reaction [s]"), justify="right", no_wrap=True)
+    columns = (
+        Column(escape("at [s]"), justify="right", no_wrap=True),
+        Column("kind", no_wrap=True),
+        *(Column("what was changed", ratio=4), Column("why", ratio=4)),
+        Column(escape("reaction [s]"), justify="right", no_wrap=True),
+    )
+    table = Table(*columns, expand=True, box=SIMPLE_HEAD, pad_edge=False)
     for one in adaptations:
         reaction = "-" if one.reaction_s is None else f"{one.reaction_s:.2f}"
         why = one.reason if one.reason.startswith(one.trigger) else f"{one.trigger}: {one.reason}"

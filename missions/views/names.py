@@ -31,11 +31,7 @@ class _Tolerant(KnowledgeBase):
 
 
 def tree_builder(reference: str) -> Callable[..., object]:
-    """Return what is given as module:callable.
-
-    Raises:
-        MissionError: it cannot be imported or called.
-    """
+    """Return what is given as module:callable; MissionError if it cannot be imported or called."""
     module, colon, name = reference.partition(":")
     if not colon:
         raise MissionError(f"a tree is given as module:callable, not as {reference!r}")
@@ -51,10 +47,7 @@ def tree_builder(reference: str) -> Callable[..., object]:
 def names_in_tree(build: Callable[..., object], model: Model, title: str) -> Uses:
     """Return the actions that the behaviours of a tree are about.
 
-    Args:
-        build: builds the tree; called with a knowledge base and percepts, or with as many of these as it needs.
-        model: what the knowledge base is made of.
-        title: what the tree is called in messages.
+    It is built with a knowledge base and percepts, or with as many of these as it needs.
     """
     root = _built(build, (_Tolerant(model), Percepts()), title)
     if isinstance(root, BehaviourTree):
@@ -89,9 +82,6 @@ def names_in_pddl(paths: Iterable[Path]) -> Uses:
     """Return the actions that PDDL files are about: the constants and objects of type action or of a type below it.
 
     A domain by itself may have none; then each predicate `(NAME_action ?a)` of one action stands for the action NAME.
-
-    Raises:
-        RosaPddlError: a file cannot be read; the message names file, line and column.
     """
     sources = [read_source(path) for path in paths]
     parents = {name.lower: of for source in sources for name, of in _declared(source, section(source, ":types"))}

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from secrets import token_hex
-from typing import Any, BinaryIO, Final, Self
+from typing import Any, Final, Self
 
 from missions.engine.mission import MissionError, Verdict
 from missions.engine.runner import MissionRun
@@ -20,13 +20,9 @@ SIGNS: Final = {"j": "J", "w": "W", "percent": "%"}
 
 
 class OutputFile:
-    """A file that appears under its name only when it is complete; used as a context.
+    """A file that appears under its name, in the place of another one, only when it is complete; used as a context.
 
-    Args:
-        path: where it shall be; a file of that name is replaced. A device such as /dev/stdout is written directly.
-
-    Raises:
-        MissionError: it cannot be written there, found out at once.
+    A device such as /dev/stdout is written directly. A MissionError says at once that it cannot be written there.
     """
 
     def __init__(self, path: Path) -> None:
@@ -39,12 +35,8 @@ class OutputFile:
                 raise IsADirectoryError("it is a directory; name a file in it")
             if self._target.is_file() and not os.access(self._target, os.W_OK):
                 raise PermissionError("the file there is read-only")
-            if self._direct:
-                self._file: BinaryIO = self._target.open("wb")
-                self._draft = self._target
-            else:
-                self._draft = self._target.with_name(f".rosa-{token_hex(8)}")
-                self._file = self._draft.open("xb")
+            self._draft = self._target if self._direct else self._target.with_name(f".rosa-{token_hex(8)}")
+            self._file = self._draft.open("wb" if self._direct else "xb")
         except OSError as error:
             raise self._failure(error) from error
 
@@ -58,22 +50,14 @@ class OutputFile:
             self._draft.unlink(missing_ok=True)
 
     def write(self, content: str | bytes) -> None:
-        """Append text or bytes.
-
-        Raises:
-            MissionError: there is no room for it.
-        """
+        """Append text or bytes; MissionError if there is no room for it."""
         try:
             self._file.write(content.encode() if isinstance(content, str) else content)
         except OSError as error:
             raise self._failure(error) from error
 
     def finish(self, content: str | bytes = b"") -> None:
-        """Append the last text or bytes, and put the file, which is complete now, in its place.
-
-        Raises:
-            MissionError: that cannot be done.
-        """
+        """Append the last text or bytes, and put the file, which is complete now, in its place."""
         self.write(content)
         try:
             self._file.close()
@@ -87,11 +71,7 @@ class OutputFile:
 
 
 def open_files(paths: Mapping[str, Path | None], stack: ExitStack) -> dict[str, OutputFile]:
-    """Open every file that is asked for, so that one that cannot be written is found out before the work begins.
-
-    Args:
-        paths: where, by the name of the option; None for those that are not given.
-        stack: closes them.
+    """Open every file that an option asks for, so that it is found out before the work begins if one cannot be written.
 
     Raises:
         MissionError: one cannot be written, or two are the same.
@@ -106,15 +86,7 @@ def open_files(paths: Mapping[str, Path | None], stack: ExitStack) -> dict[str, 
 
 
 def summary(run: MissionRun, verdict: Verdict, seed: int, changed: Mapping[str, str]) -> dict[str, Any]:
-    """Return a finished run as plain data; times in [s], units in the names.
-
-    Args:
-        run: the run, ended.
-        verdict: how it ended.
-        seed: of all its chance.
-        changed: the settings that were given.
-    """
-    results = run.results()
+    """Return a finished run, with the settings that were given, as plain data; times in [s], units in the names."""
     return {
         "mission": run.mission.name,
         "task": run.task,
@@ -124,7 +96,7 @@ def summary(run: MissionRun, verdict: Verdict, seed: int, changed: Mapping[str, 
         "outcome": verdict.outcome,
         "outcome_reason": verdict.reason,
         "duration_s": run.world.now,
-        **results,
+        **run.results(),
         "adaptations": [
             _fields(one, "at_s", "kind", "trigger", "reason", "change", "reaction_s") for one in run.adaptations
         ],

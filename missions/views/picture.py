@@ -49,12 +49,7 @@ STYLE: Final[dict[Any, Any]] = {
 
 
 def draw(run: MissionRun, data: Mapping[str, Any]) -> bytes:
-    """Draw a finished run as PNG, 1600 x 1200 px; the same run gives the same bytes.
-
-    Args:
-        run: the run, ended.
-        data: what `views.output.summary` returned for it.
-    """
+    """Draw a finished run and its summary as PNG, 1600 x 1200 px; the same run gives the same bytes."""
     png = BytesIO()
     picture(run, data).savefig(png, format="png", dpi=DPI, metadata={"Software": None})
     return png.getvalue()

@@ -30,13 +30,7 @@ _EDGE, _FILL, _GOAL_FILL, _LATER = "#46627f", "#eef3f8", "#d5ecd4", "#b06a00"
 
 
 class Link(NamedTuple):
-    """One step makes so what another one, or the goal, needs.
-
-    Attributes:
-        source: number of the step that makes it so, from 0.
-        target: number of the one that needs it; the goal comes after the last step.
-        needs: what is needed: atoms, or `(not ATOM)` for those that are false then.
-    """
+    """A step, by its number from 0, makes so what another one, or the goal after the last, needs: (negated) atoms."""
 
     source: int
     target: int
@@ -44,18 +38,12 @@ class Link(NamedTuple):
 
 
 class CausalOrder(NamedTuple):
-    """Why the steps of a plan come in their order; what it leaves open could come the other way round.
-
-    Attributes:
-        steps: the plan; the number after the last stands for the goal.
-        links: which step needs which.
-        orders: pairs (earlier, later) where the later step would spoil what the earlier one needs or does, as far as
-            the links do not say so already.
-    """
+    """Why the steps of a plan come in their order; what it leaves open could come the other way round."""
 
     steps: tuple[Step, ...]
     links: tuple[Link, ...]
     orders: tuple[tuple[int, int], ...]
+    """(earlier, later) where the later step would spoil what the earlier one needs or does, if no links say so."""
 
 
 def lines_of(answer: Answer) -> Iterator[str]:
@@ -91,14 +79,7 @@ def causes_of(answer: Answer) -> CausalOrder:
 
 
 def causal_order(domain: Domain, steps: Sequence[Step], state: State, goals: Iterable[UpThing]) -> CausalOrder:
-    """Find out why the steps of a plan come in their order.
-
-    Args:
-        domain: what `load_domain` returned.
-        steps: a plan that leads to the goal.
-        state: the true atoms before it.
-        goals: what shall hold, as unified-planning expressions.
-    """
+    """Return why the steps of a plan, from a state to the goals, come in their order."""
     changer: dict[str, int] = {}
     touched: defaultdict[str, set[int]] = defaultdict(set)
     links: list[Link] = []
@@ -148,12 +129,7 @@ def _beyond(links: Iterable[Link], threats: Iterable[tuple[int, int]], count: in
 
 
 def svg_of(order: CausalOrder, title: str) -> str:
-    """Draw a plan: an arrow for what one step makes so and another one needs, a dashed one for what must wait.
-
-    Args:
-        order: of its steps.
-        title: what the picture is called.
-    """
+    """Draw a plan: an arrow for what one step makes so and another one needs, a dashed one for what must wait."""
     boxes = _boxes(order)
     arrows = [(link.source, link.target, False) for link in order.links]
     arrows += [(earlier, later, True) for earlier, later in order.orders]

@@ -27,13 +27,7 @@ STRAY: Final = 0.1
 
 @dataclass(frozen=True)
 class Leg:
-    """A part of the way on which one action was done in one choice of designs and configurations.
-
-    Attributes:
-        action: what was done.
-        choice: what was chosen for it, in words.
-        xy: where, (n, 2) [m], world frame.
-    """
+    """A part of the way, `xy` (n, 2) [m], on which one action was done in one choice of designs and configurations."""
 
     action: str
     choice: str
@@ -100,16 +94,9 @@ class RunTimeline:
     @property
     def legs(self) -> list[Leg]:
         """The parts of the way for which something was chosen."""
-        chosen = [
-            ", ".join(filter(None, both))
-            for both in zip(self.designs, self.configurations, strict=True)
-            if self.actions
-        ]
-        return [
-            Leg(action, choice, self.xy[held])
-            for (action, choice), held in _runs(list(zip(self.actions, chosen, strict=True)))
-            if action and choice
-        ]
+        chosen = [", ".join(filter(None, both)) for both in zip(self.designs, self.configurations, strict=True)]
+        parts = _runs(list(zip(self.actions, chosen, strict=True)))
+        return [Leg(action, choice, self.xy[held]) for (action, choice), held in parts if action and choice]
 
 
 def timeline_of(run: MissionRun, data: Mapping[str, Any]) -> RunTimeline:

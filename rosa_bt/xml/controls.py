@@ -277,9 +277,10 @@ def _switch(cases: int) -> type[Switch]:
     return type(f"Switch{cases}", (Switch,), {"PORTS": ports, "CHILDREN": (cases + 1, cases + 1)})
 
 
-_SEQUENCES: Final = (Sequence, AsyncSequence, SequenceWithMemory, ReactiveSequence)
-_OTHERS: Final = (Fallback, AsyncFallback, ReactiveFallback, Parallel, ParallelAll, IfThenElse, WhileDoElse)
-CONTROLS: Final[dict[str, type[Control]]] = {
-    kind.__name__: kind for kind in (*_SEQUENCES, *_OTHERS, *map(_switch, range(2, 7)))
-}
+_KINDS: Final[list[type[Control]]] = [
+    *(Sequence, AsyncSequence, SequenceWithMemory, ReactiveSequence, Fallback, AsyncFallback, ReactiveFallback),
+    *(Parallel, ParallelAll, IfThenElse, WhileDoElse),
+    *map(_switch, range(2, 7)),
+]
+CONTROLS: Final = {kind.__name__: kind for kind in _KINDS}
 """By tag."""

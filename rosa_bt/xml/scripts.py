@@ -3,11 +3,14 @@
 import operator
 import re
 from collections.abc import Callable, Mapping, MutableMapping
+from functools import partial
 from typing import Any, Final
 
+from kb.status import OPERATORS
 from rosa_bt.exceptions import RosaBtError
 
-Script = Callable[[MutableMapping[str, Any]], Any]
+Board = MutableMapping[str, Any]
+Script = Callable[[Board], Any]
 """What a script does to a blackboard; returns the value of its last statement."""
 
 
@@ -18,7 +21,7 @@ class ScriptError(RosaBtError, ValueError):
 def truth(value: object) -> bool:
     """Return what a value means where a condition is expected; a port's text "true" or "false" is what it says."""
     value = _WORDS.get(value, value) if isinstance(value, str) else value
-    if isinstance(value, bool | int | float):
+    if isinstance(value, int | float):
         return bool(value)
     raise ScriptError(f"{value!r} is neither true nor false; compare it with something")
 
@@ -32,14 +35,10 @@ def parse_script(code: str) -> Script:
     return _Parser(code).script()
 
 
-def _comparing(compare: Callable[[Any, Any], bool]) -> Callable[[Any, Any], bool]:
+def _compared(compare: Callable[[Any, Any], bool], one: object, other: object) -> bool:
     """Compare as numbers what is not text on both sides."""
-
-    def compared(one: object, other: object) -> bool:
-        both_text = isinstance(one, str) and isinstance(other, str)
-        return compare(one, other) if both_text else compare(_number(one), _number(other))
-
-    return compared
+    both_text = isinstance(one, str) and isinstance(other, str)
+    return compare(one, other) if both_text else compare(_number(one), _number(other))
 
 
 def _number(value: object) -> float:
@@ -54,12 +53,8 @@ _SIGNS: Final[tuple[Mapping[str, Callable[[Any, Any], bool]], ...]] = (
     {"||": lambda one, other: truth(one) | truth(other)},
     {"&&": lambda one, other: truth(one) & truth(other)},
     {
-        "==": _comparing(operator.eq),
-        "!=": _comparing(operator.ne),
-        "<=": _comparing(operator.le),
-        ">=": _comparing(operator.ge),
-        "<": _comparing(operator.lt),
-        ">": _comparing(operator.gt),
+        sign: partial(_compared, compare)
+        for sign, compare in {**OPERATORS, "==": operator.eq, "!=": operator.ne}.items()
     },
 )
 """Signs between two values, those that bind least first; both sides are always evaluated, as in BehaviorTree.CPP."""
@@ -120,7 +115,7 @@ class _Parser:
         if kind == "name" and self._next(1) in (("sign", ":="), ("sign", "=")):
             self._at += 1
             is_new = self._took(":=", "=") == ":="
-            return _assignment(name, self._value(), is_new)
+            return partial(_assign, name, self._value(), is_new)
         return self._value()
 
     def _value(self, level: int = 0) -> Script:
@@ -129,7 +124,7 @@ class _Parser:
             return self._operand()
         value = self._value(level + 1)
         while sign := self._took(*_SIGNS[level]):
-            value = _joined(_SIGNS[level][sign], value, self._value(level + 1))
+            value = partial(_join, _SIGNS[level][sign], value, self._value(level + 1))
             if level == len(_SIGNS) - 1:
                 break
         return value
@@ -143,40 +138,37 @@ class _Parser:
             if not self._took(")"):
                 raise self._refused(self._next()[1])
             return inner
-        minus = bool(self._took("-"))
+        minus = self._took("-")
         kind, text = self._next()
         self._at += 1
+        if minus and kind != "number":
+            raise self._refused(minus)
         if kind == "number":
-            number = (int(text) if text.isdigit() else float(text)) * (-1 if minus else 1)
-            return lambda board: number
-        if minus or kind not in ("name", "string"):
-            raise self._refused("-" if minus else text)
-        if kind == "name":
-            return _variable(text)
-        return lambda board: text[1:-1]
+            constant: object = int(minus + text) if text.isdigit() else float(minus + text)
+        elif kind == "string":
+            constant = text[1:-1]
+        elif text in _WORDS:
+            constant = _WORDS[text]
+        elif kind == "name":
+            return partial(_read, text)
+        else:
+            raise self._refused(text)
+        return lambda board: constant
 
 
-def _joined(join: Callable[[Any, Any], bool], left: Script, right: Script) -> Script:
-    return lambda board: join(left(board), right(board))
+def _join(join: Callable[[Any, Any], bool], left: Script, right: Script, board: Board) -> bool:
+    return join(left(board), right(board))
 
 
-def _variable(name: str) -> Script:
-    def read(board: MutableMapping[str, Any]) -> Any:  # noqa: ANN401  # a value of any type
-        if name in _WORDS:
-            return _WORDS[name]
-        if name not in board:
-            raise ScriptError(f"there is no {name!r} on the blackboard (yet)")
-        return board[name]
-
-    return read
+def _read(name: str, board: Board) -> Any:  # noqa: ANN401  # a value of any type
+    if name not in board:
+        raise ScriptError(f"there is no {name!r} on the blackboard (yet)")
+    return board[name]
 
 
-def _assignment(name: str, value: Script, is_new: bool) -> Script:
-    def assign(board: MutableMapping[str, Any]) -> Any:  # noqa: ANN401  # a value of any type
-        result = value(board)
-        if not is_new and name not in board:
-            raise ScriptError(f"there is no {name!r} on the blackboard; `{name} := ...` makes it")
-        board[name] = result
-        return result
-
-    return assign
+def _assign(name: str, value: Script, is_new: bool, board: Board) -> Any:  # noqa: ANN401  # a value of any type
+    result = value(board)
+    if not is_new and name not in board:
+        raise ScriptError(f"there is no {name!r} on the blackboard; `{name} := ...` makes it")
+    board[name] = result
+    return result
