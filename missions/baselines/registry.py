@@ -1,31 +1,28 @@
 """The managers there are, by name, and how a run is opened under the one that is asked for."""
 
 from collections.abc import Mapping
-from importlib import import_module
 from types import MappingProxyType
 
-from missions.baselines.bt import TreeManager
-from missions.baselines.controller import BaselineController
 from missions.baselines.manager import Manager
-from missions.baselines.metacontrol import Metacontrol
-from missions.baselines.modes import NoManager, RandomManager
-from missions.baselines.rosa import RosaManager
 from missions.engine.controller import OURS, check_task, rosa_run
 from missions.engine.mission import Mission, MissionError, split_settings
+from missions.engine.registry import Registry
 from missions.engine.runner import Listener, MissionRun
 from missions.engine.settings import Setting, own_values, read_values
-from missions.suave.world import Sea
 
 __all__ = ["MANAGERS", "OURS", "find_manager", "name_of", "open_run", "options_of"]
 
-MANAGERS: Mapping[str, type[Manager]] = MappingProxyType(
-    {
-        "none": NoManager,
-        "random": RandomManager,
-        "bt": TreeManager,
-        "metacontrol": Metacontrol,
-        "rosa": RosaManager,
-    }
+MANAGERS: Registry[type[Manager]] = Registry(
+    "manager",
+    MappingProxyType(
+        {
+            "none": "missions.baselines.modes:NoManager",
+            "random": "missions.baselines.modes:RandomManager",
+            "bt": "missions.baselines.bt:TreeManager",
+            "metacontrol": "missions.baselines.metacontrol:Metacontrol",
+            "rosa": "missions.baselines.rosa:RosaManager",
+        }
+    ),
 )
 """All but ours."""
 
@@ -36,25 +33,18 @@ def find_manager(name: str | type[Manager]) -> type[Manager]:
     Raises:
         MissionError: no such manager; the message lists those there are.
     """
-    if isinstance(name, type):
-        return _checked(name, name.__name__)
-    if name in MANAGERS:
-        return MANAGERS[name]
-    module, colon, attribute = name.partition(":")
-    if not colon:
-        known = ", ".join((OURS, *MANAGERS))
-        raise MissionError(f"unknown manager {name!r}; there are {known}; one of your own is given as package:Class")
-    try:
-        found = getattr(import_module(module), attribute)
-    except (ImportError, AttributeError, ValueError, SyntaxError) as error:
-        raise MissionError(f"cannot import manager {name!r}: {type(error).__name__}: {error}") from error
-    return _checked(found, name)
+    known = f"{', '.join((OURS, *MANAGERS))}; one of your own is given as package:Class"
+    found = name if isinstance(name, type) else MANAGERS.find(name, known)
+    if not (isinstance(found, type) and issubclass(found, Manager)):
+        shown = name.__name__ if isinstance(name, type) else name
+        raise MissionError(f"{shown!r} is no subclass of missions.baselines.Manager")
+    return found
 
 
 def name_of(manager: type[Manager]) -> str:
     """Return the name under which a manager is found."""
     own = f"{manager.__module__}:{manager.__qualname__}"
-    return next((name for name, one in MANAGERS.items() if one is manager), own)
+    return next((name for name, home in MANAGERS.homes.items() if home == own), own)
 
 
 def options_of(manager: str | type[Manager]) -> tuple[Setting, ...]:
@@ -64,12 +54,6 @@ def options_of(manager: str | type[Manager]) -> tuple[Setting, ...]:
         MissionError: no such manager.
     """
     return () if manager == OURS else find_manager(manager).options
-
-
-def _checked(found: object, name: str) -> type[Manager]:
-    if not (isinstance(found, type) and issubclass(found, Manager)):
-        raise MissionError(f"{name!r} is no subclass of missions.baselines.Manager")
-    return found
 
 
 def open_run(
@@ -108,6 +92,9 @@ def open_run(
     world = mission.world.open(world_settings, rng)
     if managed_by is None:
         return rosa_run(mission, task, world, run_settings, listeners)
+    from missions.baselines.controller import BaselineController
+    from missions.suave.world import Sea
+
     if not isinstance(world, Sea):
         raise MissionError(
             f"mission {mission.name} can be run with manager {OURS} only, as --task bt or --task pddl: "

@@ -1,35 +1,68 @@
-"""The missions there are, by name; each is imported when it is asked for, and no other with it."""
+"""What there is by name, such as the missions; each is imported when it is asked for, and no other with it."""
 
 from collections.abc import Iterator, Mapping
 from importlib import import_module
+from types import MappingProxyType
+from typing import Any, TypeVar
 
 from missions.engine.mission import Mission, MissionError
 
-__all__ = ["MISSIONS", "find_mission"]
+__all__ = ["MISSIONS", "Registry", "find_mission"]
+
+T = TypeVar("T")
 
 
-class _Missions(Mapping[str, Mission]):
-    """The missions of this package; one is imported when it is looked up."""
+class Registry(Mapping[str, T]):
+    """Things by name, each imported when it is looked up.
 
-    _names = ("suave", "suave_extended", "agv", "uav")
+    Args:
+        kind: what they are, for messages, e.g. "mission".
+        homes: where each is, as "module:NAME".
 
-    def __getitem__(self, name: str) -> Mission:
-        if name not in self._names:
-            raise KeyError(name)
-        mission: Mission = import_module(f"missions.{name}").MISSION
-        return mission
+    Attributes:
+        homes: as given.
+    """
+
+    def __init__(self, kind: str, homes: Mapping[str, str]) -> None:
+        self.kind, self.homes = kind, homes
+
+    def __getitem__(self, name: str) -> T:
+        found: T = self._imported(name, self.homes[name])
+        return found
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._names)
+        return iter(self.homes)
 
     def __len__(self) -> int:
-        return len(self._names)
+        return len(self.homes)
 
     def __contains__(self, name: object) -> bool:
-        return name in self._names
+        return name in self.homes
+
+    def find(self, name: str, known: str) -> Any:  # noqa: ANN401  # whoever asks checks what it is
+        """Return one of them, or what "module:NAME" is, from anywhere that Python imports from.
+
+        Raises:
+            MissionError: there is no such thing; the message says what is `known`.
+        """
+        if name in self.homes:
+            return self[name]
+        if ":" not in name:
+            raise MissionError(f"unknown {self.kind} {name!r}; there are {known}")
+        return self._imported(name, name)
+
+    def _imported(self, name: str, home: str) -> Any:  # noqa: ANN401  # see find
+        module, _, attribute = home.partition(":")
+        try:
+            return getattr(import_module(module), attribute)
+        except (ImportError, AttributeError, ValueError, SyntaxError) as error:
+            raise MissionError(f"cannot import {self.kind} {name!r}: {type(error).__name__}: {error}") from error
 
 
-MISSIONS: Mapping[str, Mission] = _Missions()
+MISSIONS: Mapping[str, Mission] = Registry(
+    "mission",
+    MappingProxyType({name: f"missions.{name}:MISSION" for name in ("suave", "suave_extended", "agv", "uav")}),
+)
 
 
 def find_mission(name: str) -> Mission:
@@ -40,14 +73,9 @@ def find_mission(name: str) -> Mission:
     """
     if name in MISSIONS:
         return MISSIONS[name]
-    module, colon, attribute = name.partition(":")
-    if not colon:
-        known = ", ".join(MISSIONS)
-        raise MissionError(f"unknown mission {name!r}; there are {known}; one of your own is given as module:NAME")
-    try:
-        found = getattr(import_module(module), attribute)
-    except (ImportError, AttributeError, ValueError, SyntaxError) as error:
-        raise MissionError(f"cannot import mission {name!r}: {type(error).__name__}: {error}") from error
+    found = Registry[Mission]("mission", {}).find(
+        name, f"{', '.join(MISSIONS)}; one of your own is given as module:NAME"
+    )
     if not isinstance(found, Mission):
         raise MissionError(f"{name!r} is a {type(found).__name__}, not a missions.engine.mission.Mission")
     return found
