@@ -323,7 +323,7 @@ def _without_effects(domain: Domain, unmet: Iterable[tuple[Step, str]]) -> Domai
         for listed in effects.values() if isinstance(effects, dict) else [effects]:
             listed[:] = [effect for effect in listed if not _makes_feasible(domain, effect, step, action)]
     with_costs(domain, problem)
-    return replace(domain, up_problem=problem, schema_of=schemas, _atoms={})
+    return replace(domain, up_problem=problem, schema_of=schemas)
 
 
 def _makes_feasible(domain: Domain, effect: UpThing, step: Step, action: str) -> bool:

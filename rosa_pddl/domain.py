@@ -153,7 +153,7 @@ class Domain:
     types: Mapping[str, tuple[str, ...]] = field(repr=False)
     oversights: tuple[str, ...] = ()
     resources: tuple[Resource, ...] = ()
-    _atoms: dict[str, str] = field(default_factory=dict, repr=False)
+    _atoms: dict[str, str] = field(default_factory=dict, init=False, repr=False)
 
     def check(self, kb: Feasibility) -> tuple[str, ...]:
         """Assure that the knowledge base knows every ROSA action of the files.

@@ -136,8 +136,8 @@ class Declarations:
             PddlError: it has no meaning in PDDL, or none that can be planned here.
         """
         file = "{}.pddl generated from the " + self._place
-        domain = Source(file.format("domain"), "", self._domain_lists())
-        return build_domain(domain, Source(file.format("problem"), "", self._problem_lists()))
+        domain = Source(file.format("domain"), self._domain_lists())
+        return build_domain(domain, Source(file.format("problem"), self._problem_lists()))
 
     # ---------------------------------------------------------------- checks
 
@@ -353,7 +353,7 @@ def _unplaced(node: Node) -> Node:
 
 
 def _typed(node: Node, place: str) -> _Scope:
-    found = typed(Source(place, "", node), node.children, are_variables=True)
+    found = typed(Source(place, node), node.children, are_variables=True)
     missing = next((name for name, kind in found if kind is None), None)
     if missing is not None:
         raise PddlError(f"found the parameter {missing}, expected one with its type such as '?x - place'", place)

@@ -237,7 +237,6 @@ class SoftGoals:
             up_problem=self._problem,
             inside=self._inside,
             outside=self._outside,
-            _atoms={},
         )
 
     def kept(self, result: PlanningResult) -> tuple[PlanningResult, tuple[Goal, ...]]:

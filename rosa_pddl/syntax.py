@@ -49,16 +49,12 @@ class Node:
     Args:
         word: the word as written; None for a list.
         children: what the list holds; empty for a word.
-        start: offset of the first character in the file's text.
-        end: offset after the last character.
         line: counted from 1; 0 if it stands in no file.
         column: counted from 1; 0 likewise.
     """
 
     word: str | None
     children: tuple["Node", ...]
-    start: int
-    end: int
     line: int
     column: int
 
@@ -82,16 +78,15 @@ class Node:
         return "(" + " ".join(str(child) for child in self.children) + ")"
 
 
-ANY: Final = Node("object", (), 0, 0, 0, 0)
+ANY: Final = Node("object", (), 0, 0)
 """The type of a name without one."""
 
 
 @dataclass(frozen=True)
 class Source:
-    """A PDDL file: its text and its one outermost list."""
+    """A PDDL file: what to call it in messages, and its one outermost list."""
 
     file: str
-    text: str
     root: Node
 
     def error(self, node: Node, message: str) -> PddlError:
@@ -144,13 +139,9 @@ def typed(source: Source, nodes: Iterable[Node], *, are_variables: bool = False)
 
 @dataclass
 class _Open:
-    start: int
     line: int
     column: int
     children: list[Node]
-
-    def closed(self, end: int) -> Node:
-        return Node(None, tuple(self.children), self.start, end, self.line, self.column)
 
 
 def read_source(path: str | Path) -> Source:
@@ -180,35 +171,36 @@ def parse(text: str, file: str, expected: str = "(define ...)") -> Source:
     """
     stack: list[_Open] = []
     root: Node | None = None
-    for token, start, line, column in _tokens(text):
+    for token, line, column in _tokens(text):
         if root is not None:
             raise PddlError(f"found {token!r} after the end of {expected}, expected nothing more", file, line, column)
         if token == "(":
-            stack.append(_Open(start, line, column, []))
+            stack.append(_Open(line, column, []))
         elif not stack:
             raise PddlError(f"found {token!r}, expected '{expected}'", file, line, column)
         elif token == ")":
-            node = stack.pop().closed(start + 1)
+            closed = stack.pop()
+            node = Node(None, tuple(closed.children), closed.line, closed.column)
             if stack:
                 stack[-1].children.append(node)
             else:
                 root = node
         else:
             _refuse_buried_section(token, stack, file)
-            stack[-1].children.append(Node(token, (), start, start + len(token), line, column))
+            stack[-1].children.append(Node(token, (), line, column))
     if stack:
         raise _unclosed(stack[-1], file, "the end of the file")
     if root is None:
         raise PddlError(f"it is empty, expected '{expected}'", file)
-    return Source(file, text, root)
+    return Source(file, root)
 
 
-def _tokens(text: str) -> Iterator[tuple[str, int, int, int]]:
+def _tokens(text: str) -> Iterator[tuple[str, int, int]]:
     line, line_start = 1, 0
     for match in _TOKEN.finditer(text):
         token, start = match.group(), match.start()
         if not token[0].isspace() and token[0] != ";":
-            yield token, start, line, start - line_start + 1
+            yield token, line, start - line_start + 1
         if "\n" in token:
             line += token.count("\n")
             line_start = start + token.rindex("\n") + 1
