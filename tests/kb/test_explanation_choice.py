@@ -224,7 +224,7 @@ def test_another_criterion_tells_its_own_reasons(kb, see):
 
 
 @SLOW
-@given(st.lists(st.none() | st.integers(0, 2), min_size=1, max_size=4))
+@given(st.lists(st.none() | st.sampled_from((0, 1, 2, 0.5, -1.25, 1.0)), min_size=1, max_size=4))
 def test_who_comes_first_follows_from_the_reasons_alone(priorities):
     model = Model("one")
     see = model.function("see")

@@ -98,6 +98,12 @@ def test_roles_of_an_estimation_are_known_in_other_spellings(load, relation):
     assert estimation.kind == "positive"
 
 
+@pytest.mark.parametrize(("written", "meant"), [("2", 2), ("-3", -3), ("1.5", 1.5), ("2.0", 2.0), ("1e3", 1000.0)])
+def test_priority_is_any_finite_number(load, written, meant):
+    model = load(f"{ROBOT}($f, $c) isa function-design, has name 'other', has priority {written};")
+    assert model.designs["other"].priority == meant
+
+
 def test_requirements_of_one_action_add_up(load):
     more = "$g isa Function, has function-name 'see'; (actions: $a, required-functions: $f) isa functional-requirement;"
     model = load(ROBOT + more + "(action: $a, function: $f, function: $g) isa functional-requirement;")
