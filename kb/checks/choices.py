@@ -51,7 +51,7 @@ def _ties(whole: Node) -> Iterator[Finding]:
         tied = list(group)
         if len(tied) < 2 or _exclude_one_another([_bounds_in_use(one) for one in tied]):
             continue
-        which = "no priority" if priority == math.inf else f"the same priority, {priority:g}"
+        which = "no priority" if priority == math.inf else f"the same priority, {priority}"
         names = sorted(one.name for one in tied)
         message = f"{tied[0].kind}s {listing(names)} of {whole.kind} {whole.name} have {which}; {names[0]} comes first"
         yield found("tied-priorities", f"{whole.kind} {whole.name}", message)

@@ -69,7 +69,7 @@ def found(code: str, element: str, message: str) -> Finding:
 
 
 def listing(names: Iterable[str], most: int = 4) -> str:
-    """Write names as a list of which only the first few are told, e.g. "a, b and c" or "a, b, c and 7 more"."""
+    """Write names as a list of which only the first few are named, e.g. "a, b and c" or "a, b, c and 7 more"."""
     known = list(names)
     if len(known) > most:
         known = [*known[: most - 1], f"{len(known) - most + 1} more"]

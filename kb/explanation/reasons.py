@@ -13,7 +13,7 @@ from kb.state import Reason, State
 from kb.status import OPERATORS, Status
 
 _MOST: Final = 4
-"""How many causes of one status a sentence tells before it only counts the rest."""
+"""How many causes of one status a sentence names before it only counts the rest."""
 _MOST_REMEDIES: Final = 3
 _IN: Final = (Status.FAILURE, Status.CONFIGURATION_ERROR, Status.IMPLICIT_CONFIGURATION_ERROR)
 _ERRORS: Final = (Status.CONFIGURATION_ERROR, Status.IMPLICIT_CONFIGURATION_ERROR)

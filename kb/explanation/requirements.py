@@ -23,7 +23,7 @@ LIMIT: Final = 64
 WORK: Final = 20_000
 """How many pairs of boxes are looked at for one element before fewer are kept on the way."""
 MOST_REMEDIES: Final = 16
-"""How many remedies are told at most."""
+"""How many remedies are given at most."""
 LOOKS: Final = 1_000_000
 """How many elements are looked at to make remedies smaller, when there are too many to look at all."""
 

@@ -110,7 +110,7 @@ class _Question:
                 raise self._nothing(pattern)
         kept = [bindings for bindings in found if self._holds(bindings)]
         if not kept:
-            raise place_of(self.file, self.comparisons[0][1].value).error("nothing told so far compares like this")
+            raise place_of(self.file, self.comparisons[0][1].value).error("nothing known so far compares like this")
         return list({tuple((name, type(one), one) for name, one in each.items()): each for each in kept}.values())
 
     def _effort(self, pattern: _Pattern, bindings: Bindings) -> int:
@@ -197,13 +197,13 @@ class _Question:
         return True
 
     def _nothing(self, pattern: _Pattern) -> ModelFileError:
-        name, kind, what = self._name(pattern, self.known), pattern.kind, "no thing told so far is like this"
+        name, kind, what = self._name(pattern, self.known), pattern.kind, "no thing known so far is like this"
         if name is not None and kind is not None and name not in self.store.named[kind]:
             what = str(UnknownName(kind, name, self.store.named[kind]))
         elif pattern.types:
             wanted = pattern.types[0][0]
             number = sum(wanted in thing.type.lineage() for thing in self.store.things.get(kind, ()))
-            what = f"no {wanted.label} of the {number} told so far is like this"
+            what = f"no {wanted.label} of the {number} known so far is like this"
         return pattern.place.error(f"`match` finds nothing: {what}")
 
 

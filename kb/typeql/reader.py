@@ -1,4 +1,4 @@
-"""From what files tell to a model: elements in the order in which they are told, then what is so from the start."""
+"""From the things that files describe to a model: elements in order, then what is so from the start."""
 
 import ast
 import json
@@ -24,8 +24,8 @@ from kb.typeql.syntax import SLIPS, Define, Match, parse
 from kb.typeql.vocabulary import CLASSES, PARAMETER_TYPES, ROLES, SPECIAL, Kind, Literal, Vocabulary, seconds
 
 ModelT = TypeVar("ModelT", bound=Contents)
-Told = tuple[int, facts.Fact, Place]
-"""A fact, with the number of the statement that tells it, and where."""
+Stated = tuple[int, facts.Fact, Place]
+"""A fact, with the number of its statement, and where."""
 
 _CLASSES: Final = {cls: kind for cls, kind in CLASSES.items() if issubclass(cls, Element)}
 _KINDS: Final = {label: kind for kind, label in SPECIAL.items()}
@@ -163,7 +163,7 @@ class _Reading:
                     sense = str(kind.value).strip().lower() if kind else "positive"
                     self.model.add_estimation(self.elements[causer], attribute, value, sense)  # type: ignore[arg-type]  # the role lets no other in
 
-    def _facts(self) -> Iterator[Told]:
+    def _facts(self) -> Iterator[Stated]:
         for thing, element in self.elements.items():
             for own in thing.owns:
                 fact = self._stated(thing, element, own)
@@ -211,16 +211,16 @@ class _Reading:
         self.store.note(own.place, f"{own.value!r} is no status of a {thing.type.label}, and not asserted; {hint}")
         return None
 
-    def _measurements(self) -> Iterator[Told]:
-        """Yield all measurements; where the files do not say which one is the latest, the newest one told last is."""
-        told: dict[str, list[Thing]] = {}
+    def _measurements(self) -> Iterator[Stated]:
+        """Yield all measurements; where the files do not say which one is the latest, the newest, said last, is."""
+        measured: dict[str, list[Thing]] = {}
         for thing in self.store.of(Kind.MEASUREMENT):
             for name in _names(thing, "measured-attribute"):
-                told.setdefault(name, []).append(thing)
+                measured.setdefault(name, []).append(thing)
         for thing in self.store.of(Kind.ATTRIBUTE):
             if thing.own("value"):
-                told.setdefault(thing.name, []).append(thing)
-        for name, things in told.items():
+                measured.setdefault(thing.name, []).append(thing)
+        for name, things in measured.items():
             unsaid = [thing for thing in things if thing.own("latest") is None]
             if any(thing.value("latest") is True for thing in things):
                 unsaid = []

@@ -127,7 +127,7 @@ def parse(text: str, file: str) -> list[Define | Insert | Match]:
     """Read the queries of a file.
 
     Raises:
-        ModelFileError: the text is no TypeQL, or changes or reads a database instead of telling of a robot.
+        ModelFileError: the text is no TypeQL, or changes or reads a database instead of describing a robot.
     """
     try:
         return _parser().parse(text)  # type: ignore[return-value]  # what the shapes below make of it
@@ -154,9 +154,9 @@ class _Refusal(PostLex):
         depth = 0
         for word in stream:
             if word.type == "REFUSED":
-                does = "reads; a model file only tells: ask `KnowledgeBase.query` instead, in SPARQL"
+                does = "reads; a model file only states: ask `KnowledgeBase.query` instead, in SPARQL"
                 if word in ("delete", "update", "undefine"):
-                    does = "changes what a database holds; a model file only tells: change the `insert` that says it"
+                    does = "changes what a database holds; a model file only states: change the `insert` that says it"
                 raise _Refused(word, f"`{word}` {does}. Expected `define`, `insert` or `match ... insert`")
             depth += {"BRACE": 1, "OPEN": 1, "RBRACE": -1, "RPAR": -1}.get(word.type, 0)
             if depth > MAX_DEPTH:

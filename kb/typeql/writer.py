@@ -31,12 +31,12 @@ _ESCAPES: Final = {"\n": "\\n", "\t": "\\t", "\r": "\\r", "\\": "\\\\", '"': '\\
 
 def typeql_text(model: Contents) -> str:
     """Write a model so that it is read back as it is; see `Model.save`."""
-    told = "\n".join(_Writer(model).lines())
+    statements = "\n".join(_Writer(model).lines())
     own = []
     for label, (value, *owners) in EXTENSIONS.items():
-        if f"has {label} " in told:
+        if f"has {label} " in statements:
             own += [f"{label} sub attribute, value {value};", *(f"{owner};" for owner in owners)]
-    return "\n".join(["define", "# beyond ROSA's schema", *own, "", "insert", told, ""])
+    return "\n".join(["define", "# beyond ROSA's schema", *own, "", "insert", statements, ""])
 
 
 class _Writer:

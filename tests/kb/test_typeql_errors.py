@@ -116,7 +116,7 @@ MEANING = {
     "define x sub nothing-known;": "6:14: unknown type 'nothing-known'",
     "match $x isa Component, has component-name 'moter'; insert $x has is-active true;": "6:7: `match` finds nothing: "
     "unknown component 'moter'; did you mean 'motor'",
-    "match $x isa ROSNode; insert $x has is-active true;": "6:7: `match` finds nothing: no ROSNode of the 0 told",
+    "match $x isa ROSNode; insert $x has is-active true;": "6:7: `match` finds nothing: no ROSNode of the 0 known",
     "match $x has is-active true; insert $x has is-active true;": "6:7: `match` finds nothing: no thing",
     "match $x isa Component, has component-name $n; $n != 'motor'; insert $x has is-active true;": "6:54: nothing",
     "match $x isa Component; $n > 1; insert $x has is-active true;": "6:30: .n is compared, and no `has",
