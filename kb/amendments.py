@@ -36,7 +36,7 @@ def amendment(how: str, changed: Sequence[Changeable], serials: Serials) -> Amen
 def amend(model: Model, serials: Serials, how: str, written: Any) -> None:  # noqa: ANN401  # what JSON holds
     """Change a model as it was changed before; see `Amendment`."""
     is_id = how == "removed"
-    if isinstance(written, str) is not is_id or isinstance(written, list) is is_id:
+    if isinstance(written, str) is not is_id or isinstance(written, list | tuple) is is_id:
         raise TypeError(f"{how} {written!r} is no amendment of a model")
     known = {element_id(one, serials): one for one in _everything(model)}
     if is_id:
