@@ -199,7 +199,9 @@ class Declarations:
 
     def _problem_lists(self) -> Node:
         problem = self.problem
-        objects = [*((name, ACTION_TYPE) for name in self.rosa_actions), *self._in_order(problem.objects)]
+        objects = [*((name, ACTION_TYPE) for name in self.rosa_actions), *problem.objects.items()]
+        # what formulas name comes first, as the constants of a domain file do
+        objects.sort(key=lambda one: one[1] == ACTION_TYPE or one[0].lower() not in self._signatures.constants)
         facts = [listed(f"{action}_action", action) for action in self.rosa_actions]
         numbers = {**{f"({name})": 0.0 for name in self._resources}, **problem.numbers}
         facts += [_parsed(fact, self._place) for fact in problem.facts]
@@ -243,12 +245,6 @@ class Declarations:
         yield from (kind for kind in dict.fromkeys(used) if kind not in above and kind != "object")
         yield from ["-", "object"]
         yield from (word for kind, parent in above.items() for word in (kind, "-", parent))
-
-    def _in_order(self, objects: Mapping[str, str]) -> Iterator[tuple[str, str]]:
-        """Yield the objects with their types, those that formulas name first, as constants of a domain file are."""
-        named = self._signatures.constants
-        yield from ((name, kind) for name, kind in objects.items() if name.lower() in named)
-        yield from ((name, kind) for name, kind in objects.items() if name.lower() not in named)
 
 
 class _Signatures:

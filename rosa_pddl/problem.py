@@ -9,6 +9,7 @@ from weakref import WeakKeyDictionary
 
 from rosa_pddl.domain import Domain, Feasibility, Schema, State, UpThing, head_of
 from rosa_pddl.exceptions import UnknownNameError, UnsupportedPddlError, nearest
+from rosa_pddl.validate import text_of
 
 Exact: TypeAlias = int | Fraction
 """A number that is added up and compared without rounding."""
@@ -107,7 +108,9 @@ def unlimited(domain: Domain) -> Domain:
 
 
 def initial_state(domain: Domain) -> State:
-    return frozenset(_initial_atoms(domain))
+    """Return the facts that the problem file begins with, as it states feasibility itself."""
+    values = domain.up_problem.explicit_initial_values.items()
+    return frozenset(text_of(domain, expression, {}) for expression, value in values if value.is_true())
 
 
 def feasible_atoms(domain: Domain, kb: Feasibility) -> State:
@@ -120,13 +123,6 @@ def feasible_atoms(domain: Domain, kb: Feasibility) -> State:
 def without_feasibility(domain: Domain, state: State) -> State:
     """Return a state less its facts `(action_feasible ?a)`: those are the knowledge base's to say, never a plan's."""
     return frozenset(atom for atom in state if not domain.is_feasibility(atom))
-
-
-def _initial_atoms(domain: Domain) -> Iterator[str]:
-    for expression, value in domain.up_problem.explicit_initial_values.items():
-        if value.is_bool_constant() and value.constant_value():
-            words = [expression.fluent().name, *(argument.object().name for argument in expression.args)]
-            yield "(" + " ".join(domain.outside[word] for word in words) + ")"
 
 
 def _sequential(domain: Domain) -> UpThing:
