@@ -61,19 +61,15 @@ def _incomplete(network: Network) -> Iterator[Finding]:
 
 
 def _unused(model: Contents, network: Network) -> Iterator[Finding]:
-    used = {one.attribute for one in model.estimations}
-    for fact in model.facts:
-        if isinstance(fact, RequiredActionFact):
-            used.update(fact.preference or ())
-    for node in network.attributes.values():
-        if not node.constraints and node.name not in used:
-            yield found("unused-attribute", f"attribute {node.name}", f"nothing depends on attribute {node.name}")
-    for node in network.functions.values():
-        if not node.wholes:
-            yield found("unused-function", f"function {node.name}", f"no action requires function {node.name}")
-    for node in network.components.values():
-        if not node.wholes:
-            yield found("unused-component", f"component {node.name}", f"no design uses component {node.name}")
+    requests = (fact for fact in model.facts if isinstance(fact, RequiredActionFact))
+    used = {one.attribute for one in model.estimations}.union(*(fact.preference or () for fact in requests))
+    attributes = [node for node in network.attributes.values() if not node.constraints and node.name not in used]
+    functions = [node for node in network.functions.values() if not node.wholes]
+    components = [node for node in network.components.values() if not node.wholes]
+    whats = ("nothing depends on", attributes), ("no action requires", functions), ("no design uses", components)
+    for what, nodes in whats:
+        for node in nodes:
+            yield found(f"unused-{node.kind}", f"{node.kind} {node.name}", f"{what} {node.kind} {node.name}")
 
 
 def _similar(table: Mapping[str, Element]) -> Iterator[Finding]:

@@ -120,107 +120,101 @@ def _first_designs(state: State) -> list[Node]:
     return chosen
 
 
+@dataclass
 class _Chooser:
     """Explains one choice; the following state is the one in which it is made anew."""
 
-    def __init__(
-        self,
-        state: State,
-        following: State,
-        node: Node,
-        now: float,
-        preferred: str | None,
-        verdicts: Mapping[str, str],
-        nothing: str,
-    ) -> None:
-        self._state = state
-        self._following = following
-        self._node = node
-        self._now = now
-        self._verdicts = verdicts
-        self._nothing = nothing
-        self._possible = _possible(state, node)
-        self._selected = next((part for part in node.parts if state.selected[part.index]), None)
-        self._said = state.reason("selected", self._selected).text if self._selected else ""
-        self._first = self._preferred(preferred)
-        self._chosen = self._selected or self._first
+    state: State
+    following: State
+    node: Node
+    now: float
+    preferred: str | None
+    verdicts: Mapping[str, str]
+    nothing: str
+
+    def __post_init__(self) -> None:
+        self.possible = _possible(self.state, self.node)
+        self.selected = next((part for part in self.node.parts if self.state.selected[part.index]), None)
+        self.said = self.state.reason("selected", self.selected).text if self.selected else ""
+        self.first = self._preferred(self.preferred)
+        self.chosen = self.selected or self.first
 
     def _preferred(self, name: str | None) -> Node | None:
         """Return the part that is preferred; None for none, and where only whoever gave a reason can tell."""
-        if self._nothing:
+        if self.nothing:
             return None
-        if name is None and self._said:
-            return self._selected if self._selected in self._possible else None
-        name = name or first_by_priority(_element(part) for part in self._possible)
-        return next((part for part in self._possible if part.name == name), None)
+        if name is None and self.said:
+            return self.selected if self.selected in self.possible else None
+        name = name or first_by_priority(_element(part) for part in self.possible)
+        return next((part for part in self.possible if part.name == name), None)
 
     def explanation(self) -> ChoiceExplanation:
         others = tuple(
-            Alternative(part.name, self._state.status[part.index], _element(part).priority, self._why_not(part))
-            for part in self._node.parts
-            if part is not self._chosen
+            Alternative(part.name, self.state.status[part.index], _element(part).priority, self._why_not(part))
+            for part in self.node.parts
+            if part is not self.chosen
         )
-        name = self._chosen.name if self._chosen else None
+        name = self.chosen.name if self.chosen else None
         return ChoiceExplanation(
-            self._node.kind, self._node.name, name, self._selected is not None, self._why_chosen(), others
+            self.node.kind, self.node.name, name, self.selected is not None, self._why_chosen(), others
         )
 
     def _why_chosen(self) -> str:
-        chosen, what, node = self._chosen, _PARTS[self._node.kind], self._node
+        chosen, what, node = self.chosen, _PARTS[self.node.kind], self.node
         if chosen is None:
-            return self._nothing or (f"each {what} of it is unfeasible" if node.parts else f"it has no {what}")
-        if chosen not in self._possible:
-            return f"it was possible before; now {why(self._state, chosen, self._now)}"
+            return self.nothing or (f"each {what} of it is unfeasible" if node.parts else f"it has no {what}")
+        if chosen not in self.possible:
+            return f"it was possible before; now {why(self.state, chosen, self.now)}"
         advantage = self._advantage(chosen)
-        if not self._following.required[node.index]:
-            given_up = self._state.required[node.index]
+        if not self.following.required[node.index]:
+            given_up = self.state.required[node.index]
             idle = f"the {node.kind} is about to be given up" if given_up else f"nothing requires the {node.kind} now"
             return f"{advantage}; {idle}"
-        if self._selected is None and self._is_useless():
+        if self.selected is None and self._is_useless():
             return f"{advantage}; it is not, for no required function could use the component"
         return advantage
 
     def _is_useless(self) -> bool:
-        return self._node.kind == "component" and not self._following.served[self._node.index]
+        return self.node.kind == "component" and not self.following.served[self.node.index]
 
     def _advantage(self, chosen: Node) -> str:
-        what, priority = _PARTS[self._node.kind], _element(chosen).priority
-        if self._nothing:
-            return f"it was preferred before; now nothing would be: {self._nothing}"
-        if chosen is not self._first:
+        what, priority = _PARTS[self.node.kind], _element(chosen).priority
+        if self.nothing:
+            return f"it was preferred before; now nothing would be: {self.nothing}"
+        if chosen is not self.first:
             return "it was preferred before"
-        if chosen.name in self._verdicts:
-            return self._verdicts[chosen.name]
-        if self._said:
-            return self._said
-        if len(self._possible) == 1:
-            return f"it is the only {what}" if len(self._node.parts) == 1 else f"no other {what} is feasible"
-        if any(_element(other).priority == priority for other in self._possible if other is not chosen):
+        if chosen.name in self.verdicts:
+            return self.verdicts[chosen.name]
+        if self.said:
+            return self.said
+        if len(self.possible) == 1:
+            return f"it is the only {what}" if len(self.node.parts) == 1 else f"no other {what} is feasible"
+        if any(_element(other).priority == priority for other in self.possible if other is not chosen):
             return f"of those with {_in_words(priority)} it comes first by name"
         return f"{_in_words(priority)} is the lowest of those that are feasible"
 
     def _why_not(self, part: Node) -> str:
-        if part not in self._possible:
-            return f"it{why(self._state, part, self._now).removeprefix(part.name)}"
-        if self._nothing:
+        if part not in self.possible:
+            return f"it{why(self.state, part, self.now).removeprefix(part.name)}"
+        if self.nothing:
             return "no choice with it would do either"
-        if part is self._first:
+        if part is self.first:
             return self._why_not_yet()
-        if part.name in self._verdicts:
-            return self._verdicts[part.name]
-        if self._said:
-            return "it is not part of that choice" if self._first else "it is possible, but not selected yet"
-        assert self._first is not None  # something is possible, so something is preferred
-        mine, best = _element(part).priority, _element(self._first).priority
+        if part.name in self.verdicts:
+            return self.verdicts[part.name]
+        if self.said:
+            return "it is not part of that choice" if self.first else "it is possible, but not selected yet"
+        assert self.first is not None  # something is possible, so something is preferred
+        mine, best = _element(part).priority, _element(self.first).priority
         if mine == best:
-            return f"it has {_in_words(mine)} too, and comes after {self._first.name} by name"
+            return f"it has {_in_words(mine)} too, and comes after {self.first.name} by name"
         return f"it has {_in_words(mine)}, which comes after {best}"
 
     def _why_not_yet(self) -> str:
-        node, status = self._node, self._following.status[self._node.index]
-        if not self._following.required[node.index] or self._is_useless():
+        node, status = self.node, self.following.status[self.node.index]
+        if not self.following.required[node.index] or self._is_useless():
             return f"nothing is selected anew while nothing requires the {node.kind}"
-        if is_adaptable(self._following, node):
+        if is_adaptable(self.following, node):
             return "it is to be selected next"
         if status is Status.SOLVED:
             return f"the {node.kind} works, and is not to be improved while it does"

@@ -20,7 +20,7 @@ from kb.files import Place, read_text
 from kb.status import STATUSES, Status
 from kb.typeql.matching import answers
 from kb.typeql.store import Own, Store, Thing, shown
-from kb.typeql.syntax import SLIPS, Define, Match, parse
+from kb.typeql.syntax import SLIPS, Define, parse
 from kb.typeql.vocabulary import CLASSES, PARAMETER_TYPES, ROLES, SPECIAL, Kind, Literal, Vocabulary, seconds
 
 ModelT = TypeVar("ModelT", bound=Contents)
@@ -48,11 +48,9 @@ def load_typeql(cls: Callable[[str], ModelT], files: Sequence[Path], name: str |
     vocabulary.link()
     store = Store(vocabulary)
     for file, query in parsed:
-        if isinstance(query, Match):
+        if not isinstance(query, Define):
             for bindings in answers(store, query.patterns, file):
                 store.insert(query.statements, file, bindings)
-        elif not isinstance(query, Define):
-            store.insert(query.statements, file)
     _complete(store)
     said = (one.name for one in store.of(Kind.MODEL))
     model = cls(name if name is not None else next(said, files[0].stem))

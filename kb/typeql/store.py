@@ -94,9 +94,9 @@ class Store:
         self.notes: list[str] = []
         self.order = 0
 
-    def insert(self, statements: Sequence[Statement], file: str, bindings: Bindings | None = None) -> None:
+    def insert(self, statements: Sequence[Statement], file: str, bindings: Bindings) -> None:
         """Take in what is inserted, with what the variables stand for that were matched."""
-        _Insertion(self, file, bindings or {}).run(statements)
+        _Insertion(self, file, bindings).run(statements)
 
     def of(self, kind: Kind) -> list[Thing]:
         return self.things.get(kind, [])

@@ -106,16 +106,10 @@ class Define(NamedTuple):
 
 
 class Insert(NamedTuple):
-    """`insert ...`."""
+    """`insert ...` or `match ... insert ...`."""
 
     statements: tuple[Statement, ...]
-
-
-class Match(NamedTuple):
-    """`match ... insert ...`."""
-
-    patterns: tuple[Statement | Unsupported, ...]
-    statements: tuple[Statement, ...]
+    patterns: tuple[Statement | Unsupported, ...] = ()
 
 
 def place_of(file: str, word: Word) -> Place:
@@ -123,7 +117,7 @@ def place_of(file: str, word: Word) -> Place:
     return Place(file, word.line or 1, word.column or 1)
 
 
-def parse(text: str, file: str) -> list[Define | Insert | Match]:
+def parse(text: str, file: str) -> list[Define | Insert]:
     """Read the queries of a file.
 
     Raises:
@@ -197,7 +191,7 @@ _SHAPES: Final[Mapping[str, Callable[..., object]]] = {
     "rule": lambda *_: None,
     "insert": lambda *statements: Insert(statements),
     "patterns": lambda *patterns: patterns,
-    "match": lambda patterns, insert: Match(patterns, insert.statements),
+    "match": lambda patterns, insert: Insert(insert.statements, patterns),
     "statement": _statement,
     "isa": lambda keyword, label: Isa(label, keyword == "isa!"),
     "has": _has,
