@@ -228,9 +228,9 @@ class Grounded:
         amounts = [self._usage.value(one, numbers) if one.terms else one.constant for one in sums]
         least = min(amounts, default=0)
         if least < 0:
-            told = " + ".join(text for _, text in sums[amounts.index(least)].terms)
+            terms = " + ".join(text for _, text in sums[amounts.index(least)].terms)
             raise UnsupportedPddlError(
-                f"{told} comes to {float(least):g}; {what} are 0 or more", self._domain.problem_file
+                f"{terms} comes to {float(least):g}; {what} are 0 or more", self._domain.problem_file
             )
         return amounts
 
@@ -300,7 +300,7 @@ class Grounded:
 
     @cached_property
     def _head(self) -> str:
-        # unit costs are told as costs of 1
+        # unit costs are written as costs of 1
         lines = ["begin_version", "3", "end_version", "begin_metric", "1", "end_metric", str(len(self._number))]
         for variable, number in self._number.items():
             known = self._task.variables[variable]

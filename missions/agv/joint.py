@@ -57,8 +57,8 @@ class Question:
     def __post_init__(self) -> None:
         if not isinstance(self.start, Place | None):
             raise MissionError(f"the start is {self.start!r}; it must be a Place, such as Place('hall')")
-        for what, told in (("weight", self.weights), ("limit", self.limits)):
-            for name, value in told.items():
+        for what, given in (("weight", self.weights), ("limit", self.limits)):
+            for name, value in given.items():
                 if name not in GOALS:
                     raise MissionError(f"there is no {what} {name!r}; there are {', '.join(GOALS)}")
                 check_number(f"the {what} of {name}", value)
@@ -331,8 +331,8 @@ class JointPlanner:
         goal = " + ".join(name if weight == 1.0 else f"{weight:g} {name}" for name, weight in weights)
         within = [f"{name} {task.question.limits[name]:g}" for name in task.limited]
         limits = f" within {' and '.join(within)}" if within else ""
-        told = f"{takes.time_s:.1f} s, {takes.energy_j:.0f} J, {takes.expected_collisions:.3f} collisions expected"
-        return f"{route}: of all ways the best for {goal}{limits} ({told})"
+        amounts = f"{takes.time_s:.1f} s, {takes.energy_j:.0f} J, {takes.expected_collisions:.3f} collisions expected"
+        return f"{route}: of all ways the best for {goal}{limits} ({amounts})"
 
     def _why_not(self, task: Task) -> str:
         ways = [task.way(corridor, corridor.ends[0]) for corridor in self._building.corridors.values()]
@@ -350,13 +350,13 @@ class JointPlanner:
 
     def _broken_limits(self, task: Task) -> str:
         """Say which limits are less than the least that there is of each alone."""
-        told, broken = [], []
+        least_of_each, broken = [], []
         for name, limit in zip(task.limited, task.limits, strict=True):
             unit, scale = _UNITS[name]
             alone = self.plan(replace(task.question, weights={name: 1e3}, limits={}))
             least = alone.takes[GOALS.index(name)]
             said = f"{name} would be {least / scale:.6g}{unit} at least"
-            told.append(said)
+            least_of_each.append(said)
             broken += [f"{said}, the limit is {task.question.limits[name]:g}{unit}"] if least > limit else []
-        together = f"each alone can be kept, but not all together ({'; '.join(told)})"
+        together = f"each alone can be kept, but not all together ({'; '.join(least_of_each)})"
         return f"no way keeps within the limits: {'; '.join(broken) or together}"

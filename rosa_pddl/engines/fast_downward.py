@@ -337,8 +337,7 @@ def _effect(domain: Domain, effect: UpThing) -> Iterator[str]:
             if bool(value.constant_value()) is not truth:
                 continue
         else:
-            told = _formula(domain, value)
-            needed.append(told if truth else f"(not {told})")
+            needed.append(_formula(domain, value) if truth else f"(not {_formula(domain, value)})")
         text = f"(when (and {' '.join(needed)}) {literal})" if needed else literal
         yield f"(forall ({_typed(effect.forall)}) {text})" if effect.forall else text
 

@@ -88,7 +88,7 @@ def asked(
         overlapping: whether steps may overlap: durations are kept then, else each step is an instant.
 
     Raises:
-        UnsupportedPddlError: the problem cannot be told.
+        UnsupportedPddlError: unified-planning cannot hold the problem.
         Trouble: there is no answer.
         Cancelled: it is not wanted any more.
     """
