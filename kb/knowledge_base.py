@@ -119,7 +119,7 @@ class KnowledgeBase:
         known.heard = self._publisher.deliver
         self._reading = _Reading(known, clock, self._lock, self._publisher)
         self._world: World | None = None
-        self._keep, self._is_closed, self._rejected = keep, False, 0
+        self._keep, self._is_closed = keep, False
         self.log: Log = known.log
         self.history = HistoryView(known.records)
         (
@@ -207,11 +207,6 @@ class KnowledgeBase:
         with self._reading:
             return tuple(self._knowledge.records.processes.values())
 
-    @property
-    def rejected(self) -> int:
-        """How many readings of diagnostics could not be used so far."""
-        return self._rejected
-
     def query(self, sparql: str, timeout: float = 10.0) -> list[tuple[Answer, ...]]:
         """Answer a SPARQL query over the model, all that was told, and the statuses that follow from it.
 
@@ -293,7 +288,7 @@ class KnowledgeBase:
 
         Returns:
             What could not be used, and why; all the rest has been taken in. These are logged and counted in
-            `rejected` too.
+            `history.rejected` too.
         """
         problems = []
         for reading in read_diagnostics(diagnostics):
@@ -312,7 +307,7 @@ class KnowledgeBase:
         for problem in problems:
             _log.warning("diagnostics: %s", problem)
         with self._lock:
-            self._rejected += len(problems)
+            self._knowledge.records.rejected += len(problems)
         return tuple(problems)
 
     @_telling

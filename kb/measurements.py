@@ -195,7 +195,7 @@ class Measurements:
         recent = self.recent.get(attribute.index, ())
         steady = [one for one in attribute.constraints if is_steady(one)]
         judged = [self.judge(one, value, recent, self._state.verdict[one.index], now) for one in steady]
-        self.put_judged([one._replace(verdict=None) for one in judged], now)
+        self.put_judged([Judged(node, None, wait) for node, _, wait in judged], now)
 
     def forget(self, node: Node) -> None:
         """Take note that an element is no longer in the model."""

@@ -154,6 +154,24 @@ def _model_name(given: Iterable[Individual]) -> str | None:
     return names[0] if names else None
 
 
+class _World(owlready2.World):  # type: ignore[misc]  # owlready2 has no types
+    """A world whose values can be written and read without individuals."""
+
+    def python_of(self, cell: object, datatype: object) -> Answer:
+        value: Answer = self._to_python(cell, datatype)
+        return value
+
+    def iri_of(self, number: int) -> str:
+        return str(self._unabbreviate(number))
+
+    def number_of(self, iri: str) -> int:
+        return int(self._abbreviate(iri))
+
+    def rdf_of(self, value: object) -> tuple[object, object]:
+        cell, datatype = self._to_rdf(value)
+        return cell, datatype
+
+
 class Book:
     """A world of individuals: the words of ROSA, a model, what was told, and what is inferred.
 
@@ -164,7 +182,7 @@ class Book:
     def __init__(self, base: str) -> None:
         self.base = base
         connection = sqlite3.connect(":memory:", isolation_level="EXCLUSIVE", check_same_thread=False)
-        self.world = owlready2.World(filename=":memory:", connection=connection)
+        self.world = _World(filename=":memory:", connection=connection)
         self._db = self.world.graph.db
         self._contexts = {
             name: self.world.get_ontology(f"{base}/{name}#").graph.c for name in ("model", "told", "inferred")
@@ -240,9 +258,9 @@ class Book:
             if cell is None:
                 yield None
             elif datatype != "o":
-                yield self.world._to_python(cell, datatype)
+                yield self.world.python_of(cell, datatype)
             else:
-                yield f"_:{-cell}" if cell < 0 else self.world._unabbreviate(cell)
+                yield f"_:{-cell}" if cell < 0 else self.world.iri_of(cell)
 
     def commit(self) -> None:
         """Have everything that was written last."""
@@ -270,7 +288,7 @@ class Book:
                 if isinstance(value, Ref):
                     relations.append((c, subject, word, self._node(value.id)))
                 else:
-                    values.append((c, subject, word, *self.world._to_rdf(_storable(value))))
+                    values.append((c, subject, word, *self.world.rdf_of(_storable(value))))
         self._insert("resources", names)
         self._insert("objs", relations)
         self._insert("datas", values)
@@ -290,7 +308,7 @@ class Book:
     def _word(self, iri: str) -> int:
         found = self._words.get(iri)
         if found is None:
-            found = self._words[iri] = self.world._abbreviate(iri)
+            found = self._words[iri] = self.world.number_of(iri)
         return found
 
 

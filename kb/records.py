@@ -199,6 +199,7 @@ class Records:
         answers: by number of the event; the newest.
         ended: why requests have ended since the last plan, in words; the newest.
         last_end: when a request ended last [s], and the number of that event.
+        rejected: how many readings of diagnostics could not be used.
     """
 
     def __init__(self) -> None:
@@ -211,6 +212,7 @@ class Records:
         self.answers: dict[int, VetoAnswer] = {}
         self.ended: tuple[str, ...] = ()
         self.last_end: tuple[float, int] | None = None
+        self.rejected = 0
 
     def request(self, record: RequiredAction) -> None:
         """Put a request on record; it is open unless it has an end."""
@@ -324,6 +326,11 @@ class HistoryView:
     def actions(self) -> tuple[RequiredAction, ...]:
         """Every action that was ever required, in the order of the requests."""
         return tuple(self._records.requests.values())
+
+    @property
+    def rejected(self) -> int:
+        """How many readings of diagnostics could not be used so far."""
+        return self._records.rejected
 
     @property
     def attempts(self) -> tuple[Attempt, ...]:

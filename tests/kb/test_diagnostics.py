@@ -71,7 +71,7 @@ def test_a_foreign_message_is_passed_over(kb, message):
     assert kb.receive({"status": [status(message, light="0.5", camera="error", nonsense="?")]}) == ()
     assert kb.attributes["light"].value is None
     assert kb.components["camera"].status is Status.FEASIBLE
-    assert kb.rejected == 0
+    assert kb.history.rejected == 0
 
 
 def test_all_keys_of_all_statuses_are_read_recoveries_or_not(kb):
@@ -143,7 +143,7 @@ def test_what_is_no_finite_number_is_reported_and_the_rest_is_taken_in(kb, value
     assert [(one.key, one.value) for one in problems] == [("light", value)]
     assert "number" in problems[0].reason
     assert "light" in caplog.text
-    assert kb.rejected == 1
+    assert kb.history.rejected == 1
     assert kb.attributes["light"].value == 0.9
     assert kb.attributes["battery level"].value == 0.25
     assert kb.components["camera"].status is Status.FAILURE
@@ -176,7 +176,7 @@ def test_an_unknown_key_is_named_with_the_nearest_and_the_rest_is_taken_in(kb, m
     assert [one.key for one in problems] == [key]
     assert near in str(problems[0])
     assert kb.attributes["light"].value == 0.25
-    assert kb.rejected == 1
+    assert kb.history.rejected == 1
 
 
 @pytest.mark.parametrize(("message", "value"), [("component", "error"), ("component", "ok"), ("qa status", "0.50")])
@@ -197,7 +197,7 @@ def test_rejected_counts_every_problem_of_every_array(kb):
     for _ in range(3):
         kb.receive([status("qa status", light="nan", nothing="1", x="?")])
     kb.receive([status("qa status", light="0.5")])
-    assert kb.rejected == 9
+    assert kb.history.rejected == 9
 
 
 @pytest.mark.parametrize(
@@ -232,7 +232,7 @@ ARRAYS = st.lists(
 def test_no_array_whatever_raises_and_facts_stay_finite(array):
     kb = knowledge()
     problems = kb.receive(array)
-    assert kb.rejected == len(problems)
+    assert kb.history.rejected == len(problems)
     assert all(isinstance(one, DiagnosticProblem) and one.reason for one in problems)
     for attribute in kb.attributes.values():
         assert attribute.value is None or math.isfinite(attribute.value)

@@ -599,3 +599,44 @@ def test_life_in_a_store_is_the_life_in_memory(tmp_path):
         pass
     assert answers(life.kb) == answers(memory.kb)
     life.kb.close()
+
+
+def test_store_is_opened_from_its_last_snapshot_and_goes_on_with_the_tail(tmp_path):
+    path, clock = tmp_path / "m.sqlite3", Clock(0.0)
+    with kept(robot(), path, clock=clock, keep=100) as kb:
+        for number in range(2500):
+            clock.now += 0.1
+            kb.measure(("light", "energy", "load")[number % 3], number % 10 / 10)
+        kb.request_action("explore")
+        assert kb.flush(30.0)
+        kb.component_failed("lidar", "rain")
+        expected, last = answers(kb), kb.log.last
+    database = sqlite3.connect(path)
+    ((snapshot,),) = database.execute("SELECT MAX(number) FROM snapshots").fetchall()
+    database.close()
+    assert 1000 <= snapshot < last
+    with kept(robot(), path, clock=clock, keep=100) as kb:
+        assert kb.log.last == last
+        assert answers(kb) == expected
+        assert kb.store.check() > 0
+        assert [one.verb for one in kb.store.events(last - 2)] == ["request_action", "component_failed"]
+
+
+@pytest.mark.parametrize(
+    "forge",
+    [
+        "UPDATE events SET data = '[[\"load\",9.0],null,[]]' WHERE number = 2",
+        "UPDATE events SET time = 7.0 WHERE number = 2",
+        "DELETE FROM events WHERE number = 1; UPDATE events SET number = number - 1",
+    ],
+)
+def test_record_that_is_not_as_it_was_written_is_noticed(forge, tmp_path):
+    path = tmp_path / "m.sqlite3"
+    with kept(robot(), path) as kb:
+        for value in (1.0, 2.0, 3.0):
+            kb.measure("load", value)
+    database = sqlite3.connect(path)
+    database.executescript(forge)
+    database.close()
+    with pytest.raises(StoreError, match="is not as it was written"):
+        KnowledgeBase(robot(), store=path)
