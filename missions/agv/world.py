@@ -14,7 +14,7 @@ from missions.agv.building import Building, BuildingError
 from missions.agv.model import DRAW_W, DRIVING_W, ERROR_M, NAVIGATOR, NEEDED_LIGHT, SPEEDS
 from missions.agv.route import Route
 from missions.agv.steering import Aim, Array, aim_along, steer
-from missions.engine.components import SimulatedComponents
+from missions.engine.components import VERBS, SimulatedComponents
 from missions.engine.mission import Message, MissionError, Percepts, Sample, Setting, Verdict, World, WorldKind
 from missions.engine.settings import Constants, setting
 
@@ -105,7 +105,8 @@ class BuildingWorld(World):
         placed, pose = boxes(building, rng), (*start, rng.uniform(-math.pi, math.pi))
         self._vehicle = Vehicle(building, placed, pose, settings.physics_step_s)
         self._components = _Components((*DRAW_W, "base", NAVIGATOR))
-        self._managed = SimulatedComponents(lambda: self.now, self._components, self.switching_s())
+        takes = settings.switching_s, settings.switching_s, settings.parameter_s
+        self._managed = SimulatedComponents(lambda: self.now, self._components, dict(zip(VERBS, takes, strict=True)))
         self._waiting = _placed(incidents(settings.incidents, building), rng)
         self._light = {corridor.name: corridor.light for corridor in building.corridors.values()}
         self._ticks = 0
@@ -142,10 +143,6 @@ class BuildingWorld(World):
         news, self._news = self._news, {}
         said = [{"name": "building", "message": kind, "values": values} for kind, values in news.items()]
         return [{"time": self.now, "status": said}] if said else []
-
-    def switching_s(self) -> Mapping[str, float]:
-        switching_s = self._settings.switching_s
-        return {"activate": switching_s, "deactivate": switching_s, "set_parameters": self._settings.parameter_s}
 
     def results(self) -> Mapping[str, float | None]:
         return {

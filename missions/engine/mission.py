@@ -148,10 +148,6 @@ class World(ABC):
     def advance(self, until: float) -> list[Message]:
         """Let time pass until something is published, a commanded change has ended, or the time is `until` [s]."""
 
-    def switching_s(self) -> Mapping[str, float]:
-        """Return how long commands take, by "activate", "deactivate" and "set_parameters" [s]; for replays."""
-        return {}
-
     def results(self) -> Mapping[str, float | None]:
         """Return the mission's figures up to now by name, units in the names; None for what did not happen."""
         return {}

@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from missions.engine.mission import Message, MissionError
 from missions.engine.runner import MissionRun
@@ -32,7 +33,7 @@ def header(run: MissionRun, seed: int) -> Message:
             "task": run.task,
             "seed": seed,
             "settings": asdict(run.settings),
-            "switching_s": dict(run.world.switching_s()),
+            "switching_s": dict(getattr(run.world.managed, "takes", {})),
         },
     }
 
@@ -76,8 +77,9 @@ def read_recording(source: str | Path | Iterable[Message]) -> Iterator[Message]:
     Raises:
         MissionError: the file cannot be read, or a line is no message; names the line and what was expected.
     """
-    last = float("-inf")
-    for message, where in _from_file(source) if isinstance(source, str | Path) else _from_messages(source):
+    last = -math.inf
+    for where, message in _lines_of(source) if isinstance(source, str | Path) else _numbered(source):
+        _check(message, where)
         if message["time"] < last:
             raise MissionError(f"{where}: time {message['time']} comes after {last}; order them by time")
         last = message["time"]
@@ -88,30 +90,28 @@ def _said(time: float, what: str, values: dict[str, str]) -> Message:
     return {"time": float(time), "status": [{"name": "by hand", "message": what, "values": values}]}
 
 
-def _from_file(path: str | Path) -> Iterator[tuple[Message, str]]:
+def _lines_of(path: str | Path) -> Iterator[tuple[str, Any]]:
     try:
         lines = Path(path).read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise MissionError(f"cannot read the recording {path}: {error}") from None
     for number, line in enumerate(lines, start=1):
-        if line.strip():
-            yield _checked(_parsed(line, f"{path}:{number}"), f"{path}:{number}"), f"{path}:{number}"
+        where = f"{path}:{number}"
+        try:
+            if line.strip():
+                yield where, json.loads(line)
+        except json.JSONDecodeError as error:
+            said = f"not JSON ({error.msg}); one message per line is expected"
+            raise MissionError(f"{where}:{error.colno}: {said}") from None
 
 
-def _from_messages(messages: Iterable[Message]) -> Iterator[tuple[Message, str]]:
-    for number, message in enumerate(messages, start=1):
-        yield _checked(message, f"message {number}"), f"message {number}"
+def _numbered(messages: Iterable[Message]) -> Iterator[tuple[str, Any]]:
+    return ((f"message {number}", message) for number, message in enumerate(messages, start=1))
 
 
-def _parsed(line: str, where: str) -> object:
-    try:
-        return json.loads(line)
-    except json.JSONDecodeError as error:
-        raise MissionError(f"{where}:{error.colno}: not JSON ({error.msg}); one message per line is expected") from None
-
-
-def _checked(message: object, where: str) -> Message:
-    if not isinstance(message, dict) or not _is_time(message.get("time")):
+def _check(message: Any, where: str) -> None:  # noqa: ANN401  # that it is a message is what is checked
+    time = message.get("time") if isinstance(message, dict) else None
+    if not isinstance(time, int | float) or isinstance(time, bool) or not 0 <= time < math.inf:
         raise MissionError(f'{where}: a message is an object with a number "time" [s] from 0 and a list "status"')
     statuses = message.get("status")
     if not isinstance(statuses, list) or not all(
@@ -119,8 +119,3 @@ def _checked(message: object, where: str) -> Message:
         for one in statuses
     ):
         raise MissionError(f'{where}: each "status" is an object with a text "message" and an object "values"')
-    return message
-
-
-def _is_time(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and 0 <= value < math.inf

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from numpy.random import Generator
 
 from kb import KnowledgeBase
-from missions.engine.components import SimulatedComponents
+from missions.engine.components import VERBS, SimulatedComponents
 from missions.engine.mission import (
     Message,
     MissionError,
@@ -35,7 +35,9 @@ class Sea(World):
 
         self._env = env
         self._trouble = SuaveEnvError
-        self._nodes = SimulatedComponents(lambda: env.now, env.components, self.switching_s())
+        settings = env.settings
+        takes = settings.activation_s, settings.deactivation_s, settings.parameter_s
+        self._nodes = SimulatedComponents(lambda: env.now, env.components, dict(zip(VERBS, takes, strict=True)))
 
     @property
     def now(self) -> float:
@@ -62,14 +64,6 @@ class Sea(World):
                     return list(messages)
         except self._trouble as error:
             raise MissionError(str(error)) from error
-
-    def switching_s(self) -> Mapping[str, float]:
-        settings = self._env.settings
-        return {
-            "activate": settings.activation_s,
-            "deactivate": settings.deactivation_s,
-            "set_parameters": settings.parameter_s,
-        }
 
     def results(self) -> Mapping[str, float | None]:
         from suave_env.metrics import mean_reactions

@@ -45,7 +45,8 @@ class UavWorld(World):
         self._places = {one.name: [one.place] for one in field.samples}
         self._robot = Robot(settings, Quadrotor(settings, wind), field, rng, self._tell, self._disturb)
         self._nodes = Nodes(self._robot)
-        self._managed = SimulatedComponents(lambda: self._now, self._nodes, self.switching_s())
+        takes = {"activate": settings.activation_s, "deactivate": settings.deactivation_s}
+        self._managed = SimulatedComponents(lambda: self._now, self._nodes, takes)
         self._step_s, self._nodes_period_s = SUBSTEPS * settings.physics_step_s, PERIOD_S
         self._not_wanted = list(field.samples)
         self._want()
@@ -72,9 +73,6 @@ class UavWorld(World):
             self._now = until
         said, self._outbox = self._outbox, []
         return said
-
-    def switching_s(self) -> Mapping[str, float]:
-        return {"activate": self._settings.activation_s, "deactivate": self._settings.deactivation_s}
 
     def _step(self, step_s: float) -> None:
         robot, before = self._robot, self._robot.vehicle.position

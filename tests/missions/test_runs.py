@@ -1,6 +1,8 @@
 """The missions as a stranger runs them: every seed finds, adapts, recharges, carries on."""
 
 import json
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy
@@ -194,3 +196,13 @@ def test_mission_that_runs_out_of_time_says_what_was_under_way_since_when(name, 
     assert verdict.reason.startswith("time ran out")
     assert last["name"] == action
     assert verdict.reason.endswith(f"; under way: {action} since {last['start_s']:.1f} s")
+
+
+@pytest.mark.parametrize(("name", "others"), [("suave", "agv uav"), ("agv", "suave uav"), ("uav", "agv suave")])
+def test_mission_is_opened_without_the_others_and_imported_without_a_simulator(name, others):
+    script = (
+        "import sys; from missions.baselines import open_run; from missions.engine.registry import find_mission; "
+        f"mission = find_mission({name!r}); assert 'mujoco' not in sys.modules; open_run(mission).world.close(); "
+        f"assert not [one for one in {others.split()!r} if f'missions.{{one}}' in sys.modules]"
+    )
+    subprocess.run([sys.executable, "-c", script], check=True)
