@@ -87,12 +87,10 @@ def build_domain(domain: Source, problem: Source, actions: Mapping[str, str] | N
         actions: for PDDL actions the ROSA action that they do, as for `load_domain`.
     """
     check_frames(domain, problem)
-    told = actions or {}
-    guarded = _with_rosa_actions(domain, problem, told)
     try:
-        read = _Reader(guarded, problem, told, has_object=False).domain()
+        read = _Reader(domain, problem, actions or {}, has_object=False).domain()
     except _ObjectNeeded:
-        read = _Reader(guarded, problem, told, has_object=True).domain()
+        read = _Reader(domain, problem, actions or {}, has_object=True).domain()
     # what cannot be planned for is refused here, not at the first planning
     Problem(read, frozenset()).build()
     return read
@@ -121,65 +119,6 @@ def _rosa_action_of(
         one.name for one in parameters if one.type.is_user_type() and outside[one.type.name].lower() == ACTION_TYPE
     ]
     return actions[0] if len(actions) == 1 else None
-
-
-def _with_rosa_actions(domain: Source, problem: Source, actions: Mapping[str, str]) -> Source:
-    """Return a domain whose actions need the feasibility of the ROSA actions that they are said to do.
-
-    Raises:
-        UnknownNameError: there is no such PDDL action or parameter, or an object of that name is of another type.
-    """
-    root = domain.root
-    schemas = {str(node.children[1]): node for node in root.children[2:] if node.head in BODY}
-    objects = typed(domain, section(domain, ":constants")) + typed(problem, section(problem, ":objects"))
-    kinds = {name.lower: kind.lower if kind else "object" for name, kind in objects}
-    added: list[str] = []
-    for name, action in actions.items():
-        if name not in schemas:
-            raise UnknownNameError(f"{domain.file} has no PDDL action {name!r}; {nearest(name, schemas)}")
-        parameters = [str(node) for node in body_of(domain, schemas[name]).get(":parameters", listed()).children]
-        parameters = [word for word in parameters if word.startswith("?")]
-        if action.startswith("?") and action not in parameters:
-            hint = nearest(action, parameters)
-            raise UnknownNameError(f"the PDDL action {name!r} has no parameter {action!r}; {hint}")
-        if not action.startswith("?") and kinds.get(action.lower(), ACTION_TYPE) != ACTION_TYPE:
-            raise UnknownNameError(f"the object {action!r} of {domain.file} is not of type {ACTION_TYPE!r}")
-        if not action.startswith("?") and action.lower() not in kinds:
-            kinds[action.lower()] = ACTION_TYPE
-            added += [action, "-", ACTION_TYPE]
-        guarded = _guarded(schemas[name], action)
-        root = replace(root, children=tuple(guarded if node is schemas[name] else node for node in root.children))
-    if added:
-        root = _with_words(root, ":constants", listed(*added))
-    if actions and ACTION_TYPE not in [str(node).lower() for node in section(domain, ":types")]:
-        root = _with_words(root, ":types", listed(ACTION_TYPE, "-", "object"))
-    if actions and FEASIBLE not in [node.head for node in section(domain, ":predicates")]:
-        root = _with_words(root, ":predicates", listed(listed(FEASIBLE, "?a", "-", ACTION_TYPE)))
-    return replace(domain, root=root)
-
-
-def _with_words(root: Node, head: str, words: Node) -> Node:
-    """Return a domain with more words at the beginning of a section, which is there then."""
-    if all(node.head != head for node in root.children[2:]):
-        return replace(root, children=(*root.children, listed(head, *words.children)))
-    more = [
-        replace(node, children=(node.children[0], *words.children, *node.children[1:])) if node.head == head else node
-        for node in root.children
-    ]
-    return replace(root, children=tuple(more))
-
-
-def _guarded(schema: Node, action: str) -> Node:
-    """Return an action that needs the feasibility of a ROSA action, if it needs none yet."""
-    is_timed, words = schema.head == ":durative-action", list(schema.children)
-    keyword = ":condition" if is_timed else ":precondition"
-    needed = listed("over", "all", listed(FEASIBLE, action)) if is_timed else listed(FEASIBLE, action)
-    at = next((number for number, node in enumerate(words) if node.lower == keyword), None)
-    if at is None:
-        return replace(schema, children=(*words, *listed(keyword, needed).children))
-    if f"({FEASIBLE} " not in str(words[at + 1]).lower():
-        words[at + 1] = listed("and", words[at + 1], needed)
-    return replace(schema, children=tuple(words))
 
 
 # ---------------------------------------------------------------- from lists to the model
@@ -234,11 +173,14 @@ class _Reader:
         self._read_types(domain)
         for node in _signatures(domain, ":predicates"):
             self._read_fluent(node, self._types.BoolType())
+        if self._actions and ("predicate", FEASIBLE) not in self._inside:
+            self._read_fluent(listed(FEASIBLE, "?a", "-", ACTION_TYPE), self._types.BoolType())
         for node in _signatures(domain, ":functions"):
             if node.head != _COST:
                 self._read_fluent(node, self._types.RealType())
         self._read_objects(self._domain, ":constants")
         self._read_objects(self._problem, ":objects")
+        self._read_rosa_actions()
         for node in domain.root.children[2:]:
             if node.head in BODY:
                 with _located(domain, node):
@@ -281,6 +223,8 @@ class _Reader:
 
     def _read_types(self, source: Source) -> None:
         pairs = typed(source, section(source, ":types"))
+        if self._actions and ACTION_TYPE not in [name.lower for name, _ in pairs]:
+            pairs.append((replace(ANY, word=ACTION_TYPE), None))
         names = {up.lower: up for _, up in pairs if up is not None} | {name.lower: name for name, _ in pairs}
         above = dict.fromkeys(names) | {name.lower: up for name, up in pairs}
         kinds: dict[str, UpThing] = {}
@@ -323,9 +267,27 @@ class _Reader:
 
     def _read_objects(self, formulas: Formulas, head: str) -> None:
         for node, kind in typed(formulas.source, section(formulas.source, head)):
-            type_ = formulas.type_of(kind or ANY)
-            self._up_problem.add_object(self._declare(formulas.source, "object", node), type_)
-            self._lineages[str(node)] = tuple(lineage_of(type_, self._outside))
+            self._read_object(formulas, node, kind or ANY)
+
+    def _read_object(self, formulas: Formulas, node: Node, kind: Node) -> None:
+        type_ = formulas.type_of(kind)
+        self._up_problem.add_object(self._declare(formulas.source, "object", node), type_)
+        self._lineages[str(node)] = tuple(lineage_of(type_, self._outside))
+
+    def _read_rosa_actions(self) -> None:
+        """Take in the ROSA actions that PDDL actions are said to do."""
+        domain = self._domain.source
+        schemas = [
+            str(node.children[1]) for node in domain.root.children[2:] if node.head in BODY and node.children[1:]
+        ]
+        for name, action in self._actions.items():
+            if name not in schemas:
+                raise UnknownNameError(f"{domain.file} has no PDDL action {name!r}; {nearest(name, schemas)}")
+            known = self._inside.get(("object", action.lower()))
+            if not action.startswith("?") and known is None:
+                self._read_object(self._domain, replace(ANY, word=action), replace(ANY, word=ACTION_TYPE))
+            elif known is not None and ACTION_TYPE not in self._lineages[self._outside[known]]:
+                raise UnknownNameError(f"the object {action!r} of {domain.file} is not of type {ACTION_TYPE!r}")
 
     def _read_action(self, node: Node) -> None:
         from unified_planning.model import DurativeAction, InstantaneousAction
@@ -343,7 +305,17 @@ class _Reader:
         self._up_problem.add_action(action)
         schema = schema_of(action, self._outside, source.file)
         does = self._actions.get(name)
-        self._schemas[name] = schema if does is None else replace(schema, action=does.removeprefix("?"))
+        if does is not None:
+            if does.startswith("?") and does[1:] not in parameters:
+                hint = nearest(does, [f"?{word}" for word in parameters])
+                raise UnknownNameError(f"the PDDL action {name!r} has no parameter {does!r}; {hint}")
+            conditions = [one for one in schema.start + schema.over_all + schema.end if one.is_fluent_exp()]
+            if FEASIBLE not in [self._outside[one.fluent().name].lower() for one in conditions]:
+                needed = listed(FEASIBLE, does)
+                reader.require(listed("over", "all", needed) if node.head == ":durative-action" else needed, node)
+                schema = schema_of(action, self._outside, source.file)
+            schema = replace(schema, action=does.removeprefix("?"))
+        self._schemas[name] = schema
 
     def _read_fact(self, node: Node) -> None:
         formulas, source = self._problem, self._problem.source
@@ -406,18 +378,26 @@ class _ActionReader:
         self.cost: UpThing = None
 
     def read(self, schema: Node, parts: Mapping[str, Node]) -> None:
+        from unified_planning.model import EndTiming, StartTiming
+
+        if ":duration" in parts:
+            self._read_duration(parts[":duration"])
+        self.require(parts.get(":condition", parts.get(":precondition", listed())), schema)
+        times = {"start": StartTiming(), "end": EndTiming()}
+        for time, effect in _timed(self._source, schema, parts.get(":effect", listed()), is_effect=True):
+            self._read_effect(effect, (times[time],) if ":duration" in parts else (), self._scope, None, ())
+
+    def require(self, node: Node, schema: Node) -> None:
+        """Take in what the action needs, and when."""
         from unified_planning.model import EndTiming, OpenTimeInterval, StartTiming
 
-        action, is_timed = self._action, schema.head == ":durative-action"
         times = {"start": StartTiming(), "end": EndTiming(), "over_all": OpenTimeInterval(StartTiming(), EndTiming())}
-        if is_timed:
-            self._read_duration(parts[":duration"])
-        needed = parts.get(":condition", parts.get(":precondition", listed()))
-        for time, condition in _timed(self._source, schema, needed, is_effect=False):
+        for time, condition in _timed(self._source, schema, node, is_effect=False):
             expression = self._formulas.condition(condition, self._scope, self._name)
-            action.add_condition(times[time], expression) if is_timed else action.add_precondition(expression)
-        for time, effect in _timed(self._source, schema, parts.get(":effect", listed()), is_effect=True):
-            self._read_effect(effect, (times[time],) if is_timed else (), self._scope, None, ())
+            if schema.head == ":durative-action":
+                self._action.add_condition(times[time], expression)
+            else:
+                self._action.add_precondition(expression)
 
     def _read_duration(self, node: Node) -> None:
         """Set a duration; of a bound on one side any that is allowed will do."""
