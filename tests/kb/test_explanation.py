@@ -318,31 +318,6 @@ def test_every_explanation_states_the_status_and_ends_in_facts(story):
             assert end.fact or end.status is Status.FAILURE, (text, end)
 
 
-@settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large], max_examples=60)
-@given(stories(max_size=20))
-def test_a_cause_is_a_part_whose_status_is_as_stated(story):
-    model, happenings = story
-    twins = Twins(model)
-    for event in happenings:
-        twins.happen(event)
-    tables = {
-        "action": twins.kb.actions,
-        "function": twins.kb.functions,
-        "function design": twins.kb.designs,
-        "component": twins.kb.components,
-        "configuration": twins.kb.configurations,
-    }
-
-    def check(explanation):
-        if explanation.kind in tables:
-            assert tables[explanation.kind][explanation.name].status is explanation.status
-        for cause in explanation.causes:
-            check(cause)
-
-    for kind, name in twins.elements():
-        check(twins.kb.explain(twins.view(kind, name)))
-
-
 def test_a_reason_stays_short_enough_to_read_when_many_things_share_a_fault():
     model = Model("shared")
     model.component("driver")

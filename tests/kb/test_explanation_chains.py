@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from models import Clock, Twins, state_of, stories
 
 from kb import KnowledgeBase, Model, Status
-from kb.explanation.reasons import Comparison, explain
+from kb.explanation.reasons import Comparison, explain, why
 from kb.inference import propagate
 from kb.state import Overlay
 from kb.status import STATUSES
@@ -121,10 +121,12 @@ def test_without_one_cause_of_each_reason_the_status_is_better(story, number):
 
 @SLOW
 @given(stories(max_size=20))
-def test_every_chain_ends_in_facts_told_as_words_and_as_data(story):
+def test_every_chain_ends_in_facts_as_words_and_as_data_and_why_is_its_sentence(story):
     state, nodes = after(story)
     for node in nodes:
-        for part, cause in named(node, explain(state, node, 0.0)):
+        explanation = explain(state, node, 0.0)
+        assert why(state, node, 0.0) == explanation.sentence
+        for part, cause in named(node, explanation):
             assert cause.causes or cause.fact or cause.status is Status.FAILURE
             if cause.kind == "constraint":
                 assert isinstance(cause.measurement, Comparison)
@@ -286,15 +288,3 @@ def test_what_many_elements_share_is_explained_once():
     drivers = {id(design.causes[0]) for function in explanation.causes for design in function.causes}
     assert len(drivers) == 1
     assert [str(remedy) for remedy in explanation.remedies] == ["driver recovered"]
-
-
-@SLOW
-@given(stories(max_size=10))
-def test_why_is_the_sentence_of_the_explanation(story):
-    model, happenings = story
-    twins = Twins(model)
-    for event in happenings:
-        twins.happen(event)
-    for kind, name in twins.elements():
-        view = twins.view(kind, name)
-        assert twins.kb.why(view) == twins.kb.explain(view).sentence
