@@ -15,11 +15,11 @@ from kb.log import Log
 from kb.managed_system import ManagedObject, ManagedObjects, ManagedSystem, Operation
 from kb.manager import ConfigurationManager, Executor, Monitor, Planner, PriorityPlanner
 from kb.model import Model
+from kb.planners.choice import Choice, Criterion, Optimum
 from kb.planners.optimal import OptimalPlanner
 from kb.processes import ProcessComponents, Program
 from kb.reconfiguration import Obsolete
 from kb.records import Attempt, Process, ReconfigurationPlan, Reply, RequiredAction, VetoAnswer
-from kb.selection import Choice, Criterion, Optimum
 from kb.situation import Situation
 from kb.status import Status
 from kb.store import StoreError

@@ -7,8 +7,6 @@ from kb.elements import Component, ComponentKind, Parameters
 from kb.exceptions import UnknownName
 from kb.knowledge_base import KnowledgeBase
 
-__all__ = ["ActivityMonitor", "ManagedObject", "ManagedObjects", "ManagedSystem", "Operation", "can_tell", "is_active"]
-
 
 class Operation(Protocol):
     """Something under way; a `concurrent.futures.Future` is one."""

@@ -12,11 +12,8 @@ from kb.execution.executor import StagedExecutor
 from kb.execution.safeguards import Veto, VetoGate
 from kb.knowledge_base import KnowledgeBase
 from kb.managed_system import ActivityMonitor, ManagedSystem, can_tell
-from kb.planners.priority import choice_by_priority
+from kb.planners.choice import Choice, choice_by_priority
 from kb.records import ReconfigurationPlan
-from kb.selection import Choice
-
-__all__ = ["ConfigurationManager", "Executor", "Monitor", "Planner", "PriorityPlanner"]
 
 
 class Monitor(Protocol):

@@ -15,10 +15,9 @@ from kb.explanation.reasons import Explanation
 from kb.explanation.reasons import explain as explained
 from kb.explanation.reasons import why as explained_shortly
 from kb.network import Node, Ref
-from kb.planners.priority import ranked
+from kb.planners.choice import Choice, Criterion, firsts_by_priority, summed_weights
 from kb.reconfiguration import Obsolete, by_whole, reselect
 from kb.reconfiguration import obsolete as all_obsolete
-from kb.selection import Choice, Criterion, summed_weights
 from kb.state import Overlay, State
 from kb.status import Status
 from kb.views import ElementView, Readable, named
@@ -92,9 +91,9 @@ def best_configuration(
             from kb.planners.solver import best_choice  # the solver takes a while to import
 
             return best_choice(state, Criterion(summed_weights([preference])), node.parts).choice
-        designs = _firsts(state, node.parts)
+        designs = firsts_by_priority(state, node.parts)
         components = dict.fromkeys(part for design in designs for part in design.parts)
-        return Choice(dict(by_whole(designs)), dict(by_whole(_firsts(state, components))))
+        return Choice(dict(by_whole(designs)), dict(by_whole(firsts_by_priority(state, components))))
 
 
 def adaptable_functions(base: Readable) -> tuple[str, ...]:
@@ -190,12 +189,6 @@ def meant(base: Readable, state: State, element: Meant, kinds: Iterable[str], *,
         example = f"kb.{found[0].kind.removeprefix('function ')}s[{element!r}]"
         raise AmbiguousName(f"{element!r} names several things: {things}; pass the view meant, e.g. {example}")
     return found[0]
-
-
-def _firsts(state: State, wholes: Iterable[Node]) -> list[Node]:
-    """Return the first by priority that can be chosen for each function or component that has any."""
-    possible = (ranked(state, whole) for whole in wholes)
-    return [parts[0] for parts in possible if parts]
 
 
 def _selectable(state: State, nodes: Iterable[Node]) -> tuple[str, ...]:

@@ -17,8 +17,6 @@ from kb.records import Attempt, ReconfigurationPlan
 from kb.state import State
 from kb.status import Status
 
-__all__ = ["RetryPolicy", "StagedExecutor"]
-
 _log = logging.getLogger(__name__)
 
 _MOST_DOUBLINGS: Final = 60

@@ -15,8 +15,6 @@ from kb.records import ReconfigurationPlan
 from kb.state import State
 from kb.status import Status
 
-__all__ = ["Budgets", "Quarantine", "Quarantined", "Veto", "VetoGate"]
-
 _log = logging.getLogger(__name__)
 
 Veto = Callable[[ReconfigurationPlan], bool | str | None]

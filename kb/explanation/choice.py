@@ -8,7 +8,7 @@ from kb.elements import Configuration, FunctionDesign
 from kb.explanation.reasons import why
 from kb.inference import is_adaptable
 from kb.network import Node
-from kb.planners.priority import first_by_priority
+from kb.planners.choice import first_by_priority
 from kb.reconfiguration import reselect
 from kb.state import Overlay, State
 from kb.status import Status

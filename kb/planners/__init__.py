@@ -1,5 +1,5 @@
 """Which designs and configurations to select.
 
-`priority` is the choice by priority. `optimal` is the planner for the best joint choice by estimations and preferences:
+`choice` says what makes one better, and chooses by priority; `optimal` is the planner for the best joint choice:
 `encoding` makes numbers of what is required now, and `solver`, the only module that imports ortools, finds and proves.
 """

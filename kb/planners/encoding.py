@@ -13,11 +13,8 @@ from typing import Final, NamedTuple
 from kb.elements import Component, ComponentKind, EstimationKind
 from kb.exceptions import UnknownName
 from kb.network import Network, Node
-from kb.planners.priority import ranked
-from kb.selection import Choice, Criterion
+from kb.planners.choice import Choice, Criterion, ranked
 from kb.state import State
-
-__all__ = ["Effect", "Option", "Picks", "Problem", "Slot", "check_names", "encode"]
 
 DIGITS: Final = 12
 """All amounts of a kind together have no more digits than this as whole numbers; else they are rounded."""

@@ -10,13 +10,10 @@ from kb.elements import Element, finite_number
 from kb.exceptions import InvalidValue
 from kb.explanation.choice import ChoiceExplanation, explain_choice
 from kb.knowledge_base import KnowledgeBase
+from kb.planners.choice import Choice, Criterion, Optimum, choice_by_priority, ranked, summed_weights
 from kb.planners.encoding import Problem, check_names, encode
-from kb.planners.priority import choice_by_priority, ranked
 from kb.records import ReconfigurationPlan
-from kb.selection import Choice, Criterion, Optimum, summed_weights
 from kb.views import ElementView
-
-__all__ = ["BackgroundSolver", "OptimalPlanner"]
 
 _log = logging.getLogger(__name__)
 

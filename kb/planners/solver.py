@@ -11,11 +11,9 @@ from typing import Any, Final
 from ortools.sat.python import cp_model
 
 from kb.network import Node
+from kb.planners.choice import Criterion, Optimum, number
 from kb.planners.encoding import Effect, Picks, Problem, Slot, encode
-from kb.selection import Criterion, Optimum, number
 from kb.state import State
-
-__all__ = ["EFFORT", "best_choice", "solve", "verdicts"]
 
 EFFORT: Final = 0.3
 """How much work is done by default at most, in CP-SAT's deterministic time: about a second of a processor."""

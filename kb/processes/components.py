@@ -24,8 +24,6 @@ from kb.exceptions import InvalidValue, KnowledgeBaseError, UnknownName
 from kb.knowledge_base import KnowledgeBase
 from kb.processes import guardian
 
-__all__ = ["PARAMETERS", "ProcessComponents", "Program"]
-
 _log = logging.getLogger(__name__)
 
 PARAMETERS: Final = "KB_PARAMETERS"

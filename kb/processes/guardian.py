@@ -17,8 +17,6 @@ import time
 from pathlib import Path
 from typing import Final
 
-__all__ = ["MARK", "has_others", "left_over", "main", "new_mark", "started"]
-
 MARK: Final = "KB_STARTED_BY"
 """The name of the variable that holds the mark."""
 

@@ -11,9 +11,9 @@ import pytest
 from estimated import power, robot, small_robot
 from figures import table
 
+from kb.planners.choice import Criterion
 from kb.planners.optimal import OptimalPlanner
 from kb.planners.solver import best_choice
-from kb.selection import Criterion
 
 sys.path.append(str(Path(__file__).parents[1] / "kb"))  # the twin is the oracle of the tests there
 

@@ -10,10 +10,10 @@ from managed_stand_ins import Scripted
 from models import Clock, Twins, events, mostly_some, state_of, stories
 
 from kb import ConfigurationManager, InvalidValue, KnowledgeBase, Model, PriorityPlanner, UnknownName
+from kb.planners.choice import Criterion, summed_weights
 from kb.planners.encoding import encode
 from kb.planners.optimal import OptimalPlanner
 from kb.planners.solver import best_choice, solve, verdicts
-from kb.selection import Criterion, summed_weights
 
 SLOW = settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
 ATTRIBUTES = ("x0", "x1")

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from managed_stand_ins import Scripted
 from models import Clock
-from test_optimum import COSTS, at_work, carried_out, criteria, robots, selected
+from test_optimal_planner import COSTS, at_work, carried_out, criteria, robots, selected
 
 from kb import ConfigurationManager, KnowledgeBase, Model
 from kb.planners.optimal import OptimalPlanner

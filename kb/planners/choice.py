@@ -1,19 +1,15 @@
-"""A choice of designs and configurations, what makes one better than another, and how good one is."""
+"""A choice of designs and configurations: what makes one better than another, how good one is, and that by priority."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from kb.elements import finite_number
+from kb.elements import Configuration, FunctionDesign, finite_number
 from kb.exceptions import InvalidValue
-
-__all__ = [
-    "Choice",
-    "Criterion",
-    "Optimum",
-    "number",
-    "summed_weights",
-]
+from kb.network import Node
+from kb.reconfiguration import by_whole, reselect
+from kb.state import Overlay, State
+from kb.status import Status
 
 
 class Choice(NamedTuple):
@@ -125,3 +121,47 @@ def summed_weights(preferences: Iterable[str | Mapping[str, float] | None]) -> d
         for attribute, weight in weighed.items():
             weights[attribute] = weights.get(attribute, 0.0) + weight
     return weights
+
+
+def by_priority(candidate: FunctionDesign | Configuration) -> tuple[bool, float, str]:
+    """Return the key that sorts: the lowest priority number first, no priority last, ties by name."""
+    return candidate.priority is None, candidate.priority or 0, candidate.name
+
+
+def first_by_priority(candidates: Iterable[FunctionDesign | Configuration]) -> str | None:
+    """Return the name of the candidate that comes first; None for none."""
+    first = min(candidates, key=by_priority, default=None)
+    return None if first is None else first.name
+
+
+def ranked(state: State, whole: Node) -> list[Node]:
+    """Return what can be chosen for a function or component, the first by priority first."""
+
+    def key(part: Node) -> tuple[bool, float, str]:
+        assert isinstance(part.element, FunctionDesign | Configuration)
+        return by_priority(part.element)
+
+    return sorted((part for part in whole.parts if state.status[part.index] is not Status.UNFEASIBLE), key=key)
+
+
+def choice_by_priority(state: State) -> Choice | None:
+    """Return what is chosen in a state: for each adaptable function, then for each component adaptable given that.
+
+    None if there is nothing to be done; a choice of nothing has what is obsolete given up.
+    """
+    adaptable, is_obsolete = state.adaptable.nodes(), bool(state.obsolete)
+    designs = firsts_by_priority(state, (node for node in adaptable if node.kind == "function"))
+    if is_obsolete or not all(state.selected[design.index] for design in designs):
+        following = Overlay(state)
+        reselect(following, designs, ())
+        adaptable = following.adaptable.nodes()
+    configurations = firsts_by_priority(state, (node for node in adaptable if node.kind == "component"))
+    if not (designs or configurations or is_obsolete):
+        return None
+    return Choice(by_whole(designs), by_whole(configurations))
+
+
+def firsts_by_priority(state: State, wholes: Iterable[Node]) -> list[Node]:
+    """Return the first that can be chosen for each function or component that has some."""
+    possible = (ranked(state, node) for node in wholes)
+    return [parts[0] for parts in possible if parts]

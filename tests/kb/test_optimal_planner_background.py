@@ -5,8 +5,8 @@ from threading import Event
 import pytest
 from managed_stand_ins import Scripted
 from models import Clock
-from test_optimum import intricate
-from test_optimum_reasons import model
+from test_optimal_planner import intricate
+from test_optimal_planner_reasons import model
 
 from kb import ConfigurationManager, InvalidValue, KnowledgeBase
 from kb.planners.optimal import BackgroundSolver, OptimalPlanner
