@@ -72,12 +72,9 @@ def _consequence(node: Node, impossible: set[Node]) -> str:
 
 
 class _Need(NamedTuple):
-    """One of the things that an element needs all of.
+    """One of the things that an element needs all of, by name, and the ways in which it can be so.
 
-    Attributes:
-        name: how it is called.
-        nodes: the constraints it comes from are on these, or on what they are made of; none if the name says it all.
-        boxes: the ways to have it.
+    The constraints it comes from are on the nodes, or on what they are made of; none if the name says it all.
     """
 
     name: str

@@ -101,14 +101,9 @@ class Field(NamedTuple):
 
 
 class Role(NamedTuple):
-    """A part that things play in a relation.
+    """A part that things of some kinds play in a relation, and which field of an element or fact they are there.
 
-    Attributes:
-        name: what messages call it, and how it is written.
-        field: which field of an element or fact the players are.
-        kinds: what can play it.
-        words: its spellings, without qualifiers, in the singular.
-        least, most: how many players it needs and can have; a `most` of 0 is any number.
+    The words are its spellings, without qualifiers and in the singular; a `most` of 0 is any number of players.
     """
 
     name: str
