@@ -89,7 +89,6 @@ class ActionRequest:
     """One behaviour's part in the request of an action, from `open` to the first `close`; waits for the robot.
 
     Args:
-        kb: the knowledge base to ask and to tell.
         timeout: how long to wait until the robot is configured [s], by the clock of the knowledge base; None if the
             behaviour does not wait for that.
     """
@@ -153,8 +152,6 @@ class KbBehaviour(PortsMixin, Behaviour):
     An exception in it is its FAILURE, with the text as feedback.
 
     Args:
-        name: what the behaviour is called in pictures of the tree.
-        kb: the knowledge base to ask.
         port_arguments: what the constructor was given of the ports; None where the port carries the value.
         behaviour_class_name: as in py_trees.
     """
@@ -253,8 +250,6 @@ class IsActionFeasible(ActionBehaviour):
     """Condition: SUCCESS while the action's status is not "unfeasible", FAILURE with the reason otherwise.
 
     Args:
-        name: what the behaviour is called in pictures of the tree.
-        kb: the knowledge base to ask.
         action: name of the ROSA action; without it, the port `action` gives it.
 
     Raises:
@@ -273,8 +268,6 @@ class HasStatus(KbBehaviour):
     "solved".
 
     Args:
-        name: what the behaviour is called in pictures of the tree.
-        kb: the knowledge base to ask.
         element: name of an action, function, component, design or configuration, or a view such as
             `kb.components["camera"]` where elements of several kinds share the name; also a port, for names.
         status: one that an element of this kind can have, e.g. "failure"; also a port.
@@ -340,8 +333,6 @@ class Measurement(KbBehaviour):
     """Condition: SUCCESS while the latest measurement of an attribute compares as asked, FAILURE otherwise.
 
     Args:
-        name: what the behaviour is called in pictures of the tree.
-        kb: the knowledge base to ask.
         attribute: its name; also a port.
         operator: one of `>=`, `>`, `<=`, `<`; also a port.
         value: what to compare with, in the attribute's unit; also a port.
@@ -400,8 +391,6 @@ class WaitForArchitecture(ActionBehaviour):
     the reason when the action is unfeasible, or when the time is over.
 
     Args:
-        name: what the behaviour is called in pictures of the tree.
-        kb: the knowledge base to ask.
         action: name of the ROSA action; without it, the port `action` gives it.
         timeout: how long to wait [s], by the clock of the knowledge base.
 
@@ -441,8 +430,6 @@ class RosaAction(ActionBehaviour):
     An action that can be continued says where it is, in `save_progress`, and goes on from there in `restore_progress`.
 
     Args:
-        name: what the behaviour is called in pictures of the tree.
-        kb: the knowledge base to tell.
         action: name of the ROSA action; without it, the port `action` gives it.
         preference: name of the attribute to favour when a configuration is chosen, or None; also a port.
         wait: start working only when the robot is configured for the action; RUNNING before that, with what is lacking

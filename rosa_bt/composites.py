@@ -44,7 +44,6 @@ class DoUntilUnfeasible(_Parts):
     at each tick if it fails.
 
     Args:
-        name: what the behaviour is called in pictures of the tree.
         task: what to do: a behaviour, or a subtree, that fails when what it does becomes unfeasible.
         meanwhile: what to do while the task is unfeasible.
         memory: finish what is done meanwhile, also when the task is feasible before; otherwise the task goes on in the
@@ -109,7 +108,6 @@ class SafeSwitch(_Parts):
     begun; if it is interrupted, it is begun again at the next start, unless the robot goes back to the other action.
 
     Args:
-        name: what the behaviour is called in pictures of the tree.
         task: the action.
         transitions: what to do first, by name of the action that was done last.
         posture: which action that was; shared with the behaviours of the other actions.

@@ -21,8 +21,6 @@ class ForAction(Decorator):
     of the child is FAILURE, with its text as feedback.
 
     Args:
-        name: what the behaviour is called in pictures of the tree.
-        kb: the knowledge base to ask and to tell.
         action: name of the ROSA action.
         child: what to do, a leaf or a whole subtree.
         preference: name of the attribute to favour when a configuration is chosen, or None.

@@ -17,12 +17,7 @@ class TraceError(RosaBtError):
 
 
 class XmlError(RosaBtError, ValueError):
-    """A tree in XML cannot be read, or not be made.
-
-    Args:
-        where: file and line.
-        problem: what is wrong, and what to do.
-    """
+    """A tree in XML cannot be read, or not be made; the message begins with file and line."""
 
     def __init__(self, where: str, problem: str) -> None:
         super().__init__(f"{where}: {problem}")

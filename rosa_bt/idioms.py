@@ -30,7 +30,7 @@ def first_feasible(name: str, tasks: Sequence[Behaviour], *, memory: bool = Fals
     """Return a choice: the first of several actions that is feasible, and does not fail, is done.
 
     Args:
-        name: what the choice is called in pictures of the tree.
+        name: of the choice.
         tasks: the actions, the most preferred first.
         memory: stay with what was begun as long as it is feasible; otherwise a preferred one takes over in the tick in
             which it becomes feasible.
@@ -47,7 +47,7 @@ def do_until_unfeasible(
         task: an action, or a subtree that fails when what it does becomes unfeasible.
         meanwhile: an action, or a subtree, to do in the meantime.
         memory: finish what is done meanwhile, also when the task is feasible before.
-        name: what the whole is called in pictures of the tree.
+        name: of the whole.
     """
     name = name or f"{task.name}, or else {meanwhile.name}"
     return DoUntilUnfeasible(name, feasible_then_act(task), feasible_then_act(meanwhile), memory=memory)

@@ -32,13 +32,7 @@ _NO_LINE: Final = (AttributeError, LookupError, OverflowError, RecursionError, T
 
 
 class Node(NamedTuple):
-    """A behaviour in a tree.
-
-    Attributes:
-        depth: how many behaviours it is below; 0 for the root.
-        kind: name of its class.
-        name: its own name, which others may have too.
-    """
+    """A behaviour in a tree: how many others it is below, the name of its class, and its own, which others may have."""
 
     depth: int
     kind: str
@@ -46,13 +40,7 @@ class Node(NamedTuple):
 
 
 class Visit(NamedTuple):
-    """A behaviour that was ticked.
-
-    Attributes:
-        node: its number in the tree, parents before children.
-        status: "SUCCESS", "FAILURE", "RUNNING" or "INVALID".
-        feedback: its feedback message.
-    """
+    """A behaviour that was ticked: its number in the tree, parents before children, and its status, e.g. "RUNNING"."""
 
     node: int
     status: str
@@ -60,39 +48,30 @@ class Visit(NamedTuple):
 
 
 class Decision(NamedTuple):
-    """What became of an action.
-
-    Attributes:
-        action: its name.
-        what: "requested", "completed", "failed", "abandoned", "unfeasible" or "feasible".
-        reason: why, in the words of the knowledge base; empty where none was given.
-    """
+    """What became of an action."""
 
     action: str
     what: str
+    """One of "requested", "completed", "failed", "abandoned", "unfeasible" and "feasible"."""
     reason: str
+    """Why, in the words of the knowledge base; empty where none was given."""
 
 
 class Tick(NamedTuple):
-    """One tick.
-
-    Attributes:
-        number: 0 for the first.
-        time: when [s].
-        tree: the behaviours of the tree, parents before children; the number of one is its place.
-        visited: what was ticked, in order: children before parents.
-        events: what the knowledge base came to know since the tick before; a replay tells it again.
-        own_events: what it came to know in this tick, from the tree.
-        reasons: why an action became unfeasible, for each time that one did in these events.
-    """
+    """One tick, numbered from 0, at a time [s]."""
 
     number: int
     time: float
     tree: tuple[Node, ...]
+    """The behaviours of the tree, parents before children; the number of one is its place."""
     visited: tuple[Visit, ...]
+    """What was ticked, in order: children before parents."""
     events: tuple[Event, ...] = ()
+    """What the knowledge base came to know since the tick before; a replay tells it again."""
     own_events: tuple[Event, ...] = ()
+    """What it came to know in this tick, from the tree."""
     reasons: tuple[str, ...] = ()
+    """Why an action became unfeasible, for each time that one did in these events."""
 
     @property
     def decisions(self) -> tuple[Decision, ...]:
@@ -113,12 +92,7 @@ class Tick(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Trace:
-    """The ticks of a tree.
-
-    Attributes:
-        model: name of the knowledge base's model.
-        ticks: in order; a trace that was kept in memory may lack the first ones.
-    """
+    """The ticks of a tree, and the name of the knowledge base's model; one kept in memory may lack the first ticks."""
 
     model: str
     ticks: tuple[Tick, ...]
@@ -163,7 +137,7 @@ class TraceVisitor(VisitorBase):
         self._is_ticking = False
         for event in kb.log:
             self._keep(event)
-        self._stop = kb.subscribe(lambda event: self._keep(event, self._why))
+        self._stop = kb.subscribe(lambda event: self._keep(event, lambda action: kb.why(kb.actions[action])))
 
     @property
     def trace(self) -> Trace:
@@ -213,25 +187,19 @@ class TraceVisitor(VisitorBase):
             if change.new is ElementStatus.UNFEASIBLE:
                 self._reasons.append(why(change.name))
 
-    def _why(self, action: str) -> str:
-        return self._kb.why(self._kb.actions[action])
-
     def _number(self) -> None:
         if all(node in self._numbers for node, _, _ in self._seen):
             return
-        shown: list[Node] = []
+        depths: dict[Behaviour, int] = {}
         pending = [(self._seen[-1][0], 0)]
-        self._numbers = {}
         while pending:
             behaviour, depth = pending.pop()
-            self._numbers[behaviour] = len(shown)
-            shown.append(Node(depth, type(behaviour).__name__, behaviour.name))
+            depths[behaviour] = depth
             pending += [(child, depth + 1) for child in reversed(behaviour.children)]
         for behaviour, _, _ in self._seen:  # a step of a plan may be over, and gone, when the tick is
-            if behaviour not in self._numbers:
-                self._numbers[behaviour] = len(shown)
-                shown.append(Node(1, type(behaviour).__name__, behaviour.name))
-        self._tree = tuple(shown)
+            depths.setdefault(behaviour, 1)
+        self._numbers = {behaviour: number for number, behaviour in enumerate(depths)}
+        self._tree = tuple(Node(depth, type(one).__name__, one.name) for one, depth in depths.items())
 
 
 def _turns(change: StatusChange) -> bool:
@@ -276,47 +244,41 @@ def read_trace(path: str | Path) -> Trace:
         raise TraceError(f"cannot read the trace {path}: {error}") from error
     if not lines:
         raise TraceError(f"{path} is empty; a trace begins with a line that says what it is")
-    reader = _Reader()
+    model, ticks, tree, events = "", list[Tick](), tuple[Node, ...](), list[Event]()
     for number, text in enumerate(lines, start=1):
         try:
-            reader.take(json.loads(text))
+            line = json.loads(text)
+            if number == 1:
+                model = _model_of(line)
+            elif "verb" in line:
+                events.append(Event.from_json(line))
+            elif "tree" in line:
+                tree = tuple(Node(*node) for node in line["tree"])
+            else:
+                ticks.append(_tick_of(line, tree, tuple(events), ticks[-1].visited if ticks else ()))
+                events.clear()
         except json.JSONDecodeError as error:
             where = f"{path}:{number}:{error.colno}"
             raise TraceError(f"{where}: not JSON ({error.msg}); one object per line is expected") from None
         except _NO_LINE as error:
             raise TraceError(f"{path}:{number}: no line of a trace ({type(error).__name__}: {error})") from None
-    return Trace(reader.model or "", tuple(reader.ticks))
+    return Trace(model, tuple(ticks))
 
 
-class _Reader:
-    """Takes the lines of a trace, one after the other."""
+def _model_of(line: dict[str, Any]) -> str:
+    if line["rosa_bt_trace"] != _VERSION:
+        raise ValueError(f"version {line['rosa_bt_trace']}; this program reads version {_VERSION}")
+    return str(line["model"])
 
-    def __init__(self) -> None:
-        self.model: str | None = None
-        self.ticks: list[Tick] = []
-        self._tree: tuple[Node, ...] = ()
-        self._visited: tuple[Visit, ...] = ()
-        self._events: list[Event] = []
 
-    def take(self, line: dict[str, Any]) -> None:
-        if self.model is None:
-            if line["rosa_bt_trace"] != _VERSION:
-                raise ValueError(f"version {line['rosa_bt_trace']}; this program reads version {_VERSION}")
-            self.model = str(line["model"])
-        elif "verb" in line:
-            self._events.append(Event.from_json(line))
-        elif "tree" in line:
-            self._tree = tuple(Node(*node) for node in line["tree"])
-        else:
-            self.ticks.append(self._tick(line))
-
-    def _tick(self, line: dict[str, Any]) -> Tick:
-        if "visited" in line:
-            self._visited = tuple(Visit(*visit) for visit in line["visited"])
-        own = tuple(map(Event.from_json, line.get("events", ())))
-        events, self._events = tuple(self._events), []
-        reasons = tuple(map(str, line.get("reasons", ())))
-        return Tick(int(line["tick"]), float(line["time"]), self._tree, self._visited, events, own, reasons)
+def _tick_of(
+    line: dict[str, Any], tree: tuple[Node, ...], events: tuple[Event, ...], visited: tuple[Visit, ...]
+) -> Tick:
+    if "visited" in line:
+        visited = tuple(Visit(*visit) for visit in line["visited"])
+    own = tuple(map(Event.from_json, line.get("events", ())))
+    reasons = tuple(map(str, line.get("reasons", ())))
+    return Tick(int(line["tick"]), float(line["time"]), tree, visited, events, own, reasons)
 
 
 def replay_trace(trace: Trace, model: Model, build: Callable[[KnowledgeBase], Behaviour]) -> Trace:
@@ -346,15 +308,11 @@ def replay_trace(trace: Trace, model: Model, build: Callable[[KnowledgeBase], Be
         for tick in trace.ticks:
             for event in tick.events:
                 now = event.time
-                _tell(kb, event)
+                try:
+                    kb.tell(event)
+                except (AttributeError, IndexError, TypeError) as error:
+                    raise TraceError(f"{event.verb}{event.arguments!r} cannot be told again: {error}") from error
             now = tick.time
             runner.tick()
         runner.shutdown()
         return visitor.trace
-
-
-def _tell(kb: KnowledgeBase, event: Event) -> None:
-    try:
-        kb.tell(event)
-    except (AttributeError, IndexError, TypeError) as error:
-        raise TraceError(f"{event.verb}{event.arguments!r} cannot be told again: {error}") from error

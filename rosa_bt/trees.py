@@ -19,9 +19,6 @@ class GuardedTree(BehaviourTree):
     An exception of a behaviour, also of a plain py_trees one, wherever it is raised (`initialise`, `update`,
     `terminate`, `tick`), is that behaviour's FAILURE with the text as feedback; its parent takes it from there. What is
     taken out of the tree is stopped before the next tick at the latest.
-
-    Args:
-        root: the tree.
     """
 
     def __init__(self, root: Behaviour) -> None:
@@ -155,7 +152,7 @@ class TreeRunner:
     interrupted actions saved is forgotten then.
 
     Args:
-        root: the tree.
+        root: of the tree.
         clock: gives the time [s].
         period: from one tick to the next [s].
 

@@ -29,12 +29,14 @@ def campaign(
 ) -> None:
     """Run missions with many managers, settings and seeds, and exit with 0 if none of the runs crashed."""
     import shlex
+    from functools import partial
 
     from rich.console import Console
 
     from missions.engine.mission import MissionError
     from missions.experiments.campaign import check_campaign
     from missions.experiments.results import Store
+    from missions.experiments.workers import Cluster, Processes
 
     asked = _asked(file, table, runs)
     if workers is not None and cluster is not None:
@@ -50,9 +52,10 @@ def campaign(
     with Store(folder, asked, resume=resume) as store:
         resuming = f"rosa campaign --resume --out {shlex.quote(str(folder))}"
         again = f"{resuming} --cluster {cluster}" if cluster else resuming
-        crashed = _conduct(console, store, folder, _workers(cluster, workers, store.campaign), retry, again)
-    if crashed:
-        raise typer.Exit(FAILED)
+        modules = store.campaign.own_modules
+        open_workers = partial(Processes, workers) if cluster is None else partial(Cluster, cluster, modules)
+        if _conduct(console, store, folder, open_workers, retry, again):
+            raise typer.Exit(FAILED)
 
 
 def report(
@@ -81,12 +84,6 @@ def _asked(file: Path | None, table: bool, runs: int | None) -> "Campaign | None
             raise MissionError("--runs goes with FILE.toml or --paper-table")
         return None
     return with_runs(paper_table() if file is None else read_campaign(file), runs)
-
-
-def _workers(cluster: str | None, count: int | None, asked: "Campaign") -> "Callable[[], Workers]":
-    from missions.experiments.workers import Cluster, Processes
-
-    return lambda: Processes(count) if cluster is None else Cluster(cluster, asked.own_modules)
 
 
 def _conduct(

@@ -10,8 +10,7 @@ import typer
 from missions.commands import FAILED, open_console
 
 if TYPE_CHECKING:
-    from missions.engine.mission import Verdict
-    from missions.engine.runner import Listener, MissionRun
+    from missions.engine.runner import Listener
 
 
 def run(
@@ -33,7 +32,7 @@ def run(
     """Run a mission, say what happened and why, and exit with 0 if it did what it was for."""
     from missions.baselines import open_run
     from missions.baselines.registry import options_of
-    from missions.engine.mission import split_settings
+    from missions.engine.mission import Verdict, split_settings
     from missions.engine.recording import header
     from missions.engine.registry import find_mission
     from missions.engine.settings import own_values
@@ -58,7 +57,10 @@ def run(
             doing = f"task layer: {task}" if manager == "ours" else f"manager: {manager}"
             console.print(f"[bold]{found.name}[/] ({doing}, seed {seed})")
             start = time.perf_counter()
-            verdict = _end_of(opened)
+            try:
+                verdict = opened.run()
+            except KeyboardInterrupt:
+                verdict = Verdict("aborted", f"stopped by hand after {opened.world.now:.1f} s")
             wall_s = time.perf_counter() - start
         print_result(console, opened, verdict, wall_s, with_adaptations=not progress)
         data = summary(opened, verdict, seed, changed) | {"manager": manager}
@@ -83,12 +85,3 @@ def _assignments(texts: list[str]) -> dict[str, str]:
             raise MissionError(f"--set takes NAME=VALUE, not {text!r}")
         values[name.strip()] = value.strip()
     return values
-
-
-def _end_of(opened: "MissionRun") -> "Verdict":
-    from missions.engine.mission import Verdict
-
-    try:
-        return opened.run()
-    except KeyboardInterrupt:
-        return Verdict("aborted", f"stopped by hand after {opened.world.now:.1f} s")

@@ -84,15 +84,13 @@ class Decisions:
     def assert_actions(self, *names: str) -> None:
         """Assert that exactly these actions were begun, in this order."""
         __tracebackhide__ = True
-        for name in names:
-            self._check("actions", name)
+        self._check("actions", *names)
         begun = [name for name, *_ in self.actions]
         if begun != list(names):
             actions = "\n".join(str(moment) for moment in self.timeline if moment.what in ("action", "end"))
             diff = "\n".join(line.rstrip() for line in ndiff(names, begun) if not line.startswith("?"))
-            raise self._error(
-                "other actions were begun (-: expected, +: what was done)", f"{diff}\n\nwhat happened:\n{actions}"
-            )
+            headline = "other actions were begun (-: expected, +: what was done)"
+            raise self._error(headline, f"{diff}\n\nwhat happened:\n{actions}")
 
     def assert_begins(self, action: str, *, at: float, within: float = 1.0) -> None:
         """Assert that an action begins."""
@@ -127,9 +125,7 @@ class Decisions:
             The change, for its reason and the like.
         """
         __tracebackhide__ = True
-        for name in (from_, to):
-            if name is not None:
-                self._check("actions", name)
+        self._check("actions", *filter(None, (from_, to)))
         found = [one for one in self.changes if from_ in (None, one.before) and to in (None, one.action)]
         for one in found:
             if one.at_s >= at - SLACK_S and one.in_force_s <= at + within + SLACK_S:
@@ -155,8 +151,8 @@ class Decisions:
         wanted = self._steps(activate, deactivate, configure)
         found = [plan for plan in self.plans if all(set(names) <= set(_done(plan)[verb]) for verb, names in wanted)]
         for plan in found:
-            is_done = plan.result == "completed" and plan.end is not None
-            if is_done and plan.start >= at - SLACK_S and (plan.end or 0.0) <= at + within + SLACK_S:
+            end = plan.end if plan.result == "completed" and plan.end is not None else math.inf
+            if plan.start >= at - SLACK_S and end <= at + within + SLACK_S:
                 return plan
         raise self._failure("; ".join(_phrases(wanted)), at, within, [_ended(plan) for plan in found])
 
@@ -179,8 +175,7 @@ class Decisions:
         if not since <= min(until, self.kb.now):
             raise ValueError(f"from {since:g} s until {until:g} s is no time of this replay of {self.kb.now:g} s")
         actions = _names(action)
-        for name in actions:
-            self._check("actions", name)
+        self._check("actions", *actions)
         unwanted = self._steps(activate, deactivate, configure, least=0 if actions else 1)
         begun = [(start, f"{name} is requested") for name, start, _, _ in self.actions if name in actions]
         for plan in self.plans:
@@ -189,11 +184,9 @@ class Decisions:
         found = sorted((time, text) for time, text in begun if since - SLACK_S <= time <= until + SLACK_S)
         if found:
             never = "never " + " or ".join([*(f"begin {name}" for name in actions), *_phrases(unwanted)])
-            time = found[0][0]
-            times = [f"{text} at {seconds(time)}" for time, text in found]
-            raise self._error(
-                f"expected: {never}", f"{_list(times)}\n\nwhat happened:\n{_around(self.timeline, time, time, never)}"
-            )
+            times = _list(f"{text} at {seconds(time)}" for time, text in found)
+            shown = _around(self.timeline, found[0][0], found[0][0], never)
+            raise self._error(f"expected: {never}", f"{times}\n\nwhat happened:\n{shown}")
 
     def _steps(self, activate: Names, deactivate: Names, configure: Names, least: int = 1) -> Steps:
         steps = [("activate", activate), ("deactivate", deactivate), ("configure", configure)]
@@ -201,18 +194,18 @@ class Decisions:
         if len(asked) < least:
             raise ValueError("say what to look for: activate=..., deactivate=... or configure=...")
         for verb, names in asked:
-            for name in names:
-                self._check("configurations" if verb == "configure" else "components", name)
+            self._check("configurations" if verb == "configure" else "components", *names)
         return asked
 
-    def _check(self, kind: str, name: str) -> None:
-        getattr(self.kb, kind)[name]
+    def _check(self, kind: str, *names: str) -> None:
+        for name in names:
+            getattr(self.kb, kind)[name]
 
     def _failure(self, expected: str, at: float, within: float, instead: list[str]) -> AssertionError:
         headline = f"expected between {seconds(at)} and {seconds(at + within)}: {expected}"
-        instead = instead or ["it never does"]
         shown = _around(self.timeline, at, at + within, expected)
-        return self._error(headline, f"{_list(instead)}\n\nwhat happened around {seconds(at)}:\n{shown}")
+        rest = f"{_list(instead or ['it never does'])}\n\nwhat happened around {seconds(at)}:\n{shown}"
+        return self._error(headline, rest)
 
     def _error(self, headline: str, rest: str) -> AssertionError:
         first: dict[DiagnosticProblem, float] = {}
@@ -262,10 +255,8 @@ def _around(moments: Sequence[Moment], begin: float, end: float, expected: str) 
 
 def _is_our_own(event: Event) -> bool:
     """Whether an event only notes what a plan has switched; the plan's own line says it."""
-    if event.kind is EventKind.RECORD:
-        return True
     if event.verb != "component_active":
-        return False
+        return event.kind is EventKind.RECORD
     _, is_active, reason = event.arguments
     return is_active or not reason
 

@@ -35,6 +35,7 @@ BADGES: Final = {  # how the number of an adaptation looks: diameter [px], face,
     "parameter": (20, "#e2e2e2", "#9a9a9a", INK),
 }
 DIAMOND: Final[dict[str, Any]] = {"marker": "D", "markersize": 4.5, "color": ALARM}
+ROUND: Final[dict[str, Any]] = {"marker": "o", "linestyle": ""}
 SIDES: Final = np.array([-1, 1])
 LONELY_M: Final = 1.0  # so far from the way, a name is in nobody's way
 CROWD: Final = 20  # of more places, only those that the way leads along are named
@@ -66,7 +67,8 @@ def picture(run: MissionRun, data: Mapping[str, Any]) -> Figure:
     top = _timelines(figure, timeline)
     if np.isfinite(timeline.xy).any():
         places = {name: np.asarray(points, dtype=float) for name, points in run.world.scenery().items() if len(points)}
-        shown = _shown(timeline, places)
+        near = [points[[np.argmin(np.hypot(*(points - timeline.xy[0]).T))]] for points in places.values()]
+        shown = np.vstack([timeline.xy, *near])
         split = (
             _split(shown, top) if timeline.adaptations or timeline.planned else 1420 if _is_ours(data) else WIDTH - 34
         )
@@ -74,12 +76,6 @@ def picture(run: MissionRun, data: Mapping[str, Any]) -> Figure:
     if _is_ours(data):  # how others adapt is not known, only what they switch
         _list(_axes(figure, split + 22, 106, WIDTH - split - 30, top - 120), timeline.planned, timeline.adaptations)
     return figure
-
-
-def _shown(timeline: RunTimeline, places: Mapping[str, Array]) -> Array:
-    """Return what a map has to show: the way, and the nearest part of each place (n, 2) [m]."""
-    near = [points[[np.argmin(np.hypot(*(points - timeline.xy[0]).T))]] for points in places.values()]
-    return np.vstack([timeline.xy, *near])
 
 
 def _split(shown: Array, top: float) -> float:
@@ -119,23 +115,18 @@ def _title(figure: Figure, data: Mapping[str, Any], results: Mapping[str, float 
 
 
 def _legend(figure: Figure, timeline: RunTimeline) -> None:
-    entries = [Line2D([], [], color=hue, linewidth=4, label=name) for name, hue in timeline.hues.items()]
+    styles: dict[str, dict[str, Any]] = {name: {"color": hue, "linewidth": 4} for name, hue in timeline.hues.items()}
     for kind in dict.fromkeys(one["kind"] for one in timeline.adaptations):
         size, face, edge, _ = BADGES.get(kind, BADGES["parameter"])
-        badge = Line2D([], [], linestyle="", marker="o", markersize=size * 0.42, label=f"{kind} adaptation")
-        badge.set(markerfacecolor=face, markeredgecolor=edge)
-        entries.append(badge)
+        styles[f"{kind} adaptation"] = {**ROUND, "ms": size * 0.42, "mfc": face, "mec": edge}
     if timeline.disturbances:
-        entries.append(Line2D([], [], linewidth=1, linestyle="--", label="disturbance", **DIAMOND))
+        styles["disturbance"] = {"linewidth": 1, "linestyle": "--", **DIAMOND}
     if timeline.completed:
-        done = Line2D([], [], linestyle="", marker="o", markersize=8, color=MUTED, label="completed")
-        done.set(markerfacecolor="none", markeredgewidth=1.6)
-        entries.append(done)
-    wide = sum(78 + 9.4 * len(str(entry.get_label())) for entry in entries)
-    letters = 9 * min(1.0, WIDTH / max(wide, 1.0))
-    legend = figure.legend(
-        handles=entries, loc="center left", ncols=max(len(entries), 1), borderaxespad=0, fontsize=letters
-    )
+        styles["completed"] = {**ROUND, "ms": 8, "color": MUTED, "mfc": "none", "mew": 1.6}
+    entries = [Line2D([], [], label=label, **style) for label, style in styles.items()]
+    letters = 9 * min(1.0, WIDTH / max(sum(78 + 9.4 * len(label) for label in styles), 1.0))
+    columns = max(len(entries), 1)
+    legend = figure.legend(handles=entries, loc="center left", ncols=columns, borderaxespad=0, fontsize=letters)
     legend.set_bbox_to_anchor((0.01, 1 - 76 / HEIGHT))
 
 
@@ -147,8 +138,7 @@ class _Room:
         self._taken: Array = np.empty((0, 2, 2))
 
     def name(self, xy: Array, text: str, marker: str, size: float, color: str = INK) -> None:
-        point = self._axes.plot(xy[0], xy[1], marker, color=color, markersize=size, zorder=6)[0]
-        point.set(markeredgecolor="white", markeredgewidth=0.7)
+        self._axes.plot(*xy, marker, color=color, markersize=size, zorder=6, mec="white", mew=0.7)
         x, y = self.lead(xy, 8.8 * len(text) + 4, 18)
         label = self._axes.text(x, y, text, ha="center", va="center", color=color)
         label.set(transform=PIXELS, zorder=7, path_effects=[withStroke(linewidth=2.5, foreground="white")])
@@ -165,8 +155,7 @@ class _Room:
         label.set(transform=PIXELS, zorder=7, bbox=frame)
 
     def ring(self, xy: Array, color: str) -> None:
-        ring = self._axes.plot(xy[0], xy[1], "o", color=color, markersize=13, zorder=5.5)[0]
-        ring.set(markerfacecolor="none", markeredgewidth=2)
+        self._axes.plot(*xy, "o", color=color, markersize=13, zorder=5.5, mfc="none", mew=2)
 
     def lead(self, xy: Array, width: float, height: float) -> Array:
         """Take a box of a size near a point [m], draw a line from there to its edge, and return its centre."""
@@ -268,11 +257,10 @@ def _lines(one: Mapping[str, Any], full: bool, width: float) -> list[str]:
 def _timelines(figure: Figure, timeline: RunTimeline) -> float:
     """Draw everything over time, one row above the other; return where the rows begin [px from the top]."""
     panels, lanes = panels_of(timeline), _lanes(timeline)
-    left, right = _margins(lanes, [label for name in panels for label in _labels(timeline, name)])
+    limits = [label for name in panels for labels in timeline.limits.get(bare(name), {}).values() for label in labels]
+    left, right = _margins(lanes, limits)
     others = [one for one in timeline.disturbances if not any(one["what"].startswith(bare(name)) for name in panels)]
-    rows: list[tuple[int, Callable[[Axes], None]]] = (
-        [_events(timeline, "disturbances", others, 8.4, right - left)] if others else []
-    )
+    rows = [_events(timeline, "disturbances", others, 8.4, right - left)] if others else []
     tall = min(150, PANELS // max(1, len(panels)))
     rows += [(tall, partial(_panel, timeline=timeline, names=[name, *others])) for name, others in panels.items()]
     rows += [_events(timeline, "adaptations", timeline.adaptations, 0, right - left)] if timeline.adaptations else []
@@ -305,10 +293,6 @@ def _margins(lanes: Mapping[str, Sequence[str]], labels: Sequence[str]) -> tuple
     names = [len(brief(name)) for column in lanes.values() for name in listed(column)]
     beside = LETTER * max(map(len, labels), default=0)
     return max(LEFT, 16.0 + LETTER * max(names, default=0)), min(RIGHT, WIDTH - beside)
-
-
-def _labels(timeline: RunTimeline, signal: str) -> list[str]:
-    return [label for labels in timeline.limits.get(bare(signal), {}).values() for label in labels]
 
 
 def _events(

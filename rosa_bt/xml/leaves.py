@@ -22,6 +22,10 @@ class XmlLeaf(Behaviour):
         super().__init__(name)
         self.ports = ports
 
+    def key(self, port: str) -> str:
+        """Return the key that a port means, written as `{key}` or as `key`."""
+        return self.ports.key(port) or str(self.ports.get(port))
+
 
 class AlwaysSuccess(XmlLeaf):
     """SUCCESS."""
@@ -64,7 +68,7 @@ class SetBlackboard(XmlLeaf):
     PORTS: ClassVar = {"value": PortInformation(object), "output_key": PortInformation(object)}
 
     def update(self) -> Status:
-        self.ports.blackboard[_key(self.ports, "output_key")] = self.ports.get("value")
+        self.ports.blackboard[self.key("output_key")] = self.ports.get("value")
         return Status.SUCCESS
 
 
@@ -74,7 +78,7 @@ class UnsetBlackboard(XmlLeaf):
     PORTS: ClassVar = {"key": PortInformation(object)}
 
     def update(self) -> Status:
-        self.ports.blackboard.pop(_key(self.ports, "key"), None)
+        self.ports.blackboard.pop(self.key("key"), None)
         return Status.SUCCESS
 
 
@@ -89,11 +93,6 @@ class Sleep(XmlLeaf):
     def update(self) -> Status:
         is_over = self.ports.clock() - self._since >= self.ports.get("msec") / 1000 - 1e-9
         return Status.SUCCESS if is_over else Status.RUNNING
-
-
-def _key(ports: Ports, port: str) -> str:
-    """Return the key that a port means, written as `{key}` or as `key`."""
-    return ports.key(port) or str(ports.get(port))
 
 
 _KINDS: Final = (AlwaysFailure, AlwaysSuccess, Script, ScriptCondition, SetBlackboard, Sleep, UnsetBlackboard)

@@ -34,13 +34,6 @@ class Blackboard(MutableMapping[str, Any]):
     A key is looked for, in this order: `@key` in the blackboard of the main tree; among the constants that the SubTree
     was given; under the name that it was remapped to, in the blackboard around; with autoremapping, under its own name
     there, unless it begins with an underscore; here.
-
-    Args:
-        clock: gives the tree's nodes the time [s].
-        parent: the blackboard around; None for the main tree's.
-        remapping: key in here to key in the parent.
-        constants: values that the SubTree was given.
-        autoremap: whether all other keys are the parent's.
     """
 
     def __init__(
