@@ -207,17 +207,12 @@ class Knowledge:
             put()
         for node in changed:
             self.changed_by[node.index] = event.number
-            if node.kind == "action":
-                self._note_turn(event)
+        if changed and any(one.kind == "action" and Status.UNFEASIBLE in (one.old, one.new) for one in event.changes):
+            self.feasibility = event.number
         if matters:
             self.revision = event.number
         self.log.append(event)
         self.pending = None
-
-    def _note_turn(self, event: Event) -> None:
-        """Note that an action has become feasible or unfeasible, if one has."""
-        if any(one.kind == "action" and Status.UNFEASIBLE in (one.old, one.new) for one in event.changes):
-            self.feasibility = event.number
 
     def _put(self, event: Event, outcome: Outcome) -> Event:
         touched, puts, changes, effects, plan, words, matters = outcome

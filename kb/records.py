@@ -10,9 +10,9 @@ from kb.exceptions import InvalidValue
 from kb.facts import PlanFact, ProcessFact, RequiredActionFact
 
 __all__ = [
-    "KEPT_RECORDS",
     "Attempt",
     "HistoryView",
+    "KEPT_RECORDS",
     "Process",
     "ReconfigurationPlan",
     "Records",
@@ -220,7 +220,7 @@ class Records:
         if record.end is None:
             self.required[record.action] = record
 
-    def end_request(self, record: RequiredAction, ended: tuple[str, ...], event: int, **end: Any) -> None:  # noqa: ANN401  # fields
+    def end_request(self, record: RequiredAction, ended: tuple[str, ...], event: int, **end: Any) -> None:  # noqa: ANN401  # what a field holds
         """Put the end of a request on record."""
         finish(record, **end)
         self.required.pop(record.action, None)
@@ -349,7 +349,7 @@ def check_result(result: str) -> None:
         raise InvalidValue(f"{result!r} is no result; a result is one of {', '.join(RESULTS)}")
 
 
-def finish(record: RequiredAction | ReconfigurationPlan | Process | Attempt, **end: Any) -> None:  # noqa: ANN401  # fields
+def finish(record: RequiredAction | ReconfigurationPlan | Process | Attempt, **end: Any) -> None:  # noqa: ANN401  # what a field holds
     """Enter how a record has ended."""
     for name, value in end.items():
         object.__setattr__(record, name, value)

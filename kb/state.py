@@ -14,7 +14,15 @@ from kb.elements import Parameters
 from kb.network import Network, Node
 from kb.status import Status
 
-__all__ = ["FACTS", "Array", "History", "Marked", "Overlay", "Reason", "State"]
+__all__ = [
+    "Array",
+    "FACTS",
+    "History",
+    "Marked",
+    "Overlay",
+    "Reason",
+    "State",
+]
 
 T = TypeVar("T")
 

@@ -279,11 +279,6 @@ class Store:
         with self._progress:
             self._progress.notify_all()
 
-    @property
-    def is_closed(self) -> bool:
-        """Whether the file is given back."""
-        return self._closing
-
     def _release(self) -> None:
         self._closing = True
         with suppress(sqlite3.Error):
