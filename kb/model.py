@@ -176,8 +176,13 @@ class Model:
             field: checks[field].check(field, name, value) if field in checks else self._names(cls, name, field, value)
             for field, value in given.items()
         }
-        element = cls(name, self, **values)
+        try:
+            element = cls(name, self, **values)
+        except TypeError as error:
+            raise ModelError(f"{kind} {name!r} is not complete: {error}") from None
         wanted = self._expressions(constraints) if constraints != () else ()
+        if wanted:
+            self._of_kind("constrained", element, Constrainable)
         if name in table:
             raise DuplicateName(f"{kind} {name!r} is declared already; names are unique within a kind")
         table[name] = element
@@ -390,10 +395,13 @@ class Model:
         self._owned(what, found, Changeable)
         return found
 
-    def _owned(self, what: str, element: object, kinds: UnionType) -> None:
+    def _of_kind(self, what: str, element: object, kinds: UnionType) -> None:
         if not isinstance(element, kinds):
             names = ", ".join(kind.__name__ for kind in get_args(kinds))
             raise ModelError(f"{what} can be one of {names}; not {element!r}")
+
+    def _owned(self, what: str, element: object, kinds: UnionType) -> None:
+        self._of_kind(what, element, kinds)
         if isinstance(element, Constraint):
             found, name = element in self._constraints, str(element)
         elif isinstance(element, Estimation):

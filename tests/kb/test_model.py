@@ -23,7 +23,7 @@ from kb import (
     Status,
     UnknownName,
 )
-from kb.elements import Configuration, FunctionDesign
+from kb.elements import Configuration, Function, FunctionDesign
 
 
 def rover(name="rover"):
@@ -177,6 +177,18 @@ def test_an_element_of_another_model_is_refused(model, declaration):
     untouched = contents(other)
     refuses(model, lambda: declaration(model, other), ModelError, match="other")
     assert contents(other) == untouched
+
+
+@pytest.mark.parametrize(
+    ("declaration", "words"),
+    [
+        (lambda model: model.declare(Configuration, "new", parameters={}), "configuration 'new' is not complete"),
+        (lambda model: model.declare(Configuration, "new", colour=1), "unknown field of configuration 'colour'"),
+        (lambda model: model.declare(Function, "new", [model.attributes["light"] >= 1]), "constrained can be one of"),
+    ],
+)
+def test_an_element_is_declared_by_the_fields_of_its_class(model, declaration, words):
+    refuses(model, lambda: declaration(model), KnowledgeBaseError, match=words)
 
 
 NO_NUMBERS = [math.nan, math.inf, -math.inf, True, False, "0.5", None, [0.5], 1j, object()]
