@@ -132,11 +132,11 @@ class _Reader:
     """Builds unified-planning's problem, in names of which no two are the same, as it wants it."""
 
     def __init__(self, domain: Source, problem: Source, actions: Mapping[str, str], *, has_object: bool) -> None:
-        from unified_planning.environment import Environment
         from unified_planning.model import Problem as UpProblem
 
-        environment = Environment()
-        environment.credits_stream = None
+        from rosa_pddl.engines.environment import LateEnvironment
+
+        environment = LateEnvironment()
         self._types = environment.type_manager
         defaults = {self._types.BoolType(): environment.expression_manager.FALSE()}
         self._up_problem = UpProblem(str(problem.root.children[1].children[1]), environment, initial_defaults=defaults)

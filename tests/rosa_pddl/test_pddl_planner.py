@@ -302,6 +302,18 @@ def test_the_plan_does_not_depend_on_the_hash_seed(tmp_path):
     assert len(outputs) == 1
 
 
+def test_what_is_searched_here_is_loaded_and_planned_without_the_engines_of_unified_planning():
+    code = (
+        "import sys; from pathlib import Path; import missions.suave_extended as m; from rosa_pddl import *\n"
+        "folder = Path(m.__file__).parent; d = load_domain(folder / 'domain.pddl', folder / 'problem.pddl')\n"
+        "assert Planner().plan(Problem(d, initial_state(d))).outcome is Outcome.UNSOLVABLE_PROVEN\n"
+        "print([name for name in ('unified_planning.engines', 'scipy.stats') if name in sys.modules])"
+    )
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
+    run = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True)
+    assert run.stdout.strip() == "[]", run.stdout + run.stderr
+
+
 # ------------------------------------------------------------------ laws
 
 
