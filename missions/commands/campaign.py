@@ -74,8 +74,10 @@ def report(
 
 
 def _asked(file: Path | None, table: bool, runs: int | None) -> "Campaign | None":
+    from dataclasses import replace
+
     from missions.engine.mission import MissionError
-    from missions.experiments.campaign import paper_table, read_campaign, with_runs
+    from missions.experiments.campaign import paper_table, read_campaign
 
     if file is not None and table:
         raise MissionError("give either FILE.toml or --paper-table")
@@ -83,7 +85,8 @@ def _asked(file: Path | None, table: bool, runs: int | None) -> "Campaign | None
         if runs is not None:
             raise MissionError("--runs goes with FILE.toml or --paper-table")
         return None
-    return with_runs(paper_table() if file is None else read_campaign(file), runs)
+    campaign = paper_table() if file is None else read_campaign(file)
+    return campaign if runs is None else replace(campaign, runs=runs)
 
 
 def _conduct(
@@ -103,7 +106,7 @@ def _conduct(
     try:
         with closing(open_workers()) as workers, shown:
             console.print(f"[bold]{escape(store.campaign.name)}[/] in {escape(str(folder))}, {workers.count} at a time")
-            written = conduct(store, folder, workers, retry=retry, teller=shown)
+            written = conduct(store, folder, workers, retry=retry, progress=shown)
     except (KeyboardInterrupt, SystemExit, MissionError):
         console.print(f"{shown.count} of {shown.total} runs are done and kept; go on with\n  {escape(again)}")
         raise

@@ -2,12 +2,12 @@
 
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing
-from dataclasses import asdict, dataclass, field, fields, replace
+from contextlib import closing, contextmanager
+from dataclasses import asdict, dataclass, field, fields
 from difflib import get_close_matches
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from missions.baselines import MANAGERS, OURS, find_manager
 from missions.engine.controller import check_task
@@ -17,8 +17,6 @@ from missions.engine.settings import own_values, read_values
 from missions.suave.world import Sea
 
 Settings = Mapping[str, str]
-
-PAPER_MISSIONS = ("suave", "suave_extended")
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,9 +40,8 @@ class PlannedRun:
     @property
     def name(self) -> str:
         """What it is called: the only thing that its results depend on."""
-        parts = [self.mission, self.manager, *([self.task] if self.task else [])]
         changed = ",".join(f"{name}={value}" for name, value in self.settings)
-        return "/".join([*parts, *([changed] if changed else []), str(self.seed)])
+        return "/".join(filter(None, [self.mission, self.manager, self.task, changed, str(self.seed)]))
 
     @property
     def command(self) -> str:
@@ -90,9 +87,8 @@ class Campaign:
     @property
     def layers(self) -> tuple[tuple[str, str | None], ...]:
         """Every manager with each task layer that it can have."""
-        return tuple(
-            (manager, task) for manager in self.managers for task in (self.tasks if manager == OURS else (None,))
-        )
+        tasks = {OURS: self.tasks}
+        return tuple((manager, task) for manager in self.managers for task in tasks.get(manager, (None,)))
 
     def planned(self) -> tuple[PlannedRun, ...]:
         """Return every run, in the order in which results are listed."""
@@ -116,7 +112,7 @@ class Campaign:
 
 def paper_table(runs: int = 100) -> Campaign:
     """Return the campaign behind the table of the ROSA paper: both missions under every manager, rules of 2024."""
-    return Campaign("paper_table", PAPER_MISSIONS, (*MANAGERS, OURS), ("bt", "pddl"), runs)
+    return Campaign("paper_table", ("suave", "suave_extended"), (*MANAGERS, OURS), ("bt", "pddl"), runs)
 
 
 def read_campaign(path: Path) -> Campaign:
@@ -125,13 +121,22 @@ def read_campaign(path: Path) -> Campaign:
     Raises:
         MissionError: the file cannot be read, or a key or value in it is not what is expected.
     """
+    with files_tried(f"read {path}"):
+        content = path.read_bytes()
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise MissionError(f"cannot read {path}: {error.strerror or error}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        data = tomllib.loads(content.decode())
+    except ValueError as error:
         raise MissionError(f"{path} is no TOML: {error}") from error
     return from_data({"name": path.stem} | data, str(path))
+
+
+@contextmanager
+def files_tried(what: str, advice: str = "") -> Iterator[None]:
+    """Raise MissionError instead if what is tried with files, such as "read x.toml", cannot be done."""
+    try:
+        yield
+    except OSError as error:
+        raise MissionError(f"cannot {what}: {error.strerror or error}{advice}") from error
 
 
 def from_data(data: Mapping[str, Any], source: str) -> Campaign:
@@ -153,24 +158,21 @@ def from_data(data: Mapping[str, Any], source: str) -> Campaign:
     if "missions" not in data:
         raise MissionError(f'{source} says no missions; add, for example, missions = ["suave"]')
 
-    def given(key: str, default: object, expected: str, holds: Callable[[Any], bool]) -> Any:  # noqa: ANN401  # plain data
-        value = data.get(key, default)
-        return _expected(value, f"{source}: {key}", expected, holds)
+    def given(key: str, default: object, rule: _Rule) -> Any:  # noqa: ANN401  # plain data
+        return rule.checked(data.get(key, default), f"{source}: {key}")
 
-    names = {"missions": (), "managers": (OURS,), "tasks": ("bt",)}
-    settings = dict(given("settings", {}, *_TABLE)) | ({"rules": data["rules"]} if "rules" in data else {})
-    sweep = {
-        name: _expected(values, f"{source}: sweep: {name}", "a list of one value or more", _is_filled)
-        for name, values in given("sweep", {}, *_TABLE).items()
-    }
+    lists = {"missions": [], "managers": [OURS], "tasks": ["bt"]}
+    settings = dict(given("settings", {}, _TABLE)) | ({"rules": data["rules"]} if "rules" in data else {})
+    sweep = given("sweep", {}, _TABLE)
+    values = {name: _VALUES.checked(tried, f"{source}: sweep: {name}") for name, tried in sweep.items()}
     campaign = Campaign(
-        name=given("name", "", "a word that can be the name of a folder", _can_be_a_folder),
-        **{key: tuple(given(key, list(default), *_WORDS)) for key, default in names.items()},
-        runs=given("runs", 10, "a whole number from 1", lambda value: type(value) is int and value >= 1),
-        first_seed=given("first_seed", 0, "a whole number from 0", lambda value: type(value) is int and value >= 0),
+        name=given("name", "", _FOLDER),
+        **{key: tuple(given(key, default, _WORDS)) for key, default in lists.items()},
+        runs=given("runs", 10, _COUNT),
+        first_seed=given("first_seed", 0, _FROM_0),
         settings=_settings(settings, f"{source}: settings"),
-        cases=tuple(_settings(one, f"{source}: cases") for one in given("cases", [], *_LIST)),
-        sweep={name: tuple(_text(one, f"{source}: sweep: {name}") for one in values) for name, values in sweep.items()},
+        cases=tuple(_settings(one, f"{source}: cases") for one in given("cases", [], _LIST)),
+        sweep={name: tuple(_text(one, f"{source}: sweep: {name}") for one in tried) for name, tried in values.items()},
     )
     _check_once(campaign, source)
     return campaign
@@ -190,11 +192,6 @@ def check_campaign(campaign: Campaign) -> None:
         _check_settings(find_mission(name), manager, dict(settings))
 
 
-def with_runs(campaign: Campaign, runs: int | None) -> Campaign:
-    """Return the campaign with another number of runs of each, if one is given."""
-    return campaign if runs is None else replace(campaign, runs=runs)
-
-
 def _check_settings(mission: Mission, manager: str, settings: Settings) -> None:
     import numpy
 
@@ -209,47 +206,46 @@ def _check_settings(mission: Mission, manager: str, settings: Settings) -> None:
 
 def _check_once(campaign: Campaign, source: str) -> None:
     """Refuse what would be run twice, or what is said in two places."""
-    for name, values in _lists(campaign):
+    lists = {name: getattr(campaign, name) for name in ("missions", "managers", "tasks", "cases")}
+    for name, values in {**lists, **campaign.sweep}.items():
         twice = next((value for value in values if values.count(value) > 1), None)
         if twice is not None:
             raise MissionError(f"{source}: {name} has {twice} twice; once is enough")
-    places = [("settings", set(campaign.settings)), ("sweep", set(campaign.sweep))]
-    places += [("cases", set(case)) for case in campaign.cases]
+    places = [("settings", campaign.settings), ("sweep", campaign.sweep), *(("cases", one) for one in campaign.cases)]
     for (one, names), (other, others) in product(places, places):
-        if one != other and names & others:
-            raise MissionError(f"{source}: {min(names & others)} is given in {one} and in {other}; give it once")
+        if one != other and (both := set(names) & set(others)):
+            raise MissionError(f"{source}: {min(both)} is given in {one} and in {other}; give it once")
 
 
-def _lists(campaign: Campaign) -> Iterator[tuple[str, tuple[Any, ...]]]:
-    yield from (("missions", campaign.missions), ("managers", campaign.managers), ("tasks", campaign.tasks))
-    yield "cases", campaign.cases
-    yield from campaign.sweep.items()
+class _Rule(NamedTuple):
+    """What a value of a file has to be, in words and as a test."""
+
+    expected: str
+    holds: Callable[[Any], bool]
+
+    def checked(self, value: Any, where: str) -> Any:  # noqa: ANN401  # plain data
+        if not self.holds(value):
+            raise MissionError(f"{where} is {value!r}; expected is {self.expected}")
+        return value
 
 
-def _is_filled(value: object) -> bool:
-    return isinstance(value, list) and bool(value)
-
-
-def _can_be_a_folder(value: object) -> bool:
-    return isinstance(value, str) and bool(value) and "/" not in value and not value.startswith(".")
-
-
-_TABLE = "a table of names and values", lambda value: isinstance(value, dict)
-_LIST = "a list", lambda value: isinstance(value, list)
-_WORDS = (
+_TABLE = _Rule("a table of names and values", lambda value: isinstance(value, dict))
+_LIST = _Rule("a list", lambda value: isinstance(value, list))
+_VALUES = _Rule("a list of one value or more", lambda value: isinstance(value, list) and bool(value))
+_WORDS = _Rule(
     "a list of one name or more",
-    lambda value: _is_filled(value) and all(isinstance(word, str) and word for word in value),
+    lambda value: _VALUES.holds(value) and all(isinstance(word, str) and word for word in value),
 )
-
-
-def _expected(value: Any, where: str, expected: str, holds: Callable[[Any], bool]) -> Any:  # noqa: ANN401  # plain data
-    if not holds(value):
-        raise MissionError(f"{where} is {value!r}; expected is {expected}")
-    return value
+_FOLDER = _Rule(
+    "a word that can be the name of a folder",
+    lambda value: isinstance(value, str) and bool(value) and "/" not in value and not value.startswith("."),
+)
+_COUNT = _Rule("a whole number from 1", lambda value: type(value) is int and value >= 1)
+_FROM_0 = _Rule("a whole number from 0", lambda value: type(value) is int and value >= 0)
 
 
 def _settings(value: object, where: str) -> dict[str, str]:
-    return {name: _text(one, f"{where}: {name}") for name, one in _expected(value, where, *_TABLE).items()}
+    return {name: _text(one, f"{where}: {name}") for name, one in _TABLE.checked(value, where).items()}
 
 
 def _text(value: object, where: str) -> str:

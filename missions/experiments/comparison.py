@@ -4,25 +4,16 @@ from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from math import floor
-from types import MappingProxyType
-from typing import Any
+from typing import Any, Final, NamedTuple
 
-from missions.experiments.results import Kept
-from missions.experiments.work import CRASHED
+from missions.experiments.results import CRASHED, Kept
 
 
-@dataclass(frozen=True, slots=True)
-class Published:
-    """A row of the table.
-
-    Attributes:
-        search_s: mean and standard deviation of the search time [s].
-        distance_m: mean and standard deviation of the distance inspected [m]; the head of its column says seconds.
-        reactions_s: mean reaction time to each uncertainty [s].
-    """
+class Published(NamedTuple):
+    """A row of the paper's table: means and standard deviations, and mean reaction times to each uncertainty [s]."""
 
     search_s: tuple[float, float]
-    distance_m: tuple[float, float]
+    distance_m: tuple[float, float]  # the head of its column says seconds
     reactions_s: Mapping[str, float]
 
     def of(self, figure: str) -> tuple[float, float] | None:
@@ -30,33 +21,27 @@ class Published:
         return {"search_time_s": self.search_s, "distance_inspected_m": self.distance_m}.get(figure)
 
 
-PAPER: Mapping[tuple[str, str], Published] = MappingProxyType(
-    {
-        ("suave", "none"): Published((174.75, 36.00), (33.20, 13.49), {}),
-        ("suave", "bt"): Published((84.09, 26.41), (62.70, 7.78), {"U1": 0.08, "U2": 0.10}),
-        ("suave", "metacontrol"): Published((89.24, 35.57), (60.57, 11.17), {"U1": 1.55, "U2": 0.82}),
-        ("suave", "rosa"): Published((85.11, 32.48), (60.76, 10.29), {"U1": 1.24, "U2": 1.57}),
-        ("suave_extended", "bt"): Published((94.37, 34.92), (20.88, 3.81), {"U1": 0.07, "U2": 0.10, "U3": 1.09}),
-        ("suave_extended", "rosa"): Published((92.75, 35.92), (18.97, 3.38), {"U1": 1.39, "U2": 1.67, "U3": 2.50}),
-    }
-)
+PAPER: Final = {
+    ("suave", "none"): Published((174.75, 36.00), (33.20, 13.49), {}),
+    ("suave", "bt"): Published((84.09, 26.41), (62.70, 7.78), {"U1": 0.08, "U2": 0.10}),
+    ("suave", "metacontrol"): Published((89.24, 35.57), (60.57, 11.17), {"U1": 1.55, "U2": 0.82}),
+    ("suave", "rosa"): Published((85.11, 32.48), (60.76, 10.29), {"U1": 1.24, "U2": 1.57}),
+    ("suave_extended", "bt"): Published((94.37, 34.92), (20.88, 3.81), {"U1": 0.07, "U2": 0.10, "U3": 1.09}),
+    ("suave_extended", "rosa"): Published((92.75, 35.92), (18.97, 3.38), {"U1": 1.39, "U2": 1.67, "U3": 2.50}),
+}
 """By mission and manager."""
 
 
 SEARCH = "search_time_s"
+INPUT = "input_from_paper_"
 NO_FIGURES = {"seed", "task"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Group:
-    """The runs of one manager that did not crash.
+    """The runs of one manager that did not crash, by seed; `task` is the task layer of ours, None for other managers.
 
-    Attributes:
-        manager: its name.
-        task: the task layer of ours; None if the manager brings its own.
-        records: by seed.
-        timings: how long each took, by seed, as far as that is known.
-        published: the row of the paper's table; None if there is none.
+    Timings tell how long each took, as far as that is known.
     """
 
     manager: str
@@ -73,18 +58,16 @@ class Group:
     @property
     def inputs(self) -> dict[str, float]:
         """What was taken from published results of the manager, by name."""
-        prefix = "input_from_paper_"
-        return {
-            name.removeprefix(prefix): value
-            for record in self.records.values()
-            for name, value in record.items()
-            if name.startswith(prefix)
-        }
+        figures = [one for record in self.records.values() for one in record.items()]
+        return {name.removeprefix(INPUT): value for name, value in figures if name.startswith(INPUT)}
 
-    @property
-    def reactions_published(self) -> Mapping[str, float]:
-        """The published mean reaction time to each uncertainty [s]; empty if there is none."""
-        return self.published.reactions_s if self.published else {}
+    def published_of(self, figure: str) -> tuple[float, float] | None:
+        """Return the published mean and standard deviation of a figure, if there are."""
+        return self.published.of(figure) if self.published else None
+
+    def published_reaction(self, uncertainty: str) -> float | None:
+        """Return the published mean reaction time to an uncertainty [s], if there is one."""
+        return self.published.reactions_s.get(uncertainty) if self.published else None
 
     @property
     def not_found(self) -> int:
@@ -109,24 +92,18 @@ class Group:
 
     def delays(self, uncertainty: str) -> list[float]:
         """Return every reaction time to an uncertainty [s], in simulated time."""
-        told = (one for record in self.records.values() for one in record["reactions"])
-        return [delay_s for name, _, delay_s in told if name == uncertainty]
+        reactions = (one for record in self.records.values() for one in record["reactions"])
+        return [delay_s for name, _, delay_s in reactions if name == uncertainty]
 
     def thought(self, uncertainty: str) -> list[float]:
         """Return the time of the machine that each of these reactions took [s]."""
-        told = (one for timing in self.timings.values() for one in timing["reactions"])
-        return [compute_s for name, compute_s in told if name == uncertainty]
+        reactions = (one for timing in self.timings.values() for one in timing["reactions"])
+        return [compute_s for name, compute_s in reactions if name == uncertainty]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Comparison:
-    """A mission with some settings, under several managers.
-
-    Attributes:
-        mission: its name.
-        settings: what differs from the defaults.
-        groups: one for each manager and task layer that has runs.
-    """
+    """A mission with some settings, under several managers: one group for each that has runs, and each task layer."""
 
     mission: str
     settings: Mapping[str, str]
@@ -141,14 +118,9 @@ class Comparison:
     @property
     def figures(self) -> tuple[str, ...]:
         """Every figure that is a number in some run, in the order of the results."""
-        names = {
-            name: None
-            for group in self.groups
-            for record in group.records.values()
-            for name, value in record.items()
-            if isinstance(value, int | float) and name not in NO_FIGURES and not name.startswith("input_from_paper_")
-        }
-        return tuple(names)
+        told = [one for group in self.groups for record in group.records.values() for one in record.items()]
+        names = dict.fromkeys(name for name, value in told if isinstance(value, int | float))
+        return tuple(name for name in names if name not in NO_FIGURES and not name.startswith(INPUT))
 
     @property
     def uncertainties(self) -> tuple[str, ...]:
@@ -165,12 +137,9 @@ def comparisons(kept: Kept) -> Iterator[Comparison]:
             place = record["mission"], tuple(record["settings"].items())
             parts[place][record["manager"], record["task"]][record["seed"]] = record
     for (mission, settings), layers in parts.items():
-        groups = tuple(
-            Group(manager, task, records, _timings(kept, records), PAPER.get((mission, manager)))
-            for (manager, task), records in layers.items()
-        )
-        yield Comparison(mission, dict(settings), groups)
-
-
-def _timings(kept: Kept, records: Mapping[int, Mapping[str, Any]]) -> dict[int, Mapping[str, Any]]:
-    return {seed: kept.timings[record["run"]] for seed, record in records.items() if record["run"] in kept.timings}
+        groups = []
+        for (manager, task), records in layers.items():
+            names = {seed: record["run"] for seed, record in records.items()}
+            timings = {seed: kept.timings[name] for seed, name in names.items() if name in kept.timings}
+            groups.append(Group(manager, task, records, timings, PAPER.get((mission, manager))))
+        yield Comparison(mission, dict(settings), tuple(groups))

@@ -6,8 +6,8 @@ a model has a statement for each.
 
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
+from itertools import product
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Final, NamedTuple, TypeVar
 
 from py_trees.behaviour import Behaviour
@@ -52,18 +52,16 @@ class Parts(NamedTuple):
         return f"{self.first} + {self.second} = {self.total}"
 
 
-MODELS: Final[Mapping[str, Parts]] = MappingProxyType(
-    {"suave": Parts(18, 12), "suave_extended": Parts(22, 16), "agv": Parts(18, 36), "uav": Parts(24, 16)}
-)
+MODELS: Final = {"suave": Parts(18, 12), "suave_extended": Parts(22, 16), "agv": Parts(18, 36), "uav": Parts(24, 16)}
 """Published: entities and relations of each model."""
 
-TREES: Final[Mapping[str, Parts]] = MappingProxyType({"suave": Parts(27, 30), "suave_extended": Parts(34, 38)})
+TREES: Final = {"suave": Parts(27, 30), "suave_extended": Parts(34, 38)}
 """Published, for the tree that manages: nodes without those of the task, and modes with their parameters."""
 
-TASK_NODES: Final[Mapping[str, int]] = MappingProxyType({"suave": 10, "suave_extended": 16})
+TASK_NODES: Final = {"suave": 10, "suave_extended": 16}
 """Published: nodes of the tree with the task only, which are deducted from those of the tree that manages."""
 
-AS_PUBLISHED: Final[Mapping[str, Callable[[], Model]]] = MappingProxyType({"agv": agv_model})
+AS_PUBLISHED: Final = {"agv": agv_model}
 """Missions whose model holds more than the published one, and what is counted for them."""
 
 
@@ -110,21 +108,16 @@ def count(model: Model) -> Count:
         "constraints": len(model.constraints),
         "estimations": len(model.estimations),
     }
-    return Count(MappingProxyType(entities), MappingProxyType(relations))
+    return Count(entities, relations)
 
 
 def generated_model(structural: int, parameter: int, actions: int = 1) -> Model:
-    """Make the smallest model for a number of adaptations (Silva et al., assumptions 1 and 2).
+    """Make the smallest model for a number of adaptations of each action (Silva et al., assumptions 1 and 2).
 
     Each action requires a function of its own, with one design of one component with one configuration. A structural
     adaptation is one more such design, a parameter adaptation one more configuration of the first component. Every
     design and every configuration has a priority and a constraint; every component a package, an executable and one
     parameter. All constraints are on the one quality attribute, which all actions share.
-
-    Args:
-        structural: structural adaptations of each action, from 0.
-        parameter: parameter adaptations of each action, from 0.
-        actions: how many, from 1.
 
     Raises:
         MissionError: a number is too small.
@@ -136,9 +129,8 @@ def generated_model(structural: int, parameter: int, actions: int = 1) -> Model:
     quality = model.quality_attribute("quality")
     for one in range(1, actions + 1):
         function = model.function(f"function_{one}")
-        first, *_ = [
-            _design(model, function, quality, f"{one}_{number}", number) for number in range(1, structural + 2)
-        ]
+        numbers = range(1, structural + 2)
+        first, *_ = [_design(model, function, quality, f"{one}_{number}", number) for number in numbers]
         for number in range(2, parameter + 2):
             _configuration(first, quality, number)
         model.action(f"action_{one}", requires=[function])
@@ -166,17 +158,11 @@ class ModelEffort(NamedTuple):
 
 
 class TreeCount(NamedTuple):
-    """How large the tree of the manager `bt` is.
+    """How large the tree of the manager `bt` is."""
 
-    Attributes:
-        nodes: of the whole tree, task and adaptation.
-        task_nodes: of the mission's own tree, which has the task only.
-        modes: modes and the values in them, of the functions whose component the mission has.
-    """
-
-    nodes: int
-    task_nodes: int
-    modes: int
+    nodes: int  # of the whole tree, task and adaptation
+    task_nodes: int  # of the mission's own tree, which has the task only
+    modes: int  # modes and the values in them, of the functions whose component the mission has
 
     @property
     def adaptation_nodes(self) -> int:
@@ -226,20 +212,13 @@ def survey(names: Iterable[str] = ()) -> Survey:
     """
     asked = dict.fromkeys(names) or dict.fromkeys(MISSIONS)
     found = {name: None if Path(name).suffix.lower() in SUFFIXES else _mission(name) for name in asked}
-    models = tuple(
-        ModelEffort(name, count(_model(name, one) if one else Model.load(name.split(","))), MODELS.get(name))
-        for name, one in found.items()
-    )
-    trees = tuple(
-        TreeEffort(name, count_tree(one), TREES.get(name), TASK_NODES.get(name))
-        for name, one in found.items()
-        if one is not None and one.world is SEA
-    )
-    steps = range(MOST_ADAPTATIONS + 1)
-    points = tuple(
-        LawPoint(one, two, count(generated_model(one, two)).total, law(one, two)) for one in steps for two in steps
-    )
-    return Survey(models, trees, points)
+    built = {name: _model(name, one) if one else Model.load(name.split(",")) for name, one in found.items()}
+    models = [ModelEffort(name, count(model), MODELS.get(name)) for name, model in built.items()]
+    counted = {name: count_tree(one) for name, one in found.items() if one is not None and one.world is SEA}
+    trees = [TreeEffort(name, one, TREES.get(name), TASK_NODES.get(name)) for name, one in counted.items()]
+    adaptations = product(range(MOST_ADAPTATIONS + 1), repeat=2)
+    points = [LawPoint(one, two, count(generated_model(one, two)).total, law(one, two)) for one, two in adaptations]
+    return Survey(tuple(models), tuple(trees), tuple(points))
 
 
 def count_tree(mission: Mission) -> TreeCount:
@@ -266,32 +245,18 @@ def count_tree(mission: Mission) -> TreeCount:
 
 def as_data(found: Survey) -> dict[str, Any]:
     """Return it as data for JSON."""
-    return {
-        "rule": RULE,
-        "models": [
-            {
-                "name": one.name,
-                "entities": one.counted.entities,
-                "relations": one.counted.relations,
-                "total": one.counted.total,
-                "of_entities": dict(one.counted.of_entities),
-                "of_relations": dict(one.counted.of_relations),
-                "published": _parts_data(one.published, "entities", "relations"),
-            }
-            for one in found.models
-        ],
-        "trees": [
-            {
-                "name": one.name,
-                **one.counted._asdict(),
-                "total": one.counted.total,
-                "published": _parts_data(one.published, "nodes", "modes"),
-                "published_task_nodes": one.published_task,
-            }
-            for one in found.trees
-        ],
-        "generated": [one._asdict() for one in found.points],
-    }
+    models, trees = [], []
+    for model in found.models:
+        counted = model.counted
+        totals = {"entities": counted.entities, "relations": counted.relations, "total": counted.total}
+        published = _parts_data(model.published, "entities", "relations")
+        models.append({"name": model.name, **totals, **counted._asdict(), "published": published})
+    for tree in found.trees:
+        counts = {**tree.counted._asdict(), "total": tree.counted.total, "published_task_nodes": tree.published_task}
+        published = _parts_data(tree.published, "nodes", "modes")
+        trees.append({"name": tree.name, **counts, "published": published})
+    generated = [one._asdict() for one in found.points]
+    return {"rule": RULE, "models": models, "trees": trees, "generated": generated}
 
 
 def _parts_data(parts: Parts | None, first: str, second: str) -> dict[str, int] | None:

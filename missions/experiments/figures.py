@@ -1,4 +1,4 @@
-"""The pictures of a report: how a figure is distributed under each manager, and how soon each reacted."""
+"""The pictures of a report, and the style of all of them; the same data gives the same bytes."""
 
 from collections.abc import Sequence
 from io import BytesIO
@@ -14,12 +14,20 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 WIDTH, ROW, EDGES, DPI = 9.0, 0.8, 1.1, 130  # [inch], [inch], [inch], [px/inch]
-EARLY, LATE, PLAIN, PAPER, INK = "#0072b2", "#e69f00", "#7d8790", "#d55e00", "#222222"
+INK, MUTED, FAINT = "#222222", "#666666", "#b5b5b5"
+EARLY, LATE, PLAIN, PAPER = "#0072b2", "#e69f00", "#7d8790", "#d55e00"
+CLUSTERS: Final = (("earlier cluster", EARLY), ("later cluster", LATE), ("never found", PLAIN))
 BINS, LOG_BINS = 40, 36
 STYLE: Final[dict[Any, Any]] = {
     **{"font.family": "DejaVu Sans", "font.size": 8.5, "text.color": INK, "text.parse_math": False},
-    **{"axes.edgecolor": "#b5b5b5", "axes.linewidth": 0.7, "axes.spines.top": False, "axes.spines.right": False},
-    **{"svg.hashsalt": "rosa", "legend.frameon": False},
+    **{"axes.edgecolor": FAINT, "axes.linewidth": 0.7, "axes.spines.top": False, "axes.spines.right": False},
+    **{
+        "axes.titlesize": 9,
+        "axes.titlelocation": "left",
+        "hatch.linewidth": 0.6,
+        "figure.constrained_layout.w_pad": 0.1,
+    },
+    **{"svg.hashsalt": "rosa", "legend.frameon": False, "legend.handlelength": 1.2, "legend.borderaxespad": 0},
 }
 
 
@@ -43,15 +51,15 @@ def distribution(comparison: Comparison, figure: str, label: str, *, clusters: b
     with rc_context(STYLE):
         drawing, axes = _rows(len(samples), 1)
         for row, (group, values) in zip(axes[:, 0], samples.items(), strict=True):
-            _name(row, group, f"n = {len(values)}")
+            _name(row, group.label, len(values))
             if clusters:
                 _stack(row, values, group.searches, bins)
             else:
                 row.hist(values, bins=bins, color=PLAIN)
-            _mark(row, group.published.of(figure) if group.published else None)
+            _mark(row, group.published_of(figure))
         axes[-1, 0].set_xlabel(label)
-        _explain(drawing, comparison.groups, clusters)
-        return _written(drawing)
+        _explain(drawing, comparison.groups, CLUSTERS if clusters else (), "published mean ± sd")
+        return {suffix: written(drawing, suffix) for suffix in ("png", "svg")}
 
 
 def reaction_histograms(comparison: Comparison) -> dict[str, bytes]:
@@ -61,7 +69,6 @@ def reaction_histograms(comparison: Comparison) -> dict[str, bytes]:
         The picture by the suffix of its file: "png" and "svg".
     """
     from matplotlib import rc_context
-    from matplotlib.ticker import NullFormatter
 
     names = comparison.uncertainties
     groups = [group for group in comparison.groups if any(group.delays(name) for name in names)]
@@ -73,36 +80,46 @@ def reaction_histograms(comparison: Comparison) -> dict[str, bytes]:
         for row, group in zip(axes, groups, strict=True):
             for cell, name in zip(row, names, strict=True):
                 found = group.delays(name)
-                cell.set_xscale("log")
-                _name(cell, group if cell is row[0] else None, f"n = {len(found)}")
+                cell.set(xscale="log")
+                _name(cell, group.label if cell is row[0] else "", len(found))
                 cell.hist(np.maximum(found, least), bins=bins, color=PLAIN)
-                published = group.reactions_published.get(name)
+                published = group.published_reaction(name)
                 _mark(cell, None if published is None else (published, 0.0))
+                cell.xaxis.set_major_formatter("{x:g}")
+                cell.xaxis.set_minor_formatter("")
         for cell, name in zip(axes[-1], names, strict=True):
             cell.set_xlabel(f"reaction to {name} [s]")
-            cell.xaxis.set_major_formatter("{x:g}")
-            cell.xaxis.set_minor_formatter(NullFormatter())
-        _explain(drawing, groups, clusters=False)
-        return _written(drawing)
+        _explain(drawing, groups, (), "published mean" + (" ± sd" if len(names) == 1 else ""))
+        return {suffix: written(drawing, suffix) for suffix in ("png", "svg")}
+
+
+def written(drawing: "Figure", suffix: str) -> bytes:
+    """Return a picture as a file, "png" or "svg", without the time and the versions that made it."""
+    content, metadata = BytesIO(), {"png": {"Software": None}, "svg": {"Date": None}}
+    drawing.savefig(content, format=suffix, metadata=metadata[suffix])
+    return content.getvalue()
 
 
 def _rows(rows: int, columns: int) -> "tuple[Figure, Any]":
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    height = rows * ROW + EDGES
-    drawing = Figure(figsize=(WIDTH, height), dpi=DPI)
-    FigureCanvasAgg(drawing)
-    drawing.subplots_adjust(left=0.15, right=0.98, top=1 - 0.5 / height, bottom=0.5 / height, hspace=0.4, wspace=0.08)
+    drawing = blank(WIDTH, rows * ROW + EDGES)
     return drawing, drawing.subplots(rows, columns, sharex=True, squeeze=False)
 
 
-def _name(axes: "Axes", group: Group | None, count: str) -> None:
+def blank(width: float, height: float) -> "Figure":
+    """Return an empty picture of a width and a height [inch]."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    drawing = Figure(figsize=(width, height), dpi=DPI, facecolor="white", layout="constrained")
+    FigureCanvasAgg(drawing)
+    return drawing
+
+
+def _name(axes: "Axes", label: str, count: int) -> None:
     axes.set_yticks([])
     axes.spines["left"].set_visible(False)
-    if group is not None:
-        axes.set_ylabel(group.label, rotation=0, ha="right", va="center")
-    axes.text(1, 1, count, transform=axes.transAxes, ha="right", va="bottom", color="#666666", fontsize=7.5)
+    axes.set_ylabel(label, rotation=0, ha="right", va="center")
+    axes.text(1, 1, f"n = {count}", transform=axes.transAxes, ha="right", va="bottom", color=MUTED, fontsize=7.5)
 
 
 def _stack(axes: "Axes", values: Sequence[float], searches: Sequence[float], bins: Sequence[float]) -> None:
@@ -127,30 +144,13 @@ def _mark(axes: "Axes", published: tuple[float, float] | None) -> None:
         bar[0].set(clip_on=False, zorder=6)
 
 
-def _explain(drawing: "Figure", groups: Sequence[Group], clusters: bool) -> None:
+def _explain(drawing: "Figure", groups: Sequence[Group], colors: Sequence[tuple[str, str]], mark: str) -> None:
     from matplotlib.lines import Line2D
 
-    entries = []
-    if clusters:
-        entries += [Line2D([], [], color=color, linewidth=5, label=name) for name, color in _CLUSTERS]
+    entries = [Line2D([], [], color=color, linewidth=5, label=name) for name, color in colors]
     if any(group.published for group in groups):
-        text = "published mean" + (" ± sd" if len(drawing.axes) == len(groups) else "")
-        entries.append(Line2D([], [], color=PAPER, marker="D", markersize=4.5, linestyle="", label=text))
+        entries.append(Line2D([], [], color=PAPER, marker="D", markersize=4.5, linestyle="", label=mark))
     if any(group.inputs for group in groups):
         entries.append(Line2D([], [], linestyle="", label="* figures of the paper are put in"))
     if entries:
-        drawing.legend(
-            handles=entries, loc="upper left", bbox_to_anchor=(0.01, 1), ncols=len(entries), columnspacing=1.4
-        )
-
-
-_CLUSTERS = (("earlier cluster", EARLY), ("later cluster", LATE), ("never found", PLAIN))
-
-
-def _written(drawing: "Figure") -> dict[str, bytes]:
-    files = {}
-    for suffix, metadata in (("png", {"Software": None}), ("svg", {"Date": None})):
-        content = BytesIO()
-        drawing.savefig(content, format=suffix, metadata=metadata)
-        files[suffix] = content.getvalue()
-    return files
+        drawing.legend(handles=entries, loc="outside upper left", ncols=len(entries), columnspacing=1.4)

@@ -4,7 +4,7 @@ import base64
 import html
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import combinations
+from itertools import combinations, product
 from pathlib import Path
 from statistics import fmean, median
 
@@ -12,10 +12,11 @@ import numpy
 
 from missions.baselines import OURS
 from missions.engine.mission import MissionError
+from missions.experiments.campaign import files_tried
 from missions.experiments.comparison import SEARCH, Comparison, comparisons
 from missions.experiments.figures import distribution, reaction_histograms
 from missions.experiments.results import Kept
-from missions.experiments.statistics import contrast, holm, interval_of_mean, interval_of_sd, two_clusters
+from missions.experiments.statistics import Interval, contrast, holm, interval_of_mean, interval_of_sd, two_clusters
 from missions.views.output import OutputFile
 
 STYLE = """
@@ -28,11 +29,7 @@ img { max-width: 100%; } code { background: #f3f3f3; padding: 0 .2rem; }
 
 
 class Document:
-    """Headings, paragraphs, tables, commands and figures, one after the other, in Markdown.
-
-    Args:
-        title: of the whole.
-    """
+    """Headings, paragraphs, tables, commands and figures, one after the other, in Markdown."""
 
     def __init__(self, title: str) -> None:
         self._title = title
@@ -64,11 +61,7 @@ class Document:
         return "\n\n".join(self._parts) + "\n"
 
     def as_html(self, pictures: Mapping[str, bytes]) -> str:
-        """Return the whole as a web page that needs no other file.
-
-        Args:
-            pictures: content of each picture by the name of its file.
-        """
+        """Return the whole as a web page that holds the pictures, by the names of their files, within itself."""
         from markdown_it import MarkdownIt
 
         body = MarkdownIt("commonmark", {"html": False}).enable("table").render(self.as_markdown())
@@ -154,7 +147,7 @@ def _tell_headlines(document: Document, comparison: Comparison, headlines: Mappi
     for group in comparison.groups:
         row = [group.label, str(len(group.records))]
         for name in headlines:
-            published = group.published.of(name) if group.published else None
+            published = group.published_of(name)
             values = list(group.values(name).values())
             row += [f"{published[0]:.2f} ± {published[1]:.2f}" if published else NONE, *_estimates(values)]
         rows.append([*row, str(group.not_found)] if found else row)
@@ -162,10 +155,8 @@ def _tell_headlines(document: Document, comparison: Comparison, headlines: Mappi
     for group in comparison.groups:
         if group.inputs:
             given = ", ".join(f"{name} = {value:g}" for name, value in group.inputs.items())
-            document.text(
-                f"{group.label}: {given} is an input taken from the paper's own figures; its reaction times are "
-                "reproduced, not predicted."
-            )
+            source = "is an input taken from the paper's own figures"
+            document.text(f"{group.label}: {given} {source}; its reaction times are reproduced, not predicted.")
 
 
 def _tell_clusters(document: Document, comparison: Comparison) -> None:
@@ -188,25 +179,13 @@ def _tell_reactions(document: Document, comparison: Comparison) -> None:
         "that ran it, measured apart."
     )
     rows = []
-    for uncertainty in comparison.uncertainties:
-        for group in comparison.groups:
-            delays = group.delays(uncertainty)
-            if not delays:
-                continue
-            mean = interval_of_mean(delays, _chance())
-            thought = group.thought(uncertainty)
-            published = group.reactions_published.get(uncertainty)
-            rows.append(
-                [
-                    f"{uncertainty}, {group.label}",
-                    str(len(delays)),
-                    f"{published:.2f}" if published is not None else NONE,
-                    f"{mean.estimate:.3f} [{mean.low:.3f}, {mean.high:.3f}]",
-                    f"{median(delays):.3f}",
-                    f"{max(delays):.3f}",
-                    f"{1000 * fmean(thought):.2f}" if thought else NONE,
-                ]
-            )
+    for uncertainty, group in product(comparison.uncertainties, comparison.groups):
+        if delays := group.delays(uncertainty):
+            published, thought = group.published_reaction(uncertainty), group.thought(uncertainty)
+            told = NONE if published is None else f"{published:.2f}"
+            found = _interval(interval_of_mean(delays, _chance()), ".3f"), f"{median(delays):.3f}", f"{max(delays):.3f}"
+            computing = f"{1000 * fmean(thought):.2f}" if thought else NONE
+            rows.append([f"{uncertainty}, {group.label}", str(len(delays)), told, *found, computing])
     head = ["to, manager", "events", "published mean [s]", "delay, mean [95 %] [s]", "median", "longest"]
     document.table([*head, "computing, mean [ms]"], rows)
 
@@ -225,10 +204,8 @@ def _tell_contrasts(document: Document, comparison: Comparison, headlines: Mappi
             mean = interval_of_mean([first[seed] - second[seed] for seed in both], _chance())
             found = contrast(list(first.values()), list(second.values()))
             ps.append(found.p)
-            difference = f"{mean.estimate:+.2f} [{mean.low:+.2f}, {mean.high:+.2f}]"
-            rows.append(
-                [f"{label}: {one.label} - {other.label}", str(len(both)), difference, f"{found.superiority:.2f}"]
-            )
+            told = _interval(mean, "+.2f"), f"{found.superiority:.2f}"
+            rows.append([f"{label}: {one.label} - {other.label}", str(len(both)), *told])
     if not rows:
         return
     document.heading("Differences", 3)
@@ -240,10 +217,7 @@ def _tell_all(document: Document, comparison: Comparison) -> None:
     document.heading("All figures", 3)
     document.text("Mean ± standard deviation.")
     figures = [name for name in comparison.figures if not name.startswith("reaction_")]
-    rows = []
-    for name in figures:
-        samples = [list(group.values(name).values()) for group in comparison.groups]
-        rows.append([name, *(_mean_sd(sample) for sample in samples)])
+    rows = [[name, *(_mean_sd([*group.values(name).values()]) for group in comparison.groups)] for name in figures]
     document.table(["figure", *(group.label for group in comparison.groups)], rows)
 
 
@@ -256,8 +230,7 @@ def _tell_crashes(document: Document, kept: Kept) -> None:
 
 
 def _tell_speed(document: Document, parts: Sequence[Comparison]) -> None:
-    rows = list(_speeds(parts))
-    if rows:
+    if rows := list(_speeds(parts)):
         document.heading("Speed")
         document.text("Time of one process of the machine that ran it, set-up included; depends on what else it did.")
         document.table(["mission, manager", "run, mean [s]", "longest [s]", "times real time"], rows)
@@ -292,16 +265,19 @@ def _tell_method(document: Document) -> None:
 def _estimates(values: Sequence[float]) -> list[str]:
     if not values:
         return [NONE, NONE]
-    mean, sd = interval_of_mean(values, _chance()), interval_of_sd(values, _chance())
-    texts = [f"{one.estimate:.2f} [{one.low:.2f}, {one.high:.2f}]" for one in (mean, sd)]
-    return texts if len(values) > 1 else [texts[0], NONE]
+    sd = _interval(interval_of_sd(values, _chance()), ".2f") if len(values) > 1 else NONE
+    return [_interval(interval_of_mean(values, _chance()), ".2f"), sd]
+
+
+def _interval(one: Interval, format_: str) -> str:
+    return f"{one.estimate:{format_}} [{one.low:{format_}}, {one.high:{format_}}]"
 
 
 def _mean_sd(values: Sequence[float]) -> str:
     if not values:
         return NONE
     sample = numpy.asarray(values)
-    return f"{sample.mean():.2f} ± {sample.std(ddof=1):.2f}" if sample.size > 1 else f"{sample.mean():.2f}"
+    return f"{sample.mean():.2f}" + (f" ± {sample.std(ddof=1):.2f}" if sample.size > 1 else "")
 
 
 def _p(p: float) -> str:
@@ -314,13 +290,9 @@ def _chance() -> numpy.random.Generator:
 
 
 def _write(contents: Mapping[str, str | bytes], folder: Path) -> list[Path]:
-    try:
+    with files_tried(f"make {folder}"):
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise MissionError(f"cannot make {folder}: {error.strerror or error}") from error
-    paths = []
     for name, content in contents.items():
-        paths.append(folder / name)
-        with OutputFile(paths[-1]) as file:
+        with OutputFile(folder / name) as file:
             file.finish(content)
-    return paths
+    return [folder / name for name in contents]

@@ -2,36 +2,75 @@
 
 import csv
 import fcntl
+import hashlib
 import io
 import json
 import os
+import platform
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 from missions.engine.mission import MissionError
-from missions.experiments.campaign import Campaign, from_data
-from missions.experiments.work import CRASHED, Outcome, provenance
+from missions.experiments.campaign import Campaign, PlannedRun, files_tried, from_data
 from missions.views.output import OutputFile
 
 FORMAT = 1
 CAMPAIGN, RUNS, TIMING, CRASHES = "campaign.json", "runs.jsonl", "timing.jsonl", "crashes.txt"
+CRASHED = "crashed"
+"""Outcome of a run that raised an exception or took its process down with it."""
+
+PACKAGES = ("kb", "rosa_bt", "rosa_pddl", "suave_env", "missions")
+DISTRIBUTIONS = ("rosa-taca", "mujoco", "numpy", "ortools", "py-trees", "unified-planning", "up-fast-downward")
 
 
 @dataclass(frozen=True, slots=True)
-class Kept:
-    """What the folder of a campaign holds.
+class Outcome:
+    """What came of a run.
 
     Attributes:
-        campaign: what was to be run.
-        provenance: what it was begun with: versions, and the fingerprint of the code.
-        records: what came of each run, by the name of the run, in the order in which the campaign lists them.
-        timings: how long each took, by the name of the run.
+        run: which one.
+        code: fingerprint of the code that ran it; see `provenance`.
+        record: its figures: they depend on nothing but the name of the run and the code.
+        timing: how long it took on the machine that did it.
+        traceback: where it crashed, for a person to read; empty if it did not.
     """
+
+    run: PlannedRun
+    code: str
+    record: Mapping[str, Any]
+    timing: Mapping[str, Any] = field(default_factory=dict)
+    traceback: str = ""
+
+
+@cache
+def provenance() -> Mapping[str, str]:
+    """Return what results depend on beside a run's name: versions, and a fingerprint of our own code."""
+    digest = hashlib.sha256()
+    root = Path(__file__).parents[2]
+    for package in PACKAGES:
+        for path in sorted((root / package).rglob("*")):
+            if path.is_file() and path.suffix not in (".pyc", ""):
+                digest.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
+    code, python = digest.hexdigest()[:12], ".".join(platform.python_version_tuple()[:2])
+    return {"code": code, "python": python, **{name: _version(name) for name in DISTRIBUTIONS}}
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "not installed"
+
+
+class Kept(NamedTuple):
+    """What the folder of a campaign holds; records and timings by the names of runs, in the order of the campaign."""
 
     campaign: Campaign
     provenance: Mapping[str, str]
@@ -40,7 +79,6 @@ class Kept:
 
     @property
     def crashed(self) -> tuple[Mapping[str, Any], ...]:
-        """The runs that crashed."""
         return tuple(record for record in self.records.values() if record["outcome"] == CRASHED)
 
     @property
@@ -60,30 +98,18 @@ class Store:
         campaign: what is to be run; None for what the folder says.
         resume: whether the folder holds the campaign already.
 
-    Attributes:
-        campaign: what is to be run.
-
     Raises:
         MissionError: the folder is not what it should be, or another program holds it.
     """
 
     def __init__(self, folder: Path, campaign: Campaign | None, *, resume: bool = False) -> None:
         self._folder = folder
-        self._stack = ExitStack()
-        if resume:
-            self.campaign = _same(folder, campaign)
-        elif campaign is None:
+        if campaign is None and not resume:
             raise MissionError("say what to run: FILE.toml or --paper-table, or --resume --out DIR")
-        else:
-            self.campaign = campaign
-            _begin(folder, campaign)
-        try:
-            self._runs = self._open(RUNS)
-            self._timing = self._open(TIMING)
-            self._crashes = self._open(CRASHES)
-        except BaseException:
-            self._stack.close()
-            raise
+        self.campaign = _begun(folder, campaign) if campaign and not resume else _same(folder, campaign)
+        with ExitStack() as stack:
+            self._runs, self._timing, self._crashes = (self._open(name, stack) for name in (RUNS, TIMING, CRASHES))
+            self._stack = stack.pop_all()
 
     def __enter__(self) -> Self:
         return self
@@ -111,31 +137,25 @@ class Store:
             self._write(self._timing, _line(outcome.timing))
         self._write(self._runs, _line({**outcome.record, "code": outcome.code}))
 
-    def _open(self, name: str) -> int:
+    def _open(self, name: str, stack: ExitStack) -> int:
         """Open a file to append to, hold it, and take away what is half-written."""
         path = self._folder / name
-        try:
+        with files_tried(f"write {path}"):
             file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
-            self._stack.callback(os.close, file)
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            content = path.read_bytes()
-            os.ftruncate(file, content.rfind(b"\n") + 1)
-        except BlockingIOError as error:
-            raise MissionError(f"another program is running the campaign in {self._folder}") from error
-        except OSError as error:
-            raise MissionError(f"cannot write {path}: {error.strerror or error}") from error
+            stack.callback(os.close, file)
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                raise MissionError(f"another program is running the campaign in {self._folder}") from error
+            os.ftruncate(file, path.read_bytes().rfind(b"\n") + 1)
         return file
 
     def _write(self, file: int, text: str) -> None:
         content = text.encode()
-        try:
+        with files_tried(f"write to {self._folder}", "; make room, then go on with --resume"):
             while content:
                 content = content[os.write(file, content) :]
             os.fsync(file)
-        except OSError as error:
-            raise MissionError(
-                f"cannot write to {self._folder}: {error.strerror or error}; make room, then go on with --resume"
-            ) from error
 
 
 def read_store(folder: Path) -> Kept:
@@ -144,20 +164,17 @@ def read_store(folder: Path) -> Kept:
     Raises:
         MissionError: it holds no campaign, or lines of another one or of other code.
     """
-    head = _head(folder)
-    campaign = from_data(head["campaign"], str(folder / CAMPAIGN))
-    records = _lines(folder / RUNS)
+    campaign, begun_with = _head(folder)
+    records, code = _lines(folder / RUNS), begun_with["code"]
     planned = [run.name for run in campaign.planned()]
     for name, record in records.items():
-        if record.get("code") != head["provenance"]["code"]:
-            raise MissionError(
-                f"{folder / RUNS}: {name} was run by code {record.get('code')}, the campaign by "
-                f"{head['provenance']['code']}; results of different versions cannot be mixed"
-            )
+        if record.get("code") != code:
+            told = f"{folder / RUNS}: {name} was run by code {record.get('code')}, the campaign by {code}"
+            raise MissionError(f"{told}; results of different versions cannot be mixed")
     if strange := records.keys() - set(planned):
         raise MissionError(f"{folder / RUNS} holds {min(strange)}, which is no run of the campaign")
     ordered = {name: records[name] for name in planned if name in records}
-    return Kept(campaign, head["provenance"], ordered, _lines(folder / TIMING))
+    return Kept(campaign, begun_with, ordered, _lines(folder / TIMING))
 
 
 def _line(data: Mapping[str, Any]) -> str:
@@ -167,10 +184,8 @@ def _line(data: Mapping[str, Any]) -> str:
 def _lines(path: Path) -> dict[str, Any]:
     """Return the complete lines of a file by the name of the run; the last of a name counts."""
     found = {}
-    try:
+    with files_tried(f"read {path}"):
         content = path.read_bytes() if path.exists() else b""
-    except OSError as error:
-        raise MissionError(f"cannot read {path}: {error.strerror or error}") from error
     for number, line in enumerate(content.split(b"\n")[:-1], start=1):
         try:
             data = json.loads(line)
@@ -180,99 +195,80 @@ def _lines(path: Path) -> dict[str, Any]:
     return found
 
 
-def _head(folder: Path) -> dict[str, Any]:
+def _head(folder: Path) -> tuple[Campaign, dict[str, str]]:
+    """Return the campaign of a folder and what it was begun with."""
     path = folder / CAMPAIGN
     if not folder.is_dir():
         raise MissionError(f"there is no folder {folder}; `rosa campaign FILE.toml --out {folder}` makes one")
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
-        made = data["format"], data["campaign"], data["provenance"]["code"]
+        made, campaign, begun_with = data["format"], data["campaign"], dict(data["provenance"])
+        begun_with["code"]
     except FileNotFoundError as error:
         raise MissionError(f"{folder} holds no campaign: there is no {CAMPAIGN} in it") from error
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise MissionError(f"{path} is damaged: {type(error).__name__}: {error}") from error
-    if made[0] != FORMAT:
-        raise MissionError(f"{path} has format {made[0]}; this version reads format {FORMAT}")
-    return dict(data)
+    if made != FORMAT:
+        raise MissionError(f"{path} has format {made}; this version reads format {FORMAT}")
+    return from_data(campaign, str(path)), begun_with
 
 
-def _begin(folder: Path, campaign: Campaign) -> None:
+def _begun(folder: Path, campaign: Campaign) -> Campaign:
     if (folder / CAMPAIGN).exists() or (folder / RUNS).exists():
         raise MissionError(f"{folder} holds a campaign already; go on with it by --resume, or give another --out")
-    try:
+    with files_tried(f"make {folder}"):
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise MissionError(f"cannot make {folder}: {error.strerror or error}") from error
     data = {"format": FORMAT, "campaign": campaign.as_data(), "provenance": dict(provenance())}
     with OutputFile(folder / CAMPAIGN) as file:
         file.finish(json.dumps(data, indent=2, ensure_ascii=False) + "\n")
+    return campaign
 
 
 def _same(folder: Path, campaign: Campaign | None) -> Campaign:
     """Return the campaign of a folder, which must be the one asked for and have been begun with what there is now."""
-    head = _head(folder)
-    kept = from_data(head["campaign"], str(folder / CAMPAIGN))
+    kept, begun_with = _head(folder)
     if campaign is not None and campaign != kept:
         mine, theirs = campaign.as_data(), kept.as_data()
         key = next(key for key in mine if mine[key] != theirs[key])
-        raise MissionError(
-            f"{folder} holds another campaign: its {key} is {theirs[key]}, not {mine[key]}; give another --out"
-        )
+        told = f"{folder} holds another campaign: its {key} is {theirs[key]}, not {mine[key]}"
+        raise MissionError(f"{told}; give another --out")
     for name, now in provenance().items():
-        if head["provenance"].get(name) != now:
+        if begun_with.get(name) != now:
             raise MissionError(
-                f"{folder} was begun with {name} {head['provenance'].get(name)}, here is {now}: results of different "
+                f"{folder} was begun with {name} {begun_with.get(name)}, here is {now}: results of different "
                 "versions cannot be mixed; go on with that version, or begin anew with another --out"
             )
     return kept
 
 
-APART = ("code", "reactions", "settings")
-
-
 def run_rows(kept: Kept) -> list[dict[str, Any]]:
-    """Return one row for each run, all with the same columns; settings have the prefix "set_"."""
-    flat = [
-        {
-            **{key: value for key, value in record.items() if key not in APART},
-            **{f"set_{name}": value for name, value in record["settings"].items()},
-        }
-        for record in kept.records.values()
-    ]
-    columns = {column: None for row in flat for column in row if not column.startswith("set_")}
-    columns |= {column: None for row in flat for column in row}
-    return [columns | row for row in flat]
+    """Return one row for each run, all with the same columns; settings come last and have the prefix "set_"."""
+    apart = ("code", "reactions", "settings")
+    figures = [{key: one[key] for key in one if key not in apart} for one in kept.records.values()]
+    changed = [{f"set_{name}": value for name, value in one["settings"].items()} for one in kept.records.values()]
+    columns = dict.fromkeys(name for row in (*figures, *changed) for name in row)
+    return [columns | row | settings for row, settings in zip(figures, changed, strict=True)]
 
 
 def reaction_rows(kept: Kept) -> list[dict[str, Any]]:
     """Return one row for each reaction to an uncertainty."""
+    same, own = ("mission", "manager", "task", "seed"), ("uncertainty", "start_s", "delay_s")
     return [
-        {
-            "run": name,
-            **{key: record[key] for key in ("mission", "manager", "task", "seed")},
-            "uncertainty": uncertainty,
-            "start_s": start_s,
-            "delay_s": delay_s,
-        }
+        {"run": name, **{key: record[key] for key in same}, **dict(zip(own, reaction, strict=True))}
         for name, record in kept.records.items()
-        for uncertainty, start_s, delay_s in record.get("reactions", [])
+        for reaction in record.get("reactions", [])
     ]
 
 
 def write_tables(kept: Kept, folder: Path) -> list[Path]:
-    """Write the runs and the reactions, and return the files.
-
-    Raises:
-        MissionError: one cannot be written.
-    """
+    """Write the runs and the reactions, and return the files; raises MissionError if one cannot be written."""
     written = []
     for name, rows in (("runs", run_rows(kept)), ("reactions", reaction_rows(kept))):
         contents = {".csv": _csv(rows)} | ({".parquet": _parquet(rows)} if rows and find_spec("pyarrow") else {})
         for suffix, content in contents.items():
-            path = folder / f"{name}{suffix}"
-            with OutputFile(path) as file:
+            written.append(folder / f"{name}{suffix}")
+            with OutputFile(written[-1]) as file:
                 file.finish(content)
-            written.append(path)
     return written
 
 
@@ -288,15 +284,10 @@ def _parquet(rows: Sequence[Mapping[str, Any]]) -> bytes:
     import pyarrow
     import pyarrow.parquet
 
-    columns = {
-        name: [float(v) if isinstance(v := row[name], int) and _is_mixed(rows, name) else v for row in rows]
-        for name in rows[0]
-    }
+    columns = {name: [row[name] for row in rows] for name in rows[0]}
+    for name, values in columns.items():
+        if {int, float} <= set(map(type, values)):  # whole numbers and others
+            columns[name] = [float(value) if isinstance(value, int) else value for value in values]
     sink = io.BytesIO()
     pyarrow.parquet.write_table(pyarrow.table(columns), sink)
     return sink.getvalue()
-
-
-def _is_mixed(rows: Sequence[Mapping[str, Any]], name: str) -> bool:
-    """Tell whether a column holds whole numbers and others."""
-    return {int, float} <= {type(row[name]) for row in rows}

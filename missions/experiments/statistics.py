@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.random import Generator
@@ -15,23 +15,15 @@ MOST_DRAWN = 2_000_000  # values in memory at once
 LEVEL = 0.95
 
 
-@dataclass(frozen=True, slots=True)
-class Interval:
-    """An estimate and the interval that holds the true value with 95 % confidence.
-
-    Attributes:
-        estimate: from the sample itself.
-        low: lower end.
-        high: upper end.
-    """
+class Interval(NamedTuple):
+    """An estimate, from the sample itself, and the ends of the interval that holds the true value with 95 %."""
 
     estimate: float
     low: float
     high: float
 
 
-@dataclass(frozen=True, slots=True)
-class Contrast:
+class Contrast(NamedTuple):
     """How two samples differ.
 
     Attributes:
@@ -45,8 +37,7 @@ class Contrast:
     superiority: float
 
 
-@dataclass(frozen=True, slots=True)
-class Clusters:
+class Clusters(NamedTuple):
     """A sample cut in two where that leaves the least variance within the parts.
 
     Attributes:
@@ -67,33 +58,21 @@ class Clusters:
 
 
 def interval_of_mean(values: Sequence[float], rng: Generator) -> Interval:
-    """Return the mean and its interval by the bootstrap (percentiles of the means of 10,000 resamples).
-
-    Raises:
-        ValueError: there are no values.
-    """
+    """Return the mean of at least one value and its interval by the bootstrap (percentiles of 10,000 resamples)."""
     sample = _sample(values)
     return Interval(float(sample.mean()), *_percentiles(sample, rng, lambda drawn: drawn.mean(axis=1)))
 
 
 def interval_of_sd(values: Sequence[float], rng: Generator) -> Interval:
-    """Return the standard deviation (divisor n - 1) and its interval by the bootstrap; NaN for a single value.
-
-    Raises:
-        ValueError: there are no values.
-    """
+    """Return the standard deviation (divisor n - 1) and its interval by the bootstrap; NaN for a single value."""
     sample = _sample(values)
     if sample.size < 2:
-        return Interval(float("nan"), float("nan"), float("nan"))
+        return Interval(math.nan, math.nan, math.nan)
     return Interval(float(sample.std(ddof=1)), *_percentiles(sample, rng, lambda drawn: drawn.std(axis=1, ddof=1)))
 
 
 def contrast(first: Sequence[float], second: Sequence[float]) -> Contrast:
-    """Compare two independent samples by their ranks; exact if one has 8 values at most and there are no ties.
-
-    Raises:
-        ValueError: one of them has no values.
-    """
+    """Compare two independent samples by their ranks; exact if one has 8 values at most and there are no ties."""
     from scipy.stats import mannwhitneyu
 
     one, other = _sample(first), _sample(second)

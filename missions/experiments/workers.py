@@ -1,8 +1,10 @@
-"""Who does the runs of a campaign: processes of this machine, or workers of a cluster; both are executors."""
+"""A run of a campaign, and who does it: processes of this machine, or workers of a cluster; both are executors."""
 
+import json
 import os
 import threading
 import time
+import traceback
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
@@ -10,13 +12,63 @@ from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, 
 from pathlib import Path
 from typing import Any, Protocol
 
+from missions.baselines import open_run
 from missions.engine.mission import MissionError
+from missions.engine.registry import find_mission
+from missions.engine.runner import MissionRun
 from missions.experiments.campaign import PlannedRun
-from missions.experiments.results import Store, read_store, write_tables
-from missions.experiments.work import CRASHED, Outcome, crash, do, provenance
+from missions.experiments.results import CRASHED, Outcome, Store, provenance, read_store, write_tables
+from missions.views.output import as_json, summary
 
 TIMEOUT_S = 10.0
 WATCH_S = 0.5
+_ALONE = threading.Lock()
+
+
+def do(run: PlannedRun) -> Outcome:
+    """Do a run and return what came of it; never raises what the run raises.
+
+    A process does one run at a time, as the blackboard of py_trees belongs to the process.
+    """
+    with _ALONE:
+        started = time.perf_counter()
+        try:
+            record, timing = _done(run)
+        except (Exception, SystemExit) as error:
+            return crash(run, f"{type(error).__name__}: {error}", traceback.format_exc())
+        took = {"run": run.name, "wall_s": time.perf_counter() - started}
+        return Outcome(run, provenance()["code"], record, took | timing)
+
+
+def crash(run: PlannedRun, error: str, trace: str = "") -> Outcome:
+    """Return the outcome of a run that crashed, with what does it again."""
+    record = {**_head(run), "outcome": CRASHED, "error": error, "rerun": run.command}
+    return Outcome(run, provenance()["code"], record, {}, trace)
+
+
+def _head(run: PlannedRun) -> dict[str, Any]:
+    same = {name: getattr(run, name) for name in ("mission", "manager", "task", "seed")}
+    return {"run": run.name, **same, "settings": dict(run.settings)}
+
+
+def _done(run: PlannedRun) -> tuple[dict[str, Any], dict[str, Any]]:
+    settings = dict(run.settings)
+    opened = open_run(
+        find_mission(run.mission), manager=run.manager, task=run.task or "bt", seed=run.seed, settings=settings
+    )
+    verdict = opened.run()
+    data = json.loads(as_json(summary(opened, verdict, run.seed, settings)))
+    figures = {name: value for name, value in data.items() if not isinstance(value, dict | list)}
+    reactions, thought = _reactions(opened)
+    record = {**figures, **_head(run), "adaptations": len(opened.adaptations), "reactions": reactions}
+    return {**_head(run), **record}, {"compute_s": opened.compute_s, "reactions": thought}
+
+
+def _reactions(run: MissionRun) -> tuple[list[Any], list[Any]]:
+    """Return each reaction as uncertainty, start and delay [s], and with the time of this machine spent on it [s]."""
+    found = run.reactions
+    told = [[one.uncertainty, round(one.start_s, 6), round(one.delay_s, 6)] for one, _ in found]
+    return told, [[one.uncertainty, took_s] for one, took_s in found]
 
 
 class Workers(ABC):
@@ -46,7 +98,7 @@ class Workers(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Let the workers go."""
+        """End or leave the workers."""
 
 
 class Processes(Workers):
@@ -107,10 +159,8 @@ class Cluster(Workers):
         try:
             self._client = Client(address, timeout=TIMEOUT_S, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
-            raise MissionError(
-                f"there is no scheduler at {address}: {error}; start one with `dask scheduler`, and workers with "
-                f"`dask worker {address} --nthreads 1`"
-            ) from error
+            advice = f"start one with `dask scheduler`, and workers with `dask worker {address} --nthreads 1`"
+            raise MissionError(f"there is no scheduler at {address}: {error}; {advice}") from error
         try:
             self._check(campaign_needs)
         except BaseException:
@@ -122,15 +172,13 @@ class Cluster(Workers):
         return len(self._client.scheduler_info(n_workers=-1)["workers"])
 
     def executor(self) -> Executor:
-        """Return the cluster as an executor, for which a run that is done again is another one."""
-        executor: Executor = self._client.get_executor(pure=False)
+        executor: Executor = self._client.get_executor(pure=False)  # a run that is done again is another one
         return executor
 
     def look(self) -> str:
         return "" if self.count else f"no worker is left at {self._address}; waiting for one to come"
 
     def close(self) -> None:
-        """Leave the cluster as it was."""
         self._client.close()
 
     def _check(self, needs: Sequence[str]) -> None:
@@ -142,10 +190,8 @@ class Cluster(Workers):
             if isinstance(answer, Exception):
                 raise MissionError(f"worker {worker} cannot do missions: {type(answer).__name__}: {answer}")
             for name, here in provenance().items():
-                if answer.get(name) != here:
-                    raise MissionError(
-                        f"worker {worker} has {name} {answer.get(name)}, here is {here}; install the same"
-                    )
+                if (there := answer.get(name)) != here:
+                    raise MissionError(f"worker {worker} has {name} {there}, here is {here}; install the same")
 
 
 def outcomes(
@@ -153,15 +199,8 @@ def outcomes(
 ) -> Iterator[Outcome]:
     """Do runs and yield what came of each as soon as it is known, in no order.
 
-    A run that takes its process down is found out by doing each of those that were under way then by itself.
-
-    Args:
-        runs: what to do.
-        workers: who does it.
-        idle: called with what there is to tell while nothing is heard of the workers.
-
-    Raises:
-        MissionError: the workers are out of reach.
+    A run that takes its process down is found out by doing each of those that were under way then by itself. While
+    nothing is heard of the workers, `idle` is called with what there is to tell.
     """
     waiting = deque(runs)
     while waiting:
@@ -228,7 +267,7 @@ def _probe(needs: tuple[str, ...]) -> Callable[[], dict[str, str]]:
     def probe() -> dict[str, str]:
         from importlib import import_module
 
-        from missions.experiments.work import provenance
+        from missions.experiments.results import provenance
 
         for name in needs:
             import_module(name)
@@ -237,31 +276,28 @@ def _probe(needs: tuple[str, ...]) -> Callable[[], dict[str, str]]:
     return probe
 
 
-class Teller(Protocol):
-    """Who is told of a campaign while it runs."""
+class Progress(Protocol):
+    """Shows how far a campaign is."""
 
     def begin(self, done: int, total: int) -> None:
-        """Hear how many runs are done already, of how many."""
+        """Take how many runs are done already, of how many."""
 
     def done(self, record: Mapping[str, Any]) -> None:
-        """Hear what came of a run."""
+        """Take what came of a run."""
 
     def note(self, text: str) -> None:
-        """Hear of what keeps the runs from being done."""
+        """Take what keeps the runs from being done."""
 
 
-def conduct(store: Store, folder: Path, workers: Workers, *, retry: bool, teller: Teller) -> list[Path]:
-    """Do every run of a campaign that is not done yet, then write the tables.
+def conduct(store: Store, folder: Path, workers: Workers, *, retry: bool, progress: Progress) -> list[Path]:
+    """Do every run of a campaign that is not done yet, then write and return the tables.
 
     Args:
         store: the folder of the campaign, held.
         folder: the same, to be read.
         workers: who does the runs.
         retry: whether runs that crashed are done again.
-        teller: hears of each run.
-
-    Returns:
-        The tables that were written.
+        progress: shows each run.
 
     Raises:
         MissionError: the folder cannot be written, or the workers are out of reach.
@@ -270,8 +306,8 @@ def conduct(store: Store, folder: Path, workers: Workers, *, retry: bool, teller
     before = read_store(folder).records
     done = {name for name, record in before.items() if not (retry and record["outcome"] == CRASHED)}
     left = sorted((run for run in planned if run.name not in done), key=lambda run: run.seed)
-    teller.begin(len(done), len(planned))
-    for outcome in outcomes(left, workers, teller.note):
+    progress.begin(len(done), len(planned))
+    for outcome in outcomes(left, workers, progress.note):
         store.keep(outcome)
-        teller.done(outcome.record)
+        progress.done(outcome.record)
     return write_tables(read_store(folder), folder)

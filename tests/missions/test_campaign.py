@@ -23,8 +23,8 @@ from missions.baselines import MANAGERS
 from missions.engine.mission import MissionError
 from missions.experiments import results as tables_module
 from missions.experiments.campaign import Campaign, PlannedRun, from_data, paper_table
-from missions.experiments.results import Store, read_store
-from missions.experiments.work import PACKAGES, Outcome, do, provenance
+from missions.experiments.results import PACKAGES, Outcome, Store, provenance, read_store
+from missions.experiments.workers import do
 from missions.views.console import CampaignProgress
 
 ROOT = Path(__file__).parents[2]

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from missions.experiments.work import PACKAGES
+from missions.experiments.results import PACKAGES
 
 ROOT = Path(__file__).parents[2]
 SMALL = """

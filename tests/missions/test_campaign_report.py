@@ -12,8 +12,8 @@ from missions import cli
 from missions.engine.mission import MissionError
 from missions.experiments.campaign import Campaign
 from missions.experiments.report import Document, write_report
-from missions.experiments.results import Store, read_store
-from missions.experiments.work import Outcome, crash, provenance
+from missions.experiments.results import Outcome, Store, provenance, read_store
+from missions.experiments.workers import crash
 
 TABLE = Campaign("table", ("suave",), ("none", "bt", "rosa", "ours"), runs=20)
 
