@@ -282,15 +282,8 @@ def _joined(parts: Iterable[list[tuple[str, bool]] | None]) -> list[tuple[str, b
 
 
 def _after(domain: Domain, effects: Iterable[UpThing], binding: Binding, state: Facts) -> State:
-    facts = set(state)
-    _change(domain, effects, binding, facts)
-    return frozenset(facts)
-
-
-def _change(domain: Domain, effects: Iterable[UpThing], binding: Binding, facts: set[str]) -> None:
-    deleted, added = changes(domain, effects, binding, facts)
-    facts -= deleted
-    facts |= added
+    deleted, added = changes(domain, effects, binding, state)
+    return frozenset((state - deleted) | added)
 
 
 def changes(

@@ -2,7 +2,7 @@ import subprocess
 import sys
 
 import pytest
-from pddl_world import ROOMS_DOMAIN, ROOMS_PROBLEM, FakeKb, load_mission, load_text
+from pddl_world import MISSIONS, ROOMS_DOMAIN, ROOMS_PROBLEM, FakeKb, load_mission, load_text
 
 from rosa_pddl import PddlError, RosaPddlError, Step, UnknownNameError, UnsupportedPddlError, initial_state, load_domain
 from rosa_pddl.exceptions import nearest
@@ -216,4 +216,14 @@ def test_a_name_near_to_nothing_gets_the_whole_list():
 
 def test_importing_the_package_does_not_import_unified_planning():
     code = "import sys, rosa_pddl; sys.exit(any(name.startswith(('unified', 'up_')) for name in sys.modules))"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_reading_a_domain_does_not_import_the_engines_of_unified_planning():
+    folder = MISSIONS / "suave_extended"
+    code = f"""
+import sys
+from rosa_pddl import load_domain
+load_domain(r"{folder / "domain.pddl"}", r"{folder / "problem.pddl"}")
+sys.exit(any(name.startswith("unified_planning.engines") for name in sys.modules))"""
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
