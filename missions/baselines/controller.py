@@ -110,10 +110,12 @@ class BaselineController(Controller):
 
     def decide(self) -> bool:
         started = perf_counter()
-        self._ask(self.robot.catch_up)
-        if self._mission_timer.is_up(self.robot.now) and not self._manager.decides_tasks:
+        now = self._world.now
+        if self.robot.due <= now:
+            self._ask(self.robot.catch_up)
+        if self._mission_timer.is_up(now) and not self._manager.decides_tasks:
             self._decide_task()
-        is_ticked = self._manager_timer.is_up(self.robot.now)
+        is_ticked = self._manager_timer.is_up(now)
         if is_ticked:
             self._ask(self._manager.update)
         self.compute_s["manager"] += perf_counter() - started

@@ -229,6 +229,8 @@ class SimulatedComponents:
 
     def catch_up(self) -> bool:
         """Carry out what is due by now, in order of time; return whether anything was."""
+        if not self._under_way:  # mostly
+            return False
         now, is_any = self._clock() + _AT_ONCE_S, False
         while self._under_way and self._under_way[0][0] <= now:
             heapq.heappop(self._under_way)[2].finish()
