@@ -402,7 +402,7 @@ class PlanExecutor(Behaviour):
         return Status.RUNNING
 
     def _bridge(self) -> None:
-        """Do what is done between two steps, or let go of it: not before the next step has begun."""
+        """Do what is done between two steps, or release it: not before the next step has begun."""
         if self._running:
             self._interlude.end()
         else:
@@ -516,7 +516,7 @@ class PlanExecutor(Behaviour):
             self._plan = plan
 
     def _release(self, steps: Iterable[_RunningStep]) -> None:
-        """Stop steps if they still run, take back what was believed because they had started, and let go of them."""
+        """Stop steps if they still run, take back what was believed because they had started, and release them."""
         for running in tuple(steps):
             self._running.remove(running)
             self.children = [one.behaviour for one in self._running]
