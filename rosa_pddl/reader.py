@@ -42,7 +42,7 @@ def load_domain(domain: str | Path, problem: str | Path, *, actions: Mapping[str
 
     Which ROSA action a PDDL action does is the `?a` of its condition `(NAME_action ?a)`, NAME being its own name, else
     that of its condition `(action_feasible ?a)`, else its only parameter of type `action`. Files that keep no such
-    convention are given `actions`: the condition `(over all (action_feasible ...))` is added then to an action that lacks it.
+    convention are given `actions`: an action that lacks the condition `(over all (action_feasible ...))` gets it then.
 
     Args:
         domain: path of the domain file.
