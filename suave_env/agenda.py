@@ -19,23 +19,12 @@ class Agenda:
         return self._events[0][0] if self._events else float("inf")
 
     def at(self, time: float, event: Callable[[float], None]) -> None:
-        """Enter an event.
-
-        Args:
-            time: When it is to happen [s].
-            event: Called with that time.
-        """
+        """Enter an event, which is called with its time [s]."""
         heapq.heappush(self._events, (time, self._entered, event))
         self._entered += 1
 
     def every(self, period: float, phase: float, event: Callable[[float], None]) -> None:
-        """Enter a timer that runs freely from now on.
-
-        Args:
-            period: Time between two ticks [s].
-            phase: Time of the first tick [s].
-            event: Called with the time of each tick, which is `phase + k * period` without accumulating error.
-        """
+        """Enter a timer that runs freely from now on, called at `phase + k * period` [s] without accumulating error."""
         count = 0
 
         def tick(time: float) -> None:

@@ -70,14 +70,7 @@ class Violations:
         self._missed = 0
 
     def note(self, time: float, kind: str, holds: bool, corrected: bool) -> None:
-        """Say whether a violation holds now.
-
-        Args:
-            time: Now [s].
-            kind: Which one.
-            holds: Whether it holds.
-            corrected: Whether it was corrected, if it holds no longer.
-        """
+        """Say whether a violation of a kind holds now [s], and if it holds no longer, whether it was corrected."""
         if holds == (kind in self._open):
             return
         if holds:

@@ -61,15 +61,7 @@ class Outbox:
         return bool(self._messages)
 
     def publish(self, time: float, name: str, text: str, key: str, value: float | str) -> None:
-        """Publish one status with one value.
-
-        Args:
-            time: Now [s].
-            name: Who publishes.
-            text: What kind of statement it is, such as `EA_MEASUREMENT`.
-            key: What the value is of.
-            value: A number, of which `repr` is published so that nothing is lost, or a string.
-        """
+        """Publish one status of a kind such as `EA_MEASUREMENT`, now [s]; of a number its `repr`: nothing is lost."""
         written = value if isinstance(value, str) else repr(value)
         self._messages.append({"time": time, "status": [{"name": name, "message": text, "values": {key: written}}]})
         self._hear(time, key, written)
