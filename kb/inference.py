@@ -6,9 +6,10 @@ depends only on whether that is possible at all, so a status that stays on one s
 """
 
 from collections.abc import Iterable
-from typing import Final, NamedTuple
+from typing import Final
 
 from kb.elements import Attribute, Component, Constraint, Element, Function, StalePolicy
+from kb.events import StatusChange
 from kb.network import LEVELS, Network, Node
 from kb.state import State
 from kb.status import (
@@ -21,20 +22,12 @@ from kb.status import (
     function_status,
 )
 
-__all__ = ["Change", "grow", "infer", "initial_state", "is_adaptable", "propagate", "shrink"]
+__all__ = ["grow", "infer", "initial_state", "is_adaptable", "propagate", "shrink"]
 
 Agenda = list[dict[Node, None]]
 
 _TOP: Final = LEVELS["attribute"]
 _IMPOSSIBLE: Final = frozenset({Status.UNFEASIBLE, Status.FAILURE, Status.VIOLATED})
-
-
-class Change(NamedTuple):
-    """A status that is not what it was."""
-
-    node: Node
-    old: Status
-    new: Status
 
 
 def initial_state(network: Network) -> State:
@@ -47,7 +40,7 @@ def initial_state(network: Network) -> State:
     return state
 
 
-def propagate(state: State, touched: Iterable[Node]) -> list[Change]:
+def propagate(state: State, touched: Iterable[Node]) -> list[StatusChange]:
     """Infer again whatever depends on the touched nodes, whose facts have changed.
 
     Returns:
@@ -58,7 +51,7 @@ def propagate(state: State, touched: Iterable[Node]) -> list[Change]:
         _touch(state, node, agenda)
     for node in agenda[_TOP]:
         agenda[0].update(dict.fromkeys(node.constraints))
-    changes = []
+    changes: list[StatusChange] = []
     for nodes in agenda[:_TOP]:
         state.visited += len(nodes)
         for node in nodes:
@@ -66,7 +59,7 @@ def propagate(state: State, touched: Iterable[Node]) -> list[Change]:
             old, new = state.status[index], infer(state, node)
             if new is not old:
                 state.status[index] = new
-                changes.append(Change(node, old, new))
+                changes.append(StatusChange(node.kind, node.name, old, new))
                 may_be_chosen_for = node.kind in ("function", "component")
                 adaptable = may_be_chosen_for and is_adaptable(state, node)
                 for whole in _concerned(state, node, old, new):

@@ -19,7 +19,7 @@ from kb.explanation.choice import note_nothing
 from kb.explanation.reasons import shortest, why_selected
 from kb.facts import ActiveFact, Fact, MeasurementFact, RequiredActionFact, RequiredFact, SelectedFact, StatusFact
 from kb.individuals import Serials
-from kb.inference import Change, grow, initial_state, is_adaptable, propagate, shrink
+from kb.inference import grow, initial_state, is_adaptable, propagate, shrink
 from kb.log import Log
 from kb.measurements import Judged, Measurements
 from kb.network import Network, Node, Ref, is_steady
@@ -72,15 +72,15 @@ class Outcome(NamedTuple):
 
     touched: Sequence[Node] = ()
     puts: Sequence[Put] = ()
-    changes: Sequence[Change] = ()
+    changes: Sequence[StatusChange] = ()
     effects: tuple[tuple[str, str, bool], ...] = ()
     plan: ReconfigurationPlan | None = None
     words: str = ""
     matters: bool | None = True
 
 
-_Pending = tuple[Event, Sequence[Put], bool, bool, Sequence[Node]]
-"""An event; what is put in place; whether the layer is, too; whether it matters to a planner; what changed status."""
+_Pending = tuple[Event, Sequence[Put], bool, bool]
+"""An event; what is put in place; whether the layer is, too; and whether the event matters to a planner."""
 
 
 class Knowledge:
@@ -167,7 +167,7 @@ class Knowledge:
         words = f"{node.name} is {shortest(value, thresholds.around(value))}" if self.in_words else ""
         event = Event(self.log.last + 1, time, "measure", (node.name, value), (), None, (), None, words)
         if not touched and not thresholds.steady:
-            self.pending = event, (put,), False, False, ()
+            self.pending = event, (put,), False, False
             self.finish()
             return event
         layer = self._lay()
@@ -197,7 +197,7 @@ class Knowledge:
         pending = self.pending
         if pending is None:
             return
-        event, puts, is_laid, matters, changed = pending
+        event, puts, is_laid, matters = pending
         if is_laid:
             self._layer.put_in_place()
             self.state.visited += self._layer.visited
@@ -205,10 +205,10 @@ class Knowledge:
             self.state.version = event.number
         for put in puts:
             put()
-        for node in changed:
-            self.changed_by[node.index] = event.number
-        if changed and any(one.kind == "action" and Status.UNFEASIBLE in (one.old, one.new) for one in event.changes):
-            self.feasibility = event.number
+        if event.changes:
+            self.changed_by.update(dict.fromkeys(self._layer.changed(), event.number))
+            if any(one.kind == "action" and Status.UNFEASIBLE in (one.old, one.new) for one in event.changes):
+                self.feasibility = event.number
         if matters:
             self.revision = event.number
         self.log.append(event)
@@ -219,11 +219,10 @@ class Knowledge:
         if touched:
             changes = [*changes, *propagate(self._layer, touched)]
         if changes or effects or plan is not None or words:
-            named = tuple(StatusChange(node.kind, node.name, old, new) for node, old, new in changes)
-            event = Event(*event[:4], named, event.cause, effects, plan, words)
+            event = Event(*event[:4], tuple(changes), event.cause, effects, plan, words)
         is_laid = bool(touched) if event.verb == "measure" else event.verb not in _RECORDS
         matters = bool(changes) if matters is None else matters
-        self.pending = event, puts, is_laid, matters, [node for node, _, _ in changes]
+        self.pending = event, puts, is_laid, matters
         self.finish()
         return event
 

@@ -5,7 +5,8 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from kb.elements import Component, ComponentKind
-from kb.inference import Change, propagate
+from kb.events import StatusChange
+from kb.inference import propagate
 from kb.network import Node
 from kb.records import ReconfigurationPlan
 from kb.state import State
@@ -30,7 +31,7 @@ class Selection(NamedTuple):
     activate: tuple[str, ...]
     deactivate: tuple[str, ...]
     parameters: tuple[str, ...]
-    changes: tuple[Change, ...]
+    changes: tuple[StatusChange, ...]
     reselected: tuple[Node, ...]
 
     def __bool__(self) -> bool:

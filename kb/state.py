@@ -6,7 +6,7 @@ copies nothing. What a layer holds can be put in place in the state below, at on
 
 from array import array
 from bisect import bisect_right
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from operator import attrgetter
 from typing import Any, Final, Generic, NamedTuple, Protocol, TypeVar
 
@@ -349,6 +349,10 @@ class Overlay(State):
     def is_on(self, below: State) -> bool:
         """Tell whether it is on top of this one."""
         return self._below is below
+
+    def changed(self) -> Iterable[int]:
+        """Return the indices of the nodes whose statuses were inferred anew here, and are not what they were."""
+        return self._layers["status"]
 
     def put_in_place(self) -> None:
         """Make the state below what this one is. It may be done again, as it has to be where it was interrupted."""
