@@ -69,7 +69,9 @@ class DoUntilUnfeasible(_Parts):
             yield from self.meanwhile.tick()
         if not (self.memory and self.meanwhile.status is Status.RUNNING):
             yield from self._do()
-        self._end(self._judge())
+        is_instead = self.current_child is not self.task
+        self.feedback_message = f"instead of {self.task.name}" if is_instead else ""
+        self._end(Status.RUNNING if is_instead else self.task.status)
         yield self
 
     def _do(self) -> Iterator[Behaviour]:
@@ -85,13 +87,6 @@ class DoUntilUnfeasible(_Parts):
             yield from self.meanwhile.tick()
             if self.meanwhile.status is not Status.SUCCESS:
                 return
-
-    def _judge(self) -> Status:
-        if self.current_child is not self.task:
-            self.feedback_message = f"instead of {self.task.name}"
-            return Status.RUNNING
-        self.feedback_message = ""
-        return self.task.status
 
 
 @dataclass
@@ -124,25 +119,19 @@ class SafeSwitch(_Parts):
     def tick(self) -> Iterator[Behaviour]:
         if self.status is not Status.RUNNING:
             self._begin()
-        transition, task = self._transition(), self.children[-1]
-        if transition is not None:
-            self.current_child = transition
-            yield from transition.tick()
-            said = transition.feedback_message
-            self.feedback_message = f"switching from {self.posture.after}{f': {said}' if said else ''}"
-            if transition.status is not Status.SUCCESS:
-                self._end(transition.status)
-                yield self
-                return
-            self.posture.after = self.action
-        self.current_child = task
-        yield from task.tick()
-        self.feedback_message = task.feedback_message
-        if task.status is not Status.FAILURE:
-            self.posture.after = self.action
-        self._end(task.status)
+        before, child = self.posture.after, self.children[-1]
+        if before in self._from:
+            child = self.current_child = self.children[self._from.index(before)]
+            yield from child.tick()
+            said = child.feedback_message
+            self.feedback_message = f"switching from {before}{f': {said}' if said else ''}"
+            if child.status is Status.SUCCESS:
+                self.posture.after, child = self.action, self.children[-1]
+        if child is self.children[-1]:
+            self.current_child = child
+            yield from child.tick()
+            self.feedback_message = child.feedback_message
+            if child.status is not Status.FAILURE:
+                self.posture.after = self.action
+        self._end(child.status)
         yield self
-
-    def _transition(self) -> Behaviour | None:
-        after = self.posture.after
-        return self.children[self._from.index(after)] if after in self._from else None

@@ -21,18 +21,13 @@ from rosa_bt.exceptions import in_words
 
 _MARKS: Final = {Status.SUCCESS: "o", Status.FAILURE: "x", Status.RUNNING: "*", Status.INVALID: "-"}
 _FILLS: Final = {
-    Status.SUCCESS: "#d5ecd4",
-    Status.FAILURE: "#f6d0cb",
-    Status.RUNNING: "#cfe0f5",
-    Status.INVALID: "#f2f2f2",
+    **{Status.SUCCESS: "#d5ecd4", Status.FAILURE: "#f6d0cb"},
+    **{Status.RUNNING: "#cfe0f5", Status.INVALID: "#f2f2f2"},
 }
-_SIGNS: Final = (
-    ("->", (Sequence, SafeSwitch)),
-    ("?", Selector),
-    ("?!", DoUntilUnfeasible),
-    ("=>", Parallel),
-    ("^", Decorator),
-)
+_SIGNS: Final = {
+    **{Sequence: "->", SafeSwitch: "->", Selector: "?", DoUntilUnfeasible: "?!"},
+    **{Parallel: "=>", Decorator: "^"},
+}
 _FEASIBLE, _UNFEASIBLE, _PLAIN = "#2e7d32", "#c62828", "#8a8a8a"
 _WIDTH: Final = 44
 """After how many characters a line of a note is broken."""
@@ -101,13 +96,8 @@ def _drawn(behaviour: Behaviour, said: set[str] | None = None, *, is_idle: bool 
     notes = [feasibility, feedback] if feedback not in said and not reason.endswith(feedback) else [feasibility]
     edge = _PLAIN if not feasibility else _FEASIBLE if feasibility == "feasible" else _UNFEASIBLE
     title = " ".join(filter(None, [f"[{_MARKS[status]}]", _kind(behaviour), _plain(behaviour.name)]))
-    return _Drawn(
-        title,
-        status,
-        edge,
-        tuple(note for note in notes if note),
-        tuple(_drawn(child, said, is_idle=status is Status.INVALID) for child in behaviour.children),
-    )
+    below = tuple(_drawn(child, said, is_idle=status is Status.INVALID) for child in behaviour.children)
+    return _Drawn(title, status, edge, tuple(filter(None, notes)), below)
 
 
 def _plain(text: str) -> str:
@@ -126,7 +116,7 @@ def _feasibility(behaviour: Behaviour) -> str:
 
 
 def _kind(behaviour: Behaviour) -> str:
-    for sign, kind in _SIGNS:
+    for kind, sign in _SIGNS.items():
         if isinstance(behaviour, kind):
             return f"{sign}m" if getattr(behaviour, "memory", False) else sign
     return "+" if behaviour.children else ""

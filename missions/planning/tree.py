@@ -195,8 +195,7 @@ def _step(domain: Domain, step: Step, fixed: set[str]) -> Element:
 
     def assumed(effects: Iterable[UpThing]) -> list[Element]:
         texts = [text for effect in effects for text in _written_effects(domain, effect, binding)]
-        whole = texts[0] if len(texts) == 1 else f"(and {' '.join(texts)})"
-        return [Element("Assume", effects=whole)] if texts else []
+        return [Element("Assume", effects=_both(texts))] if texts else []
 
     actions = (text[1:-1].split()[1] for text in asked(schema.start + schema.over_all + schema.end, feasible=True))
     guards = [Element("IsActionFeasible", name=f"{action} feasible?", action=action) for action in actions]
@@ -252,8 +251,11 @@ def _written_effects(domain: Domain, effect: UpThing, binding: Binding) -> Itera
 def _when(needed: Sequence[str], literal: str) -> str:
     if not needed:
         return literal
-    condition = needed[0] if len(needed) == 1 else f"(and {' '.join(needed)})"
-    return f"(when {condition} {literal})"
+    return f"(when {_both(needed)} {literal})"
+
+
+def _both(texts: Sequence[str]) -> str:
+    return texts[0] if len(texts) == 1 else f"(and {' '.join(texts)})"
 
 
 def _bindings(domain: Domain, variables: Iterable[UpThing], binding: Binding) -> Iterator[Binding]:

@@ -26,22 +26,21 @@ __all__ = [
 ]
 
 _HOMES = {
-    "CommandFailed": "missions.engine.components",
-    "Decisions": "missions.testing.decisions",
-    "FakeClock": "missions.testing.managed",
-    "LeafMock": "missions.testing.leaves",
-    "ScriptedManaged": "missions.testing.managed",
-    "check_golden": "missions.testing.golden",
-    "mock_leaf": "missions.testing.leaves",
-    "replay": "missions.testing.recorded",
+    "missions.engine.components": ("CommandFailed",),
+    "missions.testing.decisions": ("Decisions",),
+    "missions.testing.golden": ("check_golden",),
+    "missions.testing.leaves": ("LeafMock", "mock_leaf"),
+    "missions.testing.managed": ("FakeClock", "ScriptedManaged"),
+    "missions.testing.recorded": ("replay",),
 }
 
 
 def __getattr__(name: str) -> object:
     """Import what is asked for only then: pytest imports this package at each start."""
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_HOMES[name]), name)
+    for home, names in _HOMES.items():
+        if name in names:
+            return getattr(import_module(home), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:

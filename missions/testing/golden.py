@@ -20,21 +20,11 @@ def golden_path(test_file: Path, test: str, name: str = "") -> Path:
 
 
 def check_golden(trace: "Trace", path: Path, *, update: bool, command: str) -> bool:
-    """Compare a trace with the golden one.
-
-    Args:
-        trace: what was done now.
-        path: of the golden trace.
-        update: write it instead, if it differs.
-        command: what a person runs to have it written.
-
-    Returns:
-        Whether it was written.
+    """Compare a trace with the golden one, or with `update` write that if it differs; return whether it was written.
 
     Raises:
-        AssertionError: it differs, or there is none; says how, and how to update.
+        AssertionError: it differs, or there is none; says how, and the command with which a person has it written.
         rosa_bt.TraceError: what is there is no trace.
-        TypeError: what is to be compared is none.
     """
     __tracebackhide__ = True
     from rosa_bt import Trace, read_trace
@@ -55,8 +45,9 @@ def check_golden(trace: "Trace", path: Path, *, update: bool, command: str) -> b
         golden = list(readable(read_trace(path)))
         what, how = "not as in the golden trace", "update"
         shown = list(unified_diff(golden, now, "golden", "now", lineterm="", n=4))
-    more = [f"... and {len(shown) - MOST} more lines"] if len(shown) > MOST else []
-    lines = "\n".join([*shown[:MOST], *more])
+    if len(shown) > MOST:
+        shown[MOST:] = [f"... and {len(shown) - MOST} more lines"]
+    lines = "\n".join(shown)
     raise AssertionError(f"{what} {path}\nif this is as it should be, {how} it: {command}\n\n{lines}")
 
 

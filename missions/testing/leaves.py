@@ -13,20 +13,12 @@ LETTERS: Final = {"R": Status.RUNNING, "S": Status.SUCCESS, "F": Status.FAILURE}
 
 
 class LeafMock:
-    """What a mocked leaf returns, and what became of it.
-
-    Attributes:
-        ticks: how often it was asked to work.
-        starts: how often it began.
-        interruptions: how often it was stopped before it had ended.
-    """
+    """What a mocked leaf returns, and how often it was asked to work, began, and was stopped before it had ended."""
 
     def __init__(self, outcomes: tuple[Status, ...]) -> None:
         self._outcomes = outcomes
         self._is_running = False
-        self.ticks = 0
-        self.starts = 0
-        self.interruptions = 0
+        self.ticks = self.starts = self.interruptions = 0
 
     def initialise(self) -> None:
         self.starts += 1

@@ -31,11 +31,7 @@ class FakeClock:
         return self.advance_to(self._now + seconds)
 
     def advance_to(self, time: float) -> float:
-        """Let time pass until `time` [s]; return it.
-
-        Raises:
-            ValueError: that time is over, or is no time.
-        """
+        """Let time pass until `time` [s], and return it; ValueError if that is over, or is no time."""
         if not time >= self._now:
             raise ValueError(f"a clock that shows {self._now:g} s cannot be moved to {time:g} s; time only passes")
         self._now = time

@@ -48,10 +48,9 @@ class Rules:
 
     def outcome(self, status: Status) -> Status | None:
         """Return what a pre-condition says instead of the node of that status; None if the node is to be ticked."""
-        if status is SKIPPED:
-            for name, verdict in self.INSTEAD.items():
-                if name in self.scripts and truth(self.scripts[name](self.blackboard)):
-                    return verdict
+        for name, verdict in self.INSTEAD.items() if status is SKIPPED else ():
+            if name in self.scripts and truth(self.scripts[name](self.blackboard)):
+                return verdict
         if status in (SKIPPED, RUNNING) and "_while" in self.scripts:
             return None if truth(self.scripts["_while"](self.blackboard)) else SKIPPED
         return None
@@ -117,21 +116,17 @@ class Slot:
 
 
 class XmlNode(Behaviour):
-    """A node of BehaviorTree.CPP with children: made of a name, the places of its children and its ports.
-
-    Attributes:
-        PORTS: what can be said in its attributes.
-        CHILDREN: how many it takes, at least and at most.
-        FORGETS: names of attributes that begin anew, with the value in the class, when the node has ended or is halted.
-        keeps_finished: whether a child that has finished stays so after the tick, or is idle again, as in a decorator.
-        runs: whether a tick makes it RUNNING before it does anything else, so that it has to be reset if skipped.
-    """
+    """A node of BehaviorTree.CPP with children: made of a name, the places of its children and its ports."""
 
     PORTS: ClassVar[Declared] = {}
     CHILDREN: ClassVar[tuple[int, int]] = (1, MAX_NODES)
+    """How many it takes, at least and at most."""
     FORGETS: ClassVar[tuple[str, ...]] = ()
+    """Names of attributes that begin anew, with the value in the class, when the node has ended or is halted."""
     runs = True
+    """Whether a tick makes it RUNNING before it does anything else, so that it has to be reset if skipped."""
     keeps_finished: ClassVar = True
+    """Whether a child that has finished stays so after the tick, or is idle again, as in a decorator."""
 
     ports: Ports
     _slots: list[Slot]
@@ -162,9 +157,6 @@ class XmlNode(Behaviour):
             self.slots[0].reset()
         self.status = verdict
         yield self
-
-    def update(self) -> Status:
-        return self.status
 
     def stop(self, new_status: Status = Status.INVALID) -> None:
         """Halt: the children that are running, and they only; then forget."""

@@ -81,10 +81,9 @@ class _Writer:
         while name in self.trees and tostring(self.trees[name]) != tostring(content):
             number += 1
             name = f"{subtree.tree}_{number}"
-        items = list(self.trees.items())
         if name not in self.trees:
-            items.insert(place, (name, content))
-        self.trees = dict(items)
+            items = list(self.trees.items())
+            self.trees = dict([*items[:place], (name, content), *items[place:]])
         return name
 
     def element(self, slot: Slot) -> Element:
@@ -111,11 +110,8 @@ class _Writer:
             tag = _SAME[kind]
         elif node.children or isinstance(node, XmlNode) or kind in _BY_MEMORY:
             known = ", ".join(sorted(one.__name__ for one in (*_BY_MEMORY, *_SAME)))
-            childless = " without children" if not node.children else ""
-            raise ExportError(
-                f"{kind.__name__} {node.name!r}{childless} has no exact counterpart in BehaviorTree.CPP; of py_trees, "
-                f"written are {known}"
-            )
+            what = f"{kind.__name__} {node.name!r}{'' if node.children else ' without children'}"
+            raise ExportError(f"{what} has no exact counterpart in BehaviorTree.CPP; of py_trees, written are {known}")
         else:
             return self._leaf(node)
         element = Element(tag, name=node.name)
@@ -147,13 +143,11 @@ class _Writer:
             known |= {"action", "preference"} if waits else {"action", "preference", "wait", "timeout"}
         elif isinstance(leaf, PortsMixin) and {**leaf.input_ports(), **leaf.output_ports()}:
             raise ExportError(f"{leaf.name!r} has ports on py_trees' own blackboard, which cannot be written")
-        signature = inspect.signature(type(leaf))
-        unknown = [
-            one.name for one in signature.parameters.values() if one.name not in known and one.kind not in (2, 4)
-        ]
+        parameters = inspect.signature(type(leaf)).parameters.values()
+        unknown = ", ".join(one.name for one in parameters if one.name not in known and one.kind not in (2, 4))
         if unknown:
             raise ExportError(
-                f"{type(leaf).__name__} {leaf.name!r} was made with {', '.join(unknown)}, which cannot be written; "
+                f"{type(leaf).__name__} {leaf.name!r} was made with {unknown}, which cannot be written; "
                 "register a function under the name of the leaf that makes it, and hand the registry to export_xml"
             )
 
