@@ -158,6 +158,9 @@ class XmlNode(Behaviour):
         self.status = verdict
         yield self
 
+    def update(self) -> Status:
+        return self.status
+
     def stop(self, new_status: Status = Status.INVALID) -> None:
         """Halt: the children that are running, and they only; then forget."""
         self.status = self.end(new_status)
