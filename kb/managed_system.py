@@ -73,7 +73,6 @@ class ManagedObjects:
         return self._object(component).set_parameters(parameters)
 
     def is_active(self, component: str) -> bool | None:
-        """Ask the object of that name whether it works; None if it cannot tell."""
         tell = getattr(self._object(component), "is_active", None)
         answer = tell() if callable(tell) else tell
         return answer if isinstance(answer, bool) else None
@@ -82,11 +81,6 @@ class ManagedObjects:
         if component not in self._objects:
             raise UnknownName("managed object", component, self._objects)
         return self._objects[component]
-
-
-def can_tell(managed: ManagedSystem) -> bool:
-    """Tell whether a managed system has the optional `is_active`."""
-    return callable(getattr(managed, "is_active", None))
 
 
 def is_active(managed: ManagedSystem, component: str) -> bool | None:
@@ -100,9 +94,6 @@ class ActivityMonitor:
 
     One that was started by the last command to it, and is not running, has failed. Any other belief that is wrong is
     only put right: a component may have been stopped while the program was not there to see it.
-
-    Args:
-        managed: what is asked; it can tell.
     """
 
     def __init__(self, managed: ManagedSystem) -> None:
@@ -113,7 +104,6 @@ class ActivityMonitor:
         self._believed_at = -1
 
     def observe(self, kb: KnowledgeBase) -> None:
-        """Tell what is not active, though it should be."""
         if kb.pending_plan is not None:
             return
         if kb is not self._known or kb.revision != self._believed_at:
@@ -127,10 +117,8 @@ class ActivityMonitor:
         self._known = kb
 
     def _has_ended(self, name: str) -> bool:
-        if name in self._unmanaged:
-            return False
         try:
-            return is_active(self._managed, name) is False
+            return name not in self._unmanaged and is_active(self._managed, name) is False
         except UnknownName:  # it is not this system that manages it
             self._unmanaged.add(name)
         except Exception:
@@ -146,7 +134,8 @@ def _believed_active(kb: KnowledgeBase) -> list[str]:
 
 
 def _was_started(kb: KnowledgeBase, name: str) -> bool:
-    """Tell whether the last command to a component has started it."""
-    switches = (one for one in reversed(kb.history.attempts) if one.component == name and one.operation != "configure")
-    last = next(switches, None)
-    return last is not None and (last.operation, last.result) == ("activate", "completed")
+    """Tell whether the last command that switched a component has started it."""
+    for one in reversed(kb.history.attempts):
+        if one.component == name and one.operation != "configure":
+            return (one.operation, one.result) == ("activate", "completed")
+    return False

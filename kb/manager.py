@@ -11,7 +11,7 @@ from kb.exceptions import InvalidValue
 from kb.execution.executor import StagedExecutor
 from kb.execution.safeguards import Veto, VetoGate
 from kb.knowledge_base import KnowledgeBase
-from kb.managed_system import ActivityMonitor, ManagedSystem, can_tell
+from kb.managed_system import ActivityMonitor, ManagedSystem
 from kb.planners.choice import Choice, choice_by_priority
 from kb.records import ReconfigurationPlan
 
@@ -51,7 +51,6 @@ class PriorityPlanner:
             return choice_by_priority(state)
 
     def plan(self, kb: KnowledgeBase) -> ReconfigurationPlan | None:
-        """Select what is chosen."""
         choice = self.choose(kb)
         return None if choice is None else kb.select(*choice)
 
@@ -83,7 +82,8 @@ class ConfigurationManager:
         self._kb = kb
         self._planner = planner or PriorityPlanner()
         self._executor = executor or StagedExecutor(managed, budgets=getattr(self._planner, "budgets", None))
-        self._monitors = (*monitors, ActivityMonitor(managed)) if can_tell(managed) else tuple(monitors)
+        can_tell = callable(getattr(managed, "is_active", None))
+        self._monitors = (*monitors, *([ActivityMonitor(managed)] if can_tell else []))
         self._gate = None if veto is None else VetoGate(kb, veto)
         self._planned_at = -1
 

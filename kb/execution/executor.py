@@ -2,14 +2,13 @@
 
 import logging
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
 
 from kb.declarations import choice
 from kb.elements import Component, ComponentKind, Configuration
-from kb.exceptions import InvalidValue, UnknownName
-from kb.execution.safeguards import Budgets, Quarantine, Quarantined
+from kb.exceptions import InvalidValue
+from kb.execution.safeguards import Budgets, Quarantine, Quarantined, is_number
 from kb.knowledge_base import KnowledgeBase
 from kb.managed_system import ManagedSystem, Operation, is_active
 from kb.network import Node
@@ -19,18 +18,10 @@ from kb.status import Status
 
 _log = logging.getLogger(__name__)
 
-_MOST_DOUBLINGS: Final = 60
-
 
 @dataclass(frozen=True, slots=True)
 class RetryPolicy:
-    """How often a command is given, and how long it may take.
-
-    Attributes:
-        attempts: how often it is given before it is given up.
-        timeout: how long one attempt may take [s].
-        back_off: how long after a failure it is given again [s]; twice as long after each further one.
-    """
+    """How often a command is given, how long an attempt may take [s] and how long it is put off after a failure [s]."""
 
     attempts: int
     timeout: float
@@ -39,9 +30,9 @@ class RetryPolicy:
     def __post_init__(self) -> None:
         if type(self.attempts) is not int or self.attempts < 1:
             raise InvalidValue(f"a command is given a whole number of times, once at least, not {self.attempts!r}")
-        if not _is_number(self.timeout) or not self.timeout > 0:
+        if not is_number(self.timeout) or not self.timeout > 0:
             raise InvalidValue(f"a time-out is more than 0 s, math.inf for none, not {self.timeout!r}")
-        if not _is_number(self.back_off) or not 0 <= self.back_off < math.inf:
+        if not is_number(self.back_off) or not 0 <= self.back_off < math.inf:
             raise InvalidValue(f"a back-off is a finite number of seconds from 0, not {self.back_off!r}")
 
 
@@ -86,7 +77,6 @@ class StagedExecutor:
         self._of_kind = {kind: RetryPolicy(attempts, lasts, back_off) for kind, lasts in by_kind.items()}
         by_name = timeout_by_component or {}
         self._of_component = {name: RetryPolicy(attempts, lasts, back_off) for name, lasts in by_name.items()}
-        self._unchecked = sorted(self._of_component)
         self._quarantine = Quarantine(hold)
         self._budgets = Budgets(budgets)
         self._known: KnowledgeBase | None = None
@@ -109,11 +99,10 @@ class StagedExecutor:
                 have; at the first turn only.
         """
         if kb is not self._known:
-            self._check_names(kb)
-            self._quarantine.adopt(kb)
             self._known = kb
-        if self._quarantine.held:
-            self._quarantine.review(kb)
+            self._quarantine.adopt(kb)
+            self._check_names(kb)
+        self._quarantine.review(kb)
         if self._plan is None:
             open_plans = kb.open_plans
             if not open_plans:
@@ -121,8 +110,7 @@ class StagedExecutor:
             self._plan = open_plans[-1]
             self._stages, self._stage = self._staged(kb, open_plans), []
             self._failed, self._commanded = set(), set()
-        if self._stage:
-            self._drop_removed(kb)
+        self._drop_removed(kb)
         now = kb.now
         while True:
             self._stage = [command for command in self._stage if not self._has_ended(kb, command, now)]
@@ -138,13 +126,10 @@ class StagedExecutor:
         self._plan = None
 
     def _check_names(self, kb: KnowledgeBase) -> None:
-        components, self._unchecked = self._unchecked, []
-        for name in components:
-            if name not in kb.components:
-                raise UnknownName("component", name, kb.components)
+        for name in self._of_component:
+            kb.components[name]
         for name in self._budgets.most:
-            if name not in kb.attributes:
-                raise UnknownName("attribute", name, kb.attributes)
+            kb.attributes[name]
 
     def _drop_removed(self, kb: KnowledgeBase) -> None:
         """Abandon commands to what is no longer in the model, or with what is not."""
@@ -174,11 +159,10 @@ class StagedExecutor:
                 kb.component_active(command.component, active)
             kb.component_failed(command.component, f"it could not be {command.operation}d, {command.reason}")
         else:
-            reason = f"its parameters could not be set, {command.reason}"
-            self._quarantine.put(kb, command.configuration.name, reason)
+            why = f"its parameters could not be set, {command.reason}"
+            self._quarantine.put(kb, command.configuration.name, why)
 
     def _look(self, component: str) -> bool | None:
-        """Return whether a component is active, None if nobody can tell."""
         try:
             return is_active(self._managed, component)
         except Exception:
@@ -189,21 +173,19 @@ class StagedExecutor:
         plan = open_plans[-1]
         with kb.reading() as state:
             activated, deactivated, parameters = _steps(state, open_plans)
-            running = _running(state, parameters)
-            stops = [name for name in running if _component(running[name]).stops_to_configure]
-            paused = [name for name in stops if name not in deactivated]
-            stopping = self._commands(kb, state, plan, "deactivate", [*deactivated, *paused])
-        yield stopping
+            running = _running(state, parameters).items()
+            stops = [name for name, one in running if _component(one).stops_to_configure]
+        paused = [name for name in stops if name not in deactivated]
+        yield self._commands(kb, plan, "deactivate", [*deactivated, *paused])
         started = [*activated, *paused]
         if self._budgets.most:
             yield from self._configured_within_budgets(kb, plan, parameters, started)
             parameters = []
         with kb.reading() as state:
-            configuring = self._commands(kb, state, plan, "configure", [*_running(state, parameters), *started])
-        yield configuring
+            configured = [*_running(state, parameters), *started]
+        yield self._commands(kb, plan, "configure", configured)
         if started:
-            with kb.reading() as state:
-                starting = self._commands(kb, state, plan, "activate", started)
+            starting = self._commands(kb, plan, "activate", started)
             self._commanded = {command.component for command in starting if command.managed is not None}
             yield starting
         if self._failed:
@@ -220,9 +202,7 @@ class StagedExecutor:
             running = _running(state, parameters)
         for name in running:
             if self._budgets.allow(kb, started, self._failed) or self._budgets.are_eased(kb, name, self._failed):
-                with kb.reading() as state:
-                    configuring = self._commands(kb, state, plan, "configure", [name])
-                yield configuring
+                yield self._commands(kb, plan, "configure", [name])
                 continue
             self._failed.add(name)
             chosen = kb.components[name].selected_configuration
@@ -232,24 +212,21 @@ class StagedExecutor:
             self._failed.update(started)
 
     def _commands(
-        self,
-        kb: KnowledgeBase,
-        state: State,
-        plan: ReconfigurationPlan,
-        operation: str,
-        names: Sequence[str],
-        but: Collection[str] = (),
+        self, kb: KnowledgeBase, plan: ReconfigurationPlan, operation: str, names: Sequence[str]
     ) -> list["_Command"]:
-        """Return the commands to components; without those that have failed, `but` for some."""
+        """Return the commands to components; what has failed is only stopped."""
+        with kb.reading() as state:
+            components = _known(state, names)
+            chosen = {name: _selected(state, one) for name, one in components.items()}
         commands = []
-        for name, component in _known(state, names).items():
-            chosen = _selected(state, component) if operation == "configure" else None
-            if (name in self._failed and name not in but) or (chosen is None and operation == "configure"):
+        for name, component in components.items():
+            configuration = chosen[name] if operation == "configure" else None
+            if (operation != "deactivate" and name in self._failed) or (operation == "configure" and not configuration):
                 continue
             kind = _component(component).kind
             policy = self._of_component.get(name, self._of_kind.get(kind, self._policy))
-            managed = None if chosen is None and kind is ComponentKind.PLAIN else self._managed
-            commands.append(_Command(kb, plan, policy, managed, name, operation, chosen))
+            managed = None if configuration is None and kind is ComponentKind.PLAIN else self._managed
+            commands.append(_Command(kb, plan, policy, managed, name, operation, configuration))
         return commands
 
     def _rolled_back(self, kb: KnowledgeBase, plan: ReconfigurationPlan, started: list[str]) -> list["_Command"]:
@@ -257,32 +234,27 @@ class StagedExecutor:
         unsure = [name for name in started if name in self._failed & self._commanded and self._look(name) is not False]
         with kb.reading() as state:
             users = {design for component in _known(state, started).values() for design in component.wholes}
-            in_vain = [design for design in users if _is_in_vain(state, design)]
+            selected = [design for design in users if state.selected[design.index]]
+            in_vain = [one for one in selected if state.status[one.wholes[0].index] is Status.UNFEASIBLE]
         for design in sorted(in_vain, key=lambda design: design.index):
             kb.assert_selected(design.element, False)
         with kb.reading() as state:
             known = _known(state, started).items()
             idle = [name for name, one in known if state.active[one.index] and not state.users[one.index]]
-            return self._commands(kb, state, plan, "deactivate", [*unsure, *idle], but=[*unsure, *idle])
+        return self._commands(kb, plan, "deactivate", [*unsure, *idle])
 
 
 @dataclass(slots=True, eq=False)
 class _Command:
-    """What one component is to do for a plan: given until it is carried out or given up, each attempt on record.
-
-    Attributes:
-        managed: what is commanded; None if it is a matter of bookkeeping only.
-        operation: "activate", "deactivate" or "configure".
-        configuration: what it is configured with, None for a switch.
-    """
+    """What one component is to do for a plan: given until it is carried out or given up, each attempt on record."""
 
     kb: KnowledgeBase
     plan: ReconfigurationPlan
     policy: RetryPolicy
-    managed: ManagedSystem | None
+    managed: ManagedSystem | None  # None if it is a matter of bookkeeping only
     component: str
-    operation: str
-    configuration: Configuration | None
+    operation: str  # activate, deactivate or configure
+    configuration: Configuration | None  # None for a switch
     _count: int = 0
     _due: float = -math.inf
     _attempt: Attempt | None = None
@@ -291,9 +263,10 @@ class _Command:
 
     @property
     def reason(self) -> str:
-        """What came of the last attempt, and how often it was tried, in words."""
+        """How often it was tried, and what came of the last attempt."""
+        assert self._attempt is not None
         tried = {1: "once", 2: "twice"}.get(self._count, f"{self._count} times")
-        return f"tried {tried}: {self._attempt.reason if self._attempt is not None else ''}"
+        return f"tried {tried}: {self._attempt.reason}"
 
     def begin(self, now: float) -> None:
         """Give the command if it is time for that and it is not under way."""
@@ -329,10 +302,9 @@ class _Command:
             self.kb.finish_attempt(self._attempt, result, reason)
             if result == "completed" or self._count >= self.policy.attempts:
                 return result
-            self._due = now + self.policy.back_off * 2.0 ** min(self._count - 1, _MOST_DOUBLINGS)
+            self._due = now + self.policy.back_off * 2.0 ** min(self._count - 1, 60)
 
     def abandon(self, reason: str) -> None:
-        """Give it up without waiting for what is under way."""
         if self._attempt is not None and self._attempt.end is None:
             self._cancel()
             self.kb.finish_attempt(self._attempt, "abandoned", reason)
@@ -406,7 +378,6 @@ def _steps(
 
 
 def _known(state: State, names: Iterable[str]) -> dict[str, Node]:
-    """Return the components of these names that are in the model."""
     components = state.network.components
     return {name: components[name] for name in names if name in components}
 
@@ -423,18 +394,9 @@ def _selected(state: State, component: Node) -> Configuration | None:
     return next((one for one in chosen if isinstance(one, Configuration)), None)
 
 
-def _is_in_vain(state: State, design: Node) -> bool:
-    """Tell whether a design is selected for a function that cannot be had."""
-    return state.selected[design.index] and state.status[design.wholes[0].index] is Status.UNFEASIBLE
-
-
 def _component(node: Node) -> Component:
     assert isinstance(node.element, Component)
     return node.element
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _words(error: BaseException) -> str:

@@ -22,12 +22,7 @@ Veto = Callable[[ReconfigurationPlan], bool | str | None]
 
 
 class VetoGate:
-    """Asks about every plan before it is executed, and takes back what a forbidden one had selected.
-
-    Args:
-        kb: whose plans are asked about.
-        veto: the function that is asked.
-    """
+    """Asks about every plan before it is executed, and takes back what a forbidden one had selected."""
 
     def __init__(self, kb: KnowledgeBase, veto: Veto) -> None:
         if not callable(veto):
@@ -37,11 +32,7 @@ class VetoGate:
         self._passed: list[ReconfigurationPlan] = []
 
     def check(self) -> bool:
-        """Ask about the plans that were not asked about yet; a forbidden one ends as abandoned.
-
-        Returns:
-            Whether one was forbidden.
-        """
+        """Ask about the plans that were not asked about yet, and tell whether one was forbidden: it is abandoned."""
         kb, is_vetoed = self._kb, False
         self._passed = [plan for plan in self._passed if plan.end is None]
         while (plan := kb.pending_plan) is not None and plan not in self._passed:
@@ -57,7 +48,6 @@ class VetoGate:
         return is_vetoed
 
     def _objection(self, plan: ReconfigurationPlan) -> str:
-        """Return why a plan is forbidden, in words; nothing if it may pass."""
         try:
             answer: object = self._veto(plan)
         except Exception as error:
@@ -90,10 +80,7 @@ class Budgets:
     def allow(self, kb: KnowledgeBase, started: Collection[str], failed: Collection[str]) -> bool:
         """Tell whether all that is selected keeps within the budgets once it is carried out.
 
-        Args:
-            kb: what is known.
-            started: names of the components that are to run beside those that do.
-            failed: names of those that are as they were, because a command failed.
+        That is when the components `started` run too, and those that `failed` are as they were.
         """
         loads = self._loads(kb, started, failed)
         return all(load <= Decimal(repr(limit)) for load, limit in zip(loads, self.most.values(), strict=True))
@@ -151,17 +138,14 @@ class Quarantined(NamedTuple):
 
 
 class Quarantine:
-    """The configurations that count as unfeasible, by an asserted status with a reason that lapses by itself.
-
-    Args:
-        hold: how long [s].
+    """The configurations that count as unfeasible, by an asserted status that lapses by itself after a hold [s].
 
     Attributes:
         held: those in quarantine now, by name; up to date after `review`.
     """
 
     def __init__(self, hold: float) -> None:
-        if not isinstance(hold, int | float) or isinstance(hold, bool) or not hold >= 0:
+        if not is_number(hold) or not hold >= 0:
             raise InvalidValue(f"a configuration is held back for 0 s or longer, math.inf for ever, not {hold!r}")
         self._hold = hold
         self.held: dict[str, Quarantined] = {}
@@ -198,6 +182,10 @@ class Quarantine:
         for one in [one for one in self.held.values() if one.component in recovered]:
             kb.retract_status(kb.configurations[one.configuration])
             del self.held[one.configuration]
+
+
+def is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _stands(state: State, configuration: str) -> bool:

@@ -8,46 +8,35 @@ numbers are whole, so that of two choices one is better or they are exactly as g
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN, Context, Decimal, localcontext
+from functools import reduce
 from typing import Final, NamedTuple
 
 from kb.elements import Component, ComponentKind, EstimationKind
-from kb.exceptions import UnknownName
 from kb.network import Network, Node
 from kb.planners.choice import Choice, Criterion, ranked
 from kb.state import State
+from kb.views import named
 
 DIGITS: Final = 12
 """All amounts of a kind together have no more digits than this as whole numbers; else they are rounded."""
-
-EXACTLY: Final = Context(prec=60)
-"""How decimal numbers are computed with before they are whole."""
 
 Picks = tuple[int, ...]
 """Position of what is chosen among the options of each slot."""
 
 
 class Effect(NamedTuple):
-    """What something adds.
+    """What something adds."""
 
-    Attributes:
-        gain: to the value of the choice.
-        loads: to what each budget limits.
-        levels: weighted absolute estimations by attribute; of all that are chosen only the worst counts.
-        cost: of switching; it is taken off the gain already.
-    """
-
-    gain: int
-    loads: tuple[int, ...]
-    levels: tuple[tuple[str, int], ...] = ()
-    cost: int = 0
+    gain: int  # to the value of the choice; the cost is taken off already
+    loads: tuple[int, ...]  # to what each budget limits
+    levels: tuple[tuple[str, int], ...] = ()  # weighted absolute estimations by attribute; only the worst counts
+    cost: int = 0  # of switching
 
     def plus(self, other: "Effect") -> "Effect":
-        """Return both together."""
         loads = tuple(mine + its for mine, its in zip(self.loads, other.loads, strict=True))
         return Effect(self.gain + other.gain, loads, self.levels + other.levels, self.cost + other.cost)
 
     def costing(self, cost: int) -> "Effect":
-        """Return the same at a cost."""
         return self._replace(gain=self.gain - cost, cost=self.cost + cost)
 
     def is_no_worse_than(self, other: "Effect") -> bool:
@@ -57,35 +46,22 @@ class Effect(NamedTuple):
 
 
 class Option(NamedTuple):
-    """One possibility: a design or configuration, or None for a component that has nothing to be chosen.
-
-    Attributes:
-        effect: what it adds if it is chosen; that of a configuration includes that its component runs.
-        is_now: it is selected now.
-        needs: positions of the slots of the components of a design, of those that make a difference.
-    """
+    """One possibility: a design or configuration, or None for a component that has nothing to be chosen."""
 
     node: Node | None
-    effect: Effect
-    is_now: bool = False
-    needs: frozenset[int] = frozenset()
+    effect: Effect  # that of a configuration includes that its component runs
+    is_now: bool = False  # it is selected now
+    needs: frozenset[int] = frozenset()  # positions of the slots of a design's components that make a difference
 
 
 class Slot(NamedTuple):
-    """A function, or a component of some design.
-
-    Attributes:
-        options: one of these is chosen if it is needed; the first by priority first.
-        idle: what it adds if nothing needs it.
-        idle_node: the configuration to select even then, if any.
-        is_needed: it is needed whatever is chosen; a function always is.
-    """
+    """A function, or a component of some design."""
 
     node: Node
-    options: tuple[Option, ...]
-    idle: Effect
-    idle_node: Node | None = None
-    is_needed: bool = True
+    options: tuple[Option, ...]  # one of these is chosen if it is needed; the first by priority first
+    idle: Effect  # what it adds if nothing needs it
+    idle_node: Node | None = None  # the configuration to select even then, if any
+    is_needed: bool = True  # it is needed whatever is chosen; a function always is
 
     @property
     def is_function(self) -> bool:
@@ -99,39 +75,26 @@ class Slot(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """What is to be chosen.
-
-    Attributes:
-        criterion: what makes a choice better.
-        slots: what there is to choose for, in order of declaration; functions before components.
-        fixed: what is added whatever is chosen.
-        limits: what the load of each budget must not exceed.
-        is_by_priority: nothing is estimated of what takes part, and nothing limited.
-        unit: what a gain of 1 stands for.
-        load_units: what a load of 1 stands for, for each budget.
-        resolution: two choices that differ by no more than this can seem equally good; 0 if all numbers are exact.
-    """
+    """What is to be chosen."""
 
     criterion: Criterion
-    slots: tuple[Slot, ...]
-    fixed: Effect
-    limits: tuple[int, ...]
-    is_by_priority: bool
-    unit: Decimal
-    load_units: tuple[Decimal, ...]
-    resolution: float
+    slots: tuple[Slot, ...]  # in order of declaration; functions before components
+    fixed: Effect  # what is added whatever is chosen
+    limits: tuple[int, ...]  # what the load of each budget must not exceed
+    is_by_priority: bool  # nothing is estimated of what takes part, and nothing limited
+    unit: Decimal  # what a gain of 1 stands for
+    load_units: tuple[Decimal, ...]  # what a load of 1 stands for, for each budget
+    resolution: float  # choices that differ by no more than this can seem equally good; 0 if all numbers are exact
 
     @property
     def first(self) -> Picks:
-        """The first option of everything."""
         return (0,) * len(self.slots)
 
     @property
     def now(self) -> Picks:
         """What is selected now, and the first option of what has nothing selected."""
-        return tuple(
-            next((place for place, option in enumerate(slot.options) if option.is_now), 0) for slot in self.slots
-        )
+        places = ((place for place, option in enumerate(slot.options) if option.is_now) for slot in self.slots)
+        return tuple(next(one, 0) for one in places)
 
     @property
     def kept(self) -> Picks | None:
@@ -168,15 +131,13 @@ class Problem:
         return Effect(sum(worst.values(), total.gain), total.loads, (), total.cost)
 
     def fits(self, effect: Effect) -> bool:
-        """Tell whether no budget is exceeded."""
         return all(load <= limit for load, limit in zip(effect.loads, self.limits, strict=True))
 
     def choice(self, picks: Picks) -> Choice:
         """Return a choice by name; configurations that use more of a budget than now come after the others."""
         chosen = list(zip(self.slots, picks, strict=True))
-        designs = {
-            slot.node: design for slot, pick in chosen if slot.is_function and (design := slot.options[pick].node)
-        }
+        picked = ((slot.node, slot.options[pick].node) for slot, pick in chosen if slot.is_function)
+        designs = {function: design for function, design in picked if design is not None}
         running = {part for design in designs.values() for part in design.parts}
         configurations = {}
         for slot, pick in sorted((one for one in chosen if not one[0].is_function), key=lambda one: _uses_more(*one)):
@@ -202,20 +163,17 @@ def encode(
         UnknownName: the criterion names an attribute or a component that the model does not have.
     """
     check_names(state.network, criterion)
-    with localcontext(EXACTLY):
+    with localcontext(Context(prec=60)):
         return _Encoder(state, criterion, functions, forced).problem()
 
 
 def check_names(network: Network, criterion: Criterion) -> None:
     """Raise `UnknownName` unless the model has all that a criterion names."""
     costs = criterion.switching_cost
-    for kind, table, names in (
-        ("attribute", network.attributes, (*criterion.weights, *criterion.budgets)),
-        ("component", network.components, costs if isinstance(costs, Mapping) else ()),
-    ):
-        for name in names:
-            if name not in table:
-                raise UnknownName(kind, name, table)
+    for name in (*criterion.weights, *criterion.budgets):
+        named(network.attributes, "attribute", name)
+    for name in costs if isinstance(costs, Mapping) else ():
+        named(network.components, "component", name)
 
 
 class _Encoder:
@@ -289,11 +247,7 @@ class _Encoder:
 
     def _effect(self, *nodes: Node) -> Effect:
         """Return what is estimated of nodes together."""
-        effect = self._nothing
-        for node in nodes:
-            if node in self._estimated:
-                effect = effect.plus(self._estimated[node])
-        return effect
+        return reduce(Effect.plus, (self._estimated[node] for node in nodes if node in self._estimated), self._nothing)
 
     def _ranked(self, whole: Node) -> list[Node]:
         return [self._forced] if self._forced in whole.parts else ranked(self._state, whole)
@@ -302,7 +256,7 @@ class _Encoder:
         return not self._afresh and self._state.selected[node.index]
 
     def _cost_to_switch(self, component: Node) -> int:
-        """Return what it costs to activate or deactivate a component; a plain one is only booked."""
+        """Return what it costs to start or stop a component; a plain one is only booked."""
         assert isinstance(component.element, Component)
         return 0 if component.element.kind is ComponentKind.PLAIN else self._costs.get(component, 0)
 
@@ -367,7 +321,6 @@ def _uses_more(component: Slot, pick: int) -> bool:
 
 
 def _decimal(number: float) -> Decimal:
-    """Return a number as it is written in decimals."""
     return Decimal(repr(float(number)))
 
 

@@ -17,9 +17,6 @@ from kb.views import ElementView
 
 _log = logging.getLogger(__name__)
 
-_RESOLUTION = 1e-6
-"""Sums of steps of a clock miss a due time by rounding; no clock of ours tells less than this apart [s]."""
-
 
 class _Last(NamedTuple):
     """What was decided last: by which weights, and why nothing could be chosen; empty if something could."""
@@ -143,7 +140,6 @@ class OptimalPlanner:
             return explain_choice(state, node, kb.now, preferred, said, designs, nothing)
 
     def _is_due(self, kb: KnowledgeBase) -> bool:
-        """Tell whether there is something to choose for, or to choose anew because of what is preferred."""
         if kb.adaptable_functions() or kb.adaptable_components():
             return True
         return kb in self._last and self._last[kb].weights != self.criterion(kb).weights
@@ -170,12 +166,7 @@ class OptimalPlanner:
 
 
 class BackgroundSolver:
-    """Answers one question at a time, in a thread, each some time after it was asked.
-
-    Args:
-        solve: finds the answer; called in the thread.
-        delay: how long after it was asked a question is answered [s].
-    """
+    """Answers one question at a time, in a thread, each `delay` [s] after it was asked."""
 
     def __init__(self, solve: Callable[[Problem], Optimum], delay: float) -> None:
         self._solve = solve
@@ -186,27 +177,23 @@ class BackgroundSolver:
         self._answer: Future[Optimum] | None = None
 
     def answer(self, problem: Problem, now: float) -> Optimum | None:
-        """Return the answer, without waiting; None while there is none yet.
-
-        Args:
-            problem: as it is now. If it is another than the last time, that question is dropped.
-            now: the present time [s].
-        """
+        """Return the answer, without waiting; None while there is none yet. A question that has changed is dropped."""
         if self._answer is None or self._problem != problem:
             self.forget()
             self._thread = self._thread or ThreadPoolExecutor(1, "best configuration")
-            self._problem, self._due = problem, now + self._delay - _RESOLUTION
+            self._problem, self._due = (
+                problem,
+                now + self._delay - 1e-6,
+            )  # a clock that is summed up may miss it by rounding
             self._answer = self._thread.submit(self._solve, problem)
             return None
         return self._answer.result() if now >= self._due and self._answer.done() else None
 
     def catch_up(self, now: float) -> None:
-        """Wait for an answer that is due by now."""
         if self._answer is not None and now >= self._due:
             self._answer.exception()
 
     def forget(self) -> None:
-        """Drop the question."""
         if self._answer is not None:
             self._answer.cancel()
             self._answer = None

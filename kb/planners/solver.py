@@ -32,7 +32,8 @@ _SETTINGS: Final = {
     "catch_sigint_signal": False,
 }
 
-Literals = Sequence[Any]
+Untyped = Any  # what OR-tools makes: a variable, an expression, a status
+Literals = Sequence[Untyped]
 
 
 def best_choice(
@@ -43,14 +44,10 @@ def best_choice(
 
 
 def solve(problem: Problem, effort: float = EFFORT) -> Optimum:
-    """Return the best choice, and of those that are equally good the first.
+    """Return the best choice that an effort in CP-SAT's deterministic time finds; of equally good ones the first.
 
     That is the one with the first design by priority and name for the function declared first, and so on, and then the
     same for the configurations of its components.
-
-    Args:
-        problem: what is to be chosen.
-        effort: how much work may be done, in CP-SAT's deterministic time.
     """
     return _Search(problem, effort).optimum()
 
@@ -58,11 +55,7 @@ def solve(problem: Problem, effort: float = EFFORT) -> Optimum:
 def verdicts(optimum: Optimum, chosen: str, rivals: Mapping[str, Problem], effort: float = EFFORT) -> dict[str, str]:
     """Return what is to be said of each design or configuration that can be chosen for a function or component.
 
-    Args:
-        optimum: the best choice.
-        chosen: name of the one that is in it.
-        rivals: the same problem with each of the others forced into the choice, by name.
-        effort: how much work may be done for each of them.
+    The optimum holds the one that is `chosen`; a rival is the same problem with another forced into the choice.
     """
     others = {name: _compared(solve(problem, effort), optimum) for name, problem in rivals.items()}
     return {chosen: optimum.reason, **others}
@@ -81,11 +74,7 @@ def _compared(rival: Optimum, best: Optimum) -> str:
 
 
 class _Program:
-    """A problem as a CP-SAT model, with a literal for each option.
-
-    Attributes:
-        picks: the literals of the options of each slot; none if it does not matter which of these is chosen.
-    """
+    """A problem as a CP-SAT model: `picks` are the literals of each slot's options, none if they make no difference."""
 
     def __init__(self, problem: Problem) -> None:
         self.model: Any = cp_model.CpModel()
@@ -95,11 +84,10 @@ class _Program:
         self.picks = [self._slot(slot, users[place], users) for place, slot in enumerate(problem.slots)]
         self.gain = cp_model.LinearExpr.sum([*self._sum(lambda effect: effect.gain), *self._levels()])
 
-    def load(self, place: int) -> Any:  # noqa: ANN401  # an expression of an untyped library
-        """Return how much of a budget is used."""
+    def load(self, place: int) -> Untyped:
         return cp_model.LinearExpr.sum(self._sum(lambda effect: effect.loads[place]))
 
-    def rank(self, places: Iterable[int]) -> Any:  # noqa: ANN401  # an expression of an untyped library
+    def rank(self, places: Iterable[int]) -> Untyped:
         """Return a number that is lower if what is picked at these places comes earlier, the first place first."""
         weight, terms = 1, []
         for place in reversed(list(places)):
@@ -107,21 +95,14 @@ class _Program:
             weight *= max(1, len(self.picks[place]))
         return cp_model.LinearExpr.sum(terms)
 
-    def limit(self) -> None:
-        """Keep within the budgets."""
-        for place, limit in enumerate(self._problem.limits):
-            self.model.add(self.load(place) <= limit)
-
     def hint(self, picks: Picks) -> None:
-        """Say where a good choice may be found."""
         self.model.clear_hints()
         needed = self._problem.needed(picks)
         for slot, (literals, pick) in enumerate(zip(self.picks, picks, strict=True)):
             for place, literal in enumerate(literals):
                 self.model.add_hint(literal, slot in needed and place == pick)
 
-    def read(self, solver: Any) -> Picks:  # noqa: ANN401  # of an untyped library
-        """Return what the solver found."""
+    def read(self, solver: Untyped) -> Picks:
         found = ((place for place, one in enumerate(literals) if solver.value(one)) for literals in self.picks)
         return tuple(next(places, 0) for places in found)
 
@@ -169,7 +150,7 @@ class _Program:
                 levels.setdefault(name, []).append((literal, level))
         return [self._worst(chosen) for chosen in levels.values()]
 
-    def _worst(self, levels: Sequence[tuple[Any, int]]) -> Any:  # noqa: ANN401  # a variable of an untyped library
+    def _worst(self, levels: Sequence[tuple[Any, int]]) -> Untyped:
         low, high = min(0, *(level for _, level in levels)), max(0, *(level for _, level in levels))
         worst, unset = self.model.new_int_var(low, high, ""), self.model.new_bool_var("")
         for literal, level in levels:
@@ -191,9 +172,9 @@ class _Search:
             setattr(self._solver.parameters, name, value)
 
     def optimum(self) -> Optimum:
-        """Return the best choice."""
         program, problem = _Program(self._problem), self._problem
-        program.limit()
+        for place, limit in enumerate(problem.limits):
+            program.model.add(program.load(place) <= limit)
         program.model.maximize(program.gain)
         known = self._known()
         status = self._run(program, known or problem.first)
@@ -206,16 +187,14 @@ class _Search:
                 known = found
             bound = min(bound, round(self._solver.best_objective_bound))
         if known is None:
-            reason = (
-                f"no choice that keeps within {problem.criterion.limits} was found with an effort of {self._effort:g}"
-            )
+            limits = problem.criterion.limits
+            reason = f"no choice that keeps within {limits} was found with an effort of {self._effort:g}"
             return Optimum(None, None, None, None, problem.resolution, False, reason)
         value = problem.effect(known).gain
-        is_first = False
-        if is_best:
-            bound = value
-            known, is_first = self._first_of_the_best(program, known, value)
-        return self._found(known, value, bound, is_first)
+        if not is_best:
+            return self._found(known, value, bound, is_proven=False)
+        known, is_first = self._first_of_the_best(program, known, value)
+        return self._found(known, value, value, is_first)
 
     def _found(self, picks: Picks, value: int, bound: int, is_proven: bool) -> Optimum:
         problem, cost = self._problem, self._problem.effect(picks).cost
@@ -255,8 +234,7 @@ class _Search:
         fitting = [(effect.gain, picks) for effect, picks in known if self._problem.fits(effect)]
         return max(fitting, key=lambda one: one[0])[1] if fitting else None
 
-    def _run(self, program: _Program, hint: Picks | None = None) -> Any:  # noqa: ANN401  # of an untyped library
-        """Solve with the effort that is left."""
+    def _run(self, program: _Program, hint: Picks | None = None) -> Untyped:
         if hint is not None:
             program.hint(hint)
         self._solver.parameters.max_deterministic_time = max(self._left, 0.0)

@@ -29,16 +29,10 @@ _log = logging.getLogger(__name__)
 PARAMETERS: Final = "KB_PARAMETERS"
 """The variable of the environment in which a process finds all its parameters, as a JSON object."""
 
-_Report = tuple[str, tuple[Any, ...]]
-"""What the knowledge base is to be told: name of its method, and the arguments, of which the component is the first."""
-
+_Report = tuple[str, tuple[Any, ...]]  # a method of the knowledge base, and its arguments: the component first
 _PLACE = re.compile(r"\{\{(\w+)\}\}|\{([^\W\d]\w*)\}")
-_MOST_DOUBLINGS: Final = 60
 _TO_DIE_S: Final = 5.0
 """How long what was killed may take to be gone, before one does without."""
-_PERIOD_OF_CLOSING_S: Final = 0.01
-_NOBODY: Final = 0
-"""No process has this number, so a guardian that is given it as a parent begins to end things at once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +76,7 @@ class Program:
             _check_text(f"the variable {name} of the environment", value)
             if not name or "=" in name:
                 raise InvalidValue(f"{name!r} cannot be the name of a variable: it is not empty and has no '='")
-        if isinstance(self.restarts, bool) or not isinstance(self.restarts, int) or self.restarts < 0:
+        if type(self.restarts) is not int or self.restarts < 0:
             raise InvalidValue(f"restarts are a whole number from 0, not {self.restarts!r}")
         for what in ("grace", "back_off", "steady"):
             value = getattr(self, what)
@@ -230,7 +224,7 @@ class ProcessComponents:
         The knowledge base that was observed last is told.
         """
         with self._lock:
-            if not self._is_open or os.getpid() != self._owner:  # a fork of this process owns none of the processes
+            if not self._is_open or os.getpid() != self._owner:  # a fork owns none of the processes
                 return
             self._is_open = False
             atexit.unregister(self.close)
@@ -240,7 +234,7 @@ class ProcessComponents:
                 is_over = time.monotonic() >= started + self._grace
                 left = [handle for handle in left if not handle.stop(kill=is_over)]
                 if left:
-                    time.sleep(_PERIOD_OF_CLOSING_S)
+                    time.sleep(0.01)
             for one in (self._guardian, *self._tidiers.values()):
                 if one is not None:
                     _dismiss(one, self._grace)
@@ -259,14 +253,12 @@ class ProcessComponents:
         return self._handles[component]
 
     def _pids(self) -> dict[str, int]:
-        """Return the numbers of the processes that are there, by component."""
         with self._lock:
             for handle in self._handles.values():
                 handle.look()
             return {name: one.process.pid for name, one in self._handles.items() if one.process is not None}
 
     def _meet(self, kb: KnowledgeBase) -> None:
-        """Tell a knowledge base what is true of what it believes to run."""
         mine = self._pids()
         for process in kb.processes:
             name, pid = process.component, process.pid
@@ -282,10 +274,10 @@ class ProcessComponents:
         if mark is None:
             return
         with self._lock:
-            self._handles[component].wait_for(pid)
+            self._handles[component].predecessors[pid] = guardian.started(pid)
             if self._is_open and mark not in self._tidiers:
                 _log.warning("the process of %s, %d, was left over and is ended", component, pid)
-                self._tidiers[mark] = _guard(mark, self._grace, _NOBODY)
+                self._tidiers[mark] = _guard(mark, self._grace, parent=0)  # nobody's number: it begins at once
 
     def _tell(self, kb: KnowledgeBase) -> None:
         with self._lock:
@@ -307,12 +299,10 @@ class ProcessComponents:
             _log.warning("the knowledge base was not told that the processes have ended: %s", error)
 
     def _have_guardian(self) -> None:
-        """See that somebody ends the processes if this one is killed."""
-        if self._guardian is not None:
-            if self._guardian.poll() is None:
-                return
+        if self._guardian is not None and self._guardian.poll() is not None:
             _dismiss(self._guardian, self._grace)
-        self._guardian = _guard(self._mark, self._grace, os.getpid())
+            self._guardian = None
+        self._guardian = self._guardian or _guard(self._mark, self._grace, os.getpid())
 
 
 class _Handle:
@@ -321,6 +311,7 @@ class _Handle:
     Attributes:
         process: as which it runs; None if it does not.
         crash: number of the process that ended by itself last, and how, in words.
+        predecessors: which processes, begun when, have to be gone before it starts; none is a child of this one.
     """
 
     def __init__(self, name: str, program: Program, clock: Callable[[], float], reports: deque[_Report]) -> None:
@@ -336,14 +327,9 @@ class _Handle:
         self._kill_at: float | None = None
         self._crashes = 0
         self._not_before = 0.0
-        self._predecessors: dict[int, int | None] = {}
-
-    def wait_for(self, predecessor: int) -> None:
-        """Do not start before a process that is not a child of this one is gone."""
-        self._predecessors[predecessor] = guardian.started(predecessor)
+        self.predecessors: dict[int, int | None] = {}
 
     def set_parameters(self, parameters: Parameters) -> None:
-        """Take parameters, for the next start if there is no way to give them to what runs."""
         self.look()
         pid = None if self.process is None else self.process.pid
         if self._program.configure is not None:
@@ -393,11 +379,9 @@ class _Handle:
             _signal_group(process.pid, signal.SIGKILL)
 
     def _is_free(self) -> bool:
-        """Tell whether everything that has to be gone is."""
-        gone = [pid for pid, began in self._predecessors.items() if began is None or guardian.started(pid) != began]
-        for pid in gone:
-            del self._predecessors[pid]
-        return not self._predecessors
+        left = {pid: began for pid, began in self.predecessors.items() if began is not None}
+        self.predecessors = {pid: began for pid, began in left.items() if guardian.started(pid) == began}
+        return not self.predecessors
 
     def _spawn(self, mark: str) -> None:
         program = self._program
@@ -433,7 +417,7 @@ class _Handle:
             self._crashes, self._not_before = 0, 0.0
             self._report("component_failed", reason)
         else:
-            self._not_before = now + self._program.back_off * 2.0 ** min(self._crashes - 1, _MOST_DOUBLINGS)
+            self._not_before = now + self._program.back_off * 2.0 ** min(self._crashes - 1, 60)
 
     def _bury(self, process: subprocess.Popen[bytes]) -> None:
         process.wait()
@@ -453,10 +437,9 @@ def _has_ended(pid: int) -> bool:
 
 
 def _signal_group(leader: int, number: signal.Signals) -> None:
-    """Send a signal to a process group, if it is still there."""
     try:
         os.killpg(leader, number)
-    except ProcessLookupError:
+    except ProcessLookupError:  # it is gone
         return
     except PermissionError as error:
         _log.warning("process group %d could not be sent %s: %s", leader, number.name, error)
@@ -464,22 +447,15 @@ def _signal_group(leader: int, number: signal.Signals) -> None:
 
 def _manner(code: int) -> str:
     """Say how a process ended, by what `subprocess` gives as its return code."""
-    if code >= 0:
-        return f"exit status {code}"
-    try:
-        return signal.Signals(-code).name
-    except ValueError:
-        return f"signal {-code}"
+    names = {one.value: one.name for one in signal.Signals}
+    return f"exit status {code}" if code >= 0 else names.get(-code, f"signal {-code}")
 
 
 @dataclass(slots=True)
 class _Switch:
-    """A component on its way to running, or without a mark to an end.
+    """A component on its way to running, or without a mark to an end; see `Operation`."""
 
-    A start has failed if the process ends by itself while somebody still asks.
-    """
-
-    handle: "_Handle"
+    handle: _Handle
     lock: RLock
     mark: str | None = None
     pid: int | None = None
@@ -502,7 +478,6 @@ class _Switch:
 
 
 def _guard(mark: str, grace: float, parent: int) -> subprocess.Popen[bytes]:
-    """Start a guardian; see its module."""
     return subprocess.Popen(
         [sys.executable, "-I", "-S", guardian.__file__, f"{guardian.MARK}={mark}", str(grace), str(parent)],
         stdin=subprocess.PIPE,

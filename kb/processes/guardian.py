@@ -14,6 +14,7 @@ import select
 import signal
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
@@ -23,9 +24,7 @@ MARK: Final = "KB_STARTED_BY"
 _PROC: Final = Path("/proc")
 _STATE, _GROUP, _STARTED = 0, 2, 19
 _ENDED: Final = (b"Z", b"X")
-_PERIOD_S = 0.2
-_PERIOD_OF_ENDING_S = 0.02
-_SURE_S = 2.0
+_SURE_S: Final = 2.0
 """Who was killed may have been about to start something: how long nothing must have turned up to be sure."""
 
 
@@ -61,7 +60,7 @@ def main(mark: str, grace: str, parent: str) -> None:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     while os.getppid() == int(parent):
-        readable, _, _ = select.select([0], [], [], _PERIOD_S)
+        readable, _, _ = select.select([0], [], [], 0.2)
         if readable and not os.read(0, 1):
             break
     _end(mark.encode(), float(grace), 0.0 if os.getppid() == int(parent) else _SURE_S)
@@ -76,7 +75,7 @@ def _end(mark: bytes, grace: float, sure: float) -> None:
             last_seen = time.monotonic()
         if time.monotonic() >= deadline:
             _send(signal.SIGKILL, carriers)
-        time.sleep(_PERIOD_OF_ENDING_S)
+        time.sleep(0.02)
 
 
 def _carriers(mark: bytes) -> list[int]:
@@ -85,10 +84,8 @@ def _carriers(mark: bytes) -> list[int]:
 
 def _send(number: signal.Signals, processes: list[int]) -> None:
     for process in processes:
-        try:
+        with suppress(OSError):
             os.kill(process, number)
-        except OSError:
-            continue
 
 
 def _pids() -> list[int]:
@@ -96,19 +93,20 @@ def _pids() -> list[int]:
 
 
 def _environment(pid: int) -> list[bytes]:
-    """Return the entries of a process's environment; none if it has ended, or is somebody else's."""
-    try:
-        return (_PROC / str(pid) / "environ").read_bytes().split(b"\0")
-    except OSError:
-        return []
+    return _read(pid, "environ").split(b"\0")
 
 
 def _fields(pid: int) -> list[bytes]:
-    """Return what the system tells of a process, from its state on; nothing if there is none."""
+    """Return what the system tells of a process, from its state on."""
+    return _read(pid, "stat").rpartition(b")")[2].split()
+
+
+def _read(pid: int, file: str) -> bytes:
+    """Return what is in a file of a process; nothing if it has ended, or is somebody else's."""
     try:
-        return (_PROC / str(pid) / "stat").read_bytes().rpartition(b")")[2].split()
+        return (_PROC / str(pid) / file).read_bytes()
     except OSError:
-        return []
+        return b""
 
 
 if __name__ == "__main__":
