@@ -24,13 +24,7 @@ _UNITS: Final = {"time": (" s", 1e3), "energy": (" J", 1e3), "collisions": ("", 
 
 
 class Place(NamedTuple):
-    """Where the robot is: at a place, or on the way from it along a corridor.
-
-    Attributes:
-        name: the place, or the one that it came from.
-        corridor: the corridor that it is in; empty at a place.
-        driven_m: how far along it [m]; what is beyond an end counts as there.
-    """
+    """Where the robot is: at a place, or on the way from it along a corridor, so far [m]; beyond an end is there."""
 
     name: str
     corridor: str = ""
@@ -68,15 +62,9 @@ class Question:
 
 @dataclass(frozen=True)
 class Leg:
-    """One corridor of a plan.
+    """One corridor of a plan: from which end to which, how configured and why, under which conditions.
 
-    Attributes:
-        corridor: its name.
-        origin, to: from which of its ends to which.
-        mode: how the robot is configured.
-        conditions: what the corridor demands, as values of attributes.
-        takes: with what switching to the mode takes.
-        why: why in this mode.
+    What it takes counts what switching to the mode takes.
     """
 
     corridor: str
@@ -290,20 +278,12 @@ class JointPlanner:
         self._crossing = lru_cache(maxsize=100_000)(self._costs.crossing)
 
     def task(self, question: Question) -> Task:
-        """Return a question as a graph.
-
-        Raises:
-            BuildingError: the question names a place or corridor that there is not.
-        """
+        """Return a question as a graph; raises BuildingError if it names a place or corridor that there is not."""
         running = running_mode(self._kb, self._function)
         return Task(self._building, question, self._modes, running, self._crossing, self._costs)
 
     def plan(self, question: Question) -> Answer:
-        """Return the best plan, proven, or a proof that there is none with the reason.
-
-        Raises:
-            BuildingError: the question names a place or corridor that there is not.
-        """
+        """Return the best plan, proven, or a proof that there is none with the reason; raises as `task`."""
         task = self.task(question)
         found = cheapest(task, task.start, task.limits)
         if found is None:

@@ -175,11 +175,7 @@ class Costs:
             check_number(one.name, getattr(self, one.name))
 
     def crossing(self, mode: Mode, length_m: float, passed: float) -> Amounts:
-        """Return what it takes to drive a length [m] past a number of obstacles.
-
-        Raises:
-            MissionError: the model does not say how fast the mode is or what it takes, or nothing that can be so.
-        """
+        """Return what it takes to drive a length [m] past obstacles; raises MissionError if the model does not say."""
         speed = mode.parameters.get("speed", math.nan)
         if not speed > 0.0:
             given = f"sets speed to {speed:g}" if "speed" in mode.parameters else "sets no speed"

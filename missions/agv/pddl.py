@@ -69,17 +69,8 @@ class Via(NamedTuple):
 class PddlNames:
     """What is called what in PDDL, where no two things of any kind have the same name, and what is so of them.
 
-    Args:
-        building: the map.
-        modes: all that there can be.
-        limited: what no more may be used up of than there is; see `Question`.
-
-    Attributes:
-        actions: the ROSA action of each corridor.
-        places: by name; where the robot is within a corridor, by the empty name.
-        modes: by name.
-        vias: the ways.
-        now: the object for how the robot is configured if that is none of the modes.
+    Modes are all that there can be; `limited` is what no more may be used up of than there is. Where the robot is in
+    a corridor is the place with the empty name, and `now` is how it is configured if that is no mode.
     """
 
     def __init__(self, building: Building, modes: Iterable[Mode], limited: Iterable[str]) -> None:

@@ -15,14 +15,7 @@ RESERVE: Final = 0.1
 
 
 class Route:
-    """Knows where the robot is, what has failed and where the light has changed; plans when one of these changes.
-
-    Args:
-        building: the map.
-        kb: the knowledge base of the robot.
-        percepts: what else was reported.
-        weights: what is minimised, see `Question`.
-    """
+    """Knows where the robot is, what has failed and where the light has changed; plans when one of these changes."""
 
     def __init__(self, building: Building, kb: KnowledgeBase, percepts: Percepts, weights: Mapping[str, float]) -> None:
         self.building, self.kb = building, kb

@@ -27,10 +27,7 @@ class FollowRoute(Composite):
     """Ticks the child for the corridor that is planned next; another one that runs is stopped first.
 
     SUCCESS at the goal, FAILURE while there is no plan, with the reason as feedback, and when a corridor is crossed.
-
-    Attributes:
-        plans: the joint plans so far, but for those that are the rest of the one before; a step names corridor, ends
-            and mode.
+    `plans` are the joint plans so far, but for those that are the rest of the one before.
     """
 
     def __init__(self, route: Route) -> None:

@@ -87,13 +87,7 @@ def _incident(words: list[str], text: str, building: Building) -> Incident:
 class BuildingWorld(World):
     """A vehicle that drives where its navigator is told to, as long as it knows where it is.
 
-    Args:
-        building: the map.
-        settings: the constants.
-        rng: of all chance.
-
-    Raises:
-        BuildingError: corridors cross one another.
+    The generator is of all chance; raises BuildingError if corridors cross one another.
     """
 
     def __init__(self, building: Building, settings: Settings, rng: Generator) -> None:

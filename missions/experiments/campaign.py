@@ -21,14 +21,9 @@ Settings = Mapping[str, str]
 
 @dataclass(frozen=True, slots=True)
 class PlannedRun:
-    """One run of a campaign.
+    """One run of a campaign; settings differ from the defaults, the task layer is None if the manager has its own.
 
-    Attributes:
-        mission: its name.
-        manager: its name.
-        task: the task layer, "bt" or "pddl"; None if the manager brings its own.
-        seed: of all its chance. The n-th run has the same seed under every manager, so that they meet the same world.
-        settings: what differs from the defaults, by name.
+    The n-th run has the same seed under every manager, so that they meet the same world.
     """
 
     mission: str
@@ -116,11 +111,7 @@ def paper_table(runs: int = 100) -> Campaign:
 
 
 def read_campaign(path: Path) -> Campaign:
-    """Read a campaign from a TOML file.
-
-    Raises:
-        MissionError: the file cannot be read, or a key or value in it is not what is expected.
-    """
+    """Read a campaign from a TOML file; raises MissionError if it cannot be read, or says what is not expected."""
     with files_tried(f"read {path}"):
         content = path.read_bytes()
     try:
@@ -140,14 +131,10 @@ def files_tried(what: str, advice: str = "") -> Iterator[None]:
 
 
 def from_data(data: Mapping[str, Any], source: str) -> Campaign:
-    """Make a campaign of plain data.
-
-    Args:
-        data: the fields of a campaign, and `rules` as short for that setting.
-        source: where it comes from, for messages.
+    """Make a campaign of plain data: its fields, and `rules` as short for that setting.
 
     Raises:
-        MissionError: a key or value is not what is expected.
+        MissionError: a key or value is not what is expected; the message names the source.
     """
     known = [*(one.name for one in fields(Campaign)), "rules"]
     for key in data:
@@ -179,11 +166,7 @@ def from_data(data: Mapping[str, Any], source: str) -> Campaign:
 
 
 def check_campaign(campaign: Campaign) -> None:
-    """Try everything of a campaign but the runs themselves: names, settings, values.
-
-    Raises:
-        MissionError: something in it does not exist or is not allowed.
-    """
+    """Try everything of a campaign but the runs; raises MissionError for what does not exist or is not allowed."""
     for task in campaign.tasks:
         check_task(task)
     if campaign.runs < 1:

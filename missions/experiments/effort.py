@@ -222,11 +222,7 @@ def survey(names: Iterable[str] = ()) -> Survey:
 
 
 def count_tree(mission: Mission) -> TreeCount:
-    """Count the nodes of the tree that the manager `bt` builds for a mission in the sea, and its modes.
-
-    Raises:
-        MissionError: the mission cannot be opened under that manager.
-    """
+    """Count the nodes of the tree that the manager `bt` builds for a mission in the sea, and its modes."""
     run = open_run(mission, manager=TreeManager)
     assert isinstance(run.controller, BaselineController)
     try:

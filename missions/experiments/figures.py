@@ -32,16 +32,9 @@ STYLE: Final[dict[Any, Any]] = {
 
 
 def distribution(comparison: Comparison, figure: str, label: str, *, clusters: bool) -> dict[str, bytes]:
-    """Draw a histogram of a figure for each manager, one above the other.
+    """Draw a histogram of a figure for each manager, one above the other; returns it by suffix: "png", "svg".
 
-    Args:
-        comparison: what is compared.
-        figure: its name among the results.
-        label: what stands at its axis.
-        clusters: whether these are search times, whose two clusters are shown, and apart those that never succeeded.
-
-    Returns:
-        The picture by the suffix of its file: "png" and "svg".
+    Of search times two clusters are shown, and apart those that never succeeded.
     """
     from matplotlib import rc_context
 
@@ -63,11 +56,7 @@ def distribution(comparison: Comparison, figure: str, label: str, *, clusters: b
 
 
 def reaction_histograms(comparison: Comparison) -> dict[str, bytes]:
-    """Draw how soon each manager reacted to each uncertainty, over a logarithmic axis [s].
-
-    Returns:
-        The picture by the suffix of its file: "png" and "svg".
-    """
+    """Draw how soon each manager reacted to each uncertainty, over a logarithmic axis [s]; returns it by suffix."""
     from matplotlib import rc_context
 
     names = comparison.uncertainties

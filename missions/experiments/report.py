@@ -3,7 +3,7 @@
 import base64
 import html
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import combinations, product
 from pathlib import Path
 from statistics import fmean, median
@@ -32,8 +32,8 @@ class Document:
     """Headings, paragraphs, tables, commands and figures, one after the other, in Markdown."""
 
     def __init__(self, title: str) -> None:
-        self._title = title
-        self._parts = [f"# {title}"]
+        self._title, self._parts = title, [f"# {title}"]
+        self.pictures: dict[str, bytes] = {}  # by the names of their files
 
     def heading(self, text: str, level: int = 2) -> None:
         self._parts.append(f"{'#' * level} {text}")
@@ -44,63 +44,60 @@ class Document:
     def items(self, texts: Sequence[str]) -> None:
         self._parts.append("\n".join(f"- {text}" for text in texts))
 
-    def commands(self, lines: Sequence[str]) -> None:
-        self._parts.append("\n".join(["```sh", *lines, "```"]))
-
     def table(self, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
         """Add a table; the first column names the rows."""
         marks = ["---", *["---:"] * (len(head) - 1)]
         lines = [f"| {' | '.join(cell.replace('|', '&#124;') for cell in row)} |" for row in (head, marks, *rows)]
         self._parts.append("\n".join(lines))
 
-    def figure(self, name: str, caption: str) -> None:
-        """Add a picture that is kept as NAME.png and NAME.svg; the page holds the second within itself."""
+    def figure(self, name: str, caption: str, drawn: Mapping[str, bytes]) -> None:
+        """Add a picture, "png" and "svg"; the page holds the second within itself."""
         self._parts.append(f"![{caption}]({name}.png)")
+        self.pictures |= {f"{name}.{suffix}": content for suffix, content in drawn.items()}
 
     def as_markdown(self) -> str:
         return "\n\n".join(self._parts) + "\n"
 
-    def as_html(self, pictures: Mapping[str, bytes]) -> str:
-        """Return the whole as a web page that holds the pictures, by the names of their files, within itself."""
+    def as_html(self) -> str:
+        """Return the whole as a web page that needs no other file."""
         from markdown_it import MarkdownIt
 
         body = MarkdownIt("commonmark", {"html": False}).enable("table").render(self.as_markdown())
-        for name, content in pictures.items():
-            data = f"data:image/svg+xml;base64,{base64.b64encode(content).decode()}"
+        for name in [one for one in self.pictures if one.endswith(".svg")]:
+            data = f"data:image/svg+xml;base64,{base64.b64encode(self.pictures[name]).decode()}"
             body = body.replace(f'src="{name.removesuffix(".svg")}.png"', f'src="{data}"')
         head = f'<meta charset="utf-8"><title>{html.escape(self._title)}</title><style>{STYLE}</style>'
         return f'<!DOCTYPE html>\n<html lang="en"><head>{head}</head>\n<body>\n{body}</body></html>\n'
 
 
-DISTANCE = "distance_inspected_m"
-HEADLINES = {SEARCH: "search time [s]", DISTANCE: "distance inspected [m]"}
+HEADLINES = {SEARCH: "search time [s]", "distance_inspected_m": "distance inspected [m]"}
 NONE = "-"
 CLEAR = 3.5
 """Separation of two clusters: above that of the halves of an even spread."""
 
 
 def write_report(kept: Kept, folder: Path) -> list[Path]:
-    """Write the report on a campaign as report.md and report.html with their pictures, and return the files.
-
-    Raises:
-        MissionError: there is nothing to report, or a file cannot be written.
-    """
+    """Write the report on a campaign as report.md and report.html with their pictures, and return the files."""
     parts = list(comparisons(kept))
     if not parts:
         ended = f"all of its {len(kept.crashed)} runs crashed" if kept.crashed else "none of its runs is done"
         raise MissionError(f"there is nothing to report of {kept.campaign.name}: {ended}")
     document = Document(f"Campaign {kept.campaign.name}")
-    pictures: dict[str, bytes] = {}
     _introduce(document, kept)
     for comparison in parts:
         document.heading(comparison.title)
-        _tell(document, comparison, pictures)
-    _tell_crashes(document, kept)
-    _tell_speed(document, parts)
-    _tell_method(document)
-    images = {name: content for name, content in pictures.items() if name.endswith(".svg")}
-    contents: dict[str, str | bytes] = {"report.md": document.as_markdown(), "report.html": document.as_html(images)}
-    return _write({**pictures, **contents}, folder)
+        _add_comparison(document, comparison)
+    _add_crashes(document, kept)
+    _add_speed(document, parts)
+    _add_method(document)
+    texts = {"report.md": document.as_markdown().encode(), "report.html": document.as_html().encode()}
+    with files_tried(f"make {folder}"):
+        folder.mkdir(parents=True, exist_ok=True)
+    contents = {**document.pictures, **texts}
+    for name, content in contents.items():
+        with OutputFile(folder / name) as file:
+            file.finish(content)
+    return [folder / name for name in contents]
 
 
 def _introduce(document: Document, kept: Kept) -> None:
@@ -113,31 +110,26 @@ def _introduce(document: Document, kept: Kept) -> None:
         document.text(f"{kept.missing} runs are still to be done: what follows is of those that are done.")
 
 
-def _tell(document: Document, comparison: Comparison, pictures: dict[str, bytes]) -> None:
+def _add_comparison(document: Document, comparison: Comparison) -> None:
     headlines = {name: label for name, label in HEADLINES.items() if name in comparison.figures}
     headlines = headlines or {name: name for name in comparison.figures[:2]}
     stem = re.sub(r"\W+", "_", comparison.title).strip("_")
-    _tell_headlines(document, comparison, headlines)
+    _add_headlines(document, comparison, headlines)
     for name, label in headlines.items():
         document.heading(f"Distribution: {label}", 3)
         if name == SEARCH:
-            _tell_clusters(document, comparison)
+            _add_clusters(document, comparison)
         drawn = distribution(comparison, name, label, clusters=name == SEARCH)
-        pictures |= _filed(document, f"{stem}_{name}", f"{label} under each manager, {comparison.title}", drawn)
+        document.figure(f"{stem}_{name}", f"{label} under each manager, {comparison.title}", drawn)
     if comparison.uncertainties:
-        _tell_reactions(document, comparison)
-        drawn = reaction_histograms(comparison)
-        pictures |= _filed(document, f"{stem}_reactions", f"reaction times, {comparison.title}", drawn)
-    _tell_contrasts(document, comparison, headlines)
-    _tell_all(document, comparison)
+        _add_reactions(document, comparison)
+        caption = f"reaction times, {comparison.title}"
+        document.figure(f"{stem}_reactions", caption, reaction_histograms(comparison))
+    _add_contrasts(document, comparison, headlines)
+    _add_all(document, comparison)
 
 
-def _filed(document: Document, name: str, caption: str, drawn: Mapping[str, bytes]) -> dict[str, bytes]:
-    document.figure(name, caption)
-    return {f"{name}.{suffix}": content for suffix, content in drawn.items()}
-
-
-def _tell_headlines(document: Document, comparison: Comparison, headlines: Mapping[str, str]) -> None:
+def _add_headlines(document: Document, comparison: Comparison, headlines: Mapping[str, str]) -> None:
     """Put the published table beside ours."""
     head = ["manager", "runs"]
     for label in headlines.values():
@@ -159,7 +151,7 @@ def _tell_headlines(document: Document, comparison: Comparison, headlines: Mappi
             document.text(f"{group.label}: {given} {source}; its reaction times are reproduced, not predicted.")
 
 
-def _tell_clusters(document: Document, comparison: Comparison) -> None:
+def _add_clusters(document: Document, comparison: Comparison) -> None:
     rows = []
     for group in comparison.groups:
         found = two_clusters(group.searches)
@@ -172,7 +164,7 @@ def _tell_clusters(document: Document, comparison: Comparison) -> None:
     document.table(["manager", "earlier cluster, mean (share)", "later cluster", "cut", "separation"], rows)
 
 
-def _tell_reactions(document: Document, comparison: Comparison) -> None:
+def _add_reactions(document: Document, comparison: Comparison) -> None:
     document.heading("Reaction times", 3)
     document.text(
         "Delay is simulated time: periods of monitors and managers, ticks, switching. Computing is time of the machine "
@@ -190,7 +182,7 @@ def _tell_reactions(document: Document, comparison: Comparison) -> None:
     document.table([*head, "computing, mean [ms]"], rows)
 
 
-def _tell_contrasts(document: Document, comparison: Comparison, headlines: Mapping[str, str]) -> None:
+def _add_contrasts(document: Document, comparison: Comparison, headlines: Mapping[str, str]) -> None:
     """Compare ours with each other manager, or without ours each two: runs with the same seed, and ranks."""
     pairs = [(later, earlier) for earlier, later in combinations(comparison.groups, 2)][::-1]
     pairs = [pair for pair in pairs if OURS in (pair[0].manager, pair[1].manager)] or pairs
@@ -213,7 +205,7 @@ def _tell_contrasts(document: Document, comparison: Comparison, headlines: Mappi
     document.table(head, [[*row, _p(p)] for row, p in zip(rows, holm(ps), strict=True)])
 
 
-def _tell_all(document: Document, comparison: Comparison) -> None:
+def _add_all(document: Document, comparison: Comparison) -> None:
     document.heading("All figures", 3)
     document.text("Mean ± standard deviation.")
     figures = [name for name in comparison.figures if not name.startswith("reaction_")]
@@ -221,33 +213,28 @@ def _tell_all(document: Document, comparison: Comparison) -> None:
     document.table(["figure", *(group.label for group in comparison.groups)], rows)
 
 
-def _tell_crashes(document: Document, kept: Kept) -> None:
+def _add_crashes(document: Document, kept: Kept) -> None:
     if kept.crashed:
         document.heading("Runs that crashed")
         document.items([f"{record['run']}: {record['error']}" for record in kept.crashed])
         document.text("Each can be run again alone; crashes.txt has their tracebacks:")
-        document.commands([record["rerun"] for record in kept.crashed])
+        document.text("\n".join(["```sh", *(record["rerun"] for record in kept.crashed), "```"]))
 
 
-def _tell_speed(document: Document, parts: Sequence[Comparison]) -> None:
-    if rows := list(_speeds(parts)):
+def _add_speed(document: Document, parts: Sequence[Comparison]) -> None:
+    rows = []
+    for comparison, group in [(one, group) for one in parts for group in one.groups if group.timings]:
+        took = [timing["wall_s"] for timing in group.timings.values()]
+        speed = sum(group.records[seed]["duration_s"] for seed in group.timings) / sum(took)
+        name = f"{comparison.title}, {group.label}"
+        rows.append([name, f"{fmean(took):.2f}", f"{max(took):.2f}", f"{speed:.0f}"])
+    if rows:
         document.heading("Speed")
         document.text("Time of one process of the machine that ran it, set-up included; depends on what else it did.")
         document.table(["mission, manager", "run, mean [s]", "longest [s]", "times real time"], rows)
 
 
-def _speeds(parts: Sequence[Comparison]) -> Iterator[list[str]]:
-    for comparison in parts:
-        for group in comparison.groups:
-            took = {seed: timing["wall_s"] for seed, timing in group.timings.items()}
-            if took:
-                simulated = sum(group.records[seed]["duration_s"] for seed in took)
-                speed = f"{simulated / sum(took.values()):.0f}"
-                mean, longest = f"{fmean(took.values()):.2f}", f"{max(took.values()):.2f}"
-                yield [f"{comparison.title}, {group.label}", mean, longest, speed]
-
-
-def _tell_method(document: Document) -> None:
+def _add_method(document: Document) -> None:
     document.heading("How it was computed")
     document.items(
         [
@@ -287,12 +274,3 @@ def _p(p: float) -> str:
 def _chance() -> numpy.random.Generator:
     """Return the chance of one estimate: always the same, so that a report is the same to the byte."""
     return numpy.random.default_rng(0)
-
-
-def _write(contents: Mapping[str, str | bytes], folder: Path) -> list[Path]:
-    with files_tried(f"make {folder}"):
-        folder.mkdir(parents=True, exist_ok=True)
-    for name, content in contents.items():
-        with OutputFile(folder / name) as file:
-            file.finish(content)
-    return [folder / name for name in contents]

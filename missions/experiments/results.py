@@ -91,12 +91,7 @@ class Store:
     """The folder of a campaign, held by the one program that runs it; used as a context.
 
     A line is complete or not there at all: what a killed program left half-written is taken away when the campaign is
-    gone on with.
-
-    Args:
-        folder: where the campaign is kept.
-        campaign: what is to be run; None for what the folder says.
-        resume: whether the folder holds the campaign already.
+    gone on with (`resume`; without a campaign, with what the folder says).
 
     Raises:
         MissionError: the folder is not what it should be, or another program holds it.
@@ -120,11 +115,7 @@ class Store:
         self._stack.close()
 
     def keep(self, outcome: Outcome) -> None:
-        """Add what came of a run, on disk when this returns.
-
-        Raises:
-            MissionError: it cannot be written, or other code than that of the campaign ran it.
-        """
+        """Add what came of a run, on disk when this returns; raises MissionError if other code ran it."""
         code = provenance()["code"]
         if outcome.code != code:
             raise MissionError(
@@ -159,11 +150,7 @@ class Store:
 
 
 def read_store(folder: Path) -> Kept:
-    """Read what the folder of a campaign holds; a last line that is half-written is passed over.
-
-    Raises:
-        MissionError: it holds no campaign, or lines of another one or of other code.
-    """
+    """Read what the folder of a campaign holds; a last line that is half-written is passed over."""
     campaign, begun_with = _head(folder)
     records, code = _lines(folder / RUNS), begun_with["code"]
     planned = [run.name for run in campaign.planned()]

@@ -72,11 +72,7 @@ def _reactions(run: MissionRun) -> tuple[list[Any], list[Any]]:
 
 
 class Workers(ABC):
-    """Where runs are done.
-
-    Attributes:
-        killed: what is raised for runs that were under way when a process died.
-    """
+    """Where runs are done; `killed` is what is raised for runs that were under way when a process died."""
 
     killed: tuple[type[Exception], ...]
 
@@ -102,11 +98,7 @@ class Workers(ABC):
 
 
 class Processes(Workers):
-    """Processes of this machine, each of which imports what it needs once.
-
-    Args:
-        count: how many; None for as many as this process may use processors.
-    """
+    """Processes of this machine, by default as many as it has processors; each imports what it needs once."""
 
     killed = (BrokenExecutor,)
 
@@ -139,14 +131,10 @@ class Processes(Workers):
 
 
 class Cluster(Workers):
-    """Workers of a dask cluster; a run during which several workers died is given up, one death only repeats it.
-
-    Args:
-        address: of its scheduler, "host:port".
-        campaign_needs: modules of missions and managers of one's own, which the workers need too.
+    """Workers of a dask cluster; a run during which several workers died is given up, one death repeats it.
 
     Raises:
-        MissionError: there is no scheduler, no worker, or one that lacks what is needed or has other versions of it.
+        MissionError: there is no scheduler, no worker, or one that lacks a module or has other versions.
     """
 
     def __init__(self, address: str, campaign_needs: Sequence[str] = ()) -> None:
@@ -290,14 +278,7 @@ class Progress(Protocol):
 
 
 def conduct(store: Store, folder: Path, workers: Workers, *, retry: bool, progress: Progress) -> list[Path]:
-    """Do every run of a campaign that is not done yet, then write and return the tables.
-
-    Args:
-        store: the folder of the campaign, held.
-        folder: the same, to be read.
-        workers: who does the runs.
-        retry: whether runs that crashed are done again.
-        progress: shows each run.
+    """Do every run that is not done yet, with `retry` those that crashed too; then write and return the tables.
 
     Raises:
         MissionError: the folder cannot be written, or the workers are out of reach.

@@ -88,13 +88,7 @@ class Field:
 class Robot:
     """What the components share.
 
-    Args:
-        settings: the constants.
-        vehicle: what flies.
-        field: where the samples are.
-        rng: all chance.
-        tell: publishes: text of the message, key, value.
-        disturb: notes what truly happened.
+    `tell` publishes (text of the message, key, value), `disturb` notes what truly happened.
     """
 
     def __init__(

@@ -84,14 +84,9 @@ def attitude_torques(axes: tuple[Vector, Vector, Vector], rates: Vector, force: 
 
 
 def mixed(thrust: float, torques: Vector, limit: float) -> list[float]:
-    """Return the thrust of each rotor [N]; (4,), each from 0 to the limit.
+    """Return the thrust of each rotor (4,), 0 to the limit, for that of all [N] and torques [N m], body frame.
 
     Where a rotor cannot give what is wanted, lift gives way first: a vehicle that keeps upright can be flown on.
-
-    Args:
-        thrust: of all together [N].
-        torques: (x, y, z) [N m], body frame.
-        limit: of one rotor [N].
     """
     x, y, z = torques[0] / (4 * ARM_M), torques[1] / (4 * ARM_M), torques[2] / (4 * REACTION_M)
     z = max(-0.1 * limit, min(0.1 * limit, z))  # heading matters least

@@ -24,9 +24,7 @@ LEVELS = {
 class UavWorld(World):
     """Time moves only in `advance`; the same settings and seed give the same floats.
 
-    Args:
-        settings: the constants.
-        rng: the only source of chance: where the samples lie, the wind, the phase of the battery monitor, the jam.
+    Chance is where the samples lie, the wind, the phase of the battery monitor, and the jam.
     """
 
     def __init__(self, settings: Settings, rng: Generator) -> None:

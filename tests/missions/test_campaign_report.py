@@ -209,7 +209,7 @@ def test_document_escapes_what_would_be_taken_for_markup():
     document = Document("a < b")
     document.table(["x|y", "<z>"], [["1", "2"]])
     assert "&#124;" in document.as_markdown()
-    page = document.as_html({})
+    page = document.as_html()
     assert "<h1>a &lt; b</h1>" in page
     assert "&lt;z&gt;</th>" in page
     assert "<z>" not in page
