@@ -248,8 +248,10 @@ def read_trace(path: str | Path) -> Trace:
     for number, text in enumerate(lines, start=1):
         try:
             line = json.loads(text)
+            if number == 1 and line["rosa_bt_trace"] != _VERSION:
+                raise ValueError(f"version {line['rosa_bt_trace']}; this program reads version {_VERSION}")
             if number == 1:
-                model = _model_of(line)
+                model = str(line["model"])
             elif "verb" in line:
                 events.append(Event.from_json(line))
             elif "tree" in line:
@@ -263,12 +265,6 @@ def read_trace(path: str | Path) -> Trace:
         except _NO_LINE as error:
             raise TraceError(f"{path}:{number}: no line of a trace ({type(error).__name__}: {error})") from None
     return Trace(model, tuple(ticks))
-
-
-def _model_of(line: dict[str, Any]) -> str:
-    if line["rosa_bt_trace"] != _VERSION:
-        raise ValueError(f"version {line['rosa_bt_trace']}; this program reads version {_VERSION}")
-    return str(line["model"])
 
 
 def _tick_of(

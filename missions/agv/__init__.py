@@ -15,8 +15,8 @@ from missions.agv.pddl import PddlNames, cross_schema, switch_schema
 from missions.agv.route import Route
 from missions.agv.tree import agv_tree
 from missions.agv.world import AgvKind
+from missions.engine.declared import by_schema
 from missions.engine.mission import Mission, Percepts
-from missions.planning.declared import by_schema
 
 __all__ = ["MAPS", "MISSION", "WEIGHTS", "agv_mission"]
 

@@ -266,7 +266,7 @@ def build_task(
 def _planning(
     mission: Mission, kb: KnowledgeBase, percepts: Percepts, clock: Callable[[], float], delay_s: float
 ) -> TaskLayer:
-    from missions.planning.declared import check_facts, mission_domain
+    from missions.engine.declared import check_facts, mission_domain
     from rosa_pddl import PlanExecutor, Planner
 
     check_facts(mission)

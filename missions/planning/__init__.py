@@ -1,1 +1,1 @@
-"""Task plans of missions: domains made of declared actions, plans asked for by hand, plans as trees and pictures."""
+"""Plans of missions that are asked for by hand, and plans as trees."""

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Final
 
 from kb import KnowledgeBase, Model
+from missions.engine.declared import check_facts, mission_domain
 from missions.engine.mission import Mission, MissionError, Percepts
-from missions.planning.declared import check_facts, mission_domain
 from rosa_pddl import Domain, Planner, PlanningResult, Problem, State, feasible_atoms, initial_state, load_domain
 from rosa_pddl.exceptions import nearest
 from rosa_pddl.formulas import Condition, conditions

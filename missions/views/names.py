@@ -10,8 +10,8 @@ from py_trees.behaviour import Behaviour
 from py_trees.trees import BehaviourTree
 
 from kb import KnowledgeBase, KnowledgeBaseError, Model
+from missions.engine.declared import declarations_of
 from missions.engine.mission import Mission, MissionError, Percepts
-from missions.planning.declared import declarations_of
 from rosa_bt import IsActionFeasible, RosaAction
 from rosa_pddl.domain import ACTION_TYPE
 from rosa_pddl.syntax import Node, Source, read_source, section, typed

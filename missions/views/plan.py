@@ -25,6 +25,10 @@ _LETTERS: Final = 38
 """After how many characters a line in a box is broken."""
 _LETTER, _LINE, _GAP, _ROW_GAP, _LANE = 6.9, 16.0, 24.0, 46.0, 16.0
 """Sizes in pixels; a letter is as wide as it is on average, with something to spare."""
+_MARKER: Final = (
+    '<defs><marker id="{}" markerWidth="8" markerHeight="8" refX="7" refY="4" orient="auto">'
+    '<path d="M0 0L8 4L0 8z" fill="{}"/></marker></defs>'
+)
 _LEGEND: Final = "dashed: earlier, it would spoil what the other step needs"
 _EDGE, _FILL, _GOAL_FILL, _LATER = "#46627f", "#eef3f8", "#d5ecd4", "#b06a00"
 
@@ -145,7 +149,7 @@ def svg_of(order: CausalOrder, title: str) -> str:
         [
             f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:g}" height="{height:g}" {font}>',
             f"<title>{escape(title)}</title>",
-            *(_marker(name, colour) for name, colour in (("so", _EDGE), ("wait", _LATER))),
+            *(_MARKER.format(name, colour) for name, colour in (("so", _EDGE), ("wait", _LATER))),
             f'<rect width="{width:g}" height="{height:g}" fill="white"/>',
             f'<text x="{_GAP:g}" y="{_GAP:g}" font-weight="bold">{escape(title)}</text>',
             *(_arrow(path, later) for path, later in paths),
@@ -229,12 +233,6 @@ def _place(rows: list[list[_Box]]) -> tuple[float, float]:
 
 def _wish(box: _Box) -> float:
     return sum(one.middle for one in box.above) / len(box.above) if box.above else 0.0
-
-
-def _marker(name: str, colour: str) -> str:
-    shape = f'<path d="M0 0L8 4L0 8z" fill="{colour}"/>'
-    size = 'markerWidth="8" markerHeight="8" refX="7" refY="4" orient="auto"'
-    return f'<defs><marker id="{name}" {size}>{shape}</marker></defs>'
 
 
 def _arrow(path: list[_Box], later: bool) -> str:

@@ -246,7 +246,9 @@ class Switch(Control):
     _running: Slot | None = None
 
     def decide(self) -> Ticking:
-        chosen = self._matching()
+        *cases, default = self.slots
+        matching = (slot for number, slot in enumerate(cases, start=1) if self._is(f"case_{number}"))
+        chosen = next(matching, default)
         if self._running is not None and self._running is not chosen:
             self._running.reset()
         verdict = yield from chosen.tick()
@@ -255,15 +257,9 @@ class Switch(Control):
             self.reset_children()
         return verdict
 
-    def _matching(self) -> Slot:
-        *cases, default = self.slots
-        numbered = (
-            (f"case_{number}", slot) for number, slot in enumerate(cases, start=1) if self.ports.exists("variable")
-        )
-        said = (slot for case, slot in numbered if self.ports.exists(case) and self._is(case))
-        return next(said, default)
-
     def _is(self, case: str) -> bool:
+        if not (self.ports.exists("variable") and self.ports.exists(case)):
+            return False
         one, other = str(self.ports.get("variable")), str(self.ports.get(case))
         try:
             return one == other or float(one) == float(other)

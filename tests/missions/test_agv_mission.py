@@ -20,8 +20,8 @@ from missions.agv.modes import Modes
 from missions.agv.route import Route
 from missions.agv.world import Settings
 from missions.engine.controller import TASK_KINDS, rosa_run
+from missions.engine.declared import mission_domain
 from missions.engine.mission import MissionError, Percepts
-from missions.planning.declared import mission_domain
 from missions.views.output import as_json
 from rosa_pddl import Planner, Problem
 from rosa_pddl.belief import Belief

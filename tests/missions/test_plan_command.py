@@ -15,9 +15,9 @@ from running import called
 
 from kb import KnowledgeBase
 from missions import suave, suave_extended
+from missions.engine.declared import by_schema, declarations_of, mission_domain
 from missions.engine.mission import MissionError
 from missions.engine.registry import MISSIONS
-from missions.planning.declared import by_schema, declarations_of, mission_domain
 from missions.planning.tree import plan_registry
 from missions.suave.tree import SearchPipeline
 from rosa_bt import load_xml

@@ -10,9 +10,9 @@ from py_trees.common import Status
 from kb import KnowledgeBase, Model
 from missions.agv import agv_mission
 from missions.engine.controller import build_task
+from missions.engine.declared import by_schema
 from missions.engine.mission import Mission, MissionError, Percepts
 from missions.engine.registry import find_mission
-from missions.planning.declared import by_schema
 from missions.planning.question import answer, ask, read_situation
 from missions.views.names import planned_names
 from missions.views.plan import lines_of
