@@ -3,8 +3,6 @@
 import heapq
 from collections.abc import Callable
 
-__all__ = ["Agenda"]
-
 
 class Agenda:
     """Events in order of time [s]; those of the same time in the order in which they were entered."""

@@ -8,8 +8,6 @@ from suave_env.settings import Settings
 from suave_env.thrusters import Thrusters
 from suave_env.vehicle import Vehicle
 
-__all__ = ["Autopilot", "Guidance", "SCurve", "Vector"]
-
 Vector = tuple[float, float, float]
 """East, north, up: world frame ENU, z up."""
 

@@ -2,8 +2,6 @@
 
 from suave_env.settings import Settings
 
-__all__ = ["Battery", "LOW_LEVEL"]
-
 LOW_LEVEL = 0.25
 """Level [1] below which the extended SUAVE mission recharges; kas-lab/suave v1.3.0."""
 

@@ -8,8 +8,6 @@ from suave_env.env import Observation, SuaveEnv
 from suave_env.exceptions import SuaveEnvError
 from suave_env.monitors import Message
 
-__all__ = ["BrokenEnvError", "check_env"]
-
 SPAN_S = 12.0
 """How long each trial of an environment is [s]: monitors publish every second, and the search has begun."""
 

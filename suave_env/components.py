@@ -17,17 +17,6 @@ from suave_env.pipeline import SEABED_Z_M
 from suave_env.settings import Settings
 from suave_env.thrusters import COUNT
 
-__all__ = [
-    "Change",
-    "Component",
-    "Components",
-    "FollowPipeline",
-    "HIGHEST_ALTITUDE_M",
-    "Recharge",
-    "RecoverThrusters",
-    "SpiralSearch",
-]
-
 HIGHEST_ALTITUDE_M = 19.0
 """Altitude above the seabed [m] that a parameter may command at most: 1 m below the surface."""
 

@@ -19,8 +19,6 @@ from suave_env.thrusters import Thrusters
 from suave_env.vehicle import Vehicle, floated, yaw_of
 from suave_env.water import THRESHOLDS_M, Water, expected_altitude
 
-__all__ = ["Observation", "SuaveEnv"]
-
 
 @dataclass(frozen=True)
 class Observation:

@@ -3,8 +3,6 @@
 import difflib
 from collections.abc import Iterable
 
-__all__ = ["SuaveEnvError", "unknown_name"]
-
 
 class SuaveEnvError(Exception):
     """The base of every error that this package raises: it says what was given, what is allowed and what exists."""

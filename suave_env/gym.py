@@ -16,8 +16,6 @@ from suave_env.monitors import Message
 from suave_env.settings import Settings
 from suave_env.thrusters import COUNT
 
-__all__ = ["ALTITUDES_M", "COMPONENTS", "OBSERVED", "SuaveGym"]
-
 COMPONENTS = ("spiral_search", "follow_pipeline", "recover_thrusters", "recharge")
 """The components, in the order of the action."""
 

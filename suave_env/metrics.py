@@ -8,8 +8,6 @@ from suave_env.battery import LOW_LEVEL
 from suave_env.components import Change
 from suave_env.water import expected_altitude
 
-__all__ = ["Disturbance", "Metrics", "Reaction", "Reactions", "Violations", "mean_reactions"]
-
 
 @dataclass(frozen=True)
 class Metrics:

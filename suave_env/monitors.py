@@ -6,19 +6,6 @@ from typing import TypedDict
 from suave_env.settings import Settings
 from suave_env.water import Water
 
-__all__ = [
-    "COMPONENT_STATUS",
-    "EA_MEASUREMENT",
-    "MISSION_STATUS",
-    "Message",
-    "Outbox",
-    "QA_STATUS",
-    "Status",
-    "ThrusterMonitor",
-    "VisibilityMonitor",
-    "thruster_words",
-]
-
 EA_MEASUREMENT = "EA measurement"
 """Text of a measurement of the environment; kas-lab/suave v1.3.0."""
 QA_STATUS = "QA status"

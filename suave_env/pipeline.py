@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 
 from suave_env.settings import Settings
 
-__all__ = ["Pipeline", "SEABED_Z_M", "VERTICES_M"]
-
 SEABED_Z_M = -20.0
 """Height of the flat seabed [m], world frame z up; the constant that every motion node of kas-lab/suave v1.3.0 uses."""
 

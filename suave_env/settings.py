@@ -10,8 +10,6 @@ from typing import TypeVar
 
 from suave_env.exceptions import SuaveEnvError, unknown_name
 
-__all__ = ["RULES", "Settings", "ThrusterEvent"]
-
 T = TypeVar("T", float, int, bool, str)
 
 RULES: Mapping[str, Mapping[str, float | bool | str]] = MappingProxyType(

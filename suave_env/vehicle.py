@@ -14,8 +14,6 @@ from suave_env.exceptions import SuaveEnvError
 from suave_env.settings import Settings
 from suave_env.thrusters import COUNT
 
-__all__ = ["Vehicle", "floated", "yaw_of"]
-
 _log = logging.getLogger(__name__)
 # MuJoCo's own handler prints, and writes a file into the working directory; what matters is raised by the autopilot
 mujoco.set_mju_user_warning(_log.debug)

@@ -4,8 +4,6 @@ import math
 
 from suave_env.settings import Settings
 
-__all__ = ["THRESHOLDS_M", "Water", "expected_altitude"]
-
 THRESHOLDS_M = (3.25, 2.25)
 """Visibilities [m] at which the highest useful search altitude changes (3, 2, 1 m); from kas-lab/suave v1.3.0."""
 

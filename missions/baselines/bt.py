@@ -22,8 +22,6 @@ from py_trees.composites import Selector, Sequence
 from missions.baselines.manager import Manager, Robot
 from missions.baselines.modes import SystemModes
 
-__all__ = ["TreeManager"]
-
 SEARCH, FOLLOW, MOTION = "f_generate_search_path", "f_follow_pipeline", "f_maintain_motion"
 RECHARGE = "f_generate_recharge_path"
 LOW_LEVEL = np.float32(0.25)

@@ -16,8 +16,6 @@ from missions.engine.mission import Message, Mission, MissionError, Percepts, Ve
 from missions.engine.runner import Controller, Seen
 from missions.suave.world import SEA, Sea
 
-__all__ = ["BaselineController"]
-
 SEARCH, INSPECT = "search_pipeline", "inspect_pipeline"
 LOW_LEVEL = 0.25
 

@@ -16,8 +16,6 @@ from missions.engine.settings import Setting
 if TYPE_CHECKING:
     from suave_env import Settings
 
-__all__ = ["Manager", "Robot"]
-
 MEASUREMENTS = ("ea measurement", "qa status")
 COMPONENT_STATUS = "component status"
 

@@ -15,19 +15,6 @@ from missions.baselines.modes import SystemModes
 from missions.engine.mission import MissionError
 from missions.engine.settings import Setting
 
-__all__ = [
-    "Design",
-    "Knowledge",
-    "Metacontrol",
-    "ONTOLOGY",
-    "Situation",
-    "Standing",
-    "best_design",
-    "read_knowledge",
-    "standing",
-    "unrealisable",
-]
-
 METAMODEL = Path(__file__).with_name("tomasys.owl")
 
 

@@ -8,8 +8,6 @@ from pathlib import Path
 from missions.baselines.manager import Manager, Robot
 from missions.engine.mission import MissionError
 
-__all__ = ["Mode", "NoManager", "RandomManager", "SystemModes"]
-
 UNGROUND = "fd_unground"
 
 

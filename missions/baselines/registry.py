@@ -10,8 +10,6 @@ from missions.engine.registry import Registry
 from missions.engine.runner import Listener, MissionRun
 from missions.engine.settings import Setting, own_values, read_values
 
-__all__ = ["MANAGERS", "OURS", "find_manager", "name_of", "open_run", "options_of"]
-
 MANAGERS: Registry[type[Manager]] = Registry(
     "manager",
     MappingProxyType(

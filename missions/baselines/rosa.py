@@ -18,8 +18,6 @@ from missions.engine.mission import Message, Percepts
 from missions.engine.settings import Setting
 from rosa_bt import TreeRunner
 
-__all__ = ["RosaManager"]
-
 INSERTING = 1
 """Calls until something that was published is known."""
 REQUESTING = 2

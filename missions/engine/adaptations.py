@@ -11,8 +11,6 @@ from kb import ComponentKind, Event, EventKind, KnowledgeBase, ReconfigurationPl
 if TYPE_CHECKING:
     from rosa_pddl import PlanRecord, Step
 
-__all__ = ["Adaptation", "AdaptationLog"]
-
 _REMEMBERED: Final = 256
 """How much news is remembered until the plan that it led to is there."""
 

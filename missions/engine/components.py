@@ -9,8 +9,6 @@ from typing import Final, NamedTuple, Protocol, Self
 
 from kb.elements import Parameters
 
-__all__ = ["Command", "CommandFailed", "Components", "Operation", "SimulatedComponents", "VERBS"]
-
 VERBS: Final = ("activate", "deactivate", "set_parameters")
 
 _AT_ONCE_S: Final = 1e-9  # a clock that counts periods misses a time by rounding

@@ -21,8 +21,6 @@ from rosa_bt import TreeRunner
 if TYPE_CHECKING:
     from rosa_pddl import PlanRecord, Step
 
-__all__ = ["OURS", "RosaController", "TASK_KINDS", "TaskLayer", "build_task", "check_task", "rosa_run"]
-
 OURS: Final = "ours"
 """The name under which the knowledge base and its configuration manager run, with the task layer that is asked for."""
 

@@ -12,23 +12,10 @@ from numpy.random import Generator
 from py_trees.behaviour import Behaviour
 
 from kb import KnowledgeBase, ManagedSystem, Model
-from missions.engine.settings import MissionError, RunSettings, Setting, near, own_values
+from missions.engine.settings import MissionError as MissionError
+from missions.engine.settings import RunSettings, near, own_values
+from missions.engine.settings import Setting as Setting
 from rosa_pddl.generation import DeclaredProblem
-
-__all__ = [
-    "Message",
-    "Mission",
-    "MissionError",
-    "Percepts",
-    "Reaction",
-    "Sample",
-    "Setting",
-    "Verdict",
-    "World",
-    "WorldKind",
-    "settings_of",
-    "split_settings",
-]
 
 Message = Mapping[str, Any]
 """Diagnostics as they travel: `{"time": s, "status": [{"name": ..., "message": ..., "values": {...}}, ...]}`."""

@@ -15,8 +15,6 @@ from typing import Any
 from missions.engine.mission import Message, MissionError
 from missions.engine.runner import MissionRun
 
-__all__ = ["failed", "header", "line_of", "measured", "read_recording", "recovered", "sensed"]
-
 
 def line_of(message: Message) -> str:
     """Return a message as one line of a recording."""

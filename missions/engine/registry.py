@@ -7,8 +7,6 @@ from typing import Any, TypeVar
 
 from missions.engine.mission import Mission, MissionError
 
-__all__ = ["MISSIONS", "Registry", "find_mission"]
-
 T = TypeVar("T")
 
 

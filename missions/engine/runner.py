@@ -15,8 +15,6 @@ from missions.engine.settings import RunSettings
 if TYPE_CHECKING:
     from rosa_pddl import PlanRecord
 
-__all__ = ["Controller", "Listener", "MissionRun", "Seen", "Trace"]
-
 SAMPLE_PERIOD_S = 0.5
 
 

@@ -6,8 +6,6 @@ from difflib import get_close_matches
 from math import inf, isfinite, nan
 from typing import Any, Self
 
-__all__ = ["Constants", "MissionError", "RunSettings", "Setting", "declared", "own_values", "read_values", "setting"]
-
 Value = bool | int | float | str
 
 

@@ -6,8 +6,6 @@ maintain motion answer a thruster failure, three search altitudes answer the vis
 
 from kb import Model
 
-__all__ = ["suave_model"]
-
 
 def suave_model(name: str = "suave") -> Model:
     """Build the model; every call gives a new one, which may be extended."""

@@ -21,8 +21,6 @@ from rosa_bt import RosaAction, feasible_then_act
 from rosa_bt.decorators import UntilSuccess
 from rosa_pddl.generation import ActionSchema, DeclaredProblem
 
-__all__ = ["InspectPipeline", "PROBLEM", "PipelineFound", "SearchPipeline", "facts", "search_and_inspect", "suave_tree"]
-
 PROBLEM: Final = DeclaredProblem(
     objects={"pipeline": "pipeline", "bluerov": "robot"}, goal=("(pipeline_inspected pipeline)",)
 )

@@ -24,8 +24,6 @@ from missions.engine.settings import declared, read_values
 if TYPE_CHECKING:
     from suave_env import Change, Settings, SuaveEnv
 
-__all__ = ["SEA", "Sea"]
-
 
 class Sea(World):
     """Adapter of the simulator to what a mission needs."""

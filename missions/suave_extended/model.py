@@ -3,8 +3,6 @@
 from kb import Model
 from missions.suave.model import suave_model
 
-__all__ = ["suave_extended_model"]
-
 
 def suave_extended_model() -> Model:
     """Build the model; searching and inspecting need a quarter of the battery, recharging needs none."""

@@ -18,8 +18,6 @@ from rosa_bt import RosaAction, do_until_unfeasible
 from rosa_bt.decorators import UntilSuccess
 from rosa_pddl.generation import ActionSchema
 
-__all__ = ["Recharge", "suave_extended_tree"]
-
 
 class Recharge(RosaAction):
     """Go to the station and recharge; finished at the first recharge after it was begun."""

@@ -30,8 +30,6 @@ from rosa_bt import TraceVisitor
 if TYPE_CHECKING:
     from rosa_pddl import PlanRecord
 
-__all__ = ["Recording", "TaskFactory", "replay"]
-
 TaskFactory = Callable[[KnowledgeBase, Percepts], Behaviour]
 """Makes what decides about actions: a tree, or a plan executor (whose clock is then `lambda: kb.now`)."""
 
