@@ -13,14 +13,13 @@ from functools import lru_cache, partial
 from math import isfinite
 from typing import Protocol, runtime_checkable
 
+from kb.explanation.reasons import Explanation
 from kb.log import Log
 from rosa_pddl.domain import Domain, Feasibility, State, Step, UpThing, head_of
 from rosa_pddl.exceptions import SensingError, UnsupportedPddlError
 from rosa_pddl.problem import Problem, feasible_atoms, initial_state, lock_of, with_costs, without_feasibility
 from rosa_pddl.resource_usage import ResourceUsage
 from rosa_pddl.validate import affected_atoms, binding_of, changes, ended, started
-
-__all__ = ["Belief", "ExpectedEffects", "FeasibilityEvents", "Sense", "Undo", "UnmetEffect", "without"]
 
 _MOST_DOMAINS = 8
 
@@ -91,12 +90,7 @@ class Belief:
         return self._sensed.facts.keys()
 
     def observe(self) -> State:
-        """Take in what is sensed; return what is true then, with what is feasible.
-
-        Raises:
-            SensingError: what is sensed is no mapping from texts to what holds and to numbers.
-            UnknownNameError: what is sensed is not of the domain.
-        """
+        """Take in what is sensed; return what is true then, with what is feasible."""
         sensed = self._read()
         # large worlds are looked at several times a tick, and mostly nothing has changed
         if self._taken_in is None or self._taken_in[0] is not self._facts or self._taken_in[1] is not sensed.facts:
@@ -200,24 +194,11 @@ class FeasibilityEvents:
         return found
 
 
-class Reason(Protocol):
-    """An element, and what its status follows from."""
-
-    @property
-    def kind(self) -> str: ...
-
-    @property
-    def name(self) -> str: ...
-
-    @property
-    def causes(self) -> "Iterable[Reason]": ...
-
-
 @runtime_checkable
 class _Explaining(Protocol):
     """What a knowledge base may offer beside feasibility; `kb.KnowledgeBase` does."""
 
-    def explain(self, element: str) -> Reason: ...
+    def explain(self, element: str) -> Explanation: ...
 
     def why(self, element: str) -> str: ...
 
@@ -253,8 +234,9 @@ class ExpectedEffects:
 
     def ended(self, step: Step, state: State) -> tuple[UnmetEffect, ...]:
         """Take in that a step ended well; return what it did not make feasible."""
+        why = self._kb.why if isinstance(self._kb, _Explaining) else "{} is unfeasible".format
         found = tuple(
-            UnmetEffect(step, action, _causes(self._kb, action), _why(self._kb, action))
+            UnmetEffect(step, action, _causes(self._kb, action), why(action))
             for action in self._expected(step, state)
             if not self._kb.is_feasible(action)
         )
@@ -298,10 +280,6 @@ def _causes(kb: Feasibility, action: str) -> frozenset[str]:
             left += causes
             found |= set() if causes else {key}
     return frozenset(found)
-
-
-def _why(kb: Feasibility, action: str) -> str:
-    return kb.why(action) if isinstance(kb, _Explaining) else f"{action} is unfeasible"
 
 
 def _without_effects(domain: Domain, unmet: Iterable[tuple[Step, str]]) -> Domain:

@@ -32,11 +32,8 @@ class Schema:
     Args:
         name: as the file spells it.
         parameters: name and type of each parameter, in order.
-        start: conditions that hold when it starts, as unified-planning expressions.
-        over_all: conditions that hold throughout.
-        end: conditions that hold when it ends.
-        start_effects: what becomes so when it starts, as unified-planning effects.
-        end_effects: what becomes so when it ends.
+        start, over_all, end: conditions that hold then, as unified-planning expressions.
+        start_effects, end_effects: what becomes so then, as unified-planning effects.
         action: the parameter (`?a` without the mark) or constant that is the ROSA action; None if there is none.
     """
 
@@ -90,12 +87,7 @@ class TimedStep:
 
 @dataclass(frozen=True)
 class Limit:
-    """How much of a resource may be used up in all, with what was used before.
-
-    Args:
-        amount: as unified-planning's expression, of numbers that no action changes.
-        is_strict: whether so much is too much already.
-    """
+    """How much of a resource may be used up in all, with what was used before; strict if so much is too much."""
 
     amount: UpThing
     is_strict: bool = False
@@ -175,18 +167,16 @@ class Domain:
                 raise PddlError(f"the knowledge base does not know the action {action!r}; {hint}", file, line or None)
         unplanned = [name for name in kb.actions if name not in self.rosa_actions]
         findings = [f"the action {name!r} of the knowledge base is never planned: {self.file}" for name in unplanned]
-        idle = [action for action in self.rosa_actions if not self._doers(action)]
+        schemas = self.schema_of.values()
+        idle = [action for action in self.rosa_actions if not any(self._may_do(one, action) for one in schemas)]
         return (
             *self.oversights,
             *findings,
             *(f"no PDDL action of {self.file} does the ROSA action {action!r}" for action in idle),
         )
 
-    def _doers(self, action: str) -> list[str]:
-        """Return the PDDL actions that may be doing a ROSA action, as far as the facts of the problem file tell."""
-        return [name for name, schema in self.schema_of.items() if self._may_do(schema, action)]
-
     def _may_do(self, schema: Schema, action: str) -> bool:
+        """Whether a PDDL action may be doing a ROSA action, as far as the facts of the problem file tell."""
         if schema.action is None or schema.action not in dict(schema.parameters):
             return schema.action == action
         kind = f"{schema.name.lower()}_action"
@@ -264,16 +254,7 @@ class Domain:
         return "(" + " ".join([predicate, *arguments]) + ")"
 
     def spelling(self, kind: str, word: str, text: str) -> str:
-        """Return a name as the files spell it.
-
-        Args:
-            kind: predicate, object, type or action.
-            word: the name in any case.
-            text: where it was met, for the message.
-
-        Raises:
-            UnknownNameError: the files have no such name.
-        """
+        """Return a name (of a predicate, object, type or action) as the files spell it; `text` is where it was met."""
         if (kind, word.lower()) not in self.inside:
             known = [self.outside[inner] for (other, _), inner in self.inside.items() if other == kind]
             raise UnknownNameError(f"{self.file} has no {kind} {word!r} (in {text!r}); {nearest(word, known)}")

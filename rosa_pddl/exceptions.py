@@ -12,11 +12,7 @@ class RosaPddlError(Exception):
 class PddlError(RosaPddlError):
     """A PDDL file cannot be used; says where, what was found and what was expected.
 
-    Args:
-        message: what was found and what was expected.
-        file: the file that the message is about.
-        line: counted from 1; None when unknown.
-        column: counted from 1; None when unknown.
+    Line and column are counted from 1; None when unknown.
     """
 
     def __init__(self, message: str, file: str | Path, line: int | None = None, column: int | None = None) -> None:

@@ -26,8 +26,6 @@ from rosa_pddl.replanning import (
 )
 from rosa_pddl.validate import StepEvent, because, missing_at_end, missing_meanwhile
 
-__all__ = ["PlanExecutor"]
-
 Factory = Callable[[Step], Behaviour]
 
 # So many answers of a planner that answers at once are taken in one tick.
@@ -35,15 +33,9 @@ _MOST_ROUNDS = 8
 
 
 class _RunningStep:
-    """A step that runs.
+    """A step that runs, by its number in the plan that is executed; None if it is of an earlier one.
 
-    Attributes:
-        number: its number in the plan that is executed; None if it is of an earlier one.
-        undo: what its start changed in what is believed.
-
-    Raises:
-        MissingBehaviourError: the factory made no behaviour. What the factory or a `setup` raises comes out as it is,
-            with a note that says for which step.
+    What the factory or a `setup` raises comes out as it is, with a note that says for which step.
     """
 
     def __init__(
@@ -267,8 +259,6 @@ class PlanExecutor(Behaviour):
         """
         self._client.catch_up()
 
-    # ---------------------------------------------------------------- hooks of py_trees
-
     def setup(self, **kwargs: object) -> None:
         """Let the planner prepare, and keep the arguments for the steps; called once before the first tick."""
         self._setup_arguments = kwargs
@@ -310,8 +300,6 @@ class PlanExecutor(Behaviour):
     def tip(self) -> Behaviour | None:
         """Return the node that ran last: that of the first step, if one runs."""
         return self.children[0].tip() if self.children else super().tip()
-
-    # ---------------------------------------------------------------- one tick
 
     def _advance(self) -> Status:
         self._cause = self._feasibility.latest()
@@ -413,8 +401,6 @@ class PlanExecutor(Behaviour):
         """Return the state to plan from: as if no step ran, so that the plan may start with what runs."""
         return without((running.undo for running in self._running), state)
 
-    # ---------------------------------------------------------------- a new plan
-
     def _take_plan(self) -> None:
         if not self._client.has_answer:
             return
@@ -446,8 +432,6 @@ class PlanExecutor(Behaviour):
             if number is not None:
                 plan = plan.with_event(StepEvent(number, False), StepEvent(number, True))
         return plan
-
-    # ---------------------------------------------------------------- executing
 
     def _start_ready(self) -> tuple[_RunningStep, ...]:
         begun: list[_RunningStep] = []

@@ -10,8 +10,6 @@ from rosa_pddl.exceptions import PddlError, UnknownNameError, nearest
 from rosa_pddl.syntax import ANY, Node, Source, parse, start_of, typed
 from rosa_pddl.validate import text_of
 
-__all__ = ["COMPARISONS", "Condition", "Formulas", "NUMBERS", "Scope", "conditions"]
-
 COMPARISONS: Final = ("<", ">", "<=", ">=")
 _CHANGES = ("assign", "increase", "decrease", "scale-up", "scale-down")
 _CONNECTIVES = ("and", "or", "not", "imply", "when", "forall", "exists")
@@ -28,12 +26,7 @@ Scope = Mapping[str, UpThing]
 
 @dataclass(frozen=True)
 class Condition:
-    """A condition that is no conjunction.
-
-    Args:
-        text: as the files spell it, with single spaces.
-        expression: the same as unified-planning's expression.
-    """
+    """A condition that is no conjunction, as the files spell it, and as unified-planning's expression."""
 
     text: str
     expression: UpThing
@@ -43,13 +36,7 @@ class Condition:
 
 
 def conditions(domain: Domain, text: str) -> tuple[Condition, ...]:
-    """Read a condition; a conjunction gives its parts.
-
-    Raises:
-        PddlError: the text is no PDDL.
-        UnknownNameError: it mentions what the domain does not have.
-        UnsupportedPddlError: it computes with numbers.
-    """
+    """Read a condition; a conjunction gives its parts."""
     where = f"condition {text.strip()!r}"
     source = parse(text, where, "(predicate object)")
     if not source.root.children:
@@ -68,12 +55,7 @@ class Formulas:
         self.manager = domain.up_problem.environment.expression_manager
 
     def condition(self, node: Node, scope: Scope, place: str) -> UpThing:
-        """Read a condition, without times and numbers.
-
-        Raises:
-            PddlError: it is none, or uses a name otherwise than it is declared.
-            UnsupportedPddlError: it computes with numbers.
-        """
+        """Read a condition, without times and numbers."""
         head, rest = node.head, node.children[1:]
         if not node.is_list:
             raise self.source.error(node, f"found {node.word!r}, expected a list such as '({node.word})'")

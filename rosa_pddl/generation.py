@@ -15,8 +15,6 @@ from rosa_pddl.problem import limits_of
 from rosa_pddl.reader import build_domain
 from rosa_pddl.syntax import Node, Source, listed, parse, typed
 
-__all__ = ["ActionSchema", "Declarations", "DeclaredProblem"]
-
 _CONNECTIVES: Final = frozenset({"and", "or", "not", "imply", "when"})
 _NUMERIC: Final = frozenset({"<", ">", "<=", ">=", "assign", "increase", "decrease", "scale-up", "scale-down"})
 _TIMED: Final = frozenset({("at", "start"), ("at", "end"), ("over", "all")})
@@ -139,8 +137,6 @@ class Declarations:
         domain = Source(file.format("domain"), self._domain_lists())
         return build_domain(domain, Source(file.format("problem"), self._problem_lists()))
 
-    # ---------------------------------------------------------------- checks
-
     def _check_problem(self) -> None:
         problem = self.problem
         if not self.schemas:
@@ -174,8 +170,6 @@ class Declarations:
             if isinstance(amount, str):
                 used.join(used.numbers, _parsed(amount, self._place), {}, self._place)
         return used
-
-    # ---------------------------------------------------------------- what files would say
 
     @property
     def _has_costs(self) -> bool:
@@ -248,13 +242,7 @@ class Declarations:
 
 
 class _Signatures:
-    """Keeps of each predicate and number the least types that fit all its uses; names are in lower case.
-
-    Args:
-        objects: the type of each object.
-        above: for each subtype the type above it.
-        predicates: those that are known beforehand, with the types of their arguments.
-    """
+    """Keeps of each predicate and number the least types that fit all its uses; names are in lower case."""
 
     def __init__(self, objects: Mapping[str, str], above: Mapping[str, str], predicates: Mapping[str, _Kinds]) -> None:
         self._objects = {name.lower(): kind.lower() for name, kind in objects.items()}
@@ -265,11 +253,7 @@ class _Signatures:
         self.constants: set[str] = set()
 
     def read(self, node: Node, scope: _Scope, place: str) -> None:
-        """Take in a condition or an effect whose variables have the types of the scope.
-
-        Raises:
-            PddlError: it is no formula, or uses a predicate otherwise than another one does.
-        """
+        """Take in a condition or an effect whose variables have the types of the scope."""
         for atom, inner in _atoms(node, scope, place):
             if atom.head == "=":
                 self._kinds(atom, inner, place)
@@ -435,9 +419,6 @@ def _number(value: float | str) -> Node | str:
         return _parsed(value, value)
     short = f"{value:.12g}"
     return short if float(short) == value else format(Decimal(str(value)), "f")
-
-
-# ---------------------------------------------------------------- as text
 
 
 class _AsStated:

@@ -21,8 +21,6 @@ from rosa_pddl.outcomes import PlanningResult
 from rosa_pddl.problem import Problem, action_costs, exact, lock_of
 from rosa_pddl.validate import mentioned_atoms
 
-__all__ = ["Goal", "GoalSimplifier", "Goals", "PlanningTask", "SoftGoals"]
-
 _MOST_REMEMBERED = 64
 
 
@@ -103,9 +101,7 @@ class Goals:
         """Give up a goal.
 
         Raises:
-            GoalError: it is no text, or there is no such goal.
-            PddlError: the text is no PDDL.
-            UnknownNameError: it mentions what the domain does not have.
+            GoalError: there is no such goal; or as `add` does.
         """
         read = [part.text for part in self._read(text)]
         for one in read:
@@ -119,9 +115,7 @@ class Goals:
         """Put other goals, which must be reached, in place of all there are; none at all leaves nothing to do.
 
         Raises:
-            GoalError: one is no text.
-            PddlError: a text is no PDDL.
-            UnknownNameError: one mentions what the domain does not have.
+            As `add` does.
         """
         read = [part for text in texts for part in self._read(text)]
         before, self._goals = self._goals, {part.text: Goal(part.text, part.expression) for part in read}
@@ -195,18 +189,9 @@ class GoalSimplifier:
 
 
 class SoftGoals:
-    """Goals that may be given up, compiled into a domain with actions that settle each.
+    """Goals that may be given up, compiled into a domain with actions that collect or forgo each.
 
-    Args:
-        base: the domain without.
-        goals: at least one.
-
-    Attributes:
-        domain: with actions that collect or forgo each goal.
-        goal: what must hold for all to be settled, as unified-planning's expression.
-
-    Raises:
-        UnsupportedPddlError: the problem has a metric that is no action cost.
+    When `goal` holds, an expression of unified-planning, all are settled.
     """
 
     def __init__(self, base: Domain, goals: tuple[Goal, ...]) -> None:
@@ -314,11 +299,7 @@ class PlanningTask:
         self._soft: tuple[Domain, tuple[Goal, ...], SoftGoals] | None = None
 
     def problem(self, state: State, goals: Goals) -> Problem:
-        """Return what to ask the planner.
-
-        Raises:
-            UnsupportedPddlError: there are soft goals, and the metric is no action cost.
-        """
+        """Return what to ask the planner; refuse soft goals if the metric is no action cost."""
         hard = self._simplifier.simplified((goal.expression for goal in goals.hard), state)
         if not goals.soft:
             return Problem(self._effects.domain, state, hard, self._numbers())

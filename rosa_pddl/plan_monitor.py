@@ -24,8 +24,6 @@ from rosa_pddl.validate import (
     replay,
 )
 
-__all__ = ["PlanExecution", "PlanMonitor", "ResourceLimits"]
-
 # Costs are sums of decimal numbers: less than this is no difference.
 _SAME_COST = 1e-9
 
@@ -213,11 +211,7 @@ def _interfere(one: _Touched, other: _Touched) -> bool:
 
 
 class ResourceLimits:
-    """The limits of a domain's resources, if it has any: numbers that decide whether there is a plan.
-
-    Raises:
-        UnsupportedPddlError: an amount is no sum of numbers and numeric facts.
-    """
+    """The limits of a domain's resources, if it has any: numbers that decide whether there is a plan."""
 
     def __init__(self, domain: Domain) -> None:
         self._domain, self._usage = domain, ResourceUsage(domain)
@@ -286,11 +280,7 @@ def _only_grows(amount: UpThing) -> bool:
 
 
 class PlanMonitor:
-    """Whether the plan that is executed will still do.
-
-    Raises:
-        UnsupportedPddlError: the metric cannot be kept.
-    """
+    """Whether the plan that is executed will still do."""
 
     def __init__(self, effects: ExpectedEffects, numbers: Callable[[], _Numbers]) -> None:
         self._effects, self._numbers = effects, numbers

@@ -1,13 +1,13 @@
 """From what the knowledge base says and the mission senses to the problem that a planner gets."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from threading import Lock
 from typing import TypeAlias
 from weakref import WeakKeyDictionary
 
-from rosa_pddl.domain import Domain, Feasibility, Schema, State, UpThing, head_of
+from rosa_pddl.domain import Domain, Feasibility, State, UpThing, head_of
 from rosa_pddl.exceptions import UnknownNameError, UnsupportedPddlError, nearest
 from rosa_pddl.validate import text_of
 
@@ -41,19 +41,18 @@ class Problem:
     costs: Mapping[str, float] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
-        if self.costs:
-            _check_numeric(self.domain, self.costs)
+        numeric = self.domain.numeric if self.costs else frozenset()
+        for text in self.costs:
+            head = head_of(self.domain.atom(text))
+            if head not in numeric:
+                raise UnknownNameError(f"{text!r} is no numeric fact of {self.domain.file}; {nearest(head, numeric)}")
 
     @property
     def wanted(self) -> tuple[UpThing, ...]:
         return tuple(self.domain.up_problem.goals) if self.goals is None else self.goals
 
     def build(self) -> UpThing:
-        """Make the same for unified-planning, with every action instantaneous.
-
-        Raises:
-            UnsupportedPddlError: the metric cannot be kept when steps run one after the other.
-        """
+        """Make the same for unified-planning, with every action instantaneous; refuse a metric that this breaks."""
         problem = _sequential(self.domain)
         true = problem.environment.expression_manager.TRUE()
         for atom in sorted(self.state):
@@ -68,20 +67,8 @@ class Problem:
         return problem
 
 
-def _check_numeric(domain: Domain, texts: Iterable[str]) -> None:
-    numeric = domain.numeric
-    for text in texts:
-        head = head_of(domain.atom(text))
-        if head not in numeric:
-            raise UnknownNameError(f"{text!r} is no numeric fact of {domain.file}; {nearest(head, numeric)}")
-
-
 def exact(value: float | Fraction) -> Exact:
-    """Return a number as it is written in decimals, so that sums are exact: 0.1 is a tenth.
-
-    Raises:
-        ValueError: it is none, or infinite.
-    """
+    """Return a number as it is written in decimals, so that sums are exact: 0.1 is a tenth."""
     if isinstance(value, int):
         return value
     if isinstance(value, float) and value.is_integer() and abs(value) < _ALL_WHOLE:
@@ -148,11 +135,7 @@ def _sequential(domain: Domain) -> UpThing:
 
 
 def action_costs(domain: Domain) -> UpThing:
-    """Return the action costs to minimise; None for the number of steps, which stands in for a makespan too.
-
-    Raises:
-        UnsupportedPddlError: the metric is something else.
-    """
+    """Return the action costs to minimise; None for the number of steps, which stands in for a makespan too."""
     metrics = domain.up_problem.quality_metrics
     if not metrics or metrics[0].is_minimize_makespan() or metrics[0].is_minimize_sequential_plan_length():
         return None
@@ -181,10 +164,15 @@ def _instantaneous(action: UpThing, domain: Domain) -> UpThing:
     schema = domain.schema_of[domain.outside[action.name]]
     parameters = {parameter.name: parameter.type for parameter in action.parameters}
     made = InstantaneousAction(action.name, parameters, action.environment)
-    for condition in schema.start + _not_of_its_own_making(schema):
+    # what its own effects at start make true is no condition; what those at end overwrite is no effect
+    brought = {(one.fluent, one.value.is_true()) for one in schema.start_effects if _is_certain(one)}
+    overwritten = {one.fluent for one in schema.end_effects if _is_certain(one)}
+    later = (one for one in schema.over_all + schema.end if _literal(one) not in brought)
+    lasting = (one for one in schema.start_effects if one.fluent not in overwritten)
+    for condition in (*schema.start, *later):
         made.add_precondition(condition)
     try:
-        for effect in (*_lasting(schema), *schema.end_effects):
+        for effect in (*lasting, *schema.end_effects):
             made.add_effect(effect.fluent, effect.value, effect.condition, effect.forall)
     except UPException as error:
         message = f"the effects of {schema.name} contradict one another when it is made instantaneous: {error}"
@@ -194,18 +182,6 @@ def _instantaneous(action: UpThing, domain: Domain) -> UpThing:
         if schema.name in resource.uses:
             made.add_increase_effect(resource.fluent, resource.uses[schema.name])
     return made
-
-
-def _not_of_its_own_making(schema: Schema) -> tuple[UpThing, ...]:
-    """Return the later conditions that the action's own effects at start do not make true."""
-    made = {(effect.fluent, effect.value.is_true()) for effect in schema.start_effects if _is_certain(effect)}
-    return tuple(c for c in schema.over_all + schema.end if _literal(c) not in made)
-
-
-def _lasting(schema: Schema) -> Iterable[UpThing]:
-    """Return the effects at start that the effects at end leave as they are."""
-    overwritten = {effect.fluent for effect in schema.end_effects if _is_certain(effect)}
-    return (effect for effect in schema.start_effects if effect.fluent not in overwritten)
 
 
 def _is_certain(effect: UpThing) -> bool:

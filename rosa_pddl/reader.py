@@ -27,8 +27,6 @@ from rosa_pddl.syntax import (
     typed,
 )
 
-__all__ = ["build_domain", "lineage_of", "load_domain", "parse_domain", "resources_of", "schema_of"]
-
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?")
 _TIMES = {("at", "start"): "start", ("at", "end"): "end", ("over", "all"): "over_all"}
@@ -64,28 +62,12 @@ def parse_domain(
     names: tuple[str, str] = ("domain.pddl", "problem.pddl"),
     actions: Mapping[str, str] | None = None,
 ) -> Domain:
-    """Read a PDDL domain and problem that are texts, as `load_domain` does files.
-
-    Args:
-        domain: text of the domain.
-        problem: text of the problem.
-        names: what to call them in messages.
-        actions: for PDDL actions the ROSA action that they do, as for `load_domain`.
-
-    Raises:
-        PddlError, UnknownNameError, UnsupportedPddlError: as `load_domain`.
-    """
+    """Read a PDDL domain and problem that are texts, as `load_domain` does files; messages call them by `names`."""
     return build_domain(parse(domain, names[0]), parse(problem, names[1]), actions or {})
 
 
 def build_domain(domain: Source, problem: Source, actions: Mapping[str, str] | None = None) -> Domain:
-    """Make the domain of two PDDL files, as `load_domain` does.
-
-    Args:
-        domain: the lists of the domain file.
-        problem: those of the problem file.
-        actions: for PDDL actions the ROSA action that they do, as for `load_domain`.
-    """
+    """Make the domain of two PDDL files, as `load_domain` does."""
     check_frames(domain, problem)
     try:
         read = _Reader(domain, problem, actions or {}, has_object=False).domain()
@@ -96,20 +78,10 @@ def build_domain(domain: Source, problem: Source, actions: Mapping[str, str] | N
     return read
 
 
-# ---------------------------------------------------------------- which ROSA action a PDDL action does
-
-
 def _rosa_action_of(
     name: str, conditions: Iterable[UpThing], parameters: Iterable[UpThing], outside: Mapping[str, str]
 ) -> str | None:
-    """Return the parameter (without its mark) or the constant that is the ROSA action; None if there is none.
-
-    Args:
-        name: of the PDDL action.
-        conditions: of it, as unified-planning expressions.
-        parameters: of it, as unified-planning has them.
-        outside: the files' spelling by unified-planning's names.
-    """
+    """Return the parameter (without its mark) or the constant that is the ROSA action; None if there is none."""
     said = {outside[one.fluent().name].lower(): one for one in conditions if one.is_fluent_exp() and len(one.args) == 1}
     for predicate in (f"{name.lower()}_action", FEASIBLE):
         if predicate in said:
@@ -119,9 +91,6 @@ def _rosa_action_of(
         one.name for one in parameters if one.type.is_user_type() and outside[one.type.name].lower() == ACTION_TYPE
     ]
     return actions[0] if len(actions) == 1 else None
-
-
-# ---------------------------------------------------------------- from lists to the model
 
 
 class _ObjectNeeded(Exception):
@@ -526,12 +495,7 @@ def _time_of(node: Node) -> str | None:
 
 
 def _timed(source: Source, schema: Node, node: Node, *, is_effect: bool) -> Iterator[tuple[str, Node]]:
-    """Yield what an action needs, or does, and when: durative actions say when, and others must not.
-
-    Raises:
-        PddlError: one does otherwise.
-        UnsupportedPddlError: an effect at one time depends on a condition at another.
-    """
+    """Yield what an action needs, or does, and when: durative actions say when, and others must not."""
     if schema.head == ":action":
         _refuse_times(source, schema, node)
         yield ("end" if is_effect else "start"), node
@@ -549,10 +513,8 @@ def _timed(source: Source, schema: Node, node: Node, *, is_effect: bool) -> Iter
         condition, effect = node.children[1:]
         at = _time_of(effect)
         if at is None or at != _time_of(condition):
-            message = (
-                f"found {start_of(node)!r}: an effect at one time that depends on another is not supported by any "
-            )
-            message += "engine of unified-planning. Write (when (at end ...) (at end ...)), or two actions"
+            message = f"found {start_of(node)!r}: an effect at one time that depends on another is not supported by "
+            message += "any engine of unified-planning. Write (when (at end ...) (at end ...)), or two actions"
             raise source.unsupported(node, message)
         yield at, listed(node.children[0], condition.children[2], effect.children[2])
     else:
@@ -583,9 +545,6 @@ def _increases(node: Node) -> Iterator[Node]:
         yield from _increases(child)
 
 
-# ---------------------------------------------------------------- from the model to schemas
-
-
 def lineage_of(type_: UpThing, outside: Mapping[str, str]) -> Iterator[str]:
     while type_ is not None:
         yield outside[type_.name].lower()
@@ -593,11 +552,7 @@ def lineage_of(type_: UpThing, outside: Mapping[str, str]) -> Iterator[str]:
 
 
 def schema_of(action: UpThing, outside: Mapping[str, str], file: str) -> Schema:
-    """Return an action as unified-planning read it in the view of ROSA.
-
-    Raises:
-        UnsupportedPddlError: it changes while it runs, or is of another kind.
-    """
+    """Return an action as unified-planning read it in the view of ROSA."""
     name = outside[action.name]
     if hasattr(action, "conditions"):
         parts = _parts_in_time(action, name, file)

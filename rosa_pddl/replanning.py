@@ -15,19 +15,6 @@ from rosa_pddl.plan_monitor import PlanExecution, PlanMonitor
 from rosa_pddl.planner import awaited
 from rosa_pddl.problem import Problem, unlimited
 
-__all__ = [
-    "Decision",
-    "PlanRecord",
-    "PlannerClient",
-    "PlanningState",
-    "PlansAhead",
-    "Replanning",
-    "ReplanningPolicy",
-    "decide",
-    "news_of",
-    "wait_s",
-]
-
 _LOG = logging.getLogger(__name__)
 
 # Sums of tick lengths miss the due time by rounding; no clock of ours tells less than this apart [s].
@@ -161,11 +148,7 @@ class PlannerClient:
         return answer
 
     def catch_up(self) -> None:
-        """Wait for an answer that is due.
-
-        Raises:
-            PlanningBudgetError: it needed more wall-clock time than the planner allows.
-        """
+        """Wait for an answer that is due, as long as the planner allows."""
         if self._future is None or self._delay_s is None or not self._is_due():
             return
         try:

@@ -25,9 +25,9 @@ _UNSUPPORTED = {
     "make it an effect of actions",
     ":process": "it changes numbers while time passes; ENHSP (up-enhsp) would do",
     ":event": "it happens by itself; ENHSP (up-enhsp) would do",
-    ":task": "hierarchies are not executed here; Aries (up-aries) by itself would do",
-    ":method": "hierarchies are not executed here; Aries (up-aries) by itself would do",
-    ":htn": "hierarchies are not executed here; Aries (up-aries) by itself would do",
+    **dict.fromkeys(
+        (":task", ":method", ":htn"), "hierarchies are not executed here; Aries (up-aries) by itself would do"
+    ),
     ":constraints": "what shall hold on the way is not planned for; SymK (up-symk) after compilation would do",
 }
 _METRICS = ("minimize (total-cost)", "minimize (total-time)")
@@ -44,14 +44,7 @@ _REQUIREMENTS = (
 
 @dataclass(frozen=True)
 class Node:
-    """A word, or a list in parentheses, and where it stands.
-
-    Args:
-        word: the word as written; None for a list.
-        children: what the list holds; empty for a word.
-        line: counted from 1; 0 if it stands in no file.
-        column: counted from 1; 0 likewise.
-    """
+    """A word, or a list in parentheses, which has no word; line and column are 0 if it stands in no file."""
 
     word: str | None
     children: tuple["Node", ...]
@@ -109,22 +102,15 @@ def start_of(node: Node) -> str:
 
 
 def typed(source: Source, nodes: Iterable[Node], *, are_variables: bool = False) -> list[tuple[Node, Node | None]]:
-    """Read a typed list such as `a b - t c`; return each name with its type, None if it has none.
-
-    Raises:
-        PddlError: it holds something else, or a name of the wrong kind.
-        UnsupportedPddlError: a type is one of several.
-    """
+    """Read a typed list such as `a b - t c`; return each name with its type, None if it has none."""
     found: list[tuple[Node, Node | None]] = []
     waiting: list[Node] = []
     before = ""
     for node in nodes:
         expects_type, before = before == "-", str(node)
         if expects_type and node.head == "either":
-            message = (
-                "found '(either ...)': no engine of unified-planning takes a type of several; Fast Downward by itself"
-            )
-            raise source.unsupported(node, f"{message} would do. Declare a type above them")
+            message = "found '(either ...)': no engine of unified-planning takes a type of several; Fast Downward by "
+            raise source.unsupported(node, message + "itself would do. Declare a type above them")
         if node.is_list:
             raise source.error(node, f"found {start_of(node)!r}, expected {'a type' if expects_type else 'a name'}")
         if expects_type:
@@ -145,11 +131,6 @@ class _Open:
 
 
 def read_source(path: str | Path) -> Source:
-    """Read one PDDL file.
-
-    Raises:
-        PddlError: the file cannot be read, or its parentheses do not balance.
-    """
     try:
         text = Path(path).read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
@@ -159,16 +140,7 @@ def read_source(path: str | Path) -> Source:
 
 
 def parse(text: str, file: str, expected: str = "(define ...)") -> Source:
-    """Parse PDDL text into its one outermost list.
-
-    Args:
-        text: PDDL.
-        file: what to call it in messages.
-        expected: what the list should be, for messages.
-
-    Raises:
-        PddlError: there is no list, more than one, or its parentheses do not balance.
-    """
+    """Parse PDDL text into its one outermost list; messages call it by `file`, and say what was `expected`."""
     stack: list[_Open] = []
     root: Node | None = None
     for token, line, column in _tokens(text):
@@ -219,16 +191,10 @@ def _unclosed(left_open: _Open, file: str, before: str) -> PddlError:
 
 
 def check_frames(domain: Source, problem: Source) -> None:
-    """Assure that both files have the sections that they need, no others, and belong together.
-
-    Raises:
-        PddlError: a section is missing, misspelt, there twice, or of another domain.
-        UnsupportedPddlError: a section that cannot be planned for or executed.
-    """
+    """Assure that both files have the sections that they need, no others, and belong together."""
     _check_frame(domain, "domain", _DOMAIN)
     _check_frame(problem, "problem", _PROBLEM)
-    _check_problem(problem)
-    _check_belongs(domain, problem)
+    _check_problem(problem, domain)
 
 
 def section(source: Source, *heads: str) -> list[Node]:
@@ -237,11 +203,7 @@ def section(source: Source, *heads: str) -> list[Node]:
 
 
 def body_of(source: Source, schema: Node) -> dict[str, Node]:
-    """Return the parts of an action by their keywords.
-
-    Raises:
-        PddlError: it has no name, no duration though it takes time, or a part that there is not.
-    """
+    """Return the parts of an action by their keywords."""
     if len(schema.children) < 2 or schema.children[1].is_list or schema.children[1].lower.startswith(":"):
         raise source.error(schema, f"found {start_of(schema)!r}, expected '({schema.head} NAME ...)'")
     allowed, name = BODY[schema.head], schema.children[1]
@@ -286,25 +248,19 @@ def _check_frame(source: Source, what: str, sections: Collection[str]) -> None:
             raise source.error(node, f"{message} {first[node.head].line}")
 
 
-def _check_problem(source: Source) -> None:
-    root = source.root
+def _check_problem(source: Source, domain: Source) -> None:
+    root, title = source.root, domain.root.children[1].children[1]
     for needed in (":domain", ":init", ":goal"):
         if all(node.head != needed for node in root.children):
             raise source.error(root, f"the problem has no '({needed} ...)'")
     for node in root.children[2:]:
         parts = node.children[1:]
+        if node.head == ":domain" and [part.lower for part in parts] != [title.lower]:
+            message = f"found {start_of(node)!r}, expected '(:domain {title})', as {domain.file} is called"
+            raise source.error(node, message)
         if node.head == ":goal" and len(parts) != 1:
             message = f"found {len(parts)} conditions in (:goal ...), expected one; join them with (and ...)"
             raise source.error(node, message)
         if node.head == ":metric" and " ".join(str(part).lower() for part in parts) not in _METRICS:
             message = f"found {start_of(node)!r}, which is not planned for; expected none, or one of "
             raise source.unsupported(node, message + " and ".join(f"'(:metric {one})'" for one in _METRICS))
-
-
-def _check_belongs(domain: Source, problem: Source) -> None:
-    title = domain.root.children[1].children[1]
-    for node in problem.root.children[2:]:
-        if node.head == ":domain" and [child.lower for child in node.children[1:]] != [title.lower]:
-            raise problem.error(
-                node, f"found {start_of(node)!r}, expected '(:domain {title})', as {domain.file} is called"
-            )

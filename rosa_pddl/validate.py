@@ -73,14 +73,7 @@ def replay(
 
     Conditions at the start or at the end hold just before; what holds over all does so from just after the start until
     just before the end; of two things that happen at once, none may change what the other needs or changes.
-
-    Args:
-        domain: what `load_domain` returned.
-        steps: of the plan.
-        moments: starts and ends in their order; those of one moment happen at once.
-        state: the true atoms.
-        running: steps that have started already. Their conditions at the end are passed over: the world may bring them
-            about until then.
+    Of steps that are running already, the conditions at the end are passed over: the world may bring them about.
 
     Returns:
         Why it cannot be done, in words, None if it can; and the true atoms in the end, or where it broke off.
@@ -154,14 +147,7 @@ def flaw(domain: Domain, steps: Iterable[Step], state: State, goals: Iterable[Up
 def schedule_flaw(
     domain: Domain, schedule: Sequence[TimedStep], state: State, goals: Iterable[UpThing] | None = None
 ) -> str | None:
-    """Why a schedule does not lead from a state to the goal, in words; None if it does.
-
-    Args:
-        domain: what `load_domain` returned.
-        schedule: the plan, whose steps may overlap.
-        state: the true atoms.
-        goals: what shall hold in the end, as unified-planning expressions; by default the goal of the problem file.
-    """
+    """Why a schedule, whose steps may overlap, does not lead from a state to the goal; as `flaw`."""
     for timed in schedule:
         if not _lasts_as_declared(domain, timed):
             return f"{timed.step} takes {timed.duration_s:g} s, which is not its duration"
