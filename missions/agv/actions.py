@@ -138,14 +138,12 @@ class Planned:
 
 
 def cross(planning_state: PlanningState, step: Step) -> Cross:
-    """Make the behaviour that crosses a corridor as it was planned."""
     _, way, _, _, mode = step.arguments
     leg = planning_state.leg(way, mode)
     return Cross(planning_state.route, planning_state.pddl.by_way[way].corridor, lambda: leg)
 
 
 def switch(planning_state: PlanningState, step: Step) -> Switch:
-    """Make the behaviour that changes to the mode that was planned."""
     return Switch(planning_state.route, planning_state.pddl.by_mode[step.arguments[-1]])
 
 

@@ -46,6 +46,14 @@ class Corridor:
         """Return the end that is not this one."""
         return self.ends[1] if self.ends[0] == place else self.ends[0]
 
+    def check(self) -> None:
+        """Raise BuildingError unless its numbers can be so."""
+        where = f"of corridor {self.name} is"
+        is_long, is_finite = 0.0 < self.length_m < math.inf, 0.0 <= self.obstacles < math.inf
+        _need(is_long, f"length_m {where} {self.length_m:g}; it must be more than 0 and finite")
+        _need(is_finite, f"obstacles {where} {self.obstacles:g}; it must be 0 or more and finite")
+        _need(0.0 <= self.light <= 1.0, f"light {where} {self.light:g}; it must be from 0 to 1")
+
 
 @dataclass(frozen=True)
 class Building:
@@ -76,7 +84,7 @@ class Building:
                 self.check_place(end, f"corridor {name}")
             one, two = corridor.ends
             _need(one != two, f"corridor {name} leads from {one} to itself; take it out")
-            _check_numbers(corridor)
+            corridor.check()
         self.check_place(self.start, "start")
         self.check_place(self.goal, "goal")
         self._check_connected()
@@ -182,16 +190,6 @@ def _number(what: str, told: object) -> float:
     if isinstance(told, bool) or not isinstance(told, int | float) or not abs(told) <= sys.float_info.max:
         raise BuildingError(f"{what} is {told!r:.40}; a finite number is needed")
     return float(told)
-
-
-def _check_numbers(corridor: Corridor) -> None:
-    rules = (
-        ("length_m", 0.0 < corridor.length_m < math.inf, "more than 0 and finite"),
-        ("obstacles", 0.0 <= corridor.obstacles < math.inf, "0 or more and finite"),
-        ("light", 0.0 <= corridor.light <= 1.0, "from 0 to 1"),
-    )
-    for key, holds, needed in rules:
-        _need(holds, f"{key} of corridor {corridor.name} is {getattr(corridor, key):g}; it must be {needed}")
 
 
 def _check_keys(what: str, given: Iterable[str], known: tuple[str, ...]) -> None:

@@ -1,6 +1,7 @@
 """The building as a world of missions; the simulator is imported when a mission is run in it, not before."""
 
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
@@ -19,6 +20,7 @@ from missions.engine.mission import Message, MissionError, Percepts, Sample, Set
 from missions.engine.settings import Constants, setting
 
 _OWN: Final = "own choice"
+_INCIDENT: Final = re.compile(r"(?:(\S+) (fails|recovers)|(dark|light)) in (\S+)")
 _PAPER: Final = "ROSA paper, AGV use case; where along the corridor: own choice"
 
 _STAND: Final = Aim(0.0, 0.0)
@@ -63,25 +65,22 @@ class Incident(NamedTuple):
 
 def incidents(text: str, building: Building) -> tuple[Incident, ...]:
     """Read what shall happen; raises MissionError if that cannot be read, or names what there is not."""
-    return tuple(_incident(part.split(), text, building) for part in text.split(",") if part.strip())
-
-
-def _incident(words: list[str], text: str, building: Building) -> Incident:
-    if len(words) == 4 and words[1] in ("fails", "recovers") and words[2] == "in":
-        component, what, _, corridor = words
-        if component not in DRAW_W:
+    found = []
+    for part in filter(None, (" ".join(one.split()) for one in text.split(","))):
+        read = _INCIDENT.fullmatch(part)
+        if read is None:
+            allowed = "text such as 'kinect fails in c1, dark in c3', or nothing"
+            raise MissionError(f"incidents cannot be {text!r}; allowed is {allowed}")
+        component, change, light, corridor = read.groups(default="")
+        if component and component not in DRAW_W:
             raise MissionError(f"incidents name the component {component!r}; there are {', '.join(DRAW_W)}")
-    elif len(words) == 3 and words[0] in ("dark", "light") and words[1] == "in":
-        component, (what, _, corridor) = "", words
-    else:
-        allowed = "text such as 'kinect fails in c1, dark in c3', or nothing"
-        raise MissionError(f"incidents cannot be {text!r}; allowed is {allowed}")
-    try:
-        building.check_corridor(corridor)
-    except BuildingError as error:
-        message = f"incidents cannot be {text!r}: {error}; name others, or none by --set incidents="
-        raise MissionError(message) from error
-    return Incident(what, component, corridor)
+        try:
+            building.check_corridor(corridor)
+        except BuildingError as error:
+            advice = "name others, or none by --set incidents="
+            raise MissionError(f"incidents cannot be {text!r}: {error}; {advice}") from error
+        found.append(Incident(change or light, component, corridor))
+    return tuple(found)
 
 
 class BuildingWorld(World):
@@ -174,9 +173,10 @@ class BuildingWorld(World):
         self._energy_j = max(0.0, self._energy_j - self._draws_w(aim is not _STAND) * self._settings.control_period_s)
         self._driven_total_m += math.dist(before, self._vehicle.position)
         self._look_where_it_is()
-        for one, part in [each for each in self._waiting if self._is_due(*each)]:
-            self._waiting.remove((one, part))
-            self._happen(one)
+        for one, part in [each for each in self._waiting if each[0].corridor == self._inside]:
+            if self._driven_m >= part * self._building.corridors[one.corridor].length_m:
+                self._waiting.remove((one, part))
+                self._happen(one)
 
     def _take_orders(self) -> None:
         """Take over where to drive: to the origin first, unless the vehicle is there or in that corridor already."""
@@ -223,7 +223,9 @@ class BuildingWorld(World):
         position = self._vehicle.position
         if self._way and math.dist(position, self._building.places[self._way[0]]) < self._settings.reach_m:
             place = self._way.pop(0)
-            self._leave()
+            if self._inside:
+                self._say("mission status", f"in {self._inside}", "false")
+                self._inside = ""
             if place != self._at:
                 self._say("mission status", f"at {self._at}", "false")
                 self._at = place
@@ -233,16 +235,7 @@ class BuildingWorld(World):
             self._say("EA measurement", "driven", repr(self._driven_m))
             self._say("mission status", f"in {self._inside}", "true")
 
-    def _leave(self) -> None:
-        if self._inside:
-            self._say("mission status", f"in {self._inside}", "false")
-            self._inside = ""
-
     # ---------------------------------------------------------------- what happens, and what is told of it
-
-    def _is_due(self, one: Incident, part: float) -> bool:
-        corridor = self._building.corridors[one.corridor]
-        return self._inside == one.corridor and self._driven_m >= part * corridor.length_m
 
     def _happen(self, one: Incident) -> None:
         if one.component:

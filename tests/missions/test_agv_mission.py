@@ -22,6 +22,7 @@ from missions.agv.world import Settings
 from missions.engine.controller import TASK_KINDS, rosa_run
 from missions.engine.declared import mission_domain
 from missions.engine.mission import MissionError, Percepts
+from missions.engine.settings import RunSettings
 from missions.views.output import as_json
 from rosa_pddl import Planner, Problem
 from rosa_pddl.belief import Belief
@@ -34,7 +35,7 @@ def driven(building, task="bt", **settings):
     mission = agv_mission("small", "drives", building_from(building))
     values = {"incidents": "", **{key: str(value) for key, value in settings.items()}}
     world = mission.world.open(values, numpy.random.default_rng(0))
-    run = rosa_run(mission, task, world)
+    run = rosa_run(mission, task, world, RunSettings(duration_s=60.0))
     return run.run(), run
 
 

@@ -15,7 +15,7 @@ from missions.uav.actions import AnalyseOnSite, Sensed, facts, is_all_analysed
 from missions.uav.model import uav_model
 from missions.views.output import as_json
 
-RUNS = [("bt", seed) for seed in range(10)] + [("pddl", seed) for seed in range(4)]
+RUNS = [("bt", seed) for seed in range(6)] + [("pddl", seed) for seed in range(4)]
 SEARCH, PICK_UP, LOOK = "search_for_samples", "pick_up_and_analyse", "analyse_on_site"
 RETURN, FOLD = "return_and_recharge", "land_and_fold_gripper"
 
