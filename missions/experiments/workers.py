@@ -66,9 +66,8 @@ def _done(run: PlannedRun) -> tuple[dict[str, Any], dict[str, Any]]:
 
 def _reactions(run: MissionRun) -> tuple[list[Any], list[Any]]:
     """Return each reaction as uncertainty, start and delay [s], and with the time of this machine spent on it [s]."""
-    found = run.reactions
-    told = [[one.uncertainty, round(one.start_s, 6), round(one.delay_s, 6)] for one, _ in found]
-    return told, [[one.uncertainty, took_s] for one, took_s in found]
+    delays = [[one.uncertainty, round(one.start_s, 6), round(one.delay_s, 6)] for one, _ in run.reactions]
+    return delays, [[one.uncertainty, took_s] for one, took_s in run.reactions]
 
 
 class Workers(ABC):
@@ -182,9 +181,7 @@ class Cluster(Workers):
                     raise MissionError(f"worker {worker} has {name} {there}, here is {here}; install the same")
 
 
-def outcomes(
-    runs: Sequence[PlannedRun], workers: Workers, idle: Callable[[str], None] = lambda text: None
-) -> Iterator[Outcome]:
+def outcomes(runs: Sequence[PlannedRun], workers: Workers, idle: Callable[[str], None]) -> Iterator[Outcome]:
     """Do runs and yield what came of each as soon as it is known, in no order.
 
     A run that takes its process down is found out by doing each of those that were under way then by itself. While
