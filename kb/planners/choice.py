@@ -48,7 +48,6 @@ class Criterion:
                 raise InvalidValue(f"a switching cost is 0 or more, not {cost!r}")
 
     def cost_of(self, component: str) -> float:
-        """Return what it costs to switch a component."""
         costs = self.switching_cost
         return costs.get(component, 0.0) if isinstance(costs, Mapping) else costs
 
@@ -120,7 +119,7 @@ def summed_weights(preferences: Iterable[str | Mapping[str, float] | None]) -> d
         weighed = {preference: 1.0} if isinstance(preference, str) else preference or {}
         for attribute, weight in weighed.items():
             weights[attribute] = weights.get(attribute, 0.0) + weight
-    return weights
+    return {name: weight for name, weight in weights.items() if weight}
 
 
 def by_priority(candidate: FunctionDesign | Configuration) -> tuple[bool, float, str]:

@@ -177,7 +177,7 @@ def check_names(network: Network, criterion: Criterion) -> None:
 
 
 class _Encoder:
-    """Encodes one problem; for the arguments see `encode`."""
+    """Encodes one problem; see `encode`."""
 
     def __init__(
         self, state: State, criterion: Criterion, functions: Iterable[Node] | None, forced: Node | None
@@ -300,18 +300,16 @@ def _undominated(options: Sequence[Option]) -> tuple[Option, ...]:
 
     What is selected now and what is first by priority stay, to be compared with.
     """
-    return tuple(
-        option
-        for place, option in enumerate(options)
-        if option.is_now
-        or place == 0
-        or not any(
+
+    def is_dominated(place: int, option: Option) -> bool:
+        return any(
             rival.needs == option.needs
             and rival.effect.is_no_worse_than(option.effect)
-            and (rival.effect.gain > option.effect.gain or number < place)
-            for number, rival in enumerate(options)
+            and (rival.effect.gain > option.effect.gain or earlier < place)
+            for earlier, rival in enumerate(options)
         )
-    )
+
+    return tuple(one for place, one in enumerate(options) if not place or one.is_now or not is_dominated(place, one))
 
 
 def _uses_more(component: Slot, pick: int) -> bool:

@@ -80,7 +80,6 @@ class OptimalPlanner:
     def criterion(self, kb: KnowledgeBase) -> Criterion:
         """Return what makes one choice better than another, given what is preferred now."""
         weights = summed_weights(required.preference for required in kb.required_actions)
-        weights = {name: weight for name, weight in weights.items() if weight}
         return Criterion(weights, self._given.switching_cost, self._given.budgets)
 
     def choose(self, kb: KnowledgeBase) -> Choice | None:

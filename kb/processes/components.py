@@ -269,7 +269,7 @@ class ProcessComponents:
             kb.component_active(name, name in mine, "" if name in mine else f"the process of {name} is no more")
 
     def _tidy_up(self, component: str, pid: int) -> None:
-        """Have what was started in another life ended, if it lives on, and nothing started in its place before that."""
+        """Have what another life started ended, if it lives on, and nothing started in its place before."""
         mark = guardian.left_over(pid)
         if mark is None:
             return
@@ -305,48 +305,42 @@ class ProcessComponents:
         self._guardian = self._guardian or _guard(self._mark, self._grace, os.getpid())
 
 
+@dataclass(slots=True, eq=False)
 class _Handle:
-    """A component on its way to running, or to an end; each call does what can be done without waiting.
+    """A component on its way to running, or to an end; each call does what can be done without waiting."""
 
-    Attributes:
-        process: as which it runs; None if it does not.
-        crash: number of the process that ended by itself last, and how, in words.
-        predecessors: which processes, begun when, have to be gone before it starts; none is a child of this one.
-    """
-
-    def __init__(self, name: str, program: Program, clock: Callable[[], float], reports: deque[_Report]) -> None:
-        self._name = name
-        self._program = program
-        self._clock = clock
-        self._reports = reports
-        self.process: subprocess.Popen[bytes] | None = None
-        self.crash = (-1, "")
-        self._parameters: Parameters = MappingProxyType({})
-        self._in_force: Parameters = self._parameters
-        self._started = 0.0
-        self._kill_at: float | None = None
-        self._crashes = 0
-        self._not_before = 0.0
-        self.predecessors: dict[int, int | None] = {}
+    name: str
+    program: Program
+    clock: Callable[[], float]
+    reports: deque[_Report]
+    process: subprocess.Popen[bytes] | None = None
+    crash: tuple[int, str] = (-1, "")  # number of the process that ended by itself last, and how, in words
+    predecessors: dict[int, int | None] = field(default_factory=dict)  # what has to be gone first, and since when it is
+    _parameters: Parameters = field(default_factory=dict)
+    _in_force: Parameters = field(default_factory=dict)
+    _started: float = 0.0
+    _kill_at: float | None = None
+    _crashes: int = 0
+    _not_before: float = 0.0
 
     def set_parameters(self, parameters: Parameters) -> None:
         self.look()
         pid = None if self.process is None else self.process.pid
-        if self._program.configure is not None:
-            self._program.configure(parameters, pid)
+        if self.program.configure is not None:
+            self.program.configure(parameters, pid)
         elif pid is not None and parameters != self._in_force:
             raise KnowledgeBaseError(
-                f"{self._name!r} takes no parameters while it runs; declare the component with "
+                f"{self.name!r} takes no parameters while it runs; declare the component with "
                 f"stops_to_configure=True, or give its Program a function configure"
             )
         else:
-            self._program.command(parameters)
+            self.program.command(parameters)
         self._parameters = parameters
 
     def start(self, mark: str) -> int | None:
         """Go on towards running; returns the process number once it does."""
         self.look()
-        if self.process is None and self._clock() >= self._not_before and self._is_free():
+        if self.process is None and self.clock() >= self._not_before and self._is_free():
             self._spawn(mark)
         return None if self.process is None or self._kill_at is not None else self.process.pid
 
@@ -357,7 +351,7 @@ class _Handle:
             self._crashes, self._not_before = 0, 0.0
             return True
         if self._kill_at is None:
-            self._kill_at = self._clock() + self._program.grace
+            self._kill_at = self.clock() + self.program.grace
             _signal_group(self.process.pid, signal.SIGTERM)
         if kill:
             _signal_group(self.process.pid, signal.SIGKILL)
@@ -365,7 +359,6 @@ class _Handle:
         return self.process is None
 
     def look(self) -> None:
-        """Take note of an end."""
         process = self.process
         if process is None:
             return
@@ -375,7 +368,7 @@ class _Handle:
                 self._note_crash(process)
         elif is_over and not guardian.has_others(process.pid):
             self._bury(process)
-        elif self._clock() >= self._kill_at:
+        elif self.clock() >= self._kill_at:
             _signal_group(process.pid, signal.SIGKILL)
 
     def _is_free(self) -> bool:
@@ -384,7 +377,7 @@ class _Handle:
         return not self.predecessors
 
     def _spawn(self, mark: str) -> None:
-        program = self._program
+        program = self.program
         program.check()
         command, variables = program.command(self._parameters), program.variables(self._parameters)
         try:
@@ -400,24 +393,24 @@ class _Handle:
                 f"{command[0]!r} cannot be run: {error.strerror}; see whether its first line names an interpreter "
                 "that is there"
             ) from None
-        self._started, self._in_force, self.crash = self._clock(), self._parameters, (-1, "")
+        self._started, self._in_force, self.crash = self.clock(), self._parameters, (-1, "")
         self._report("component_started", self.process.pid)
 
     def _note_crash(self, process: subprocess.Popen[bytes]) -> None:
         _signal_group(process.pid, signal.SIGKILL)  # what it leaves behind
         self._bury(process)
-        now, reason = self._clock(), f"the process of {self._name} ended by itself ({_manner(process.returncode)})"
+        now, reason = self.clock(), f"the process of {self.name} ended by itself ({_manner(process.returncode)})"
         self.crash = (process.pid, reason)
         _log.warning("%s", reason)
         self._report("component_active", False, reason)
-        if now - self._started >= self._program.steady:
+        if now - self._started >= self.program.steady:
             self._crashes = 0
         self._crashes += 1
-        if self._crashes > self._program.restarts:
+        if self._crashes > self.program.restarts:
             self._crashes, self._not_before = 0, 0.0
             self._report("component_failed", reason)
         else:
-            self._not_before = now + self._program.back_off * 2.0 ** min(self._crashes - 1, 60)
+            self._not_before = now + self.program.back_off * 2.0 ** min(self._crashes - 1, 60)
 
     def _bury(self, process: subprocess.Popen[bytes]) -> None:
         process.wait()
@@ -425,7 +418,7 @@ class _Handle:
         self._report("component_ended", process.pid)
 
     def _report(self, verb: str, *arguments: object) -> None:
-        self._reports.append((verb, (self._name, *arguments)))
+        self.reports.append((verb, (self.name, *arguments)))
 
 
 def _has_ended(pid: int) -> bool:
