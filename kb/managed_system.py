@@ -54,11 +54,7 @@ class ManagedObject(Protocol):
 
 
 class ManagedObjects:
-    """A managed system made of objects in this process.
-
-    Args:
-        objects: the objects by component name.
-    """
+    """A managed system made of objects in this process, given by component name."""
 
     def __init__(self, objects: Mapping[str, ManagedObject]) -> None:
         self._objects = dict(objects)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from kb.declarations import choice
 from kb.elements import Component, ComponentKind, Configuration
 from kb.exceptions import InvalidValue
-from kb.execution.safeguards import Budgets, Quarantine, Quarantined, is_number
+from kb.execution.safeguards import Budgets, Quarantine, Quarantined, is_number, words_of
 from kb.knowledge_base import KnowledgeBase
 from kb.managed_system import ManagedSystem, Operation, is_active
 from kb.network import Node
@@ -101,7 +101,10 @@ class StagedExecutor:
         if kb is not self._known:
             self._known = kb
             self._quarantine.adopt(kb)
-            self._check_names(kb)
+            for name in self._of_component:
+                kb.components[name]
+            for name in self._budgets.most:
+                kb.attributes[name]
         self._quarantine.review(kb)
         if self._plan is None:
             open_plans = kb.open_plans
@@ -124,12 +127,6 @@ class StagedExecutor:
                 command.begin(now)
         kb.finish_plan(self._plan, "failed" if self._failed else "completed")
         self._plan = None
-
-    def _check_names(self, kb: KnowledgeBase) -> None:
-        for name in self._of_component:
-            kb.components[name]
-        for name in self._budgets.most:
-            kb.attributes[name]
 
     def _drop_removed(self, kb: KnowledgeBase) -> None:
         """Abandon commands to what is no longer in the model, or with what is not."""
@@ -159,8 +156,8 @@ class StagedExecutor:
                 kb.component_active(command.component, active)
             kb.component_failed(command.component, f"it could not be {command.operation}d, {command.reason}")
         else:
-            why = f"its parameters could not be set, {command.reason}"
-            self._quarantine.put(kb, command.configuration.name, why)
+            reason = f"its parameters could not be set, {command.reason}"
+            self._quarantine.put(kb, command.configuration.name, reason)
 
     def _look(self, component: str) -> bool | None:
         try:
@@ -273,14 +270,13 @@ class _Command:
         if self.managed is None or now < self._due or (self._attempt is not None and self._attempt.end is None):
             return
         self._count += 1
-        name, values = None, None
-        if self.configuration is not None:
-            name, values = self.configuration.name, self.configuration.parameters
+        chosen = self.configuration
+        name, values = (None, None) if chosen is None else (chosen.name, chosen.parameters)
         self._attempt = self.kb.record_attempt(self.plan, self.component, self.operation, name, values, self._count)
         self._under_way = self._refusal = None
         try:
-            if values is not None:
-                self._under_way = self.managed.set_parameters(self.component, values)
+            if chosen is not None:
+                self._under_way = self.managed.set_parameters(self.component, chosen.parameters)
             else:
                 switch = self.managed.activate if self.operation == "activate" else self.managed.deactivate
                 self._under_way = switch(self.component)
@@ -314,7 +310,7 @@ class _Command:
         ended, error = self._progress()
         is_late = lasts >= self.policy.timeout
         if error is not None:
-            return "failed", _words(error)
+            return "failed", words_of(error)
         if not ended and not is_late:
             return None
         is_reached, doubt = self._look(managed)
@@ -346,18 +342,16 @@ class _Command:
         try:
             active = is_active(managed, self.component)
         except Exception as error:
-            return False, f"nobody could tell ({_words(error)})"
+            return False, f"nobody could tell ({words_of(error)})"
         is_reached = None if active is None else active is (self.operation == "activate")
         return is_reached, f"{self.component} was not found so"
 
     def _cancel(self) -> None:
         """Cancel what can be cancelled, so that it does not come true when nobody expects it any more."""
-        cancel = getattr(self._under_way, "cancel", None)
-        if callable(cancel):
-            try:
-                cancel()
-            except Exception as error:
-                _log.warning("an operation could not be cancelled: %s", _words(error))
+        try:
+            getattr(self._under_way, "cancel", lambda: None)()
+        except Exception as error:
+            _log.warning("an operation could not be cancelled: %s", words_of(error))
 
 
 def _steps(
@@ -386,7 +380,7 @@ def _running(state: State, configurations: Iterable[str]) -> dict[str, Node]:
     """Return the components of configurations that are in the model and active."""
     known = state.network.configurations
     components = (known[name].wholes[0] for name in configurations if name in known)
-    return {_component(one).name: one for one in components if state.active[one.index]}
+    return {one.name: one for one in components if state.active[one.index]}
 
 
 def _selected(state: State, component: Node) -> Configuration | None:
@@ -397,7 +391,3 @@ def _selected(state: State, component: Node) -> Configuration | None:
 def _component(node: Node) -> Component:
     assert isinstance(node.element, Component)
     return node.element
-
-
-def _words(error: BaseException) -> str:
-    return str(error) or type(error).__name__

@@ -51,7 +51,7 @@ class VetoGate:
         try:
             answer: object = self._veto(plan)
         except Exception as error:
-            return str(error) or type(error).__name__
+            return words_of(error)
         if answer is None or answer is True:
             return ""
         if answer is False or answer == "":
@@ -62,9 +62,8 @@ class VetoGate:
 
     def _take_back(self, plan: ReconfigurationPlan, reason: str) -> None:
         """Undo what the plan's event has selected, and nothing else: what is not executed is not in force."""
-        made = (event for event in self._kb.log.since(plan.cause or 0) if event.plan is plan)
-        effects = next((event.effects for event in made), ())
-        for kind, name, is_selected in effects:
+        made = (event.effects for event in self._kb.log.since(plan.cause or 0) if event.plan is plan)
+        for kind, name, is_selected in next(made, ()):
             with suppress(UnknownName):  # it has left the model
                 self._kb.assert_selected((kind, name), not is_selected, reason if is_selected else "")
 
@@ -117,15 +116,7 @@ def _counts(kb: KnowledgeBase, state: State, causer: Node, started: Collection[s
 
 
 class Quarantined(NamedTuple):
-    """A configuration that counts as unfeasible because its parameters could not be set.
-
-    Attributes:
-        configuration: its name.
-        component: name of what it is a configuration of.
-        reason: why, in words.
-        start: since when [s].
-        until: when it may be used again at the latest [s].
-    """
+    """A configuration that counts as unfeasible, from start until at most `until` [s], since it could not be set."""
 
     configuration: str
     component: str
@@ -182,6 +173,10 @@ class Quarantine:
         for one in [one for one in self.held.values() if one.component in recovered]:
             kb.retract_status(kb.configurations[one.configuration])
             del self.held[one.configuration]
+
+
+def words_of(error: BaseException) -> str:
+    return str(error) or type(error).__name__
 
 
 def is_number(value: object) -> bool:

@@ -180,10 +180,8 @@ class BackgroundSolver:
         if self._answer is None or self._problem != problem:
             self.forget()
             self._thread = self._thread or ThreadPoolExecutor(1, "best configuration")
-            self._problem, self._due = (
-                problem,
-                now + self._delay - 1e-6,
-            )  # a clock that is summed up may miss it by rounding
+            self._problem = problem
+            self._due = now + self._delay - 1e-6  # the steps of a clock may add up to a little less
             self._answer = self._thread.submit(self._solve, problem)
             return None
         return self._answer.result() if now >= self._due and self._answer.done() else None

@@ -6,6 +6,7 @@ is counted in work done instead of seconds make the answer the same on every mac
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from itertools import accumulate
 from typing import Any, Final
 
 from ortools.sat.python import cp_model
@@ -114,12 +115,9 @@ class _Program:
         if slot.is_function:
             literals = self._literals(slot)
             self.model.add_exactly_one(literals)
-            using: dict[int, list[Any]] = {}
-            for option, literal in zip(slot.options, literals, strict=True):
-                for place in option.needs:
-                    using.setdefault(place, []).append(literal)
-            for place, needing in using.items():
-                all_users[place].append(needing)
+            options = list(zip(slot.options, literals, strict=True))
+            for place in dict.fromkeys(place for option in slot.options for place in option.needs):
+                all_users[place].append([literal for option, literal in options if place in option.needs])
             return literals
         needed = self.model.new_bool_var("")
         for one in users:  # of one function at most one option is chosen
@@ -273,8 +271,5 @@ class _Search:
 
 def _chunk_end(picks: Sequence[Literals], start: int) -> int:
     """Return where the choices end whose ranks fit into one number."""
-    size, end = 1, start
-    while end < len(picks) and size * max(1, len(picks[end])) <= LARGEST_RANK:
-        size *= max(1, len(picks[end]))
-        end += 1
-    return end
+    sizes = accumulate((max(1, len(literals)) for literals in picks[start:]), lambda one, two: one * two)
+    return start + sum(size <= LARGEST_RANK for size in sizes)

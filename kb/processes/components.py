@@ -103,11 +103,7 @@ class Program:
         raise InvalidValue(problem)
 
     def command(self, parameters: Parameters) -> list[str]:
-        """Return the arguments with the parameters in place.
-
-        Raises:
-            KnowledgeBaseError: a parameter that has a place was not given.
-        """
+        """Return the arguments with the parameters in place; one that was not given raises `KnowledgeBaseError`."""
         return [_placed(argument, parameters) for argument in self.arguments]
 
     def variables(self, parameters: Parameters) -> dict[str, str]:
@@ -380,19 +376,14 @@ class _Handle:
         program = self.program
         program.check()
         command, variables = program.command(self._parameters), program.variables(self._parameters)
+        environment, no_input = {**os.environ, **variables, guardian.MARK: mark}, subprocess.DEVNULL
         try:
             self.process = subprocess.Popen(
-                command,
-                cwd=program.directory,
-                env={**os.environ, **variables, guardian.MARK: mark},
-                stdin=subprocess.DEVNULL,
-                start_new_session=True,
+                command, cwd=program.directory, env=environment, stdin=no_input, start_new_session=True
             )
         except OSError as error:
-            raise KnowledgeBaseError(
-                f"{command[0]!r} cannot be run: {error.strerror}; see whether its first line names an interpreter "
-                "that is there"
-            ) from None
+            remedy = "see whether its first line names an interpreter that is there"
+            raise KnowledgeBaseError(f"{command[0]!r} cannot be run: {error.strerror}; {remedy}") from None
         self._started, self._in_force, self.crash = self.clock(), self._parameters, (-1, "")
         self._report("component_started", self.process.pid)
 
