@@ -16,6 +16,7 @@ from kb.explanation.reasons import explain as explained
 from kb.explanation.reasons import why as explained_shortly
 from kb.network import Node, Ref
 from kb.planners.choice import Choice, Criterion, firsts_by_priority, summed_weights
+from kb.planners.encoding import encode
 from kb.reconfiguration import Obsolete, by_whole, reselect
 from kb.reconfiguration import obsolete as all_obsolete
 from kb.state import Overlay, State
@@ -88,9 +89,9 @@ def best_configuration(
         if state.status[node.index] is Status.UNFEASIBLE:
             return None
         if preference is not None:
-            from kb.planners.solver import best_choice  # the solver takes a while to import
+            from kb.planners.solver import solve  # it takes a while to import
 
-            return best_choice(state, Criterion(summed_weights([preference])), node.parts).choice
+            return solve(encode(state, Criterion(summed_weights([preference])), node.parts)).choice
         designs = firsts_by_priority(state, node.parts)
         components = dict.fromkeys(part for design in designs for part in design.parts)
         return Choice(dict(by_whole(designs)), dict(by_whole(firsts_by_priority(state, components))))

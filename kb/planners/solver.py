@@ -11,10 +11,8 @@ from typing import Any, Final
 
 from ortools.sat.python import cp_model
 
-from kb.network import Node
-from kb.planners.choice import Criterion, Optimum, number
-from kb.planners.encoding import Effect, Picks, Problem, Slot, encode
-from kb.state import State
+from kb.planners.choice import Optimum, number
+from kb.planners.encoding import Effect, Picks, Problem, Slot
 
 EFFORT: Final = 0.3
 """How much work is done by default at most, in CP-SAT's deterministic time: about a second of a processor."""
@@ -35,13 +33,6 @@ _SETTINGS: Final = {
 
 Untyped = Any  # what OR-tools makes: a variable, an expression, a status
 Literals = Sequence[Untyped]
-
-
-def best_choice(
-    state: State, criterion: Criterion, functions: Iterable[Node] | None = None, effort: float = EFFORT
-) -> Optimum:
-    """Return the best choice for a state; see `encode` for the arguments, and `solve`."""
-    return solve(encode(state, criterion, functions), effort)
 
 
 def solve(problem: Problem, effort: float = EFFORT) -> Optimum:
@@ -272,4 +263,4 @@ class _Search:
 def _chunk_end(picks: Sequence[Literals], start: int) -> int:
     """Return where the choices end whose ranks fit into one number."""
     sizes = accumulate((max(1, len(literals)) for literals in picks[start:]), lambda one, two: one * two)
-    return start + sum(size <= LARGEST_RANK for size in sizes)
+    return start + sum(1 for size in sizes if size <= LARGEST_RANK)

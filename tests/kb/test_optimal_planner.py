@@ -13,7 +13,7 @@ from kb import ConfigurationManager, InvalidValue, KnowledgeBase, Model, Priorit
 from kb.planners.choice import Criterion, summed_weights
 from kb.planners.encoding import encode
 from kb.planners.optimal import OptimalPlanner
-from kb.planners.solver import best_choice, solve, verdicts
+from kb.planners.solver import solve, verdicts
 
 SLOW = settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
 ATTRIBUTES = ("x0", "x1")
@@ -74,7 +74,7 @@ def criteria(draw, budgets=True):
 @given(robots(), criteria())
 def test_best_choice_is_the_one_found_by_trying_all(kb, criterion):
     expected = best_by_trying(state_of(kb), criterion)
-    found = best_choice(state_of(kb), criterion)
+    found = solve(encode(state_of(kb), criterion))
     assert found.is_proven
     if expected is None:
         assert found.choice is None
@@ -90,13 +90,13 @@ def test_best_choice_is_the_one_found_by_trying_all(kb, criterion):
 @SLOW
 @given(robots(), criteria())
 def test_same_question_has_the_same_answer(kb, criterion):
-    assert best_choice(state_of(kb), criterion) == best_choice(state_of(kb), criterion)
+    assert solve(encode(state_of(kb), criterion)) == solve(encode(state_of(kb), criterion))
 
 
 @SLOW
 @given(robots(), criteria(), st.sampled_from((1e-9, 1e-6, 1e-5)))
 def test_however_little_effort_is_allowed_the_best_lies_between_value_and_bound(kb, criterion, effort):
-    found, best = best_choice(state_of(kb), criterion, effort=effort), best_choice(state_of(kb), criterion)
+    found, best = solve(encode(state_of(kb), criterion), effort), solve(encode(state_of(kb), criterion))
     if found.choice is None:
         assert found.is_proven is (best.choice is None)
         return
@@ -128,7 +128,7 @@ def test_best_choice_for_functions_alone_is_that_of_a_robot_at_rest(kb, criterio
     assume(all(ranked(state_of(facts), one) for one in node.parts))
     assume(not any(state_of(kb).asserted))
     facts.request_action(action)
-    found = best_choice(state_of(kb), criterion, node.parts)
+    found = solve(encode(state_of(kb), criterion, node.parts))
     _, designs, configurations = best_by_trying(state_of(facts), Criterion(criterion.weights))
     assert dict(found.choice.designs) == designs
     assert dict(found.choice.configurations) == configurations
@@ -382,8 +382,8 @@ def intricate():
 
 def test_with_too_little_effort_the_gap_is_said():
     kb, criterion = intricate(), Criterion({"accuracy": 1.0})
-    best = best_choice(state_of(kb), criterion)
-    found = best_choice(state_of(kb), criterion, effort=1e-9)
+    best = solve(encode(state_of(kb), criterion))
+    found = solve(encode(state_of(kb), criterion), 1e-9)
     assert best.is_proven
     assert not found.is_proven
     assert found.value < best.value < found.bound
@@ -405,7 +405,7 @@ def test_best_known_choice_is_kept_when_effort_finds_no_better_one():
     kb = intricate()
     carried_out(kb, OptimalPlanner())
     chosen = selected(kb)
-    found = best_choice(state_of(kb), Criterion({"accuracy": 1.0}), effort=1e-9)
+    found = solve(encode(state_of(kb), Criterion({"accuracy": 1.0})), 1e-9)
     assert set(found.choice.designs.values()) == set(chosen)
 
 
@@ -415,7 +415,7 @@ def test_numbers_too_far_apart_to_be_exact_are_rounded_and_it_is_said(model):
     model.components["lidar"].estimate("accuracy", 1e-9)
     kb = KnowledgeBase(model, clock=Clock())
     kb.request_action("explore", "accuracy")
-    found = best_choice(state_of(kb), Criterion({"accuracy": 1.0}))
+    found = solve(encode(state_of(kb), Criterion({"accuracy": 1.0})))
     assert 0.0 < found.resolution < 1.0
     assert found.value == pytest.approx(1e9 + 2.5, abs=found.resolution)
 
@@ -438,7 +438,7 @@ def test_component_that_nobody_switches_costs_only_to_be_configured(model):
 @SLOW
 @given(robots(), criteria())
 def test_every_rival_is_told_to_be_worth_less_or_later_or_not_to_fit(kb, criterion):
-    best = best_choice(state_of(kb), criterion)
+    best = solve(encode(state_of(kb), criterion))
     assume(best.choice and best.choice.designs)
     for name, chosen in best.choice.designs.items():
         possible = ranked(state_of(kb), state_of(kb).network.functions[name])
