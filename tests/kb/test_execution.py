@@ -40,10 +40,10 @@ def test_a_command_that_never_ends_is_given_up_after_its_time_out_and_the_next_b
 
 
 def test_a_time_out_can_be_that_of_a_kind_and_goes_by_the_component_first():
-    patience = {"timeout": 50.0, "timeout_by_kind": {"lifecycle": 8.0}, "attempts": 1}
+    retrying = {"timeout": 50.0, "timeout_by_kind": {"lifecycle": 8.0}, "attempts": 1}
     for of_component, lasts in ((None, 8.0), ({"camera": 3.0}, 3.0), ({"lidar": 3.0}, 8.0)):
         kb, clock, _, manager = start(
-            script={"activate camera": [math.inf]}, timeout_by_component=of_component, **patience
+            script={"activate camera": [math.inf]}, timeout_by_component=of_component, **retrying
         )
         kb.request_action("explore")
         come_to_rest(manager, kb, clock)
