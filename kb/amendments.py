@@ -5,10 +5,10 @@ from dataclasses import MISSING, fields
 from typing import Any, NamedTuple
 
 from kb.contents import tables_of
-from kb.declaring import Declarer
 from kb.elements import Changeable, Constraint, Estimation
-from kb.individuals import Serials, element_id, from_json, individual, individuals, plain_json
 from kb.model import Model
+from kb.owl.declaring import Declarer
+from kb.owl.individuals import Serials, element_id, from_json, individual, individuals, plain_json
 
 __all__ = ["Amendment", "amend", "amended_alike", "amendment", "differences"]
 

@@ -18,11 +18,11 @@ from kb.events import Event, StatusChange
 from kb.explanation.choice import note_nothing
 from kb.explanation.reasons import shortest, why_selected
 from kb.facts import ActiveFact, Fact, MeasurementFact, RequiredActionFact, RequiredFact, SelectedFact, StatusFact
-from kb.individuals import Serials
 from kb.inference import grow, initial_state, is_adaptable, propagate, shrink
 from kb.log import Log
 from kb.measurements import Judged, Measurements
 from kb.network import Network, Node, Ref, is_steady
+from kb.owl.individuals import Serials
 from kb.reconfiguration import planned, reselect
 from kb.records import Attempt, Process, ReconfigurationPlan, Records, RequiredAction, VetoAnswer, finish
 from kb.state import FACTS, History, Overlay, Reason

@@ -25,6 +25,7 @@ from kb.knowledge import Knowledge
 from kb.log import Log, Publisher
 from kb.model import Model
 from kb.network import Node
+from kb.owl.world import Answer, World
 from kb.questions import ELEMENTS, Meant, meant, outline
 from kb.reconfiguration import planned, reselect
 from kb.records import (
@@ -43,7 +44,6 @@ from kb.state import Overlay, State
 from kb.status import STATUSES, Status
 from kb.store import KEPT, Store
 from kb.views import named, views_of
-from kb.world import Answer, World
 
 __all__ = ["KnowledgeBase"]
 

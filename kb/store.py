@@ -21,9 +21,9 @@ from typing import Final, NamedTuple
 from kb.amendments import Amendment, amend, amended_alike, differences
 from kb.events import Event
 from kb.exceptions import InvalidValue, KnowledgeBaseError
-from kb.individuals import Serials, individuals, plain_json
 from kb.knowledge import Knowledge
 from kb.model import Model
+from kb.owl.individuals import Serials, individuals, plain_json
 
 __all__ = ["FORMAT", "KEPT", "Store", "StoreError"]
 

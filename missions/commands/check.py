@@ -113,8 +113,8 @@ def _placed(
 def _contradictions(files: Sequence[Path], mission: "Mission | None") -> Iterator[str]:
     """Have a reasoner of OWL judge a model: OWL files as they stand, anything else as the ontology that it makes."""
     from kb.files import read_text
-    from kb.owl import inconsistency
-    from kb.rdfxml import owl_text
+    from kb.owl.owlready import inconsistency
+    from kb.owl.rdfxml import owl_text
 
     model = _model(files, mission)
     texts = {str(file): read_text(file) for file in files if file.suffix.lower() == ".owl"}

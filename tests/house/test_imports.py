@@ -54,7 +54,7 @@ LATE = {
 """Slow to import: only inside functions, or in the one module that is itself imported late."""
 LATE_MODULES = {
     "kb/planners/solver.py",
-    "kb/owl.py",
+    "kb/owl/owlready.py",
     "kb/typeql/syntax.py",
     "missions/views/picture.py",
     "missions/testing/plugin.py",

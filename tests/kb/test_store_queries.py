@@ -11,8 +11,8 @@ from models import Clock, Twins, stories
 from test_files import odd_models
 
 from kb import InvalidValue, KnowledgeBase, KnowledgeBaseError, Model, PriorityPlanner, UnknownName
-from kb.owl import inconsistency
-from kb.rdfxml import BASE, ROSA, metamodel
+from kb.owl.owlready import inconsistency
+from kb.owl.rdfxml import BASE, ROSA, metamodel
 
 CLASSES = {
     "action": "Action",

@@ -1,4 +1,4 @@
-"""A model as OWL in RDF/XML: the words of `ontologies/rosa.owl`, and the individuals of the model in them.
+"""A model as OWL in RDF/XML: the words of `rosa.owl`, and the individuals of the model in them.
 
 The file holds both, so that any reader of OWL understands it without a second file.
 """
@@ -11,7 +11,7 @@ from importlib.resources import files
 from typing import Final
 
 from kb.contents import Contents
-from kb.individuals import GENERAL, Individual, Ref, Value, individuals
+from kb.owl.individuals import GENERAL, Individual, Ref, Value, individuals
 
 __all__ = ["BASE", "ROSA", "iri_of", "metamodel", "order", "owl_text", "plain_text", "xml_text"]
 
@@ -29,7 +29,7 @@ _FITTED: Final = re.compile(r"\\u([0-9a-f]{4})")
 
 def metamodel() -> str:
     """Return the ontology without any individual."""
-    return files("kb").joinpath("ontologies/rosa.owl").read_text(encoding="utf-8")
+    return files("kb.owl").joinpath("rosa.owl").read_text(encoding="utf-8")
 
 
 def owl_text(model: Contents) -> str:

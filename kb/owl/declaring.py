@@ -22,7 +22,7 @@ from kb.elements import (
 )
 from kb.exceptions import InvalidValue, KnowledgeBaseError, ModelError, UnknownName
 from kb.facts import StatusFact
-from kb.individuals import CLASSES, GENERAL, SPECIAL, Individual, Ref, Value, parameter_values, property_of
+from kb.owl.individuals import CLASSES, GENERAL, SPECIAL, Individual, Ref, Value, parameter_values, property_of
 from kb.status import Status
 
 _CLASSES: Final[Mapping[str, Any]] = {kind: cls for cls, kind in CLASSES.items()}

@@ -1,7 +1,7 @@
 """A model as individuals: plain values that can be written anywhere, and read back as the same model.
 
 An individual has a kind, an id and the values of its properties. Kinds and properties are those of
-`ontologies/rosa.owl`. What a class of element or fact makes of its fields is one table below; nested values, such as
+`rosa.owl`. What a class of element or fact makes of its fields is one table below; nested values, such as
 the parameters of a configuration, are individuals too.
 """
 

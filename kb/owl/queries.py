@@ -11,7 +11,7 @@ from itertools import pairwise, takewhile
 from typing import Final, NamedTuple
 
 from kb.exceptions import InvalidValue, KnowledgeBaseError, UnknownName
-from kb.rdfxml import ROSA
+from kb.owl.rdfxml import ROSA
 
 __all__ = ["FUNCTIONS", "Question", "complaint", "read_question"]
 

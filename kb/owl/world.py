@@ -15,7 +15,8 @@ from kb.elements import KINDS, Action, Attribute, Component, Configuration, Para
 from kb.events import Event
 from kb.exceptions import UnknownName
 from kb.facts import ActiveFact, Fact, RequiredFact, SelectedFact, StatusFact
-from kb.individuals import (
+from kb.knowledge import Knowledge
+from kb.owl.individuals import (
     PARAMETER,
     PREFERENCE,
     STATED,
@@ -27,14 +28,13 @@ from kb.individuals import (
     named_id,
     nested,
 )
-from kb.knowledge import Knowledge
-from kb.rdfxml import BASE, metamodel
+from kb.owl.rdfxml import BASE, metamodel
 from kb.records import Attempt, Process, ReconfigurationPlan, RequiredAction, VetoAnswer
 from kb.state import State
 from kb.store import Store
 
 if TYPE_CHECKING:
-    from kb.owl import Book
+    from kb.owl.owlready import Book
 
 __all__ = ["Answer", "World"]
 
@@ -105,7 +105,7 @@ class World:
 
     def _anew(self, reading: AbstractContextManager[State]) -> "Book":
         """Begin again with an empty book."""
-        from kb.owl import Book
+        from kb.owl.owlready import Book
 
         past = [] if self._store is None else self._store.events(measurements=False)
         self._chronicle = chronicle = _Chronicle(self._known)

@@ -14,12 +14,12 @@ from owlready2 import rdfxml_2_ntriples
 from owlready2.sparql.main import Translator
 
 from kb.contents import Contents
-from kb.declaring import Declarer
 from kb.exceptions import KnowledgeBaseError, ModelError, UnknownName
 from kb.files import ModelFileError, read_text
-from kb.individuals import CLASSES, GENERAL, MODEL, PARAMETER, PREFERENCE, STATED, Individual, Ref, Value
-from kb.queries import FUNCTIONS, Question, complaint, read_question
-from kb.rdfxml import ROSA, order, plain_text
+from kb.owl.declaring import Declarer
+from kb.owl.individuals import CLASSES, GENERAL, MODEL, PARAMETER, PREFERENCE, STATED, Individual, Ref, Value
+from kb.owl.queries import FUNCTIONS, Question, complaint, read_question
+from kb.owl.rdfxml import ROSA, order, plain_text
 
 __all__ = ["Answer", "Book", "inconsistency", "load_owl"]
 
