@@ -101,7 +101,7 @@ class GuardedTree(BehaviourTree):
 
 
 def _is_trusted(behaviour: Behaviour) -> bool:
-    """Tell whether a behaviour needs no guard: guards for all make a tick take two thirds longer."""
+    """Tell whether a behaviour needs no guard: guards for all make a tick about a third longer."""
     kind = type(behaviour)
     as_ours = any(issubclass(kind, one) and (kind.tick, kind.stop) == (one.tick, one.stop) for one in _CAREFUL)
     return as_ours or kind in _HARMLESS

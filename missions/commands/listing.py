@@ -25,17 +25,16 @@ def list_settings(
     mission: str, manager: Annotated[str, typer.Option(help="List what is to be set of this manager, too.")] = "ours"
 ) -> None:
     """List what `rosa run MISSION --set NAME=VALUE` takes, with default, unit, what is allowed, and source."""
-    from rich.table import Table
+    from rich.table import Column, Table
 
     from missions.baselines.registry import options_of
     from missions.engine.mission import settings_of
     from missions.engine.registry import find_mission
 
-    table = Table(box=None, pad_edge=False)
-    for column in ("name", "default", "unit", "allowed"):
-        table.add_column(column, no_wrap=True, justify="right" if column == "default" else "left")
-    table.add_column("meaning", ratio=1)
-    table.add_column("source of the default", ratio=1)
+    short = [Column(name, no_wrap=True) for name in ("name", "default", "unit", "allowed")]
+    short[1].justify = "right"
+    long = [Column(name, ratio=1) for name in ("meaning", "source of the default")]
+    table = Table(*short, *long, box=None, pad_edge=False)
     found = find_mission(mission)
     for setting in (*options_of(manager), *settings_of(found)):
         default = found.fixed.get(setting.name, setting.default)
