@@ -42,7 +42,7 @@ def agv_mission(name: str, summary: str, building: Building, weights: Mapping[st
     known = KnowledgeBase(building_model(building), clock=lambda: 0.0)
     pddl = PddlNames(building, Modes(known, NAVIGATE).under({}), LIMITED)
 
-    @lru_cache(maxsize=8)  # what a run is told takes time to find out, so its behaviours share it
+    @lru_cache(maxsize=8)  # takes time to make, so the behaviours of a run share it
     def planning_state(kb: KnowledgeBase, percepts: Percepts) -> PlanningState:
         return PlanningState(Route(building, kb, percepts, weights), pddl)
 

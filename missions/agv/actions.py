@@ -98,7 +98,7 @@ class Switch(RosaAction):
 
 
 class PlanningState:
-    """What the plan executor is told: the names of the PDDL problem, and what holds in it."""
+    """What the plan executor knows: the names of the PDDL problem, and what holds in it."""
 
     def __init__(self, route: Route, pddl: PddlNames) -> None:
         self.route, self.pddl = route, pddl
@@ -127,7 +127,7 @@ class PlanningState:
 
 @dataclass(frozen=True)
 class Planned:
-    """Makes the behaviour of a step of a plan, from what a run is told, and declares it."""
+    """Makes the behaviour of a step of a plan, from the planning state of a run, and declares it."""
 
     schema: ActionSchema
     planning_state: Callable[[KnowledgeBase, Percepts], PlanningState]

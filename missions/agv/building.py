@@ -165,31 +165,31 @@ def building_from(data: Any, name: str = "unnamed") -> Building:  # noqa: ANN401
             allowed = "a letter, then letters, digits, '_', all small"
             _need(is_name, f"{one!r} in {key} of map {name} is no name; {allowed}")
     places = {place: _point(place, point) for place, point in given["places"].items()}
-    corridors = {one: _corridor(one, told, places) for one, told in given["corridors"].items()}
+    corridors = {one: _corridor(one, said, places) for one, said in given["corridors"].items()}
     return Building(name, places, corridors, str(given["start"]), str(given["goal"]))
 
 
-def _point(place: str, told: Any) -> tuple[float, float]:  # noqa: ANN401  # whatever stands in a file
-    is_point = isinstance(told, list | tuple) and len(told) == 2
-    _need(is_point, f"place {place} is {told!r}; a place is x and y [m], such as [2.0, 5.0]")
-    return _number(f"x of place {place}", told[0]), _number(f"y of place {place}", told[1])
+def _point(place: str, given: Any) -> tuple[float, float]:  # noqa: ANN401  # whatever stands in a file
+    is_point = isinstance(given, list | tuple) and len(given) == 2
+    _need(is_point, f"place {place} is {given!r}; a place is x and y [m], such as [2.0, 5.0]")
+    return _number(f"x of place {place}", given[0]), _number(f"y of place {place}", given[1])
 
 
-def _corridor(name: str, told: Any, places: Mapping[str, tuple[float, float]]) -> Corridor:  # noqa: ANN401  # the same
-    is_corridor = isinstance(told, Mapping) and {"from", "to"} <= told.keys()
-    _need(is_corridor, f"corridor {name} is {told!r}; it needs from and to")
-    _check_keys(f"corridor {name} has", told, _KEYS)
-    ends = str(told["from"]), str(told["to"])
+def _corridor(name: str, given: Any, places: Mapping[str, tuple[float, float]]) -> Corridor:  # noqa: ANN401  # the same
+    is_corridor = isinstance(given, Mapping) and {"from", "to"} <= given.keys()
+    _need(is_corridor, f"corridor {name} is {given!r}; it needs from and to")
+    _check_keys(f"corridor {name} has", given, _KEYS)
+    ends = str(given["from"]), str(given["to"])
     apart = math.dist(*(places[end] for end in ends)) if all(end in places for end in ends) else 1.0
     numbers = {"length_m": apart, "obstacles": 0.0, "light": 1.0}
-    values = {key: _number(f"{key} of corridor {name}", told.get(key, value)) for key, value in numbers.items()}
+    values = {key: _number(f"{key} of corridor {name}", given.get(key, value)) for key, value in numbers.items()}
     return Corridor(name, ends, **values)
 
 
-def _number(what: str, told: object) -> float:
-    if isinstance(told, bool) or not isinstance(told, int | float) or not abs(told) <= sys.float_info.max:
-        raise BuildingError(f"{what} is {told!r:.40}; a finite number is needed")
-    return float(told)
+def _number(what: str, given: object) -> float:
+    if isinstance(given, bool) or not isinstance(given, int | float) or not abs(given) <= sys.float_info.max:
+        raise BuildingError(f"{what} is {given!r:.40}; a finite number is needed")
+    return float(given)
 
 
 def _check_keys(what: str, given: Iterable[str], known: tuple[str, ...]) -> None:

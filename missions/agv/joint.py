@@ -120,7 +120,7 @@ _Taken = tuple[_Way, Amounts, Amounts]  # a way, what switching to the mode for 
 class Task:
     """One question as a graph of places and modes, for the exact search; and for those who judge the planner.
 
-    `crossing` tells what driving takes, as `Costs.crossing`; what switching takes, the costs tell.
+    `crossing` returns what driving takes, as `Costs.crossing`; what switching takes, the costs say.
     """
 
     def __init__(

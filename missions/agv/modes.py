@@ -186,8 +186,8 @@ class Costs:
         try:
             return Amounts(round(time_s * 1e3), round(energy_j * 1e3), round(collisions * 1e6))
         except (OverflowError, ValueError):
-            told = f"{length_m:g} m and {passed:g} obstacles take {mode.name} {time_s:g} s, {energy_j:g} J"
-            raise MissionError(f"{told}, {collisions:g} collisions; finite numbers are needed") from None
+            problem = f"{length_m:g} m and {passed:g} obstacles take {mode.name} {time_s:g} s, {energy_j:g} J"
+            raise MissionError(f"{problem}, {collisions:g} collisions; finite numbers are needed") from None
 
     def switching(self, before: Mode, after: Mode) -> Amounts:
         """Return what it takes to change from one mode to another."""

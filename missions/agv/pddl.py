@@ -31,7 +31,7 @@ def left_of(name: str) -> str:
 
 
 def switch_schema(limited: Iterable[str]) -> ActionSchema:
-    """Declare how modes are switched; of what is limited (see `Question`) it is told how much that uses up."""
+    """Declare how modes are switched; of what is limited (see `Question`) it says how much that uses up."""
     return ActionSchema(
         SWITCH,
         parameters=("?now - setup", "?next - mode"),

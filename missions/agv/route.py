@@ -27,8 +27,8 @@ class Route:
     @property
     def at(self) -> str:
         """The place where the robot is, or the one that it came from."""
-        told = (place for place in self.building.places if self._percepts.holds(f"at {place}"))
-        return next(told, self.building.start)
+        reported = (place for place in self.building.places if self._percepts.holds(f"at {place}"))
+        return next(reported, self.building.start)
 
     @property
     def is_there(self) -> bool:
@@ -88,5 +88,5 @@ class Route:
     @property
     def _light(self) -> Mapping[str, float]:
         """How light it was found to be in corridors, where that was reported."""
-        told = {name: self._percepts.value(f"light in {name}") for name in self.building.corridors}
-        return {name: light for name, light in told.items() if light is not None}
+        reported = {name: self._percepts.value(f"light in {name}") for name in self.building.corridors}
+        return {name: light for name, light in reported.items() if light is not None}

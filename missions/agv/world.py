@@ -84,7 +84,7 @@ def incidents(text: str, building: Building) -> tuple[Incident, ...]:
 
 
 class BuildingWorld(World):
-    """A vehicle that drives where its navigator is told to, as long as it knows where it is.
+    """A vehicle that drives where its navigator says, as long as it knows where it is.
 
     The generator is of all chance; raises BuildingError if corridors cross one another.
     """
@@ -235,7 +235,7 @@ class BuildingWorld(World):
             self._say("EA measurement", "driven", repr(self._driven_m))
             self._say("mission status", f"in {self._inside}", "true")
 
-    # ---------------------------------------------------------------- what happens, and what is told of it
+    # ---------------------------------------------------------------- what happens, and what is reported of it
 
     def _happen(self, one: Incident) -> None:
         if one.component:

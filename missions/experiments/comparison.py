@@ -41,7 +41,7 @@ NO_FIGURES = {"seed", "task"}
 class Group:
     """The runs of one manager that did not crash, by seed; `task` is the task layer of ours, None for other managers.
 
-    Timings tell how long each took, as far as that is known.
+    Timings say how long each took, as far as that is known.
     """
 
     manager: str
@@ -118,8 +118,8 @@ class Comparison:
     @property
     def figures(self) -> tuple[str, ...]:
         """Every figure that is a number in some run, in the order of the results."""
-        told = [one for group in self.groups for record in group.records.values() for one in record.items()]
-        names = dict.fromkeys(name for name, value in told if isinstance(value, int | float))
+        figures = [one for group in self.groups for record in group.records.values() for one in record.items()]
+        names = dict.fromkeys(name for name, value in figures if isinstance(value, int | float))
         return tuple(name for name in names if name not in NO_FIGURES and not name.startswith(INPUT))
 
     @property

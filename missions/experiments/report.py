@@ -174,10 +174,10 @@ def _add_reactions(document: Document, comparison: Comparison) -> None:
     for uncertainty, group in product(comparison.uncertainties, comparison.groups):
         if delays := group.delays(uncertainty):
             published, thought = group.published_reaction(uncertainty), group.thought(uncertainty)
-            told = NONE if published is None else f"{published:.2f}"
+            shown = NONE if published is None else f"{published:.2f}"
             found = _interval(interval_of_mean(delays, _chance()), ".3f"), f"{median(delays):.3f}", f"{max(delays):.3f}"
             computing = f"{1000 * fmean(thought):.2f}" if thought else NONE
-            rows.append([f"{uncertainty}, {group.label}", str(len(delays)), told, *found, computing])
+            rows.append([f"{uncertainty}, {group.label}", str(len(delays)), shown, *found, computing])
     head = ["to, manager", "events", "published mean [s]", "delay, mean [95 %] [s]", "median", "longest"]
     document.table([*head, "computing, mean [ms]"], rows)
 
@@ -196,8 +196,8 @@ def _add_contrasts(document: Document, comparison: Comparison, headlines: Mappin
             mean = interval_of_mean([first[seed] - second[seed] for seed in both], _chance())
             found = contrast(list(first.values()), list(second.values()))
             ps.append(found.p)
-            told = _interval(mean, "+.2f"), f"{found.superiority:.2f}"
-            rows.append([f"{label}: {one.label} - {other.label}", str(len(both)), *told])
+            shown = _interval(mean, "+.2f"), f"{found.superiority:.2f}"
+            rows.append([f"{label}: {one.label} - {other.label}", str(len(both)), *shown])
     if not rows:
         return
     document.heading("Differences", 3)

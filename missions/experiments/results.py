@@ -156,8 +156,8 @@ def read_store(folder: Path) -> Kept:
     planned = [run.name for run in campaign.planned()]
     for name, record in records.items():
         if record.get("code") != code:
-            told = f"{folder / RUNS}: {name} was run by code {record.get('code')}, the campaign by {code}"
-            raise MissionError(f"{told}; results of different versions cannot be mixed")
+            problem = f"{folder / RUNS}: {name} was run by code {record.get('code')}, the campaign by {code}"
+            raise MissionError(f"{problem}; results of different versions cannot be mixed")
     if strange := records.keys() - set(planned):
         raise MissionError(f"{folder / RUNS} holds {min(strange)}, which is no run of the campaign")
     ordered = {name: records[name] for name in planned if name in records}
@@ -217,8 +217,8 @@ def _same(folder: Path, campaign: Campaign | None) -> Campaign:
     if campaign is not None and campaign != kept:
         mine, theirs = campaign.as_data(), kept.as_data()
         key = next(key for key in mine if mine[key] != theirs[key])
-        told = f"{folder} holds another campaign: its {key} is {theirs[key]}, not {mine[key]}"
-        raise MissionError(f"{told}; give another --out")
+        problem = f"{folder} holds another campaign: its {key} is {theirs[key]}, not {mine[key]}"
+        raise MissionError(f"{problem}; give another --out")
     for name, now in provenance().items():
         if begun_with.get(name) != now:
             raise MissionError(

@@ -88,7 +88,7 @@ class Workers(ABC):
         """Start what has died anew."""
 
     def look(self) -> str:
-        """Return what is to be told of the workers while nothing is heard of them; empty if all is well."""
+        """Return what is to be said of the workers while nothing is heard of them; empty if all is well."""
         return ""
 
     @abstractmethod
@@ -185,7 +185,7 @@ def outcomes(runs: Sequence[PlannedRun], workers: Workers, idle: Callable[[str],
     """Do runs and yield what came of each as soon as it is known, in no order.
 
     A run that takes its process down is found out by doing each of those that were under way then by itself. While
-    nothing is heard of the workers, `idle` is called with what there is to tell.
+    nothing is heard of the workers, `idle` is called with what there is to say.
     """
     waiting = deque(runs)
     while waiting:
@@ -228,7 +228,7 @@ def _hand_out(waiting: deque[PlannedRun], under_way: dict[Future[Outcome], Plann
             return
         try:
             future = workers.executor().submit(do, waiting[0])
-        except workers.killed:  # a process died meanwhile: those under way will tell, or there are none
+        except workers.killed:  # a process died meanwhile: those under way will show it, or there are none
             if not under_way:
                 workers.renew()
             return

@@ -50,11 +50,11 @@ def is_all_analysed(percepts: Percepts) -> bool:
 def facts(kb: KnowledgeBase, percepts: Percepts) -> Mapping[str, bool]:
     """Return what was sensed as facts of the PDDL problem."""
     kinds = ("wanted", "analysed", "target")
-    told = {f"({what} {one})": percepts.holds(f"{one}_{what}") for what in kinds for one in SAMPLES}
+    known = {f"({what} {one})": percepts.holds(f"{one}_{what}") for what in kinds for one in SAMPLES}
     is_folded = percepts.holds("gripper_folded")
     if is_folded and kb.pending_plan is not None:  # it unfolds before long, also if what it was for has been given up
         is_folded = "gripper" not in kb.pending_plan.activate
-    return told | {"(looking drone)": not is_waiting(percepts), "(gripper_folded drone)": is_folded}
+    return known | {"(looking drone)": not is_waiting(percepts), "(gripper_folded drone)": is_folded}
 
 
 class Sensed(Behaviour):

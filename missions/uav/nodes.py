@@ -32,7 +32,7 @@ class Sample:
     name: str  # "sample_1" and so on
     place: tuple[float, float]  # (x, y) [m], world frame
     wanted_s: float = 0.0  # from when on it is wanted [s]
-    is_reported: bool = False  # an operator told where it is; it goes before those that were found
+    is_reported: bool = False  # an operator reported it; it goes before those that were found
     is_found: bool = False  # it is known where it is
     quality: float | None = None  # worth of its analysis, up to 1; None before
 
@@ -77,7 +77,7 @@ class Field:
                 yield one
 
     def aim(self, place: tuple[float, float]) -> bool:
-        """Choose the next target if there is none: reported ones first, then the nearest; tell whether that is new."""
+        """Choose the next target if there is none: reported ones first, then the nearest; whether that is new."""
         waiting = [one for one in self.samples if one.is_found and one.quality is None]
         if self.target is not None or not waiting:
             return False
@@ -88,7 +88,7 @@ class Field:
 class Robot:
     """What the components share.
 
-    `tell` publishes (text of the message, key, value), `disturb` notes what truly happened.
+    `publish` takes the text of the message, key and value, `disturb` notes what truly happened.
     """
 
     def __init__(
@@ -97,11 +97,11 @@ class Robot:
         vehicle: Quadrotor,
         field: Field,
         rng: Generator,
-        tell: Callable[[str, str, str], None],
+        publish: Callable[[str, str, str], None],
         disturb: Callable[[str], None],
     ) -> None:
         self.settings, self.vehicle, self.field, self.rng = settings, vehicle, field, rng
-        self.tell, self.disturb = tell, disturb
+        self.publish, self.disturb = publish, disturb
         self.now = 0.0  # [s]
         self.level = 1.0  # charge of the battery, 0 to 1
         self.held: Sample | None = None  # by the gripper
@@ -129,8 +129,8 @@ class Robot:
         if target is not None:
             target.quality, self.field.target = quality, None
             self.qualities.append(quality)
-            self.tell("mission status", f"{target.name}_analysed", "true")
-            self.tell("mission status", f"{target.name}_target", "false")
+            self.publish("mission status", f"{target.name}_analysed", "true")
+            self.publish("mission status", f"{target.name}_target", "false")
 
 
 class Node:
@@ -138,7 +138,7 @@ class Node:
 
     Attributes:
         name: its identity.
-        moves: whether it tells the vehicle where to go.
+        moves: whether it steers the vehicle.
         watts: its power while it is active [W].
     """
 
@@ -197,7 +197,7 @@ class SampleCamera(Node):
         x, y, _ = vehicle.position
         for one in robot.field.seen((x, y), vehicle.altitude * tan(robot.settings.half_view_rad)):
             one.is_found = True
-            robot.tell("mission status", f"{one.name}_found", "true")
+            robot.publish("mission status", f"{one.name}_found", "true")
 
 
 class PickUpPlanner(Node):
@@ -223,7 +223,7 @@ class Gripper(Node):
     def begin(self) -> None:
         self.worked_s(False)
         self.robot.vehicle.fold(False)
-        self.robot.tell("mission status", "gripper_folded", "false")
+        self.robot.publish("mission status", "gripper_folded", "false")
 
     def end(self) -> None:
         self.robot.let_go()
@@ -234,7 +234,7 @@ class Gripper(Node):
             robot.is_jammed, robot.jams_s = True, inf
             robot.let_go()
             robot.disturb("the gripper jammed")
-            robot.tell("component status", "gripper", "FALSE")
+            robot.publish("component status", "gripper", "FALSE")
         if robot.is_jammed or robot.held is not None or target is None:
             return
         reached = robot.vehicle.is_near(robot.over(target, GRIP_M), 0.15) and robot.vehicle.arm_rad > 1.2
@@ -295,7 +295,7 @@ class InfraredCamera(Node):
 
 
 class ReturnPlanner(Node):
-    """Lands at the base, which is the origin, and charges there; tells that it is full as long as it stays.
+    """Lands at the base, which is the origin, and charges there; reports that it is full as long as it stays.
 
     Whoever begins to listen when the battery is full already hears it, too; and what else depends on the battery is
     not decided by a measurement of before.
@@ -319,8 +319,8 @@ class ReturnPlanner(Node):
         if robot.level >= FULL:
             robot.recharges += not self._is_full
             self._is_full = True
-            robot.tell("QA measurement", "battery_level", repr(robot.level))
-            robot.tell("mission status", "battery_recharged", "true")
+            robot.publish("QA measurement", "battery_level", repr(robot.level))
+            robot.publish("mission status", "battery_recharged", "true")
 
 
 class LandingPlanner(Node):
@@ -346,7 +346,7 @@ class FoldingServo(Node):
             vehicle.fold(True)
             if vehicle.arm_rad < FOLDED_RAD / 2 and not self._is_told:
                 self._is_told = True
-                self.robot.tell("mission status", "gripper_folded", "true")
+                self.robot.publish("mission status", "gripper_folded", "true")
 
 
 class Nodes(dict[str, Node]):

@@ -143,9 +143,9 @@ class Quadrotor:
         self._push = (settings.drag * wind[0], settings.drag * wind[1])
         push, held = math.hypot(*self._push), TRIM_LIMIT * self._mass
         if push > held:
-            told = f"the wind would push with {push:.3g} N (drag times wind_m_s)"
+            problem = f"the wind would push with {push:.3g} N (drag times wind_m_s)"
             advice = f"the vehicle keeps its place against {held:.3g} N; set drag or wind_m_s lower"
-            raise MissionError(f"{told}, and {advice}")
+            raise MissionError(f"{problem}, and {advice}")
         area = math.pi * settings.rotor_radius_m**2
         self._watts = 1 / (settings.figure_of_merit * math.sqrt(2 * settings.air_kg_m3 * area))
         self._target: Vector | None = None

@@ -41,15 +41,15 @@ class UavWorld(World):
 
         field = Field(settings, rng)
         self._places = {one.name: [one.place] for one in field.samples}
-        self._robot = Robot(settings, Quadrotor(settings, wind), field, rng, self._tell, self._disturb)
+        self._robot = Robot(settings, Quadrotor(settings, wind), field, rng, self._publish, self._disturb)
         self._nodes = Nodes(self._robot)
         takes = {"activate": settings.activation_s, "deactivate": settings.deactivation_s}
         self._managed = SimulatedComponents(lambda: self._now, self._nodes, takes)
         self._step_s, self._nodes_period_s = SUBSTEPS * settings.physics_step_s, PERIOD_S
         self._not_wanted = list(field.samples)
         self._want()
-        self._tell(STATUS, "gripper_folded", "true")
-        self._tell("QA measurement", "battery_level", "1.0")
+        self._publish(STATUS, "gripper_folded", "true")
+        self._publish("QA measurement", "battery_level", "1.0")
 
     @property
     def now(self) -> float:
@@ -85,10 +85,10 @@ class UavWorld(World):
             for node in self._nodes.acting:
                 node.update()
             if robot.field.aim((x, y)) and robot.field.target is not None:
-                self._tell(STATUS, f"{robot.field.target.name}_target", "true")
+                self._publish(STATUS, f"{robot.field.target.name}_target", "true")
         if self._now >= self._battery_due - 1e-9:
             self._battery_due += self._settings.battery_period_s
-            self._tell("QA measurement", "battery_level", repr(robot.level))
+            self._publish("QA measurement", "battery_level", repr(robot.level))
 
     def _drain(self, step_s: float) -> None:
         robot, settings, before = self._robot, self._settings, self._robot.level
@@ -103,19 +103,19 @@ class UavWorld(World):
         if robot.level == 0.0 and before > 0.0:
             robot.vehicle.has_power = False
             self._disturb("the battery is empty")
-            self._tell(STATUS, "battery_empty", "true")
+            self._publish(STATUS, "battery_empty", "true")
 
     def _want(self) -> None:
         """Tell which samples have become wanted."""
         for one in [one for one in self._not_wanted if one.wanted_s <= self._now]:
             self._not_wanted.remove(one)
-            self._tell(STATUS, f"{one.name}_wanted", "true")
+            self._publish(STATUS, f"{one.name}_wanted", "true")
             if one.is_reported:
                 one.is_found = True
                 self._disturb(f"an operator reports {one.name}")
-                self._tell(STATUS, f"{one.name}_found", "true")
+                self._publish(STATUS, f"{one.name}_found", "true")
 
-    def _tell(self, message: str, key: str, value: str) -> None:
+    def _publish(self, message: str, key: str, value: str) -> None:
         status = {"name": "uav", "message": message, "values": {key: value}}
         self._outbox.append({"time": self._now, "status": [status]})
 

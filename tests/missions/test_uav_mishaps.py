@@ -35,12 +35,12 @@ class Mishaps(UavWorld):
     def jam(self, lasts_s):
         self._robot.is_jammed = True
         self._robot.let_go()
-        self._tell("component status", "gripper", "FALSE")
+        self._publish("component status", "gripper", "FALSE")
         self.happens += ((self.now + lasts_s, "recover", 0.0),)
 
     def recover(self, _):
         self._robot.is_jammed = False
-        self._tell("component status", "gripper", "recovered")
+        self._publish("component status", "gripper", "recovered")
 
     def report(self, x):
         number = len(self._robot.field.samples) + 1
