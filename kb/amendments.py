@@ -4,8 +4,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, fields
 from typing import Any, NamedTuple
 
-from kb.contents import tables_of
 from kb.elements import Changeable, Constraint, Estimation
+from kb.facts import tables_of
 from kb.model import Model
 from kb.owl.declaring import Declarer
 from kb.owl.individuals import Serials, element_id, from_json, individual, individuals, plain_json

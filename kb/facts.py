@@ -1,26 +1,29 @@
-"""Facts that a model states from the start: a file of a robot's model may say what was known when it was written.
+"""What a model consists of, for those who read or fill one; and the facts that it states from the start.
 
-A knowledge base made of the model begins with them. What is not stated is not so: no component is active, nothing is
-selected or required, nothing is measured.
+A file of a robot's model may say what was known when it was written; a knowledge base made of the model begins with
+that. What is not stated is not so: no component is active, nothing is selected or required, nothing is measured.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import Final, Protocol
 
-from kb.elements import Action, Component, Configuration, Constraint, Element, Function, FunctionDesign
+from kb.elements import (
+    KINDS,
+    Action,
+    Attribute,
+    Component,
+    Configuration,
+    Constrainable,
+    Constraint,
+    Element,
+    Estimation,
+    Expression,
+    Function,
+    FunctionDesign,
+    Owner,
+)
 from kb.status import Status
-
-__all__ = [
-    "ActiveFact",
-    "Fact",
-    "MeasurementFact",
-    "PlanFact",
-    "ProcessFact",
-    "RequiredActionFact",
-    "RequiredFact",
-    "SelectedFact",
-    "StatusFact",
-]
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,3 +122,42 @@ Fact = (
     | ProcessFact
     | PlanFact
 )
+
+
+TABLES: Final[Mapping[str, type[Element]]] = {
+    "actions": Action,
+    "functions": Function,
+    "components": Component,
+    "designs": FunctionDesign,
+    "configurations": Configuration,
+    "attributes": Attribute,
+}
+"""The mapping of a model that holds the elements of each class."""
+
+
+class Contents(Owner, Protocol):
+    """A model, for those who read it or declare what a file says; see `Model`."""
+
+    attributes: Mapping[str, Attribute]
+    components: Mapping[str, Component]
+    configurations: Mapping[str, Configuration]
+    functions: Mapping[str, Function]
+    designs: Mapping[str, FunctionDesign]
+    actions: Mapping[str, Action]
+    notes: list[str]
+    places: dict[Element | Constraint, str]
+
+    @property
+    def constraints(self) -> tuple[Constraint, ...]: ...
+    @property
+    def estimations(self) -> tuple[Estimation, ...]: ...
+    @property
+    def facts(self) -> tuple[Fact, ...]: ...
+    def constrain(self, elements: Iterable[Constrainable], expression: Expression) -> Constraint: ...
+    def add_fact(self, fact: Fact) -> None: ...
+
+
+def tables_of(model: Contents) -> Mapping[type[Element], Mapping[str, Element]]:
+    """Return all elements that have names by their class, so that what refers to others comes after these."""
+    tables = {cls: getattr(model, word) for word, cls in TABLES.items()}
+    return {cls: tables[cls] for cls in KINDS if cls in tables}

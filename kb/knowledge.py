@@ -12,12 +12,20 @@ from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
 from kb.amendments import amendment
-from kb.contents import Contents
 from kb.elements import Action, Attribute, Changeable, Component, Element, Estimation
 from kb.events import Event, StatusChange
 from kb.explanation.choice import note_nothing
 from kb.explanation.reasons import shortest, why_selected
-from kb.facts import ActiveFact, Fact, MeasurementFact, RequiredActionFact, RequiredFact, SelectedFact, StatusFact
+from kb.facts import (
+    ActiveFact,
+    Contents,
+    Fact,
+    MeasurementFact,
+    RequiredActionFact,
+    RequiredFact,
+    SelectedFact,
+    StatusFact,
+)
 from kb.inference import grow, initial_state, is_adaptable, propagate, shrink
 from kb.log import Log
 from kb.measurements import Judged, Measurements

@@ -13,11 +13,10 @@ from weakref import finalize
 
 from kb import questions
 from kb.amendments import amend
-from kb.declarations import parameters as checked_parameters
-from kb.declarations import pid as checked_pid
-from kb.declarations import text
 from kb.diagnostics import DiagnosticProblem, Measurement, read_diagnostics
-from kb.elements import Parameters, finite_number
+from kb.elements import Parameters, finite_number, text
+from kb.elements import parameters as checked_parameters
+from kb.elements import pid as checked_pid
 from kb.events import Event
 from kb.exceptions import InvalidValue, KnowledgeBaseError
 from kb.explanation.reasons import why, why_selected

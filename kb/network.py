@@ -6,7 +6,6 @@ from collections.abc import Iterable, Mapping
 from operator import itemgetter
 from typing import Any, Final
 
-from kb.contents import Contents
 from kb.elements import (
     KINDS,
     Action,
@@ -19,6 +18,7 @@ from kb.elements import (
     FunctionDesign,
 )
 from kb.exceptions import UnknownName
+from kb.facts import Contents
 
 __all__ = ["LEVELS", "Network", "Node", "Ref", "Thresholds", "is_steady"]
 

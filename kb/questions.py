@@ -6,8 +6,7 @@ Each is a function of whatever can be read, and a method of `KnowledgeBase` and 
 from collections.abc import Iterable, Mapping
 from typing import Final
 
-from kb.declarations import listed
-from kb.elements import Constraint, Element
+from kb.elements import Constraint, Element, listed
 from kb.exceptions import AmbiguousName, InvalidValue, UnknownName
 from kb.explanation.choice import ChoiceExplanation
 from kb.explanation.choice import explain_choice as explained_choice

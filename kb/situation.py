@@ -5,8 +5,7 @@ from contextlib import contextmanager
 from typing import NamedTuple
 
 from kb import questions
-from kb.declarations import listed
-from kb.elements import Constraint, exact, finite_number
+from kb.elements import Constraint, exact, finite_number, listed
 from kb.exceptions import InvalidValue
 from kb.inference import propagate
 from kb.measurements import verdict

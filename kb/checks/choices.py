@@ -6,10 +6,9 @@ from itertools import groupby, pairwise
 from typing import Final
 
 from kb.checks.findings import Finding, found, listing
-from kb.contents import Contents
 from kb.elements import Attribute, Configuration, Element, FunctionDesign, StalePolicy
 from kb.explanation.requirements import Interval, bounds
-from kb.facts import RequiredActionFact
+from kb.facts import Contents, RequiredActionFact
 from kb.network import Network, Node
 
 PREFERRED: Final = 32

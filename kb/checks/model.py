@@ -7,11 +7,18 @@ from dataclasses import replace
 from kb.checks.choices import doubtful_choices
 from kb.checks.contradictions import contradictions
 from kb.checks.findings import Finding, Severity, found, listing
-from kb.contents import Contents, tables_of
-from kb.declarations import listed, text
-from kb.elements import KINDS, Action, Component, Constraint, Element, Function, FunctionDesign
+from kb.elements import KINDS, Action, Component, Constraint, Element, Function, FunctionDesign, listed, text
 from kb.exceptions import UnknownName
-from kb.facts import ActiveFact, MeasurementFact, RequiredActionFact, RequiredFact, SelectedFact, StatusFact
+from kb.facts import (
+    ActiveFact,
+    Contents,
+    MeasurementFact,
+    RequiredActionFact,
+    RequiredFact,
+    SelectedFact,
+    StatusFact,
+    tables_of,
+)
 from kb.network import Network
 from kb.status import Status
 

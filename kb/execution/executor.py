@@ -5,8 +5,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from kb.declarations import choice
-from kb.elements import Component, ComponentKind, Configuration
+from kb.elements import Component, ComponentKind, Configuration, choice
 from kb.exceptions import InvalidValue
 from kb.execution.safeguards import Budgets, Quarantine, Quarantined, is_number, words_of
 from kb.knowledge_base import KnowledgeBase

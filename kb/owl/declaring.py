@@ -6,8 +6,6 @@ from contextlib import contextmanager
 from dataclasses import MISSING, fields
 from typing import Any, Final
 
-from kb.contents import Contents
-from kb.declarations import choice
 from kb.elements import (
     REFERENCES,
     Attribute,
@@ -18,10 +16,11 @@ from kb.elements import (
     Element,
     Estimation,
     Expression,
+    choice,
     finite_number,
 )
 from kb.exceptions import InvalidValue, KnowledgeBaseError, ModelError, UnknownName
-from kb.facts import StatusFact
+from kb.facts import Contents, StatusFact
 from kb.owl.individuals import CLASSES, GENERAL, SPECIAL, Individual, Ref, Value, parameter_values, property_of
 from kb.status import Status
 

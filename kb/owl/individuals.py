@@ -14,7 +14,6 @@ from enum import StrEnum
 from typing import Any, Final, NamedTuple
 from urllib.parse import quote
 
-from kb.contents import Contents, tables_of
 from kb.elements import (
     REFERENCES,
     Action,
@@ -30,6 +29,7 @@ from kb.elements import (
 )
 from kb.facts import (
     ActiveFact,
+    Contents,
     Fact,
     MeasurementFact,
     PlanFact,
@@ -38,6 +38,7 @@ from kb.facts import (
     RequiredFact,
     SelectedFact,
     StatusFact,
+    tables_of,
 )
 
 __all__ = [

@@ -13,8 +13,8 @@ import owlready2
 from owlready2 import rdfxml_2_ntriples
 from owlready2.sparql.main import Translator
 
-from kb.contents import Contents
 from kb.exceptions import KnowledgeBaseError, ModelError, UnknownName
+from kb.facts import Contents
 from kb.files import ModelFileError, read_text
 from kb.owl.declaring import Declarer
 from kb.owl.individuals import CLASSES, GENERAL, MODEL, PARAMETER, PREFERENCE, STATED, Individual, Ref, Value

@@ -10,7 +10,7 @@ from html import escape
 from importlib.resources import files
 from typing import Final
 
-from kb.contents import Contents
+from kb.facts import Contents
 from kb.owl.individuals import GENERAL, Individual, Ref, Value, individuals
 
 __all__ = ["BASE", "ROSA", "iri_of", "metamodel", "order", "owl_text", "plain_text", "xml_text"]

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from kb import elements, facts
-from kb.contents import Contents
 from kb.elements import Attribute, Component, Configuration, Constraint, Element, Expression, Parameter, finite_number
 from kb.exceptions import InvalidValue, UnknownName
+from kb.facts import Contents
 from kb.files import Place, read_text
 from kb.status import STATUSES, Status
 from kb.typeql.matching import answers

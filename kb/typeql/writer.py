@@ -7,10 +7,9 @@ from dataclasses import fields
 from datetime import UTC, datetime, timedelta
 from typing import Final
 
-from kb.contents import Contents, tables_of
 from kb.elements import Action, Changeable, Component, Configuration, Element, Estimation, Function, Parameter, called
 from kb.exceptions import ModelError
-from kb.facts import ActiveFact, Fact, PlanFact, RequiredFact, SelectedFact, StatusFact
+from kb.facts import ActiveFact, Contents, Fact, PlanFact, RequiredFact, SelectedFact, StatusFact, tables_of
 from kb.typeql.vocabulary import ATTRIBUTES, CLASSES, EXTENSIONS, PARAMETER_TYPES, ROLES, SPECIAL, Field, Value, seconds
 
 _STEPS: Final = {
