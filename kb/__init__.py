@@ -12,7 +12,7 @@ from kb.explanation.reasons import Explanation
 from kb.files import ModelFileError
 from kb.knowledge_base import KnowledgeBase
 from kb.log import Log
-from kb.managed_system import ManagedObjects, ManagedSystem, Operation
+from kb.managed_system import ManagedObject, ManagedObjects, ManagedSystem, Operation
 from kb.manager import ConfigurationManager, Executor, Monitor, Planner, PriorityPlanner
 from kb.model import Model
 from kb.planners.choice import Choice, Criterion, Optimum
@@ -46,6 +46,7 @@ __all__ = [
     "KnowledgeBase",
     "KnowledgeBaseError",
     "Log",
+    "ManagedObject",
     "ManagedObjects",
     "ManagedSystem",
     "Model",

@@ -104,7 +104,8 @@ class StagedExecutor:
                 kb.components[name]
             for name in self._budgets.most:
                 kb.attributes[name]
-        self._quarantine.review(kb)
+        if self._quarantine.held:
+            self._quarantine.review(kb)
         if self._plan is None:
             open_plans = kb.open_plans
             if not open_plans:
@@ -171,17 +172,19 @@ class StagedExecutor:
             activated, deactivated, parameters = _steps(state, open_plans)
             running = _running(state, parameters).items()
             stops = [name for name, one in running if _component(one).stops_to_configure]
-        paused = [name for name in stops if name not in deactivated]
-        yield self._commands(kb, plan, "deactivate", [*deactivated, *paused])
+            paused = [name for name in stops if name not in deactivated]
+            stopping = self._commands(kb, state, plan, "deactivate", [*deactivated, *paused])
+        yield stopping
         started = [*activated, *paused]
         if self._budgets.most:
             yield from self._configured_within_budgets(kb, plan, parameters, started)
             parameters = []
         with kb.reading() as state:
-            configured = [*_running(state, parameters), *started]
-        yield self._commands(kb, plan, "configure", configured)
+            configuring = self._commands(kb, state, plan, "configure", [*_running(state, parameters), *started])
+        yield configuring
         if started:
-            starting = self._commands(kb, plan, "activate", started)
+            with kb.reading() as state:
+                starting = self._commands(kb, state, plan, "activate", started)
             self._commanded = {command.component for command in starting if command.managed is not None}
             yield starting
         if self._failed:
@@ -198,7 +201,9 @@ class StagedExecutor:
             running = _running(state, parameters)
         for name in running:
             if self._budgets.allow(kb, started, self._failed) or self._budgets.are_eased(kb, name, self._failed):
-                yield self._commands(kb, plan, "configure", [name])
+                with kb.reading() as state:
+                    configuring = self._commands(kb, state, plan, "configure", [name])
+                yield configuring
                 continue
             self._failed.add(name)
             chosen = kb.components[name].selected_configuration
@@ -208,15 +213,12 @@ class StagedExecutor:
             self._failed.update(started)
 
     def _commands(
-        self, kb: KnowledgeBase, plan: ReconfigurationPlan, operation: str, names: Sequence[str]
+        self, kb: KnowledgeBase, state: State, plan: ReconfigurationPlan, operation: str, names: Sequence[str]
     ) -> list["_Command"]:
         """Return the commands to components; what has failed is only stopped."""
-        with kb.reading() as state:
-            components = _known(state, names)
-            chosen = {name: _selected(state, one) for name, one in components.items()}
         commands = []
-        for name, component in components.items():
-            configuration = chosen[name] if operation == "configure" else None
+        for name, component in _known(state, names).items():
+            configuration = _selected(state, component) if operation == "configure" else None
             if (operation != "deactivate" and name in self._failed) or (operation == "configure" and not configuration):
                 continue
             kind = _component(component).kind
@@ -237,7 +239,7 @@ class StagedExecutor:
         with kb.reading() as state:
             known = _known(state, started).items()
             idle = [name for name, one in known if state.active[one.index] and not state.users[one.index]]
-        return self._commands(kb, plan, "deactivate", [*unsure, *idle])
+            return self._commands(kb, state, plan, "deactivate", [*unsure, *idle])
 
 
 @dataclass(slots=True, eq=False)

@@ -162,8 +162,6 @@ class Quarantine:
 
     def review(self, kb: KnowledgeBase) -> None:
         """Release those whose component has recovered from a failure, and forget those released otherwise."""
-        if not self.held:
-            return
         with kb.reading() as state:
             components = state.network.components
             self.held = {name: one for name, one in self.held.items() if _stands(state, name)}
