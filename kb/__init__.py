@@ -3,7 +3,7 @@
 from kb.checks.findings import Finding, Severity
 from kb.diagnostics import DiagnosticProblem
 from kb.elements import AttributeKind, ComponentKind, EstimationKind, Expression, StalePolicy
-from kb.events import Event, EventKind, StatusChange
+from kb.events import Event, EventKind, Log, StatusChange
 from kb.exceptions import AmbiguousName, DuplicateName, InvalidValue, KnowledgeBaseError, ModelError, UnknownName
 from kb.execution.executor import StagedExecutor
 from kb.execution.safeguards import Quarantined
@@ -11,16 +11,15 @@ from kb.explanation.choice import ChoiceExplanation
 from kb.explanation.reasons import Explanation
 from kb.files import ModelFileError
 from kb.knowledge_base import KnowledgeBase
-from kb.log import Log
 from kb.managed_system import ManagedObject, ManagedObjects, ManagedSystem, Operation
 from kb.manager import ConfigurationManager, Executor, Monitor, Planner, PriorityPlanner
 from kb.model import Model
 from kb.planners.choice import Choice, Criterion, Optimum
 from kb.planners.optimal import OptimalPlanner
 from kb.processes import ProcessComponents, Program
+from kb.questions import Situation
 from kb.reconfiguration import Obsolete
 from kb.records import Attempt, Process, ReconfigurationPlan, Reply, RequiredAction, VetoAnswer
-from kb.situation import Situation
 from kb.status import Status
 from kb.store import StoreError
 

@@ -10,8 +10,6 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Final, NamedTuple
 
-__all__ = ["ComponentReport", "DiagnosticProblem", "Measurement", "read_diagnostics"]
-
 MEASUREMENTS: Final = frozenset({"qa status", "qa measurement", "ea status", "ea measurement", "attribute measurement"})
 COMPONENT_REPORTS: Final = frozenset({"component status", "component"})
 NUMBER: Final = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")

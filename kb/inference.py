@@ -22,8 +22,6 @@ from kb.status import (
     function_status,
 )
 
-__all__ = ["grow", "infer", "initial_state", "is_adaptable", "propagate", "shrink"]
-
 Agenda = list[dict[Node, None]]
 
 _TOP: Final = LEVELS["attribute"]
@@ -70,7 +68,6 @@ def propagate(state: State, touched: Iterable[Node]) -> list[StatusChange]:
 
 
 def _concerned(state: State, node: Node, old: Status, new: Status) -> Iterable[Node]:
-    """Return what may have to change because a status did."""
     if (old in _IMPOSSIBLE) == (new in _IMPOSSIBLE):
         if node.kind == "constraint":
             return ()

@@ -13,7 +13,7 @@ from typing import Any, Final, NamedTuple
 
 from kb.amendments import amendment
 from kb.elements import Action, Attribute, Changeable, Component, Element, Estimation
-from kb.events import Event, StatusChange
+from kb.events import Event, Log, StatusChange
 from kb.explanation.choice import note_nothing
 from kb.explanation.reasons import shortest, why_selected
 from kb.facts import (
@@ -27,7 +27,6 @@ from kb.facts import (
     StatusFact,
 )
 from kb.inference import grow, initial_state, is_adaptable, propagate, shrink
-from kb.log import Log
 from kb.measurements import Judged, Measurements
 from kb.network import Network, Node, Ref, is_steady
 from kb.owl.individuals import Serials
@@ -35,8 +34,6 @@ from kb.reconfiguration import planned, reselect
 from kb.records import Attempt, Process, ReconfigurationPlan, Records, RequiredAction, VetoAnswer, finish
 from kb.state import FACTS, History, Overlay, Reason
 from kb.status import Status
-
-__all__ = ["Knowledge"]
 
 
 def _nobody() -> None:
@@ -134,20 +131,12 @@ class Knowledge:
 
     @property
     def now(self) -> float:
-        """The time by the clock [s]."""
         return self._clock()
 
     # ---------------------------------------------------------------- putting in place
 
     def apply(self, time: float, verb: str, arguments: tuple[Any, ...], cause: int | None = None) -> Event | None:
-        """Make an event of what is said, and put it in place; None if it would change nothing.
-
-        Args:
-            time: when [s].
-            verb: of the event.
-            arguments: of the event, checked.
-            cause: of the event.
-        """
+        """Make an event of what is said, and put it in place; None if it would change nothing."""
         if self.pending is not None:
             self.finish()
         if verb not in _RECORDS:
@@ -235,7 +224,6 @@ class Knowledge:
         return event
 
     def _lay(self) -> Overlay:
-        """Return the layer without anything in it."""
         if self._is_laid:
             self._layer.clear()
         self._is_laid = True
@@ -541,11 +529,7 @@ class Knowledge:
         self.log.last = event.number
 
     def to_json(self, keep: int) -> dict[str, Any]:
-        """Return all that is known as values that JSON can hold.
-
-        Args:
-            keep: how many measurements of each attribute.
-        """
+        """Return all that is known as values that JSON can hold."""
         nodes = [*self.network.constraints.values()]
         for kind in ("attribute", "component", "configuration", "function", "function design", "action"):
             nodes += self.network.of_kind(kind).values()

@@ -17,11 +17,10 @@ from kb.diagnostics import DiagnosticProblem, Measurement, read_diagnostics
 from kb.elements import Parameters, finite_number, text
 from kb.elements import parameters as checked_parameters
 from kb.elements import pid as checked_pid
-from kb.events import Event
+from kb.events import Event, Log, Publisher
 from kb.exceptions import InvalidValue, KnowledgeBaseError
 from kb.explanation.reasons import why, why_selected
 from kb.knowledge import Knowledge
-from kb.log import Log, Publisher
 from kb.model import Model
 from kb.network import Node
 from kb.owl.world import Answer, World
@@ -38,13 +37,10 @@ from kb.records import (
     VetoAnswer,
     check_result,
 )
-from kb.situation import suppose
 from kb.state import Overlay, State
 from kb.status import STATUSES, Status
 from kb.store import KEPT, Store
 from kb.views import named, views_of
-
-__all__ = ["KnowledgeBase"]
 
 _log = logging.getLogger(__name__)
 
@@ -149,7 +145,7 @@ class KnowledgeBase:
     explain = questions.explain
     why = questions.why
     explain_choice = questions.explain_choice
-    situation = suppose
+    situation = questions.suppose
 
     def reading(self) -> "_Reading":
         """Give the facts and statuses, to be read only; nothing changes within the `with` statement."""

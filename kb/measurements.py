@@ -17,15 +17,9 @@ from kb.network import Node, is_steady
 from kb.state import History, State
 from kb.status import OPERATORS, Status
 
-__all__ = ["Alarms", "Judged", "Measurements", "turning_point", "verdict"]
-
 
 class Alarms:
-    """When to look again: at most one alarm for each key, at a time of the clock.
-
-    Attributes:
-        next: no alarm is due before [s].
-    """
+    """When to look again: at most one alarm for each key, at a time of the clock."""
 
     __slots__ = ("_queue", "_times", "next")
 
@@ -43,7 +37,6 @@ class Alarms:
             self.next = self._queue[0][0]
 
     def clear(self, key: int) -> None:
-        """Take back the alarm of a key, if it has one."""
         self._times.pop(key, None)
 
     def due(self, now: float) -> tuple[float, int] | None:
@@ -93,7 +86,6 @@ class Measurements:
         self.since: dict[int, float] = {}
 
     def history(self, attribute: Node) -> History:
-        """Return every measurement of an attribute."""
         found = self._state.histories.get(attribute.index)
         if found is None:
             found = self._state.histories[attribute.index] = History()
@@ -107,15 +99,7 @@ class Measurements:
         return (*self.recent.get(attribute.index, ()), value)[-last:] if last > 1 else ()
 
     def put(self, attribute: Node, value: float, time: float, count: int, recent: tuple[float, ...]) -> None:
-        """Have a measurement be the latest; it may be done again.
-
-        Args:
-            attribute: what was measured.
-            value: in its unit.
-            time: when [s].
-            count: how much there was in the history before.
-            recent: those that count, with this one.
-        """
+        """Have a measurement be the latest; it may be done again."""
         index, state, element = attribute.index, self._state, attribute.element
         state.value[index], state.time[index], state.stale[index] = value, time, False
         if recent:
@@ -144,15 +128,7 @@ class Measurements:
     def judge(
         self, node: Node, value: float | None, recent: tuple[float, ...], before: Status | None, now: float
     ) -> Judged:
-        """Return what a debounced constraint becomes.
-
-        Args:
-            node: the constraint.
-            value: the latest measurement.
-            recent: the latest measurements, where several count.
-            before: what it was.
-            now: the time [s].
-        """
+        """Return what a debounced constraint becomes."""
         constraint, attribute = node.element, node.parts[0].element
         assert isinstance(constraint, Constraint)
         assert isinstance(attribute, Attribute)
@@ -185,7 +161,6 @@ class Measurements:
         return node.constraints
 
     def resume(self, attribute: Node, now: float) -> None:
-        """Set the alarms of an attribute and of the constraints on it anew."""
         element, measured, value = attribute.element, self._state.time[attribute.index], None
         assert isinstance(element, Attribute)
         if measured is not None:
@@ -198,7 +173,6 @@ class Measurements:
         self.put_judged([Judged(node, None, wait) for node, _, wait in judged], now)
 
     def forget(self, node: Node) -> None:
-        """Take note that an element is no longer in the model."""
         for key in (node.index, ~node.index):
             self.alarms.clear(key)
 

@@ -20,8 +20,6 @@ from kb.elements import (
 from kb.exceptions import UnknownName
 from kb.facts import Contents
 
-__all__ = ["LEVELS", "Network", "Node", "Ref", "Thresholds", "is_steady"]
-
 Ref = tuple[str, str] | tuple[str, str, int]
 """What stands for a node in plain data: (kind, name), or (kind, name, position) of a constraint by what it is on."""
 
@@ -63,7 +61,6 @@ class Node:
 
     @property
     def ref(self) -> Ref:
-        """What stands for it in plain data."""
         if isinstance(self.element, Element):
             return self.kind, self.element.name
         owner = self.wholes[0]
@@ -94,7 +91,6 @@ class Thresholds:
         self._turns.sort(key=_FIRST)
 
     def add(self, node: Node) -> None:
-        """Add a constraint."""
         if is_steady(node):
             self.steady.append(node)
         else:
@@ -106,7 +102,6 @@ class Thresholds:
         return [node for _, node in self._turns[low:high]]
 
     def around(self, value: float) -> list[float]:
-        """Return the written values nearest to a measured one on either side, if any."""
         place = bisect_right(self._turns, value, key=_FIRST)
         near = [node.element for _, node in self._turns[max(0, place - 1) : place + 1]]
         return [constraint.value for constraint in near if isinstance(constraint, Constraint)]
@@ -178,11 +173,7 @@ class Network:
                 self.add(element)
 
     def find(self, element: Element | Constraint) -> Node:
-        """Return the node of an element of this model.
-
-        Raises:
-            UnknownName: it is not in the model, or no longer.
-        """
+        """Return the node of an element of this model."""
         table = self._tables[type(element)]
         node = table.get(element if isinstance(element, Constraint) else element.name)
         if node is None or node.element is not element:
@@ -191,22 +182,12 @@ class Network:
         return node
 
     def of_kind(self, kind: str) -> Mapping[str, Node]:
-        """Return the nodes of a kind of elements that have names, by name.
-
-        Raises:
-            UnknownName: there is no such kind.
-        """
         table = self._kinds.get(kind)
         if table is None:
             raise UnknownName("kind of element", kind, self._kinds)
         return table
 
     def referred(self, ref: Ref) -> Node:
-        """Return the node that a `Ref` stands for.
-
-        Raises:
-            UnknownName: it is not in the model, or no longer.
-        """
         kind, name, *position = ref
         table = self.of_kind(kind)
         if name not in table:
@@ -219,7 +200,6 @@ class Network:
         return constraints[position[0]]
 
     def add(self, element: Element | Constraint) -> Node:
-        """Add the node of an element whose parts are there already."""
         self.revision += 1
         node = Node(len(self.nodes), KINDS[type(element)], element)
         self.nodes.append(node)
@@ -263,12 +243,10 @@ class Network:
         return wholes
 
     def changed(self, node: Node) -> None:
-        """Take note that an attribute or constraint is not what it was."""
         node.name = _name(node.element)
         self._thresholds.pop(node if node.kind == "attribute" else node.parts[0], None)
 
     def thresholds(self, attribute: Node) -> Thresholds:
-        """Return the constraints on an attribute in order."""
         found = self._thresholds.get(attribute)
         if found is None:
             found = self._thresholds[attribute] = Thresholds(attribute.constraints)

@@ -11,8 +11,6 @@ from kb.network import Node
 from kb.records import ReconfigurationPlan
 from kb.state import State
 
-__all__ = ["Obsolete", "Selection", "by_whole", "obsolete", "planned", "reselect"]
-
 
 class Obsolete(NamedTuple):
     """Names of what nothing required needs any more: active components, selected designs and configurations."""
@@ -75,23 +73,13 @@ def reselect(state: State, designs: Iterable[Node], configurations: Iterable[Nod
 
 
 def by_whole(chosen: Iterable[Node]) -> Mapping[str, str]:
-    """Return the names of designs or configurations, by name of the function or component that each is of."""
     return MappingProxyType({node.wholes[0].name: node.name for node in chosen})
 
 
 def planned(
     state: State, selection: Selection, reason: str, now: float, cause: int | None = None, number: int = 0
 ) -> ReconfigurationPlan:
-    """Return the plan of a selection.
-
-    Args:
-        state: the facts and statuses.
-        selection: what has to be done.
-        reason: why, in words.
-        now: the present time [s].
-        cause: number of the event that made it needed.
-        number: 1 for the first plan; 0 for one that is only tried.
-    """
+    """Return the plan of a selection."""
     activate, deactivate, *_ = selection
     elements = (state.network.components[name].element for name in (*activate, *deactivate))
     plain = frozenset(one.name for one in elements if isinstance(one, Component) and one.kind is ComponentKind.PLAIN)
@@ -114,7 +102,6 @@ def _choose(state: State, chosen: Iterable[Node]) -> tuple[list[Node], list[Node
 
 
 def _lacking(state: State) -> list[Node]:
-    """Return the inactive components of selected designs of required functions, by design."""
     lacking = state.lacking.nodes()
     users = {user.index: user for component in lacking for user in state.users[component.index]}
     designs = [users[index] for index in sorted(users) if state.required[users[index].wholes[0].index]]

@@ -9,20 +9,6 @@ from kb.elements import Parameters
 from kb.exceptions import InvalidValue
 from kb.facts import PlanFact, ProcessFact, RequiredActionFact
 
-__all__ = [
-    "Attempt",
-    "HistoryView",
-    "KEPT_RECORDS",
-    "Process",
-    "ReconfigurationPlan",
-    "Records",
-    "Reply",
-    "RequiredAction",
-    "VetoAnswer",
-    "check_result",
-    "finish",
-]
-
 KEPT_RECORDS: Final = 10_000
 """How many attempts and how many answers are remembered; the newest."""
 
@@ -215,20 +201,17 @@ class Records:
         self.rejected = 0
 
     def request(self, record: RequiredAction) -> None:
-        """Put a request on record; it is open unless it has an end."""
         self.requests[record.number] = record
         if record.end is None:
             self.required[record.action] = record
 
     def end_request(self, record: RequiredAction, ended: tuple[str, ...], event: int, **end: Any) -> None:  # noqa: ANN401  # what a field holds
-        """Put the end of a request on record."""
         finish(record, **end)
         self.required.pop(record.action, None)
         self.ended = ended
         self.last_end = end["end"], event
 
     def plan(self, record: ReconfigurationPlan) -> None:
-        """Put a plan on record; it is open unless it has an end."""
         self.plans[record.number] = record
         self.ended = ()
         if record.end is None:
@@ -242,12 +225,10 @@ class Records:
         self.open_plans = {number: one for number, one in self.open_plans.items() if one.end is None}
 
     def attempt(self, record: Attempt) -> None:
-        """Put an attempt on record."""
         self.attempts[record.serial] = record
         self.attempts.pop(record.serial - KEPT_RECORDS, None)
 
     def answer(self, number: int, record: VetoAnswer) -> None:
-        """Put an answer on record."""
         self.answers[number] = record
         if len(self.answers) > KEPT_RECORDS:
             del self.answers[next(iter(self.answers))]
@@ -275,7 +256,6 @@ class Records:
         self.plan(ReconfigurationPlan(*steps, reason, start, _end(fact, now), fact.result, number=len(self.plans) + 1))
 
     def plan_of(self, plan: object) -> ReconfigurationPlan:
-        """Return a plan that is given as itself or by its number."""
         found = self.plans.get(plan) if isinstance(plan, int) else plan
         if isinstance(found, ReconfigurationPlan):
             return found
@@ -313,11 +293,7 @@ class Records:
 
 
 class HistoryView:
-    """What is not asked every day, of all that is on record.
-
-    Args:
-        records: where it is.
-    """
+    """What is not asked every day, of all that is on record."""
 
     def __init__(self, records: Records) -> None:
         self._records = records
@@ -344,13 +320,11 @@ class HistoryView:
 
 
 def check_result(result: str) -> None:
-    """Raise unless the word is how an action or a plan can end."""
     if result not in RESULTS:
         raise InvalidValue(f"{result!r} is no result; a result is one of {', '.join(RESULTS)}")
 
 
 def finish(record: RequiredAction | ReconfigurationPlan | Process | Attempt, **end: Any) -> None:  # noqa: ANN401  # what a field holds
-    """Enter how a record has ended."""
     for name, value in end.items():
         object.__setattr__(record, name, value)
 

@@ -14,16 +14,6 @@ from kb.elements import Parameters
 from kb.network import Network, Node
 from kb.status import Status
 
-__all__ = [
-    "Array",
-    "FACTS",
-    "History",
-    "Marked",
-    "Overlay",
-    "Reason",
-    "State",
-]
-
 T = TypeVar("T")
 
 _INDEX = attrgetter("index")
@@ -40,12 +30,7 @@ class Array(Protocol[T]):
 
 
 class Reason(NamedTuple):
-    """What whoever told a fact said of it.
-
-    Attributes:
-        text: why it is so, in words; may be empty.
-        until: when it lapses [s]; None for never.
-    """
+    """What whoever told a fact said of it."""
 
     text: str = ""
     until: float | None = None
@@ -100,17 +85,14 @@ class Marked:
             self._most = len(self._own)
 
     def nodes(self) -> list[Node]:
-        """Return the nodes in order of declaration."""
         return sorted(self, key=_INDEX)
 
     def put_in_place(self) -> None:
-        """Have what is marked here marked in the set below, too."""
         assert self._below is not None
         for node, yes in self._own.items():
             self._below.mark(node, yes)
 
     def clear(self) -> None:
-        """Forget what is marked here."""
         self._own.clear()
 
     def __contains__(self, node: Node) -> bool:
@@ -147,7 +129,6 @@ class Users:
         return found
 
     def mark(self, index: int, user: Node, uses: bool) -> None:
-        """Have a node use another one, or no longer."""
         self.of(index).mark(user, uses)
 
     def of(self, index: int) -> Marked:
@@ -158,24 +139,15 @@ class Users:
         return users
 
     def put_in_place(self) -> None:
-        """Have what is marked here marked below, too."""
         for users in self._own.values():
             users.put_in_place()
 
     def clear(self) -> None:
-        """Forget what is marked here."""
         self._own.clear()
 
 
 class History:
-    """Every measurement of one attribute, by time; 16 bytes each.
-
-    Args:
-        packed: what `packed` returned of another one.
-
-    Attributes:
-        pairs: time and value by turns.
-    """
+    """Every measurement of one attribute, by time; 16 bytes each."""
 
     __slots__ = ("pairs",)
 
@@ -205,7 +177,6 @@ class History:
         return tuple(zip(pairs[::2], pairs[1::2], strict=True))
 
     def packed(self, most: int) -> bytes:
-        """Return the newest measurements as bytes."""
         return self.pairs[-2 * most :].tobytes()
 
     def _place(self, time: float) -> int:
@@ -299,11 +270,9 @@ class State:
                 column += [unset] * (count - len(column))
 
     def reason(self, column: str, node: Node) -> Reason:
-        """Return what was said of a fact; nothing, if nothing was."""
         return self.reasons.get((column, node.index), _UNSAID)
 
     def give_reason(self, column: str, node: Node, text: str = "", until: float | None = None) -> None:
-        """Keep what was said of a fact, in place of what was said of it before."""
         if text or until is not None:
             self.reasons[column, node.index] = Reason(text, until)
         else:
@@ -311,12 +280,7 @@ class State:
 
 
 class Overlay(State):
-    """A state on top of another: changes made here leave the one below as it is.
-
-    Args:
-        below: the other one.
-        lasting: it is used often, and is on top of no other layer.
-    """
+    """A state on top of another: changes made here leave the one below as it is."""
 
     def __init__(self, below: State, *, lasting: bool = False) -> None:
         self.network = below.network
@@ -338,16 +302,13 @@ class Overlay(State):
         self.version = below.version
 
     def reason(self, column: str, node: Node) -> Reason:
-        """Return what was said of a fact; nothing, if nothing was."""
         found = self.reasons.get((column, node.index))
         return self._below.reason(column, node) if found is None else found
 
     def give_reason(self, column: str, node: Node, text: str = "", until: float | None = None) -> None:
-        """Keep what was said of a fact, in place of what was said of it before."""
         self.reasons[column, node.index] = Reason(text, until)
 
     def is_on(self, below: State) -> bool:
-        """Tell whether it is on top of this one."""
         return self._below is below
 
     def changed(self) -> Iterable[int]:

@@ -9,18 +9,6 @@ import operator
 from collections.abc import Callable, Iterable, Mapping
 from enum import StrEnum
 
-__all__ = [
-    "OPERATORS",
-    "STATUSES",
-    "Status",
-    "action_status",
-    "component_status",
-    "configuration_status",
-    "constraint_status",
-    "design_status",
-    "function_status",
-]
-
 OPERATORS: Mapping[str, Callable[[float, float], bool]] = {
     ">=": operator.ge,
     ">": operator.gt,

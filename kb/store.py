@@ -25,8 +25,6 @@ from kb.knowledge import Knowledge
 from kb.model import Model
 from kb.owl.individuals import Serials, individuals, plain_json
 
-__all__ = ["FORMAT", "KEPT", "Store", "StoreError"]
-
 FORMAT: Final = 2
 """Of files that this version writes and reads."""
 
@@ -189,11 +187,6 @@ class Store:
             return [row.event for row in self._rows(after, "" if measurements else "AND verb <> 'measure'")]
 
     def check(self) -> int:
-        """Check all records, each with the one before it; returns how many there are.
-
-        Raises:
-            StoreError: one is not as it was written.
-        """
         with self._using, _blamed(self.path):
             (found,) = self._connection.execute("PRAGMA integrity_check(1)").fetchone()
             if found != "ok":
@@ -236,12 +229,7 @@ class Store:
     # ---------------------------------------------------------------- write
 
     def start(self, known: Knowledge, lock: AbstractContextManager[object]) -> None:
-        """Write from now on; if that fails, say so once, and try it again until it is of no use any more.
-
-        Args:
-            known: what is written, with its log.
-            lock: to be held to read that.
-        """
+        """Write from now on; if that fails, say so once, and try it again until it is of no use any more."""
         self._knowledge, self._lock = known, lock
         with _blamed(self.path):
             self._connection.execute("PRAGMA journal_mode=WAL")
@@ -263,7 +251,6 @@ class Store:
         return self.saved >= wanted
 
     def close(self) -> None:
-        """Write what is left, and give the file back."""
         if self._closing or self._is_stopping:
             return
         self._is_stopping = True

@@ -14,22 +14,6 @@ from kb.network import Network, Node
 from kb.state import State
 from kb.status import Status
 
-__all__ = [
-    "ActionView",
-    "AttributeView",
-    "ComponentView",
-    "ConfigurationView",
-    "ConstraintView",
-    "DesignView",
-    "ElementView",
-    "FunctionView",
-    "Readable",
-    "Views",
-    "named",
-    "views_of",
-]
-
-
 T = TypeVar("T")
 
 

@@ -13,8 +13,8 @@ from functools import lru_cache, partial
 from math import isfinite
 from typing import Protocol, runtime_checkable
 
+from kb.events import Log
 from kb.explanation.reasons import Explanation
-from kb.log import Log
 from rosa_pddl.domain import Domain, Feasibility, State, Step, UpThing, head_of
 from rosa_pddl.exceptions import SensingError, UnsupportedPddlError
 from rosa_pddl.problem import Problem, feasible_atoms, initial_state, lock_of, with_costs, without_feasibility

@@ -41,30 +41,6 @@ from kb.facts import (
     tables_of,
 )
 
-__all__ = [
-    "CLASSES",
-    "GENERAL",
-    "Individual",
-    "MODEL",
-    "PARAMETER",
-    "PREFERENCE",
-    "Ref",
-    "SPECIAL",
-    "STATED",
-    "Serials",
-    "Value",
-    "element_id",
-    "from_json",
-    "individual",
-    "individuals",
-    "kind_of",
-    "named_id",
-    "nested",
-    "parameter_values",
-    "plain_json",
-    "property_of",
-]
-
 
 class Ref(NamedTuple):
     """The id of another individual."""
@@ -76,13 +52,7 @@ Value = str | bool | int | float | Ref
 
 
 class Individual(NamedTuple):
-    """Something in a model.
-
-    Attributes:
-        kind: its class.
-        id: unique in the model.
-        values: by property; in order.
-    """
+    """Something in a model."""
 
     kind: str
     id: str
@@ -166,7 +136,6 @@ def property_of(cls: type, field: str) -> str:
 
 
 def kind_of(one: Changeable | Fact) -> str:
-    """Return the most special kind of an element or fact."""
     kind = CLASSES[type(one)]
     return SPECIAL.get((type(one), str(getattr(one, "kind", ""))), kind)
 
@@ -182,7 +151,6 @@ class Serials:
             self.of(one)
 
     def of(self, one: Constraint | Estimation) -> int:
-        """Return the number of a constraint or estimation."""
         if one not in self._given:
             self.give(one, self._next)
         return self._given[one]
@@ -194,7 +162,6 @@ class Serials:
 
 
 def element_id(element: Changeable, serials: Serials) -> str:
-    """Return the id of an element."""
     name = element.name if isinstance(element, Element) else str(serials.of(element))
     return named_id(type(element), name)
 
@@ -302,7 +269,6 @@ def _plain(cls: type, field: str, value: object, serials: Serials) -> Iterator[V
 
 
 def named_id(cls: type, name: str) -> str:
-    """Return the id of the element of a class that has a name."""
     return f"{CLASSES[cls]}.{_escaped(name)}"
 
 

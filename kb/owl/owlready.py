@@ -21,8 +21,6 @@ from kb.owl.individuals import CLASSES, GENERAL, MODEL, PARAMETER, PREFERENCE, S
 from kb.owl.queries import FUNCTIONS, Question, complaint, read_question
 from kb.owl.rdfxml import ROSA, order, plain_text
 
-__all__ = ["Answer", "Book", "inconsistency", "load_owl"]
-
 _TYPE: Final = "http://www.w3.org/1999/02/22-rdf-syntax-ns#type"
 _KINDS: Final = frozenset({*CLASSES.values(), *GENERAL, MODEL, PARAMETER, PREFERENCE})
 _ABSTRACT: Final = frozenset({"Element", "Relation", "Fact", "Period"})
@@ -145,7 +143,6 @@ def _ordered(values: Sequence[Value], places: Sequence[str]) -> Iterable[Value]:
 
 
 def _local(value: Value) -> str:
-    """Return the name of a word of ours, or nothing."""
     return value.id.removeprefix(ROSA) if isinstance(value, Ref) and value.id.startswith(ROSA) else ""
 
 
@@ -173,11 +170,7 @@ class _World(owlready2.World):  # type: ignore[misc]  # owlready2 has no types
 
 
 class Book:
-    """A world of individuals: the words of ROSA, a model, what was told, and what is inferred.
-
-    Args:
-        base: the IRI of the model.
-    """
+    """A world of individuals: the words of ROSA, a model, what was told, and what is inferred."""
 
     def __init__(self, base: str) -> None:
         self.base = base
@@ -190,7 +183,6 @@ class Book:
         self._words: dict[str, int] = {}
 
     def describe(self, words: str, given: Iterable[Individual]) -> None:
-        """Begin with the words of ROSA and a model."""
         self.world.get_ontology(ROSA).load(only_local=True, fileobj=BytesIO(words.encode()))
         self.write_model(given)
 
@@ -263,11 +255,9 @@ class Book:
                 yield f"_:{-cell}" if cell < 0 else self.world.iri_of(cell)
 
     def commit(self) -> None:
-        """Have everything that was written last."""
         self._db.commit()
 
     def close(self) -> None:
-        """Give the file back."""
         self.world.close()
 
     def _clear(self, context: str) -> None:

@@ -13,8 +13,6 @@ from typing import Final, NamedTuple
 from kb.exceptions import InvalidValue, KnowledgeBaseError, UnknownName
 from kb.owl.rdfxml import ROSA
 
-__all__ = ["FUNCTIONS", "Question", "complaint", "read_question"]
-
 _TOKEN: Final = re.compile(
     r"""(?P<space>\s+)
     | (?P<comment>\#[^\n\r]*)

@@ -13,8 +13,6 @@ from typing import Final
 from kb.facts import Contents
 from kb.owl.individuals import GENERAL, Individual, Ref, Value, individuals
 
-__all__ = ["BASE", "ROSA", "iri_of", "metamodel", "order", "owl_text", "plain_text", "xml_text"]
-
 ROSA: Final = "http://rosa-taca/rosa#"
 """What the names of classes and properties begin with."""
 
@@ -28,7 +26,6 @@ _FITTED: Final = re.compile(r"\\u([0-9a-f]{4})")
 
 
 def metamodel() -> str:
-    """Return the ontology without any individual."""
     return files("kb.owl").joinpath("rosa.owl").read_text(encoding="utf-8")
 
 
@@ -47,7 +44,6 @@ def owl_text(model: Contents) -> str:
 
 
 def iri_of(base: str, individual: str) -> str:
-    """Return the IRI of an individual of the model that has this base."""
     return f"{base}#{individual}"
 
 
@@ -65,7 +61,6 @@ def xml_text(text: str) -> str:
 
 
 def plain_text(text: str) -> str:
-    """Read a text that was fitted into XML."""
     return _FITTED.sub(lambda found: chr(int(found[1], 16)), text)
 
 

@@ -36,8 +36,6 @@ from kb.store import Store
 if TYPE_CHECKING:
     from kb.owl.owlready import Book
 
-__all__ = ["Answer", "World"]
-
 Answer = str | bool | int | float | None
 
 Values = dict[str, tuple[Value, ...]]
@@ -50,13 +48,7 @@ _REQUIRABLE: Final = frozenset({"action", "function", "component"})
 
 
 class World:
-    """All that a knowledge base knows, as individuals, brought up to date when it is asked.
-
-    Args:
-        known: what is known.
-        store: where the events are that are in memory no longer, if there is one.
-        keep: how many measurements of each attribute are in the world; the newest.
-    """
+    """All that a knowledge base knows, as individuals, brought up to date when it is asked."""
 
     def __init__(self, known: Knowledge, store: Store | None, keep: int) -> None:
         self._known, self._store, self._keep = known, store, keep
@@ -67,13 +59,7 @@ class World:
         self._measured = 0
 
     def ask(self, sparql: str, timeout: float, reading: AbstractContextManager[State]) -> list[tuple[Answer, ...]]:
-        """Answer a query; see `KnowledgeBase.query`.
-
-        Args:
-            sparql: the query.
-            timeout: how long it may take [s].
-            reading: holds the base while it is read.
-        """
+        """Answer a query; see `KnowledgeBase.query`."""
         with self._asking:
             return self._current(reading).ask(sparql, timeout)
 
@@ -104,7 +90,6 @@ class World:
         return self._book
 
     def _anew(self, reading: AbstractContextManager[State]) -> "Book":
-        """Begin again with an empty book."""
         from kb.owl.owlready import Book
 
         past = [] if self._store is None else self._store.events(measurements=False)
@@ -172,14 +157,12 @@ class _Chronicle:
         self._unended: dict[tuple[str, int], Record] = {}
 
     def measurement(self, attribute: str, value: float, time: float) -> Individual:
-        """Return a measurement."""
         values: Values = {"measures": (Ref(named_id(Attribute, attribute)),)}
         return Individual("Measurement", self._next(), {**values, "value": (float(value),), "time": (float(time),)})
 
     # ---------------------------------------------------------------- what was so for a time
 
     def of_events(self, events: Iterable[Event]) -> Iterator[Individual]:
-        """Yield what events began and ended."""
         for event in events:
             yield from self._of_event(event)
 
