@@ -34,6 +34,6 @@ class Agenda:
         self.at(phase, tick)
 
     def happen(self) -> None:
-        """Take the next event off the agenda and let it happen."""
+        """Let the next event happen."""
         time, _, event = heapq.heappop(self._events)
         event(time)

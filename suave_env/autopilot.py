@@ -90,14 +90,7 @@ class Guidance:
         self.go_to(position, position, (0.0, 0.0, 0.0), 0.0)
 
     def go_to(self, target: Vector, position: Vector, velocity: Vector, time: float) -> None:
-        """Begin a move to a setpoint.
-
-        Args:
-            target: The setpoint [m], world frame ENU, z up.
-            position: Where the vehicle is [m].
-            velocity: How fast it moves [m/s].
-            time: Now [s].
-        """
+        """Begin a move to a setpoint [m] from where the vehicle is [m] and how fast it moves [m/s], now [s]."""
         origin = self.stopping_point(position, velocity)
         dx, dy, dz = (end - start for end, start in zip(target, origin, strict=True))
         length = math.sqrt(dx * dx + dy * dy + dz * dz)
@@ -112,13 +105,9 @@ class Guidance:
         return px + vx / max(kx, 1e-3), py + vy / max(ky, 1e-3), pz + vz / max(kz, 1e-3)
 
     def force(self, position: list[float], velocity: list[float], time: float, duration: float) -> Vector:
-        """Return the wanted force [N], world frame ENU, z up.
+        """Return the wanted force [N], world frame ENU, z up, to be held for a duration [s] from now [s].
 
-        Args:
-            position: Where the vehicle is [m]; the first three numbers are read.
-            velocity: How fast it moves [m/s]; the first three numbers are read.
-            time: Now [s].
-            duration: For how long the force will be held [s].
+        Of position [m] and velocity [m/s] the first three numbers are read.
         """
         along, speed = self._move.at(time - self._start)
         ox, oy, oz = self._origin
@@ -161,12 +150,8 @@ class Autopilot:
             *(settings.heading_gain, settings.heading_damping, settings.roll_damping),
             *(settings.drag_surge, settings.drag_sway, settings.drag_heave),
         )
-        self._vehicle = vehicle
-        self._thrusters = thrusters
-        self._bias = bias
-        self._period = settings.control_period_s
-        self._periods = 0
-        self._until = 0.0
+        self._vehicle, self._thrusters, self._bias = vehicle, thrusters, bias
+        self._period, self._periods, self._until = settings.control_period_s, 0, 0.0
         self._guidance = Guidance(settings, vehicle.position)
 
     @property

@@ -7,16 +7,10 @@ LOW_LEVEL = 0.25
 
 
 class Battery:
-    """A battery that drains evenly, in steps, from full at GUIDED.
-
-    Attributes:
-        level: Charge, 1.0 full to 0.0 empty.
-        recharges: How often it was recharged.
-    """
+    """A battery that drains evenly, in steps, from full (level 1.0) at GUIDED to empty (0.0)."""
 
     def __init__(self, settings: Settings) -> None:
-        self.level = 1.0
-        self.recharges = 0
+        self.level, self.recharges = 1.0, 0
         self._discharge_time = settings.discharge_time_s
 
     def drain(self, duration: float) -> None:
@@ -28,6 +22,5 @@ class Battery:
         self.level = max(0.0, self.level - duration / self._discharge_time)
 
     def recharge(self) -> None:
-        """Fill the battery at once."""
         self.level = 1.0
         self.recharges += 1

@@ -22,14 +22,7 @@ HIGHEST_ALTITUDE_M = 19.0
 
 
 class Component:
-    """A node that can be active or inactive.
-
-    Attributes:
-        name: Its identity.
-        moves: Whether it sends setpoints.
-        active: Whether it acts.
-        parameters: Numbers by name.
-    """
+    """A node that can be active or inactive; it `moves` if it sends setpoints."""
 
     name: ClassVar[str]
     moves: ClassVar[bool] = True
@@ -43,6 +36,9 @@ class Component:
 
     def deactivated(self, time: float) -> None:
         """End; called when it has become inactive, with the time [s]."""
+
+    def tick(self, time: float) -> None:
+        """Act; called at each of its periods, with the time [s]."""
 
 
 class SpiralSearch(Component):
@@ -59,8 +55,7 @@ class SpiralSearch(Component):
     def __init__(self, settings: Settings, autopilot: Autopilot, centre: tuple[float, float]) -> None:
         super().__init__()
         self.parameters["spiral_altitude"] = settings.spiral_altitude_m
-        self._settings = settings
-        self._autopilot = autopilot
+        self._settings, self._autopilot = settings, autopilot
         self._begin(centre)
 
     def _begin(self, centre: tuple[float, float]) -> None:
@@ -68,9 +63,7 @@ class SpiralSearch(Component):
         self._offset = (0.0, 0.0)
         self._goal: Vector | None = None
         self._altitude: float | None = None
-        self._count = 0
-        self._waits = 0
-        self._correction = 0.0
+        self._count, self._waits, self._correction = 0, 0, 0.0
 
     def activated(self, time: float) -> None:
         if self._settings.spiral_restarts:
@@ -135,11 +128,8 @@ class FollowPipeline(Component):
 
     def __init__(self, settings: Settings, autopilot: Autopilot, outbox: Outbox) -> None:
         super().__init__()
-        self.distance_m = 0.0
-        self.total_m = 0.0
-        self._settings = settings
-        self._autopilot = autopilot
-        self._outbox = outbox
+        self.distance_m, self.total_m = 0.0, 0.0
+        self._settings, self._autopilot, self._outbox = settings, autopilot, outbox
         self._path: deque[tuple[float, float]] | None = None
         self._target: tuple[float, float] | None = None
         self._last: tuple[float, float] | None = None
@@ -229,10 +219,7 @@ class RecoverThrusters(Component):
         self, settings: Settings, restored: Callable[[int, float], None], agenda: Agenda, outbox: Outbox
     ) -> None:
         super().__init__()
-        self._settings = settings
-        self._restored = restored
-        self._agenda = agenda
-        self._outbox = outbox
+        self._settings, self._restored, self._agenda, self._outbox = settings, restored, agenda, outbox
         self._run = 0
 
     def activated(self, time: float) -> None:
@@ -263,9 +250,7 @@ class Recharge(Component):
 
     def __init__(self, settings: Settings, autopilot: Autopilot, recharge: Callable[[float], None]) -> None:
         super().__init__()
-        self._settings = settings
-        self._autopilot = autopilot
-        self._recharge = recharge
+        self._settings, self._autopilot, self._recharge = settings, autopilot, recharge
         self._is_sent = False
 
     def activated(self, time: float) -> None:
@@ -286,14 +271,7 @@ class Recharge(Component):
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """A component that was activated, deactivated or given other parameters.
-
-    Attributes:
-        time: When [s].
-        component: Its name.
-        active: Whether it is active from then on.
-        parameters: Its parameters from then on.
-    """
+    """A component that was activated, deactivated or given other parameters, when [s], and how it is from then on."""
 
     time: float
     component: str
@@ -371,11 +349,7 @@ class Components:
             self._note(time, component)
 
     def set_parameters(self, name: str, values: Mapping[str, object]) -> None:
-        """Set parameters of a component by name, all at the same time.
-
-        Raises:
-            SuaveEnvError: There is no such parameter, or a value is not allowed.
-        """
+        """Set parameters of a component by name, all at the same time; as allowed by `check`."""
         self.check(name, values)
         component = self._component(name)
         taken = {**component.parameters, **_taken(component, values)}

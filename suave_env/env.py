@@ -26,9 +26,7 @@ class Observation:
 
     Attributes:
         time: Time since GUIDED [s].
-        x: Position east [m], world frame ENU, z up.
-        y: Position north [m].
-        z: Position up [m], 0 at the surface.
+        x, y, z: Position [m], world frame ENU, z up from the surface.
         altitude: Height above the seabed [m].
         yaw: Heading from east to the left [rad].
         speed: Speed [m/s].
@@ -37,7 +35,6 @@ class Observation:
         thrusters_failed: Numbers of the thrusters that are stuck.
         active: Names of the components that are active.
         spiral_altitude: Altitude that the spiral search is set to [m].
-        pipeline_found: Whether the pipeline was found.
         recharged: How often the battery was recharged.
         distance_inspected_m: As in `Metrics` [m].
     """
@@ -69,13 +66,14 @@ class SuaveEnv:
         rng: The only source of chance: start position, vertical bias and the phases of the free-running timers.
 
     Attributes:
+        settings: As given.
         components: The nodes, to be activated, deactivated and given parameters.
         pipeline: The pipeline; its `points` are for plots.
         station: Position of the recharge station [m], world frame ENU, z up.
     """
 
     def __init__(self, settings: Settings, rng: np.random.Generator) -> None:
-        self._settings = settings
+        self.settings = settings
         east, north, bias = rng.standard_normal(3).tolist()
         phases = rng.random(8).tolist()
         x = settings.start_x_m + settings.start_x_sd_m * east
@@ -100,17 +98,17 @@ class SuaveEnv:
         self._enter_disturbances()
 
     def _start_nodes(self, phases: list[float]) -> None:
-        settings, agenda = self._settings, self._agenda
+        settings, agenda = self.settings, self._agenda
         recover = RecoverThrusters(settings, self._restored, agenda, self._outbox)
         recharge = Recharge(settings, self._autopilot, self._recharge)
         nodes = (self._spiral, self._follower, recover, recharge)
         self.components = Components(nodes, lambda: self._now, self._autopilot.hold, self._switched)
-        agenda.every(settings.spiral_period_s, phases[0] * settings.spiral_period_s, self._spiral.tick)
-        agenda.every(settings.follow_period_s, phases[1] * settings.follow_period_s, self._follower.tick)
-        agenda.every(settings.recharge_period_s, phases[2] * settings.recharge_period_s, recharge.tick)
+        periods = settings.spiral_period_s, settings.follow_period_s, settings.recharge_period_s
+        for node, period, phase in zip((self._spiral, self._follower, recharge), periods, phases, strict=True):
+            agenda.every(period, phase * period, node.tick)
 
     def _start_monitors(self, phases: list[float]) -> None:
-        settings, agenda = self._settings, self._agenda
+        settings, agenda = self.settings, self._agenda
         self._visibility_monitor = VisibilityMonitor(settings, self._water, self._outbox)
         self._thruster_monitor = ThrusterMonitor(settings, self._outbox)
         visibility_period, thruster_period = settings.visibility_monitor_period_s, settings.thruster_monitor_period_s
@@ -123,16 +121,11 @@ class SuaveEnv:
             agenda.every(settings.battery_period_s, phase + settings.battery_period_s, self._drain)
 
     def _enter_disturbances(self) -> None:
-        settings = self._settings
+        settings = self.settings
         for event in parse_thruster_events(settings.thruster_events, settings.thruster_events_chained):
             self._agenda.at(event.time, partial(self._thruster_event, event))
         for threshold in THRESHOLDS_M:
             self._await_crossing(threshold, 0.0)
-
-    @property
-    def settings(self) -> Settings:
-        """The constants of this sea."""
-        return self._settings
 
     @property
     def now(self) -> float:
@@ -224,7 +217,7 @@ class SuaveEnv:
         if visibility is not None:
             index = self.pipeline.first_visible(*self._autopilot.position, visibility)
         if index is None:
-            self._agenda.at(time + self._settings.pose_period_s, self._look)
+            self._agenda.at(time + self.settings.pose_period_s, self._look)
             return
         self._search_time = time
         self._follower.take_path(self.pipeline.path_from(index))
@@ -232,7 +225,7 @@ class SuaveEnv:
 
     def _drain(self, time: float) -> None:
         before = self._battery.level
-        self._battery.drain(self._settings.battery_period_s)
+        self._battery.drain(self.settings.battery_period_s)
         if before >= LOW_LEVEL > self._battery.level:
             self._disturb(time, "battery", f"battery level fell below {LOW_LEVEL}")
             self._judge(time, corrected=False)
@@ -243,7 +236,7 @@ class SuaveEnv:
 
     def _recharge(self, time: float) -> None:
         self._battery.recharge()
-        if self._settings.battery:
+        if self.settings.battery:
             self._tell_battery(time)
         self._outbox.publish(time, "recharge", MISSION_STATUS, "battery_recharged", "true")
 

@@ -9,18 +9,8 @@ class SuaveEnvError(Exception):
 
 
 def unknown_name(kind: str, name: object, known: Iterable[str]) -> SuaveEnvError:
-    """Make the error for a name that does not exist.
-
-    Args:
-        kind: What the name was taken for, such as "setting" or "component".
-        name: The name as it was given.
-        known: The names that exist.
-
-    Returns:
-        An error whose message lists the nearest known names, or all of them if none is near.
-    """
+    """Make the error for a name that does not exist; it lists the nearest known names, or all if none is near."""
     names = list(known)
     near = difflib.get_close_matches(str(name), names, n=3)
-    if near:
-        return SuaveEnvError(f"there is no {kind} {name!r}; the nearest are {', '.join(near)}")
-    return SuaveEnvError(f"there is no {kind} {name!r}; known are {', '.join(names) or 'none'}")
+    hint = f"the nearest are {', '.join(near)}" if near else f"known are {', '.join(names) or 'none'}"
+    return SuaveEnvError(f"there is no {kind} {name!r}; {hint}")

@@ -40,12 +40,9 @@ class Metrics:
 
 @dataclass(frozen=True)
 class Disturbance:
-    """Something that happened to the vehicle or the sea: the truth, which no monitor tells.
+    """What happened to the vehicle or the sea, and when [s]: the truth, which no monitor tells.
 
-    Attributes:
-        time: Time since GUIDED [s].
-        kind: "thruster", "visibility" or "battery".
-        text: One line.
+    Its kind is "thruster", "visibility" or "battery".
     """
 
     time: float
@@ -87,7 +84,6 @@ class Violations:
 
     @property
     def uncorrected(self) -> int:
-        """How many violations ended without being corrected, or hold."""
         return self._missed + len(self._open)
 
 
@@ -121,9 +117,6 @@ class Reactions:
 
     Args:
         altitude: Altitude to which the search is set at the start [m].
-
-    Attributes:
-        found: Every reaction so far, in order of its end.
     """
 
     def __init__(self, altitude: float) -> None:

@@ -32,11 +32,7 @@ class Message(TypedDict):
 
 
 class Outbox:
-    """Collects what is published until it is fetched.
-
-    Args:
-        hear: Called with the time [s], the key and the value of each.
-    """
+    """Collects what is published until it is fetched; `hear` is called with time [s], key and value of each."""
 
     def __init__(self, hear: Callable[[float, str, str], None] = lambda time, key, value: None) -> None:
         self._hear = hear
@@ -44,7 +40,6 @@ class Outbox:
 
     @property
     def is_waiting(self) -> bool:
-        """Whether anything was published since the last fetch."""
         return bool(self._messages)
 
     def publish(self, time: float, name: str, text: str, key: str, value: float | str) -> None:
@@ -70,10 +65,8 @@ class VisibilityMonitor:
 
     def __init__(self, settings: Settings, water: Water, outbox: Outbox) -> None:
         self.visibility: float | None = None
-        self._period = settings.visibility_monitor_period_s
-        self._water = water
-        self._outbox = outbox
-        self._count = 0
+        self._water, self._outbox = water, outbox
+        self._period, self._count = settings.visibility_monitor_period_s, 0
 
     def tick(self, time: float) -> None:
         self.visibility = self._water.visibility(self._count * self._period)
@@ -95,7 +88,6 @@ class ThrusterMonitor:
         self._news: list[tuple[int, str]] = []
 
     def notice(self, thruster: int, fails: bool) -> None:
-        """Take note of an event of a thruster, to be published at the next check."""
         self._news += [(thruster, word) for word in self._words[fails]]
 
     def tick(self, time: float) -> None:

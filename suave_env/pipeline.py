@@ -29,7 +29,9 @@ class Pipeline:
 
     def __init__(self, settings: Settings) -> None:
         self.z = SEABED_Z_M + settings.pipe_point_offset_m
-        self._xy = tuple(_interpolated())
+        shares = [step / _STEPS_PER_EDGE for step in range(1, _STEPS_PER_EDGE + 1)]
+        edges = pairwise(VERTICES_M)
+        self._xy = tuple((x + k * (to_x - x), y + k * (to_y - y)) for (x, y), (to_x, to_y) in edges for k in shares)
         self._tangent = math.tan(settings.half_view_angle_rad)
         self.points: NDArray[np.float64] = np.array(self._xy)
         self.points.flags.writeable = False
@@ -38,13 +40,8 @@ class Pipeline:
         """Return the smallest index of a point that the camera sees.
 
         A point is seen if `|dx|` and `|dy|` are at most `h tan(half angle)`, where `h = |dz|`, and `h` is at most the
-        visibility: a square field of view that does not turn with the vehicle (kas-lab/suave v1.3.0).
-
-        Args:
-            x: Vehicle position east [m], world frame ENU.
-            y: Vehicle position north [m].
-            z: Vehicle position up [m].
-            visibility: Water visibility [m].
+        visibility [m]: a square field of view that does not turn with the vehicle (kas-lab/suave v1.3.0), which is at
+        (x, y, z) [m], world frame ENU, z up.
 
         Returns:
             An index into `points`, or None if no point is seen.
@@ -59,22 +56,8 @@ class Pipeline:
         return None
 
     def path_from(self, index: int) -> tuple[tuple[float, float], ...]:
-        """Return the path of an inspection begun at a point.
+        """Return the path of an inspection begun at the point that was seen first: points (x, y) [m].
 
-        Args:
-            index: Index of the point that was seen first.
-
-        Returns:
-            Points (x, y) [m], world frame ENU: from that point to the far end, then all of them back to the near end,
-            the far end twice (kas-lab/suave v1.3.0).
+        From that point to the far end, then all of them back to the near end, the far end twice (kas-lab/suave v1.3.0).
         """
         return self._xy[index:] + self._xy[::-1]
-
-
-def _interpolated() -> list[tuple[float, float]]:
-    points = []
-    for (x0, y0), (x1, y1) in pairwise(VERTICES_M):
-        for step in range(1, _STEPS_PER_EDGE + 1):
-            share = step / _STEPS_PER_EDGE
-            points.append((x0 + share * (x1 - x0), y0 + share * (y1 - y0)))
-    return points

@@ -61,13 +61,7 @@ def _setting(default: T, unit: str, meaning: str, source: str, low: float = -mat
 
 @dataclass(frozen=True)
 class ThrusterEvent:
-    """A thruster that fails or recovers by itself.
-
-    Attributes:
-        thruster: Number, 1 to 6.
-        fails: True for a failure, False for a recovery.
-        time: Time since GUIDED [s].
-    """
+    """A thruster, 1 to 6, that fails or else recovers by itself, at a time since GUIDED [s]."""
 
     thruster: int
     fails: bool
@@ -208,11 +202,7 @@ class Settings:
     tree_period_s: float = _setting(0.15, "s", "period of SUAVE's tree: sleeps of 100 and 50 ms", _SUAVE, 0.01)
 
     def __post_init__(self) -> None:
-        """Check every value, and the values against each other.
-
-        Raises:
-            SuaveEnvError: If one is of the wrong type, not finite, out of range or at odds with another.
-        """
+        """Check every value, and the values against each other."""
         for info in fields(self):
             object.__setattr__(self, info.name, _checked(info, getattr(self, info.name)))
         if self.visibility_min_m > self.visibility_max_m:
@@ -234,11 +224,8 @@ class Settings:
                 the changes. A start or a bias is the same in every run, unless its standard deviation is among the
                 changes too.
 
-        Returns:
-            The new settings; these stay as they are.
-
         Raises:
-            SuaveEnvError: If a name is unknown or a value is not allowed.
+            SuaveEnvError: If a name is unknown, or a value is not allowed or at odds with another.
         """
         known = [info.name for info in fields(self)]
         for name in changes:
@@ -246,7 +233,7 @@ class Settings:
                 raise unknown_name("setting", name, known)
         values = {**_ruled(str(changes["rules"])), **changes} if "rules" in changes else changes
         exact = {spread: 0.0 for name, spread in _SPREADS.items() if name in changes and spread not in changes}
-        return dataclasses.replace(self, **{**values, **exact})  # type: ignore[arg-type]  # checked by __post_init__  # type: ignore[arg-type]  # checked by __post_init__, not by its type
+        return dataclasses.replace(self, **{**values, **exact})  # type: ignore[arg-type]  # checked by __post_init__, not by its type
 
 
 _SPREADS = {"start_x_m": "start_x_sd_m", "start_y_m": "start_y_sd_m", "bias_m": "bias_sd_m"}
@@ -267,9 +254,6 @@ def parse_thruster_events(text: str, chained: bool = False) -> tuple[ThrusterEve
 
     Returns:
         The events in order of time.
-
-    Raises:
-        SuaveEnvError: If the text cannot be read.
     """
     events = [_thruster_event(part.split(), text) for part in text.split(",") if part.strip()]
     if chained:
@@ -292,7 +276,6 @@ def _thruster_event(words: list[str], text: str) -> ThrusterEvent:
 
 
 def _allowed(info: "dataclasses.Field[float]") -> str:
-    """Say what a setting may be."""
     if isinstance(info.default, bool):
         return "true or false"
     if isinstance(info.default, str):

@@ -35,7 +35,6 @@ class Thrusters:
 
     @property
     def failed(self) -> tuple[int, ...]:
-        """The numbers of the thrusters that are stuck, in order."""
         return tuple(sorted(self._stuck))
 
     def fail(self, number: int) -> None:
@@ -49,14 +48,8 @@ class Thrusters:
     def allocate(self, forward: float, left: float, up: float, roll: float, turn: float) -> list[float]:
         """Share out a wanted force and torque, set the outputs and return them.
 
-        Args:
-            forward: Force along x of the body frame [N].
-            left: Force along y of the body frame [N].
-            up: Force along z of the body frame [N].
-            roll: Torque about x of the body frame [N m].
-            turn: Torque about z of the body frame [N m], positive to the left.
-
         The shares are those of the "vectored" frame of ArduPilot's Sub, for thrusts along the directions of the model.
+        Forces along x, y and z of the body frame [N]; torques about its x and z [N m], a turn positive to the left.
 
         Returns:
             The six outputs [N]. Beyond the limit, the thrusts of a group are scaled together: the direction stays.
@@ -73,11 +66,9 @@ class Thrusters:
         upright = max(abs(five), abs(six))
         if upright > limit:
             five, six = five * limit / upright, six * limit / upright
-        outputs = [one, two, three, four, five, six]
-        if self._stuck:
-            for number, frozen in self._stuck.items():
-                outputs[number - 1] = frozen
-        self.outputs = outputs
+        self.outputs = outputs = [one, two, three, four, five, six]
+        for number, frozen in self._stuck.items():
+            outputs[number - 1] = frozen
         return outputs
 
     def work(self, duration: float) -> None:

@@ -33,14 +33,13 @@ class Vehicle:
 
     Args:
         settings: Mass, inertia, buoyancy, drag, thrust limit and the physics step.
-        x: Start position east [m], world frame ENU, z up.
-        y: Start position north [m].
-        z: Start position up [m].
+        x, y, z: Start position [m], world frame ENU, z up.
 
     Attributes:
         model: The MuJoCo model (`mujoco.MjModel`).
         data: The MuJoCo state (`mujoco.MjData`).
-        state: What gives `pose`, and what gives `motion`, for loops in which an attribute costs too much.
+        state: What gives `pose`, and what gives velocity [m/s], world frame ENU, z up, and angular velocity [rad/s],
+            body frame, (6,); for loops in which an attribute costs too much.
     """
 
     def __init__(self, settings: Settings, x: float, y: float, z: float) -> None:
@@ -60,11 +59,6 @@ class Vehicle:
     def pose(self) -> list[float]:
         """Position [m], world frame ENU, z up, and quaternion (w, x, y, z) of the body x forward, y left; (7,)."""
         return self._qpos.tolist()  # type: ignore[no-any-return]  # MuJoCo ships no types
-
-    @property
-    def motion(self) -> list[float]:
-        """Velocity [m/s], world frame ENU, z up, and angular velocity [rad/s], body frame; (6,)."""
-        return self._qvel.tolist()  # type: ignore[no-any-return]  # MuJoCo ships no types
 
     @property
     def position(self) -> tuple[float, float, float]:
@@ -87,11 +81,7 @@ class Vehicle:
         return float(self.data.energy[1] + pull @ self.data.xipos[:, 2])
 
     def push(self, thrusts: list[float]) -> None:
-        """Advance by one control period under constant thrusts.
-
-        Args:
-            thrusts: Thrust of each thruster [N]; (6,).
-        """
+        """Advance by one control period under constant thrusts [N]; (6,)."""
         _WRITE_THRUSTS(self._ctrl, 0, *thrusts)
         np.abs(self._body_velocity, self._flow)
         self._step(self.model, self.data, self._substeps)

@@ -31,14 +31,9 @@ class Water:
         return self._amplitude * math.cos(angle) + self._amplitude + self._least
 
     def next_crossing(self, threshold: float, after: float) -> tuple[float, bool] | None:
-        """Return when the visibility next crosses a threshold, in closed form.
+        """Return when after a time [s] the visibility next crosses a threshold [m], and whether it falls then.
 
-        Args:
-            threshold: Visibility [m].
-            after: Time since GUIDED [s]; the crossing is later than this.
-
-        Returns:
-            The time [s] and whether the visibility falls then; None if it never crosses.
+        In closed form; None if it never crosses.
         """
         middle = self._least + self._amplitude
         if not abs(threshold - middle) < self._amplitude:

@@ -19,14 +19,7 @@ class CommandFailed(Exception):
 
 
 class Command(NamedTuple):
-    """A command to a component.
-
-    Attributes:
-        time: when [s].
-        verb: "activate", "deactivate" or "set_parameters".
-        component: its name.
-        parameters: empty unless they are what is set.
-    """
+    """A command to a component, given at that time [s]; the parameters are empty unless they are what is set."""
 
     time: float
     verb: str
@@ -43,20 +36,11 @@ class Components(Protocol):
     def check(self, component: str, parameters: Parameters, /) -> None:
         """Raise if there is no such component, or it cannot take these parameters; asked when a command is given."""
 
-    def activate(self, component: str, /) -> object:
-        """Make a component run."""
-
-    def deactivate(self, component: str, /) -> object:
-        """Make a component stop."""
-
-    def set_parameters(self, component: str, parameters: Parameters, /) -> object:
-        """Give a component its parameters."""
-
-    def is_active(self, component: str, /) -> bool:
-        """Tell whether a component runs."""
-
-    def parameters(self, component: str, /) -> Parameters:
-        """Return the parameters in force of a component."""
+    def activate(self, component: str, /) -> object: ...
+    def deactivate(self, component: str, /) -> object: ...
+    def set_parameters(self, component: str, parameters: Parameters, /) -> object: ...
+    def is_active(self, component: str, /) -> bool: ...
+    def parameters(self, component: str, /) -> Parameters: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,15 +58,10 @@ _AS_TOLD: Final = _Script()
 
 
 class Operation:
-    """A command under way, like `concurrent.futures.Future` but finished by simulated time.
-
-    Attributes:
-        end: when it ends [s].
-    """
+    """A command under way, like `concurrent.futures.Future` but finished by simulated time, at its `end` [s]."""
 
     def __init__(self, end: float, effect: Callable[[float], object], catch_up: Callable[[], object]) -> None:
-        self.end = end
-        self._effect, self._catch_up = effect, catch_up
+        self.end, self._effect, self._catch_up = end, effect, catch_up
         self._is_done = False
         self._error: Exception | None = None
 
@@ -99,7 +78,6 @@ class Operation:
         self._effect = _nothing
 
     def finish(self) -> None:
-        """Carry the command out."""
         try:
             self._effect(self.end)
         except Exception as error:
@@ -116,6 +94,9 @@ class SimulatedComponents:
         clock: gives the time [s].
         components: what the commands have an effect on.
         takes: how long a command takes [s], by its verb; what is not named takes no time.
+
+    Attributes:
+        commands: every command that was given, in order.
     """
 
     def __init__(
@@ -128,13 +109,8 @@ class SimulatedComponents:
         self._entered = 0
         self._scripts: dict[tuple[str, str], _Script] = {}
         self._given: Counter[tuple[str, str]] = Counter()
-        self._commands: list[Command] = []
+        self.commands: list[Command] = []
         self._crash: dict[str, Operation] = {}
-
-    @property
-    def commands(self) -> tuple[Command, ...]:
-        """Every command that was given, in order."""
-        return tuple(self._commands)
 
     @property
     def scripted(self) -> tuple[str, ...]:
@@ -179,36 +155,30 @@ class SimulatedComponents:
         return self
 
     def activate(self, component: str, /) -> Operation:
-        """Start a component."""
         crash_after = self._script("activate", component).crash_after
 
         def start(time: float) -> None:
             was_active = self._components.is_active(component)
             self._components.activate(component)
             if not was_active and crash_after < math.inf:
-                self._crash[component] = self._enter(time + crash_after, stop)
-
-        def stop(time: float) -> None:
-            self._components.deactivate(component)
+                stop = self._components.deactivate
+                self._crash[component] = self._enter(time + crash_after, lambda _: stop(component))
 
         return self._command("activate", component, {}, start)
 
     def deactivate(self, component: str, /) -> Operation:
-        """Stop a component."""
-
         def stop(time: float) -> None:
             self._components.deactivate(component)
-            if component in self._crash:
-                self._withdraw(self._crash.pop(component))
+            crash = self._crash.pop(component, None)
+            if crash is not None:
+                self._under_way = [one for one in self._under_way if one[2] is not crash]
+                heapq.heapify(self._under_way)
 
         return self._command("deactivate", component, {}, stop)
 
     def set_parameters(self, component: str, parameters: Parameters, /) -> Operation:
-        """Give a component its parameters."""
-        taken = dict(parameters)
-        return self._command(
-            "set_parameters", component, taken, lambda time: self._components.set_parameters(component, taken)
-        )
+        taken, obey = dict(parameters), self._components.set_parameters
+        return self._command("set_parameters", component, taken, lambda time: obey(component, taken))
 
     def is_active(self, component: str, /) -> bool:
         """Tell whether a component truly runs; one whose activation is under way does not yet."""
@@ -216,7 +186,6 @@ class SimulatedComponents:
         return self._components.is_active(component)
 
     def parameters(self, component: str, /) -> Parameters:
-        """Return the parameters that a component truly has."""
         self.catch_up()
         return self._components.parameters(component)
 
@@ -240,14 +209,14 @@ class SimulatedComponents:
     ) -> Operation:
         self._components.check(component, parameters)
         now = self._clock()
-        self._commands.append(Command(now, verb, component, parameters))
+        self.commands.append(Command(now, verb, component, parameters))
         script = self._script(verb, component)
         self._given[verb, component] += 1
-        given = self._given[verb, component]
         if script.hangs:
             return Operation(math.inf, effect, self.catch_up)
         takes = script.takes if script.takes is not None else self.takes.get(verb, 0.0)
         end = self._busy_until[component] = max(now, self._busy_until.get(component, 0.0)) + takes
+        given = self._given[verb, component]
         if given <= script.fail_first:
             return self._enter(end, lambda time: _fail(f"{verb} {component} fails by its script, time {given}"))
         return self._enter(end, _nothing if script.lies else effect)
@@ -258,20 +227,12 @@ class SimulatedComponents:
         self._entered += 1
         return operation
 
-    def _withdraw(self, operation: Operation) -> None:
-        self._under_way = [one for one in self._under_way if one[2] is not operation]
-        heapq.heapify(self._under_way)
-
     def _script(self, verb: str, component: str) -> _Script:
         return self._scripts.get((verb, component), _AS_TOLD)
 
 
 def checked_times(takes: Mapping[str, float]) -> Mapping[str, float]:
-    """Return how long commands take by verb [s].
-
-    Raises:
-        ValueError: no such command, or a number below 0.
-    """
+    """Return how long commands take by verb [s]; ValueError if there is no such command, or a number is below 0."""
     for verb, seconds in takes.items():
         _check_verb(verb)
         if not seconds >= 0:

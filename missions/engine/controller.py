@@ -30,12 +30,6 @@ TASK_KINDS: Final = ("bt", "pddl")
 class RosaController(Controller):
     """The knowledge base hears what is published, the manager keeps the architecture right, the task layer decides.
 
-    Args:
-        mission: what is to be done.
-        task: the kind of its task layer, "bt" or "pddl".
-        world: where it happens.
-        settings: how it is run.
-
     Attributes:
         percepts: what the task layer perceives beside what the knowledge base knows.
 
@@ -190,8 +184,7 @@ class Planning(Protocol):
     """A behaviour that plans, such as `rosa_pddl.PlanExecutor`: the plans of one in a tree are those of the run."""
 
     @property
-    def plans(self) -> tuple["PlanRecord", ...]:
-        """The plans made so far; only added to."""
+    def plans(self) -> tuple["PlanRecord", ...]: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,15 +232,7 @@ def build_task(
     clock: Callable[[], float],
     planning_delay_s: float,
 ) -> TaskLayer:
-    """Build the task layer of a mission.
-
-    Args:
-        kind: "bt" or "pddl".
-        mission: whose task logic.
-        kb: the knowledge base that the task layer asks and tells.
-        percepts: what it perceives beside that.
-        clock: gives the time [s].
-        planning_delay_s: simulated time in which a plan is found [s].
+    """Build the task layer of a mission, of a kind "bt" or "pddl"; a plan is found in that simulated time [s].
 
     Raises:
         MissionError: no such kind, or the mission has no task logic of that kind.
@@ -303,7 +288,6 @@ class _Plans:
         self._plans: tuple[PlanRecord, ...] = ()
 
     def __call__(self) -> tuple["PlanRecord", ...]:
-        """Return them."""
         for number, one in enumerate(self._planning):
             plans = one.plans
             if len(plans) > self._heard[number]:
@@ -313,22 +297,14 @@ class _Plans:
 
 
 class _Made:
-    """Makes the behaviours of steps, and keeps the error if one cannot be made: a tree would make a failure of it.
-
-    Attributes:
-        error: what making the latest raised; None if it was made.
-    """
+    """Makes the behaviours of steps, and keeps the error if one cannot be made: a tree would make a failure of it."""
 
     def __init__(self, kb: KnowledgeBase, percepts: Percepts) -> None:
         self.error: Exception | None = None
         self._kb, self._percepts = kb, percepts
 
     def by(self, schema: str, action: Callable[..., Behaviour]) -> Callable[["Step"], Behaviour]:
-        """Return what makes the behaviour of a step; it is given the step if it asks for it.
-
-        Raises:
-            MissionError: it asks for something else, too.
-        """
+        """Return what makes the behaviour of a step; it is given the step if it asks for it, and nothing else."""
         parameters = signature(action)
         takes_step = "step" in parameters.parameters
         try:

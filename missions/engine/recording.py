@@ -17,7 +17,6 @@ from missions.engine.runner import MissionRun
 
 
 def line_of(message: Message) -> str:
-    """Return a message as one line of a recording."""
     return json.dumps(message, separators=(",", ":"), sort_keys=True) + "\n"
 
 
@@ -37,12 +36,7 @@ def header(run: MissionRun, seed: int) -> Message:
 
 
 def measured(time: float, **values: float) -> Message:
-    """Return the message that attributes were measured.
-
-    Args:
-        time: when [s].
-        values: by name, in their units.
-    """
+    """Return the message that attributes were measured at that time [s]; values by name, in their units."""
     return _said(time, "attribute measurement", {name: repr(value) for name, value in values.items()})
 
 
@@ -57,12 +51,7 @@ def recovered(time: float, *components: str) -> Message:
 
 
 def sensed(time: float, **news: object) -> Message:
-    """Return the message of what else there is, for the mission's percepts only.
-
-    Args:
-        time: when [s].
-        news: by name, e.g. pipeline_found=True.
-    """
+    """Return the message of what else there is at that time [s], e.g. pipeline_found=True: for percepts only."""
     return _said(time, "mission status", {name: str(value).lower() for name, value in news.items()})
 
 
@@ -88,6 +77,10 @@ def _said(time: float, what: str, values: dict[str, str]) -> Message:
     return {"time": float(time), "status": [{"name": "by hand", "message": what, "values": values}]}
 
 
+def _numbered(messages: Iterable[Message]) -> Iterator[tuple[str, Any]]:
+    return ((f"message {number}", message) for number, message in enumerate(messages, start=1))
+
+
 def _lines_of(path: str | Path) -> Iterator[tuple[str, Any]]:
     try:
         lines = Path(path).read_text(encoding="utf-8-sig").splitlines()
@@ -101,10 +94,6 @@ def _lines_of(path: str | Path) -> Iterator[tuple[str, Any]]:
         except json.JSONDecodeError as error:
             said = f"not JSON ({error.msg}); one message per line is expected"
             raise MissionError(f"{where}:{error.colno}: {said}") from None
-
-
-def _numbered(messages: Iterable[Message]) -> Iterator[tuple[str, Any]]:
-    return ((f"message {number}", message) for number, message in enumerate(messages, start=1))
 
 
 def _check(message: Any, where: str) -> None:  # noqa: ANN401  # that it is a message is what is checked

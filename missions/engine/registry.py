@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Mapping
 from importlib import import_module
-from types import MappingProxyType
 from typing import Any, TypeVar
 
 from missions.engine.mission import Mission, MissionError
@@ -11,15 +10,7 @@ T = TypeVar("T")
 
 
 class Registry(Mapping[str, T]):
-    """Things by name, each imported when it is looked up.
-
-    Args:
-        kind: what they are, for messages, e.g. "mission".
-        homes: where each is, as "module:NAME".
-
-    Attributes:
-        homes: as given.
-    """
+    """Things of a kind, such as "mission", by name; each is imported from its home, "module:NAME", when looked up."""
 
     def __init__(self, kind: str, homes: Mapping[str, str]) -> None:
         self.kind, self.homes = kind, homes
@@ -57,9 +48,8 @@ class Registry(Mapping[str, T]):
             raise MissionError(f"cannot import {self.kind} {name!r}: {type(error).__name__}: {error}") from error
 
 
-MISSIONS: Mapping[str, Mission] = Registry(
-    "mission",
-    MappingProxyType({name: f"missions.{name}:MISSION" for name in ("suave", "suave_extended", "agv", "uav")}),
+MISSIONS = Registry[Mission](
+    "mission", {name: f"missions.{name}:MISSION" for name in ("suave", "suave_extended", "agv", "uav")}
 )
 
 
@@ -69,11 +59,7 @@ def find_mission(name: str) -> Mission:
     Raises:
         MissionError: no such mission; the message lists those there are.
     """
-    if name in MISSIONS:
-        return MISSIONS[name]
-    found = Registry[Mission]("mission", {}).find(
-        name, f"{', '.join(MISSIONS)}; one of your own is given as module:NAME"
-    )
+    found = MISSIONS.find(name, f"{', '.join(MISSIONS)}; one of your own is given as module:NAME")
     if not isinstance(found, Mission):
         raise MissionError(f"{name!r} is a {type(found).__name__}, not a missions.engine.mission.Mission")
     return found

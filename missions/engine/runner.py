@@ -53,11 +53,9 @@ class Controller(ABC):
 
     A run asks for the time that it is due, passes on what was published by then, and has it decide.
 
-    Args:
+    Attributes:
         manager: its name, as `rosa run --manager` takes it.
         task: the kind of its task layer.
-
-    Attributes:
         kb: its knowledge base; None if it has none.
         inputs: figures of results that were put in, by name.
         compute_s: seconds of this machine's time by part, not part of any decision.
@@ -140,13 +138,6 @@ class Trace:
 class MissionRun:
     """Runs a mission to its end.
 
-    Args:
-        mission: what to run.
-        controller: who decides.
-        world: where it happens.
-        settings: how it is run.
-        listeners: who hears of it.
-
     Attributes:
         trace: what was seen.
         problems: parts of messages that could not be used, with their times [s].
@@ -166,9 +157,7 @@ class MissionRun:
         self.problems: list[tuple[float, DiagnosticProblem]] = []
         self._listeners = listeners
         self._decided_s: list[tuple[float, float]] = []
-        self._world_s = 0.0
-        self._sampled_at = -SAMPLE_PERIOD_S
-        self._plans_heard = 0
+        self._world_s, self._sampled_at, self._plans_heard = 0.0, -SAMPLE_PERIOD_S, 0
         controller.listeners = listeners
 
     @property
@@ -178,7 +167,6 @@ class MissionRun:
 
     @property
     def task(self) -> str:
-        """The kind of task layer."""
         return self.controller.task
 
     @property

@@ -48,7 +48,6 @@ class Setting:
 
     @property
     def short_name(self) -> str:
-        """Its name without the unit."""
         return self.name.removesuffix("_" + self.unit.replace("/", "_").replace(" ", "_"))
 
     def read(self, text: str) -> Value:
@@ -149,5 +148,4 @@ def read_values(settings: Iterable[Setting], values: Mapping[str, str]) -> dict[
 
 
 def near(name: str, known: Iterable[str]) -> list[str]:
-    """Return the known names that are nearest to one."""
     return get_close_matches(name, sorted(known), n=3)
