@@ -66,7 +66,7 @@ class Belief:
     """
 
     def __init__(self, domain: Domain, kb: Feasibility, sense: Sense) -> None:
-        self._domain, self._kb, self._sense = domain, kb, sense
+        self.domain, self._kb, self._sense = domain, kb, sense
         self._facts = without_feasibility(domain, initial_state(domain))
         self._numeric = domain.numeric
         self._answer: Mapping[str, bool | float] = {}
@@ -74,10 +74,6 @@ class Belief:
         self._taken_in: tuple[State, Mapping[str, bool]] | None = None
         self._numbers: Mapping[str, float] = {}
         self._usage = ResourceUsage(domain)
-
-    @property
-    def domain(self) -> Domain:
-        return self._domain
 
     @property
     def numbers(self) -> Mapping[str, float]:
@@ -96,29 +92,29 @@ class Belief:
         if self._taken_in is None or self._taken_in[0] is not self._facts or self._taken_in[1] is not sensed.facts:
             self._facts = self._facts.difference(sensed.facts) | sensed.true
             self._taken_in = (self._facts, sensed.facts)
-        return self._facts | feasible_atoms(self._domain, self._kb)
+        return self._facts | feasible_atoms(self.domain, self._kb)
 
     def start(self, step: Step, state: State) -> Undo:
         before = self._facts
-        self._facts = without_feasibility(self._domain, started(self._domain, step, state))
+        self._facts = without_feasibility(self.domain, started(self.domain, step, state))
         return Undo(before - self._facts, self._facts - before)
 
     def end(self, step: Step, state: State) -> None:
-        self._facts = without_feasibility(self._domain, ended(self._domain, step, state))
+        self._facts = without_feasibility(self.domain, ended(self.domain, step, state))
 
     def assume(self, gone: AbstractSet[str], come: AbstractSet[str]) -> None:
         """Assume that atoms became false, and others true; what becomes true wins, as PDDL says."""
-        self._facts = without_feasibility(self._domain, (self._facts - gone) | come)
+        self._facts = without_feasibility(self.domain, (self._facts - gone) | come)
 
     def use_up(self, step: Step) -> None:
         """Assume that a step, however it ended, used up what it may."""
-        known = Problem(self._domain, frozenset(), costs=self._numbers)
+        known = Problem(self.domain, frozenset(), costs=self._numbers)
         try:
             numbers = self._usage.numbers(known)
             used = [self._usage.value(amount, numbers) for amount in self._usage.uses_of(step)]
         except UnsupportedPddlError:
             return  # nothing can be planned within limits of which nothing is known
-        for resource, amount in zip(self._domain.limited, used, strict=True):
+        for resource, amount in zip(self.domain.limited, used, strict=True):
             key = f"({resource.name})"
             if amount and key not in self._sensed.numbers:
                 self._numbers = {**self._numbers, key: float(numbers.get(key, 0) + amount)}
@@ -153,7 +149,7 @@ class Belief:
         for text, value in answer.items():
             if not isinstance(text, str):
                 raise SensingError(f"sense returned {text!r}: {value!r}, expected a text such as '(lit room)' first")
-            atom = self._domain.atom(text)
+            atom = self.domain.atom(text)
             is_number = head_of(atom) in self._numeric
             known = value.item() if hasattr(value, "item") else value  # what numpy makes is as good
             if isinstance(known, bool) is is_number or not isinstance(known, bool | int | float):
@@ -163,7 +159,7 @@ class Belief:
                 raise SensingError(f"sense returned {value!r} for {atom}, expected a finite number")
             if is_number:
                 numbers[atom] = float(known)
-            elif not self._domain.is_feasibility(atom):
+            elif not self.domain.is_feasibility(atom):
                 facts[atom] = bool(known)
         return facts, numbers
 

@@ -54,19 +54,17 @@ class Goals:
 
     Args:
         domain: what `load_domain` returned.
+
+    Attributes:
+        version: counts the changes.
     """
 
     def __init__(self, domain: Domain) -> None:
         self._domain = domain
         self._goals: dict[str, Goal] = {}
-        self._version = 0
+        self.version = 0
         for text in domain.goals:
             self._put(text, None)
-
-    @property
-    def version(self) -> int:
-        """Counts the changes."""
-        return self._version
 
     @property
     def hard(self) -> tuple[Goal, ...]:
@@ -95,7 +93,7 @@ class Goals:
             raise GoalError(f"{text} is worth {worth}, expected more than 0; leave it out if it must be reached")
         before = dict(self._goals)
         self._put(text, worth)
-        self._version += before != self._goals
+        self.version += before != self._goals
 
     def drop(self, text: str) -> None:
         """Give up a goal.
@@ -109,7 +107,7 @@ class Goals:
                 raise GoalError(f"{one} is not among the goals; {nearest(one, self._goals)}")
         for one in read:
             self._goals.pop(one, None)
-        self._version += 1
+        self.version += 1
 
     def replace(self, *texts: str) -> None:
         """Put other goals, which must be reached, in place of all there are; none at all leaves nothing to do.
@@ -119,7 +117,7 @@ class Goals:
         """
         read = [part for text in texts for part in self._read(text)]
         before, self._goals = self._goals, {part.text: Goal(part.text, part.expression) for part in read}
-        self._version += before != self._goals
+        self.version += before != self._goals
 
     def __contains__(self, text: object) -> bool:
         return text in self._goals

@@ -7,7 +7,7 @@ from itertools import chain, groupby
 from typing import NamedTuple
 
 from rosa_pddl.belief import ExpectedEffects
-from rosa_pddl.domain import Domain, State, Step, TimedStep, UpThing, head_of
+from rosa_pddl.domain import Domain, State, Step, TimedStep, head_of
 from rosa_pddl.exceptions import UnsupportedPddlError
 from rosa_pddl.goals import Goal, Goals
 from rosa_pddl.outcomes import PlanningResult
@@ -196,8 +196,7 @@ def _changed(domain: Domain, timed: Sequence[TimedStep], event: StepEvent) -> fr
 def _touched(domain: Domain, step: Step, ends: Iterable[bool] = (False, True)) -> _Touched:
     """Return the atoms that a step, or only its start or its end, needs, and those that it changes."""
     schema, binding = domain.schema_of[step.schema], binding_of(domain, step)
-    needed: set[str] = set()
-    changed: set[str] = set()
+    needed, changed = set[str](), set[str]()
     for is_end in ends:
         conditions = schema.over_all + (schema.end if is_end else schema.start)
         effects = schema.end_effects if is_end else schema.start_effects
@@ -217,13 +216,13 @@ class ResourceLimits:
         self._domain, self._usage = domain, ResourceUsage(domain)
         self._stated = self._usage.numbers(Problem(domain, frozenset()))
         limited = domain.limited
-        used = [amount for resource in limited for amount in resource.uses.values()]
+        used = [sum_of(domain, amount) for resource in limited for amount in resource.uses.values()]
         limits = [limit.amount for resource in limited for limit in resource.limits]
-        self._used = frozenset(_names(domain, used))
+        self._used = frozenset(head_of(text) for amount in used for _, text in amount.terms)
         # a limit on the whole grows when less was used up before
         limiting = [sum_of(domain, one) for one in (*limits, *(each.fluent for each in limited))]
         self._limiting = frozenset(text for one in limiting for _, text in one.terms)
-        self._is_simple = all(_only_grows(amount) for amount in used)
+        self._only_grow = all(factor >= 0 for amount in used for factor, _ in amount.terms)
 
     def overspent(self, steps: Iterable[Step], numbers: _Numbers) -> str | None:
         """Return which limit steps break, in words; None if they keep them all."""
@@ -244,15 +243,13 @@ class ResourceLimits:
             before, after = self._left(then), self._left(now)
         except UnsupportedPddlError:  # a number is not known, so nothing can be planned
             return now == then
-        if any(
-            new.amount > old.amount or new.is_strict < old.is_strict for old, new in zip(before, after, strict=True)
-        ):
+        limits = zip(before, after, strict=True)
+        if any(new.amount > old.amount or new.is_strict < old.is_strict for old, new in limits):
             return False
         known = {**self._stated, **then}
-        pairs = [
-            (exact(now[key]), exact(known[key]) if key in known else None) for key in now if head_of(key) in self._used
-        ]
-        return all(new == old or (self._is_simple and old is not None and new > old) for new, old in pairs)
+        used = [(exact(now[key]), known.get(key)) for key in now if head_of(key) in self._used]
+        pairs = [(new, None if old is None else exact(old)) for new, old in used]
+        return all(new == old or (self._only_grow and old is not None and new > old) for new, old in pairs)
 
     def _left(self, numbers: _Numbers) -> tuple[Remaining, ...]:
         return self._usage.remaining(self._usage.numbers(self._asked(numbers, self._limiting)))
@@ -260,23 +257,6 @@ class ResourceLimits:
     def _asked(self, numbers: _Numbers, keys: AbstractSet[str]) -> Problem:
         costs = {key: numbers[key] for key in keys if key in numbers}  # of a large world it is a small part
         return Problem(self._domain, frozenset(), costs=costs)
-
-
-def _names(domain: Domain, amounts: Iterable[UpThing]) -> Iterator[str]:
-    for amount in amounts:
-        if amount.is_fluent_exp():
-            yield domain.outside[amount.fluent().name]
-        else:
-            yield from _names(domain, amount.args)
-
-
-def _only_grows(amount: UpThing) -> bool:
-    """Whether an amount can but grow with the numbers that it is made of."""
-    if amount.is_constant():
-        return bool(amount.constant_value() >= 0)
-    if amount.is_fluent_exp():
-        return True
-    return not amount.is_minus() and all(_only_grows(part) for part in amount.args)
 
 
 class PlanMonitor:

@@ -87,9 +87,8 @@ def _rosa_action_of(
         if predicate in said:
             argument = said[predicate].arg(0)
             return str(argument.parameter().name) if argument.is_parameter_exp() else outside[argument.object().name]
-    actions = [
-        one.name for one in parameters if one.type.is_user_type() and outside[one.type.name].lower() == ACTION_TYPE
-    ]
+    objects = (one for one in parameters if one.type.is_user_type())
+    actions = [one.name for one in objects if outside[one.type.name].lower() == ACTION_TYPE]
     return actions[0] if len(actions) == 1 else None
 
 
@@ -246,9 +245,8 @@ class _Reader:
     def _read_rosa_actions(self) -> None:
         """Take in the ROSA actions that PDDL actions are said to do."""
         domain = self._domain.source
-        schemas = [
-            str(node.children[1]) for node in domain.root.children[2:] if node.head in BODY and node.children[1:]
-        ]
+        actions = (node for node in domain.root.children[2:] if node.head in BODY)
+        schemas = [str(node.children[1]) for node in actions if node.children[1:]]
         for name, action in self._actions.items():
             if name not in schemas:
                 raise UnknownNameError(f"{domain.file} has no PDDL action {name!r}; {nearest(name, schemas)}")
@@ -429,9 +427,8 @@ class _ActionReader:
             raise formulas.numeric(node, place, "adds to a number with arguments")
         if _NUMBER.fullmatch(amount.lower) and float(amount.lower) < 0.0:
             what = "costs are" if is_cost else "uses are"
-            raise self._source.unsupported(
-                node, f"{start_of(node)!r} in {place} is less than nothing; {what} 0 or more"
-            )
+            message = f"{start_of(node)!r} in {place} is less than nothing; {what} 0 or more"
+            raise self._source.unsupported(node, message)
         if target.head in self._added:
             what = "cost" if is_cost else "use"
             raise self._source.error(node, f"found a second {what} {start_of(node)!r}, expected one; add them up")
@@ -534,8 +531,11 @@ def _refuse_times(source: Source, schema: Node, node: Node) -> None:
 
 def _parts(node: Node) -> Iterator[Node]:
     """Yield the parts of a conjunction that are none."""
-    for part in node.children[1:] if node.head == "and" else (node,) if node.children or not node.is_list else ():
-        yield from _parts(part) if node.head == "and" else (part,)
+    if node.head == "and":
+        for part in node.children[1:]:
+            yield from _parts(part)
+    elif node.children or not node.is_list:
+        yield node
 
 
 def _increases(node: Node) -> Iterator[Node]:
@@ -561,16 +561,12 @@ def schema_of(action: UpThing, outside: Mapping[str, str], file: str) -> Schema:
     else:
         raise UnsupportedPddlError(f"the action {name!r} is of an unsupported kind", file)
     complete = {key: parts.get(key, ()) for key in ("start", "over_all", "end", "start_effects", "end_effects")}
-    complete |= {key: _true_or_false(complete[key]) for key in ("start_effects", "end_effects")}
+    for key in ("start_effects", "end_effects"):  # costs are the planner's business: steps bring about facts
+        complete[key] = tuple(effect for effect in complete[key] if effect.fluent.type.is_bool_type())
     conditions = complete["start"] + complete["over_all"] + complete["end"]
     parameters = tuple((parameter.name, outside[parameter.type.name]) for parameter in action.parameters)
     rosa_action = _rosa_action_of(name, conditions, action.parameters, outside)
     return Schema(name=name, parameters=parameters, action=rosa_action, **complete)
-
-
-def _true_or_false(effects: tuple[UpThing, ...]) -> tuple[UpThing, ...]:
-    """Costs are the planner's business: what is assumed after a step are facts."""
-    return tuple(effect for effect in effects if effect.fluent.type.is_bool_type())
 
 
 def _parts_in_time(action: UpThing, name: str, file: str) -> dict[str, tuple[UpThing, ...]]:

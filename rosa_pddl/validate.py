@@ -221,10 +221,8 @@ def holds(domain: Domain, formula: UpThing, binding: Binding, state: Facts) -> b
 
 
 def _connective(formula: UpThing, parts: list[bool]) -> bool:
-    if formula.is_and():
-        return all(parts)
-    if formula.is_or():
-        return any(parts)
+    if formula.is_and() or formula.is_or():
+        return all(parts) if formula.is_and() else any(parts)
     if formula.is_not():
         return not parts[0]
     if formula.is_implies():
@@ -236,10 +234,9 @@ def _connective(formula: UpThing, parts: list[bool]) -> bool:
 
 def _bindings(domain: Domain, variables: Iterable[UpThing], binding: Binding) -> Iterator[Binding]:
     """Return the binding with every choice of objects for the quantified variables."""
-    listed = list(variables)
-    choices = [domain.objects_of(domain.outside[variable.type.name]) for variable in listed]
-    for chosen in product(*choices):
-        yield {**binding, **{variable.name: name for variable, name in zip(listed, chosen, strict=True)}}
+    choices = {one.name: domain.objects_of(domain.outside[one.type.name]) for one in variables}
+    for chosen in product(*choices.values()):
+        yield {**binding, **dict(zip(choices, chosen, strict=True))}
 
 
 def literals(domain: Domain, formula: UpThing, binding: Binding | None = None) -> list[tuple[str, bool]] | None:
@@ -258,13 +255,8 @@ def literals(domain: Domain, formula: UpThing, binding: Binding | None = None) -
     return None
 
 
-def _joined(parts: Iterable[list[tuple[str, bool]] | None]) -> list[tuple[str, bool]] | None:
-    joined: list[tuple[str, bool]] = []
-    for part in parts:
-        if part is None:
-            return None
-        joined += part
-    return joined
+def _joined(parts: list[list[tuple[str, bool]] | None]) -> list[tuple[str, bool]] | None:
+    return None if None in parts else [one for part in parts for one in part or ()]
 
 
 def _after(domain: Domain, effects: Iterable[UpThing], binding: Binding, state: Facts) -> State:
@@ -276,8 +268,7 @@ def changes(
     domain: Domain, effects: Iterable[UpThing], binding: Binding, state: Facts
 ) -> tuple[AbstractSet[str], AbstractSet[str]]:
     """Return what effects of one moment make false, and what they make true, which wins, as PDDL says."""
-    added: set[str] = set()
-    deleted: set[str] = set()
+    added, deleted = set[str](), set[str]()
     for effect in effects:
         for inner in _bindings(domain, effect.forall, binding) if effect.forall else (binding,):
             if holds(domain, effect.condition, inner, state):
