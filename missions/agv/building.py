@@ -175,7 +175,7 @@ def _point(place: str, given: Any) -> tuple[float, float]:  # noqa: ANN401  # wh
     return _number(f"x of place {place}", given[0]), _number(f"y of place {place}", given[1])
 
 
-def _corridor(name: str, given: Any, places: Mapping[str, tuple[float, float]]) -> Corridor:  # noqa: ANN401  # the same
+def _corridor(name: str, given: Any, places: Mapping[str, tuple[float, float]]) -> Corridor:  # noqa: ANN401  # whatever stands in a file
     is_corridor = isinstance(given, Mapping) and {"from", "to"} <= given.keys()
     _need(is_corridor, f"corridor {name} is {given!r}; it needs from and to")
     _check_keys(f"corridor {name} has", given, _KEYS)

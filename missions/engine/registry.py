@@ -40,7 +40,7 @@ class Registry(Mapping[str, T]):
             raise MissionError(f"unknown {self.kind} {name!r}; there are {known}")
         return self._imported(name, name)
 
-    def _imported(self, name: str, home: str) -> Any:  # noqa: ANN401  # see find
+    def _imported(self, name: str, home: str) -> Any:  # noqa: ANN401  # whatever a registry holds
         module, _, attribute = home.partition(":")
         try:
             return getattr(import_module(module), attribute)
