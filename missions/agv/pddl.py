@@ -161,7 +161,7 @@ class PddlNames:
                 yield self.vias[via], self.modes[mode.name], takes, cost
                 if not start.corridor:
                     # what was begun within a corridor goes on when the robot is in none any more, as it soon will be
-                    yield self.vias[via._replace(is_whole=False)], self.modes[mode.name], takes, cost
+                    yield self.vias[Via(via.corridor, via.to, False)], self.modes[mode.name], takes, cost
 
     def _mode(self, mode: Mode) -> str:
         """Return the object for how the robot is configured."""

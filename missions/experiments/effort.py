@@ -6,6 +6,7 @@ a model has a statement for each.
 
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, dataclass
 from itertools import product
 from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeVar
@@ -157,7 +158,8 @@ class ModelEffort(NamedTuple):
     published: Parts | None
 
 
-class TreeCount(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class TreeCount:
     """How large the tree of the manager `bt` is."""
 
     nodes: int  # of the whole tree, task and adaptation
@@ -183,7 +185,8 @@ class TreeEffort(NamedTuple):
     published_task: int | None
 
 
-class LawPoint(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class LawPoint:
     """A generated model of one action: its adaptations, and its elements as counted and as the published law says."""
 
     structural: int
@@ -245,13 +248,14 @@ def as_data(found: Survey) -> dict[str, Any]:
     for model in found.models:
         counted = model.counted
         totals = {"entities": counted.entities, "relations": counted.relations, "total": counted.total}
+        kinds = {"of_entities": dict(counted.of_entities), "of_relations": dict(counted.of_relations)}
         published = _parts_data(model.published, "entities", "relations")
-        models.append({"name": model.name, **totals, **counted._asdict(), "published": published})
+        models.append({"name": model.name, **totals, **kinds, "published": published})
     for tree in found.trees:
-        counts = {**tree.counted._asdict(), "total": tree.counted.total, "published_task_nodes": tree.published_task}
+        counts = {**asdict(tree.counted), "total": tree.counted.total, "published_task_nodes": tree.published_task}
         published = _parts_data(tree.published, "nodes", "modes")
         trees.append({"name": tree.name, **counts, "published": published})
-    generated = [one._asdict() for one in found.points]
+    generated = [asdict(one) for one in found.points]
     return {"rule": RULE, "models": models, "trees": trees, "generated": generated}
 
 

@@ -2,6 +2,7 @@
 
 import json
 import os
+import signal
 import threading
 import time
 import traceback
@@ -241,7 +242,7 @@ def _end_with(parent: int) -> None:
     def watch() -> None:
         while os.getppid() == parent:
             time.sleep(WATCH_S)
-        os._exit(1)
+        os.kill(os.getpid(), signal.SIGKILL)
 
     threading.Thread(target=watch, daemon=True).start()
 
