@@ -244,10 +244,10 @@ class Domain:
         predicate = self.spelling("predicate", words[0], text)
         arguments = [self.spelling("object", word, text) for word in words[1:]]
         fluent = self.up_problem.fluent(self.inside["predicate", words[0].lower()])
-        expected = [(parameter.type, self.outside[parameter.type.name]) for parameter in fluent.signature]
+        expected = [self.outside[parameter.type.name] for parameter in fluent.signature]
         if len(expected) != len(arguments):
             raise UnknownNameError(f"{text!r} has {len(arguments)} arguments, {predicate!r} takes {len(expected)}")
-        for argument, (_, type_name) in zip(arguments, expected, strict=True):
+        for argument, type_name in zip(arguments, expected, strict=True):
             if type_name.lower() not in self.types[argument]:
                 known = ", ".join(self.objects_of(type_name)) or "none"
                 raise UnknownNameError(f"{argument!r} in {text!r} is not of type {type_name!r}; of that type: {known}")

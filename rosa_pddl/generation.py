@@ -283,10 +283,8 @@ class _Signatures:
         return tuple(kinds)
 
     def _joined(self, one: _Kinds, other: _Kinds) -> _Kinds | None:
-        if len(one) != len(other):
-            return None
-        joined = [self._least(left, right) for left, right in zip(one, other, strict=True)]
-        return None if None in joined else tuple(kind for kind in joined if kind is not None)
+        joined = tuple(filter(None, map(self._least, one, other)))
+        return joined if len(joined) == len(one) == len(other) else None
 
     def _least(self, one: str, other: str) -> str | None:
         if "object" in (one, other):

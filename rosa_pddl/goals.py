@@ -8,13 +8,13 @@ plan either collects each one that holds, for nothing, or forgoes it at the cost
 the one with the best net benefit, so that any planner that heeds costs will do.
 """
 
-from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from numbers import Real
 
 from rosa_pddl.belief import ExpectedEffects
-from rosa_pddl.domain import Domain, Schema, State, Step, UpThing, conjuncts, head_of
+from rosa_pddl.domain import Domain, Schema, State, UpThing, conjuncts, head_of
 from rosa_pddl.exceptions import GoalError, nearest
 from rosa_pddl.formulas import Condition, conditions
 from rosa_pddl.outcomes import PlanningResult
@@ -154,7 +154,7 @@ class GoalSimplifier:
             for effect in schema.start_effects + schema.end_effects
         }
         self._lasting: dict[UpThing, tuple[str, ...]] = {}
-        self._rests: OrderedDict[tuple[UpThing, tuple[bool, ...]], tuple[UpThing, ...]] = OrderedDict()
+        self._substituted = lru_cache(_MOST_REMEMBERED)(self._substitute)
 
     def simplified(self, goals: Iterable[UpThing], state: State) -> tuple[UpThing, ...]:
         """Return goals that hold after a plan from a state exactly if the given ones do; no conjunction among them."""
@@ -164,24 +164,17 @@ class GoalSimplifier:
         if goal not in self._lasting:
             atoms = mentioned_atoms(self._domain, [goal], (), {})
             self._lasting[goal] = tuple(sorted({atom for atom in atoms if head_of(atom) not in self._changed}))
-        lasting = self._lasting[goal]
-        if not lasting:
-            return (goal,)
-        key = goal, tuple(atom in state for atom in lasting)
-        if key not in self._rests:
-            with lock_of(self._domain):
-                self._rests[key] = self._substituted(goal, dict(zip(lasting, key[1], strict=True)))
-            if len(self._rests) > _MOST_REMEMBERED:
-                self._rests.popitem(last=False)
-        return self._rests[key]
+        lasting = tuple((atom, atom in state) for atom in self._lasting[goal])
+        return self._substituted(goal, lasting) if lasting else (goal,)
 
-    def _substituted(self, goal: UpThing, known: dict[str, bool]) -> tuple[UpThing, ...]:
+    def _substitute(self, goal: UpThing, known: tuple[tuple[str, bool], ...]) -> tuple[UpThing, ...]:
         from unified_planning.model.walkers import ExpressionQuantifiersRemover
 
         problem, manager = self._domain.up_problem, self._domain.up_problem.environment.expression_manager
-        ground = ExpressionQuantifiersRemover(problem.environment).remove_quantifiers(goal, problem)
-        values = {self._domain.expression(atom): manager.Bool(holds) for atom, holds in known.items()}
-        rest = ground.substitute(values).simplify()
+        with lock_of(self._domain):
+            ground = ExpressionQuantifiersRemover(problem.environment).remove_quantifiers(goal, problem)
+            values = {self._domain.expression(atom): manager.Bool(holds) for atom, holds in known}
+            rest = ground.substitute(values).simplify()
         # planners say better than nothing at all why there is no plan
         return (goal,) if rest.is_false() else tuple(conjuncts([rest]))
 
@@ -224,13 +217,11 @@ class SoftGoals:
 
     def kept(self, result: PlanningResult) -> tuple[PlanningResult, tuple[Goal, ...]]:
         """Return a plan without the steps that settle goals, and the soft goals that it reaches."""
-        schedule = tuple(timed for timed in result.schedule if self._is_real(timed.step))
-        steps = tuple(step for step in result.steps if self._is_real(step))
+        real = self._base.schema_of
+        schedule = tuple(timed for timed in result.schedule if timed.step.schema in real)
+        steps = tuple(step for step in result.steps if step.schema in real)
         reached = tuple(self._collected_by[step.schema] for step in result.steps if step.schema in self._collected_by)
         return replace(result, steps=steps, schedule=schedule), reached
-
-    def _is_real(self, step: Step) -> bool:
-        return step.schema in self._base.schema_of
 
     def _given_costs(self) -> dict[UpThing, UpThing]:
         given, zero, one = action_costs(self._base), self._manager.Int(0), self._manager.Int(1)
