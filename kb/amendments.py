@@ -10,24 +10,15 @@ from kb.model import Model
 from kb.owl.declaring import Declarer
 from kb.owl.individuals import Serials, element_id, from_json, individual, individuals, plain_json
 
-__all__ = ["Amendment", "amend", "amended_alike", "amendment", "differences"]
-
 
 class Amendment(NamedTuple):
-    """A change of a model.
-
-    Attributes:
-        how: "declared", "changed" or "removed".
-        written: the elements, as `plain_json` writes them; of those removed the id of the first, with which the others
-            went.
-    """
+    """Elements "declared" or "changed", as `plain_json` writes them, or the id of the one with which others went."""
 
     how: str
     written: Any
 
 
 def amendment(how: str, changed: Sequence[Changeable], serials: Serials) -> Amendment:
-    """Write an amendment."""
     if how == "removed":
         return Amendment(how, element_id(changed[0], serials))
     return Amendment(how, plain_json(made for one in changed for made in individual(one, serials)))
@@ -61,13 +52,7 @@ def amend(model: Model, serials: Serials, how: str, written: Any) -> None:  # no
 
 
 def amended_alike(declared: Sequence[Any], amendments: Iterable[Amendment], model: Model) -> Serials | None:
-    """Return the numbers for a model that is amended already as one that was declared; None if it is not.
-
-    Args:
-        declared: the other model as it was at first, as `plain_json` writes it.
-        amendments: of that one, in order.
-        model: as it is now.
-    """
+    """Return the numbers for a model that is as one declared so (in `plain_json`) and amended so; None if it is not."""
     then = Model(model.name)
     Declarer(then).declare(from_json(declared))
     numbers = Serials(then)

@@ -49,7 +49,6 @@ class Field(NamedTuple):
 
 
 def identifier(kind: str, name: object) -> str:
-    """Return the name of a new element."""
     if not isinstance(name, str) or not name.strip():
         article = "an" if kind[:1] in "aeiou" else "a"
         raise ModelError(f"the name of {article} {kind} is a non-empty text, not {name!r}")
@@ -106,14 +105,12 @@ def agreement(field: str, name: str, value: object) -> tuple[int, int]:
 
 
 def pid(value: object) -> int:
-    """Return the number of a process."""
     if type(value) is int and value >= 0:
         return value
     raise InvalidValue(f"a process number is a whole number from 0, not {value!r}")
 
 
 def choice(what: str, options: type[ChoiceT], given: object) -> ChoiceT:
-    """Return one of a few words."""
     if isinstance(given, options):
         return given
     try:
@@ -433,7 +430,7 @@ KINDS: Final[Mapping[type, str]] = {
     Constraint: "constraint",
     Estimation: "estimation",
 }
-"""What each class of element is called; in an order in which each refers to those before it only."""
+"""What each class of element is called, each after those that it refers to."""
 
 REFERENCES: Final[Mapping[str, type[Element]]] = {
     "functions": Function,
@@ -451,8 +448,7 @@ REFERENCES: Final[Mapping[str, type[Element]]] = {
 
 def _checks(cls: type) -> Mapping[str, Field]:
     hints = get_type_hints(cls, include_extras=True)
-    given = {name: getattr(hint, "__metadata__", ()) for name, hint in hints.items()}
-    return {name: extra[0] for name, extra in given.items() if extra}
+    return {name: hint.__metadata__[0] for name, hint in hints.items() if hasattr(hint, "__metadata__")}
 
 
 CHECKS: Final[Mapping[type, Mapping[str, Field]]] = {cls: _checks(cls) for cls in KINDS}

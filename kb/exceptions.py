@@ -3,8 +3,6 @@
 from collections.abc import Iterable
 from difflib import get_close_matches
 
-__all__ = ["AmbiguousName", "DuplicateName", "InvalidValue", "KnowledgeBaseError", "ModelError", "UnknownName"]
-
 _MANY = 5000
 """Of more names than this, only those that begin alike are compared with an unknown one."""
 

@@ -8,8 +8,6 @@ from typing import Final, NamedTuple
 
 from kb.exceptions import DuplicateName, KnowledgeBaseError, ModelError, UnknownName
 
-__all__ = ["DuplicateInFile", "ModelFileError", "Place", "SUFFIXES", "read_text", "write_text"]
-
 SUFFIXES: Final = (".tql", ".owl")
 """Of the files that models can be in."""
 MOST: Final = 256 << 20
@@ -48,7 +46,6 @@ class Place(NamedTuple):
         return f"{self.file}:{self.line}:{self.column}"
 
     def error(self, message: str) -> ModelFileError:
-        """Return the error that says what is wrong here."""
         return ModelFileError(message, *self)
 
     @contextmanager
@@ -65,12 +62,10 @@ class Place(NamedTuple):
 
 
 def read_text(file: Path) -> str:
-    """Return what a file says."""
     try:
         if file.stat().st_size > MOST:
-            raise ModelFileError(
-                f"this is larger than {MOST >> 20} MB, more than any model; give it in parts", str(file)
-            )
+            message = f"this is larger than {MOST >> 20} MB, more than any model; give it in parts"
+            raise ModelFileError(message, str(file))
         content = file.read_bytes()
     except FileNotFoundError:
         raise ModelFileError(_missing(file), str(file)) from None
@@ -108,10 +103,6 @@ def _undecodable(file: Path, content: bytes, offset: int) -> ModelFileError:
     before = content[:offset]
     column = len(before[before.rfind(b"\n") + 1 :].decode("utf-8").removeprefix(_MARK)) + 1
     likely = "UTF-16" if content[:2] in (b"\xff\xfe", b"\xfe\xff") else "Latin-1 or Windows-1252"
-    return ModelFileError(
-        f"byte {content[offset]:#04x} at offset {offset} is no UTF-8, which is expected; "
-        f"the file may be {likely}: save it as UTF-8",
-        str(file),
-        before.count(b"\n") + 1,
-        column,
-    )
+    message = f"byte {content[offset]:#04x} at offset {offset} is no UTF-8, which is expected; "
+    message += f"the file may be {likely}: save it as UTF-8"
+    return ModelFileError(message, str(file), before.count(b"\n") + 1, column)

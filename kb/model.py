@@ -93,8 +93,6 @@ class Observer(Protocol):
 class Elements(Mapping[str, ElementT]):
     """The elements of one kind by name, in order of declaration; an unknown name says which are near it."""
 
-    __slots__ = ("_kind", "_table")
-
     def __init__(self, kind: str, table: Mapping[str, ElementT]) -> None:
         self._kind = kind
         self._table = table
@@ -242,7 +240,7 @@ class Model:
             element = cls(name, self, **values)
         except TypeError as error:
             raise ModelError(f"{kind} {name!r} is not complete: {error}") from None
-        wanted = self._expressions(constraints) if constraints != () else ()
+        wanted = self._expressions(constraints)
         if wanted:
             self._of_kind("constrained", element, Constrainable)
         if name in table:
@@ -259,8 +257,7 @@ class Model:
             raise ModelError(f"{checked} constrains nothing; name at least one element")
         for element in targets:
             self._owned("constrained", element, Constrainable)
-        constraint = self._constrained(targets, checked)
-        self._grew([constraint])
+        self._grew([constraint := self._constrained(targets, checked)])
         return constraint
 
     def constrain_all(self, element: Constrainable, constraints: Iterable[Expression]) -> tuple[Constraint, ...]:
@@ -407,7 +404,6 @@ class Model:
         return self.declare(Attribute, name, kind=kind, max_age=max_age, when_stale=when_stale, agreement=agreement)
 
     def _names(self, cls: type[Element], name: str, field: str, value: object) -> object:
-        """Return the names that a field is given that names other elements."""
         if field not in REFERENCES:
             raise UnknownName(f"field of {KINDS[cls]}", field, CHECKS[cls])
         if field not in ("functions", "components"):
@@ -446,7 +442,7 @@ class Model:
         return constraint
 
     def _grew(self, added: Sequence[Changeable]) -> None:
-        for observer in self._watching() if self._observers else ():
+        for observer in self._watching():
             observer.model_grew(added)
 
     def _watching(self) -> list[Observer]:

@@ -18,7 +18,6 @@ Bounds = Mapping[str, Interval]
 
 
 def doubtful_choices(model: Contents, network: Network) -> Iterator[Finding]:
-    """Yield what is doubtful about the choices that a model leaves."""
     estimated = _Estimated(model)
     for whole in (*network.functions.values(), *network.components.values()):
         if whole.kind == "component":

@@ -18,7 +18,7 @@ MOST_ACTIONS: Final = 4
 
 
 def contradictions(network: Network) -> Iterator[Finding]:
-    """Yield what can never be feasible and is no mere consequence of something else that is found."""
+    """What is a mere consequence of something else that is found is passed over."""
     quick, thorough = Requirements(limit=QUICK), Requirements()
     impossible = set()
     for node in network.nodes:

@@ -39,12 +39,13 @@ def check_model(model: Contents, names: Iterable[str] | None = None) -> tuple[Fi
         *(finding for table in tables_of(model).values() for finding in _similar(table)),
         *(found("file-note", f"model {model.name}", note) for note in model.notes),
     ]
-    places = {
-        f"{KINDS[type(one)]} {one.name if isinstance(one, Element) else one}": place
-        for one, place in model.places.items()
-    }
+    places = {_described(one): place for one, place in model.places.items()}
     placed = (replace(one, place=places.get(one.element, "")) for one in findings)
     return tuple(sorted(placed, key=lambda one: one.severity is not Severity.ERROR))
+
+
+def _described(one: Element | Constraint) -> str:
+    return f"{KINDS[type(one)]} {one.name if isinstance(one, Element) else one}"
 
 
 def _mismatches(actions: Collection[str], names: Iterable[str]) -> Iterator[Finding]:
@@ -85,15 +86,13 @@ def _similar(table: Mapping[str, Element]) -> Iterator[Finding]:
         other = first.setdefault("".join(name.replace("_", " ").split()).casefold(), name)
         if other != name:
             kind = KINDS[type(element)]
-            message = f"{kind} {name} is called almost like {kind} {other}"
-            yield found("similar-names", f"{kind} {name}", message)
+            yield found("similar-names", f"{kind} {name}", f"{kind} {name} is called almost like {kind} {other}")
 
 
 def _hidden_statuses(model: Contents) -> Iterator[Finding]:
     for fact in model.facts:
         if isinstance(fact, StatusFact) and fact.status is not Status.FAILURE:  # a failure is not inferred but reported
-            one = fact.element
-            what = f"{KINDS[type(one)]} {one.name if isinstance(one, Element) else one}"
+            one, what = fact.element, _described(fact.element)
             if isinstance(one, Constraint):
                 what += f" of {listing(each.name for each in one.constrained)}"
             yield found("hidden-status", what, f"{what} is stated to be {fact.status}")
@@ -119,10 +118,7 @@ def _selected_wrongly(model: Contents) -> Iterator[Finding]:
             designs.setdefault(fact.element.function, {})[fact.element.name] = None
         else:
             configurations.setdefault(fact.element.component, {})[fact.element.name] = None
-    for kind, parts, selected in (
-        ("function", "designs", designs),
-        ("component", "configurations", configurations),
-    ):
+    for kind, parts, selected in ("function", "designs", designs), ("component", "configurations", configurations):
         for name, chosen in selected.items():
             if len(chosen) > 1:
                 message = f"{parts} {listing(chosen)} of {kind} {name} are selected at the same time"

@@ -15,7 +15,7 @@ from kb.status import Status
 
 _PARTS: Final = {"function": "design", "component": "configuration"}
 _NOTED: Final = "selected"
-"""What is said of a design's or configuration's selection is kept by this word, so here is what is said of none."""
+"""Of a design or configuration, why it is selected; of a function or component, why nothing is."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,17 +75,9 @@ def explain_choice(
 ) -> ChoiceExplanation:
     """Explain what is selected for a function or component, or would be, and why no other one is.
 
-    What was selected with a reason is explained by that.
-
-    Args:
-        state: the facts and statuses.
-        node: the function or component.
-        now: the present time [s], for the age of measurements.
-        preferred: name of the possible part that a criterion prefers; by default the first by priority.
-        verdicts: what that criterion says of each possible part, in words, by name; by default what its priority says.
-        designs: the designs that are chosen next, for components are chosen for after that; by default the first by
-            priority of each adaptable function.
-        nothing: why that criterion leaves nothing to be selected, in words, if it does; by default what was noted.
+    What was selected with a reason is explained by that, else by priority, or by another criterion: the name of the
+    part that it prefers, its verdicts on the possible parts by name, the designs that it chooses next (components are
+    chosen for after that), and why it leaves nothing to be selected.
     """
     following = state
     nothing = nothing or state.reason(_NOTED, node).text
@@ -154,10 +146,8 @@ class _Chooser:
             for part in self.node.parts
             if part is not self.chosen
         )
-        name = self.chosen.name if self.chosen else None
-        return ChoiceExplanation(
-            self.node.kind, self.node.name, name, self.selected is not None, self._why_chosen(), others
-        )
+        name, is_selected = self.chosen.name if self.chosen else None, self.selected is not None
+        return ChoiceExplanation(self.node.kind, self.node.name, name, is_selected, self._why_chosen(), others)
 
     def _why_chosen(self) -> str:
         chosen, what, node = self.chosen, _PARTS[self.node.kind], self.node

@@ -135,13 +135,7 @@ Reasons = tuple[tuple[Explanation, ...], ...]
 
 
 def explain(state: State, node: Node, now: float) -> Explanation:
-    """Explain the status of one element in one state.
-
-    Args:
-        state: the facts and statuses.
-        node: the element.
-        now: the present time [s], for the age of measurements.
-    """
+    """Explain the status of one element in one state; now [s] is for the age of measurements."""
     explained = _Explainer(state, now).status(node)
     if explained.status not in _IMPOSSIBLE:
         return explained
@@ -187,17 +181,9 @@ class _Explainer:
             fact, reasons = self._grounds(node, status)
             reason = state.reason("failed", node).text if status is Status.FAILURE else ""
         choice = state.reason("selected", node).text if state.selected[node.index] else ""
-        return Explanation(
-            node.kind,
-            node.name,
-            status,
-            fact,
-            reasons,
-            measurement,
-            possible_only and state.asserted[node.index] is None,
-            reason=reason,
-            choice=choice,
-        )
+        possible_only = possible_only and state.asserted[node.index] is None
+        what = node.kind, node.name, status, fact, reasons, measurement, possible_only
+        return Explanation(*what, reason=reason, choice=choice)
 
     def _attribute(self, node: Node) -> Explanation:
         users = [
@@ -349,14 +335,9 @@ def _attribute(node: Node) -> Attribute:
 
 
 def why_selected(state: State, chosen: Sequence[Node], now: float, said: str = "", ended: Iterable[str] = ()) -> str:
-    """Say why designs and configurations are about to be selected.
+    """Say why designs and configurations are about to be selected in a state.
 
-    Args:
-        state: the one before.
-        chosen: what is selected.
-        now: the present time [s], for the age of measurements.
-        said: why whoever selects them prefers them, in words; by default they are said to be preferred.
-        ended: which requests have ended, and why, in words.
+    That is what is said by whoever selects them, if anything is; also which requests have ended, and why, in words.
     """
     users: dict[Node, list[Node]] = {}
     for design in chosen:

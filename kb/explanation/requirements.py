@@ -63,13 +63,11 @@ class Interval:
         return not below and (other.high < self.high or (other.high == self.high and self.high_open <= other.high_open))
 
     def meet(self, other: "Interval") -> "Interval":
-        """Return what both have in common."""
         low, low_open = max((self.low, self.low_open), (other.low, other.low_open))
         high, high_closed = min((self.high, not self.high_open), (other.high, not other.high_open))
         return Interval(low, high, low_open, not high_closed)
 
     def hull(self, other: "Interval") -> "Interval":
-        """Return the narrowest interval that holds both."""
         low, low_open = min((self.low, self.low_open), (other.low, other.low_open))
         high, high_closed = max((self.high, not self.high_open), (other.high, not other.high_open))
         return Interval(low, high, low_open, not high_closed)
@@ -82,7 +80,6 @@ class Interval:
 
 
 def constraints_on(node: Node) -> list[Constraint]:
-    """Return an element's own constraints."""
     return [one.element for one in node.constraints if isinstance(one.element, Constraint)]
 
 
@@ -145,7 +142,6 @@ class Box:
         return all(name in theirs and mine.covers(theirs[name]) for name, mine in self.intervals.items())
 
     def meet(self, other: "Box") -> "Box | None":
-        """Return what satisfies both boxes, None if nothing does."""
         intervals = dict(self.intervals)
         for name, interval in other.intervals.items():
             if name in intervals:
@@ -193,11 +189,9 @@ class Requirements:
         self._fixed: dict[int, bool] = {}
 
     def of(self, node: Node) -> Alternatives:
-        """Return the ways in which an element can be possible."""
-        found = self._known.get(node.index)
-        if found is None:
-            found = self._known[node.index] = self._with_assertion(node)
-        return found
+        if node.index not in self._known:
+            self._known[node.index] = self._with_assertion(node)
+        return self._known[node.index]
 
     @property
     def size(self) -> int:
@@ -219,7 +213,6 @@ class Requirements:
         return self._all_of([self._repaired(repair), self._needs(node)])
 
     def _needs(self, node: Node) -> Alternatives:
-        """Return what an element needs if no status of it is asserted."""
         element = node.element
         if isinstance(element, Constraint):
             return self._bound(node, node.parts[0])
@@ -254,12 +247,11 @@ class Requirements:
 
     def _is_fixed(self, state: State, attribute: Node) -> bool:
         """Tell whether an attribute stays as it is: it may not change, or violates nothing and so need not."""
-        fixed = self._fixed.get(attribute.index)
-        if fixed is None:
+        if attribute.index not in self._fixed:
             may = self._changing is None or attribute.name in self._changing
-            fixed = not may or all(_holds(state, attribute, one) for one in attribute.constraints)
-            self._fixed[attribute.index] = fixed
-        return fixed
+            holds = all(_holds(state, attribute, one) for one in attribute.constraints)
+            self._fixed[attribute.index] = not may or holds
+        return self._fixed[attribute.index]
 
     def _any_of(self, choices: Iterable[Alternatives]) -> Alternatives:
         boxes: list[Box] = []

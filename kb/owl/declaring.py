@@ -31,12 +31,7 @@ _UNSAID: Final = frozenset({"position", "prefersNothing"})
 
 
 class Declarer:
-    """Declares individuals in a model.
-
-    Args:
-        model: to declare them in.
-        known: its elements by id, as far as individuals may refer to them.
-    """
+    """Declares individuals in a model, of which they may refer to the elements that are known, by id."""
 
     def __init__(self, model: Contents, known: Mapping[str, Changeable] | None = None) -> None:
         self.model = model

@@ -42,7 +42,6 @@ class _Pattern:
 
     @property
     def kind(self) -> Kind | None:
-        """What it must be to us, if that is said."""
         return next((one.kind for one, _ in self.types if one.kind), None)
 
 
@@ -99,7 +98,7 @@ class _Question:
                 pattern.players += clause.players
 
     def answers(self) -> list[Bindings]:
-        """Return what the variables can stand for, the most telling patterns first."""
+        """The most telling patterns come first."""
         found = [dict(self.known)]
         rest = list(self.patterns.values())
         while rest:

@@ -2,7 +2,6 @@
 
 import ast
 import json
-import math
 import re
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -91,9 +90,8 @@ class _Reading:
         for cls, kind in _CLASSES.items():
             for thing in self.store.of(kind):
                 with thing.place.blamed():
-                    given = (
-                        {"functions": required.get(thing, [])} if cls is elements.Action else self._fields(cls, thing)
-                    )
+                    is_action = cls is elements.Action
+                    given = {"functions": required.get(thing, [])} if is_action else self._fields(cls, thing)
                     self._keep(thing, self.model.declare(cls, thing.name, **given))
         for thing in self.store.of(Kind.CONSTRAINT):
             with thing.place.blamed():
@@ -110,7 +108,7 @@ class _Reading:
         self.model.places[element] = str(thing.place)
 
     def _required_functions(self) -> dict[Thing, list[str]]:
-        """Return the functions of each action; an action may stand in several requirements."""
+        """An action may stand in several requirements."""
         required: dict[Thing, list[str]] = {}
         for relation in self.store.of(Kind.REQUIREMENT):
             for action in relation.players("action"):
@@ -232,8 +230,7 @@ class _Reading:
                 yield _order(thing), fact, own.place
 
     def _plan(self, thing: Thing) -> facts.PlanFact:
-        steps: dict[str, list[str]] = {"component-activation": [], "component-deactivation": []}
-        steps["parameter-adaptation"] = []
+        steps: dict[str, list[str]] = {one.label: [] for one in (Kind.ACTIVATION, Kind.DEACTIVATION, Kind.ADAPTATION)}
         self._add_steps(steps, thing)
         activate, deactivate, parameters = map(tuple, steps.values())
         return facts.PlanFact(activate, deactivate, parameters, **_period(thing), result=self._result(thing))
@@ -251,8 +248,8 @@ class _Reading:
                 chosen = _names(step, "component-configuration")
                 steps["parameter-adaptation"] += chosen
                 if not chosen:
-                    message = f"this {step.type.label} names no component-configuration; it is passed over"
-                    self.store.note(step.place, message)
+                    label = step.type.label
+                    self.store.note(step.place, f"this {label} names no component-configuration; it is passed over")
 
     def _result(self, thing: Thing) -> str | None:
         own = thing.own("result")
@@ -356,17 +353,10 @@ def _whole(value: object) -> int:
     return int(number)
 
 
-def _double(value: object) -> float:
-    number = float(str(value))
-    if not math.isfinite(number):
-        raise ValueError
-    return number
-
-
 _READERS: Final[Mapping[str, Callable[[object], bool | int | float | str]]] = {
     **dict.fromkeys(("boolean", "bool"), lambda value: {"true": True, "false": False}[str(value).strip().lower()]),
     **dict.fromkeys(("long", "integer", "int"), _whole),
-    **dict.fromkeys(("double", "float"), _double),
+    **dict.fromkeys(("double", "float"), lambda value: finite_number(float(str(value)))),
     **dict.fromkeys(("string", "str"), lambda value: str(value).lower() if isinstance(value, bool) else str(value)),
 }
 

@@ -76,7 +76,6 @@ class Thing:
         return own.value if own else None
 
     def players(self, role: str) -> "list[Thing]":
-        """Return what plays a role, in order."""
         return [part.thing for part in self.parts if part.role and part.role.name == role]
 
 
@@ -95,14 +94,12 @@ class Store:
         self.order = 0
 
     def insert(self, statements: Sequence[Statement], file: str, bindings: Bindings) -> None:
-        """Take in what is inserted, with what the variables stand for that were matched."""
         _Insertion(self, file, bindings).run(statements)
 
     def of(self, kind: Kind) -> list[Thing]:
         return self.things.get(kind, [])
 
     def note(self, place: Place, text: str) -> None:
-        """Remember something that was passed over."""
         self.notes.append(f"{place}: {text}")
 
     def add(self, label: Word, place: Place) -> Thing:
@@ -242,7 +239,6 @@ def literal(word: Word, place: Place) -> Literal:
 
 
 def shown(value: Literal) -> str:
-    """Write a value for a message."""
     if isinstance(value, bool):
         return str(value).lower()
     return f"the date {value.isoformat()}" if isinstance(value, datetime) else f"{value!r:.60}"

@@ -4,8 +4,8 @@ A `Word` is a piece of the text that knows its `line` and `column`, and as its `
 """
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import lru_cache, partial
+from collections.abc import Callable, Iterator, Mapping
+from functools import cache
 from types import SimpleNamespace
 from typing import Final, NamedTuple
 
@@ -113,7 +113,6 @@ class Insert(NamedTuple):
 
 
 def place_of(file: str, word: Word) -> Place:
-    """Return where a word stands."""
     return Place(file, word.line or 1, word.column or 1)
 
 
@@ -204,16 +203,11 @@ _SHAPES: Final[Mapping[str, Callable[..., object]]] = {
 """What becomes of each rule of the grammar."""
 
 
-def _shaped(make: Callable[..., object], children: Sequence[object]) -> object:
-    return make(*children)
-
-
-@lru_cache(maxsize=1)
+@cache
 def _parser() -> Lark:
-    shapes = SimpleNamespace(**{rule: partial(_shaped, make) for rule, make in _SHAPES.items()})
-    return Lark.open(
-        "grammar.lark", rel_to=__file__, parser="lalr", lexer="contextual", postlex=_Refusal(), transformer=shapes
-    )
+    shapes = SimpleNamespace(**{rule: lambda parts, make=make: make(*parts) for rule, make in _SHAPES.items()})
+    how = {"parser": "lalr", "lexer": "contextual", "postlex": _Refusal(), "transformer": shapes}
+    return Lark.open("grammar.lark", rel_to=__file__, **how)
 
 
 def _error(text: str, file: str, error: UnexpectedToken | UnexpectedCharacters) -> ModelFileError:

@@ -123,7 +123,6 @@ def _role(name: str, words: str, by: list[str], field: str = "", least: int = 1,
 ROLES: Final[Mapping[Kind, tuple[Role, ...]]] = {
     Kind(kind): tuple(_role(name, **given) for name, given in roles.items()) for kind, roles in _WORDS["roles"].items()
 }
-"""The roles of each relation."""
 
 ATTRIBUTES: Final[Mapping[Kind, tuple[Field, ...]]] = dict.fromkeys(Kind, ()) | {
     Kind(kind): tuple(
@@ -131,7 +130,6 @@ ATTRIBUTES: Final[Mapping[Kind, tuple[Field, ...]]] = dict.fromkeys(Kind, ()) | 
     )
     for kind, own in _WORDS["attributes"].items()
 }
-"""The attributes that each kind of thing has."""
 
 
 @dataclass(slots=True, eq=False)
@@ -190,7 +188,6 @@ class Vocabulary:
             self.type(label, place).roles[_word(role)] = _word(alias) if alias else None
 
     def type(self, label: Word | str, place: Place) -> Type:
-        """Return the type that is called so."""
         found = self._types.get(_plain(label))
         if found is None:
             known = list(dict.fromkeys(one.label for one in self._types.values()))

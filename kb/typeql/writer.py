@@ -48,7 +48,7 @@ class _Writer:
         self.taken: dict[str, int] = {}
 
     def lines(self) -> Iterator[str]:
-        """Write everything, in an order in which it can be read without looking ahead."""
+        """Everything, in an order in which it can be read without looking ahead."""
         yield f"$model isa RobotModel, has model-name {quoted(self.model.name)};"
         parts: dict[str, Iterable[Changeable]] = {
             **{f"{CLASSES[cls]}s": table.values() for cls, table in self.tables.items()},
