@@ -29,7 +29,9 @@ def amend(model: Model, serials: Serials, how: str, written: Any) -> None:  # no
     is_id = how == "removed"
     if isinstance(written, str) is not is_id or isinstance(written, list | tuple) is is_id:
         raise TypeError(f"{how} {written!r} is no amendment of a model")
-    known = {element_id(one, serials): one for one in _everything(model)}
+    named = (one for table in tables_of(model).values() for one in table.values())
+    everything: tuple[Changeable, ...] = (*named, *model.constraints, *model.estimations)
+    known = {element_id(one, serials): one for one in everything}
     if is_id:
         model.remove(known[written])
         return
@@ -82,13 +84,6 @@ def differences(stored: Iterable[Any], given: Iterable[Any]) -> Iterator[str]:
             names = [name for name in {**old, **new} if old.get(name) != new.get(name)]
             words = [f"{name} {_shown(new.get(name))}, in the store {_shown(old.get(name))}" for name in names]
             yield f"{own} has {', '.join(words)}" if words else f"{own} is a {kind}, in the store a {was}"
-
-
-def _everything(model: Model) -> Iterator[Changeable]:
-    for table in tables_of(model).values():
-        yield from table.values()
-    yield from model.constraints
-    yield from model.estimations
 
 
 def _plain(value: object) -> object:

@@ -282,7 +282,7 @@ class Model:
         """State what is so from the start; see `kb.facts`. A knowledge base that is already at work does not get it."""
         if isinstance(fact, StatusFact | RequiredFact | SelectedFact):
             self._owned("what a fact is about", fact.element, Changeable)
-        self._facts.append(checked_fact(self, fact))
+        self._facts.append(_checked_fact(self, fact))
 
     def watch(self, observer: Observer) -> None:
         """Inform an observer of every change from now on, for as long as anybody else holds it."""
@@ -363,7 +363,7 @@ class Model:
             ModelError: something else in the model is made of it; the message names what.
         """
         element = self._meant("what is removed", element)
-        users = users_of(self, element) if isinstance(element, Element) else []
+        users = _users_of(self, element) if isinstance(element, Element) else []
         if users:
             raise ModelError(f"{called(element)!r} is needed by {', '.join(users)}; remove that first")
         removed: list[Changeable] = [element]
@@ -382,13 +382,13 @@ class Model:
                 del self._estimations[one]
             else:
                 del self._tables[type(one)][one.name]
-        self._facts = [fact for fact in self._facts if not concerns(fact, removed)]
+        self._facts = [fact for fact in self._facts if not _concerns(fact, removed)]
         for observer in self._watching():
             observer.model_shrank(removed)
 
     def __eq__(self, other: object) -> bool:
         """Tell whether two models have the same name and say the same, in the same order within each kind."""
-        return isinstance(other, Model) and (self is other or description(self) == description(other))
+        return isinstance(other, Model) and (self is other or _description(self) == _description(other))
 
     def __hash__(self) -> int:
         return hash(self.name)
@@ -449,7 +449,7 @@ class Model:
         return [observer for one in tuple(self._observers) if (observer := one()) is not None]
 
     def _meant(self, what: str, element: Changeable | str) -> Changeable:
-        found = named(self, element) if isinstance(element, str) else element
+        found = _named(self, element) if isinstance(element, str) else element
         self._owned(what, found, Changeable)
         return found
 
@@ -488,7 +488,7 @@ def _suffix(file: Path) -> str:
     return suffix
 
 
-def named(model: Contents, name: str) -> Element:
+def _named(model: Contents, name: str) -> Element:
     """Return the one element that has a name.
 
     Raises:
@@ -507,21 +507,21 @@ def named(model: Contents, name: str) -> Element:
     return element
 
 
-def users_of(model: Contents, element: Element) -> list[str]:
+def _users_of(model: Contents, element: Element) -> list[str]:
     """Describe what in a model is made of an element."""
-    fields = [field for field, cls in REFERENCES.items() if isinstance(element, cls)]
+    given = [field for field, cls in REFERENCES.items() if isinstance(element, cls)]
     owners = (*model.actions.values(), *model.designs.values(), *model.configurations.values())
     users: dict[Changeable, str] = {one: f"{KINDS[type(one)]} {one.name!r}" for one in owners}
     users |= {one: f"constraint {one}" for one in model.constraints}
     users |= {one: f"an estimation of {one.attribute!r}" for one in model.estimations}
-    return [text for one, text in users.items() if any(_names(getattr(one, field, ()), element) for field in fields)]
+    return [text for one, text in users.items() if any(_names(getattr(one, field, ()), element) for field in given)]
 
 
 def _names(value: str | Collection[str], element: Element) -> bool:
     return value == element.name if isinstance(value, str) else element.name in value
 
 
-def checked_fact(model: Contents, fact: object) -> Fact:
+def _checked_fact(model: Contents, fact: object) -> Fact:
     """Return a fact that speaks of elements of the model only, and says what such elements can be."""
     if not isinstance(fact, Fact):
         raise ModelError(f"a fact is one of those in kb.facts, not {fact!r}")
@@ -576,15 +576,14 @@ def _named_by(fact: Fact) -> Iterator[tuple[type[Element], str]]:
             yield from ((REFERENCES[field.name], name) for name in names)
 
 
-def concerns(fact: Fact, removed: Collection[Changeable]) -> bool:
-    """Tell whether a fact is about something that is removed."""
+def _concerns(fact: Fact, removed: Collection[Changeable]) -> bool:
     if isinstance(fact, StatusFact | RequiredFact | SelectedFact):
         return fact.element in removed
     gone = {(type(one), one.name) for one in removed if isinstance(one, Element)}
     return any(one in gone for one in _named_by(fact))
 
 
-def description(model: Contents) -> object:
+def _description(model: Contents) -> object:
     """Return all that a model says, as plain values that can be compared."""
     number = {constraint: position for position, constraint in enumerate(model.constraints)}
 

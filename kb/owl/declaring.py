@@ -48,8 +48,7 @@ class Declarer:
         self.nested = {one.id: one for one in listed}
         for one in sorted((one for one in listed if GENERAL.get(one.kind, one.kind) in _CLASSES), key=_order):
             with _blamed(one.id):
-                made = self._make(one)
-                if made is not None:
+                if (made := self._make(one)) is not None:
                     self.known[one.id] = made
 
     def values(self, cls: type, one: Individual) -> dict[str, Any]:
