@@ -6,15 +6,16 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from math import inf
 from pathlib import Path
 from time import perf_counter
-from typing import TypeVar
-
-from numpy.random import Generator
+from typing import TYPE_CHECKING, TypeVar
 
 from kb import DiagnosticProblem, RequiredAction
 from missions.baselines.manager import Manager, Robot
 from missions.engine.mission import Message, Mission, MissionError, Percepts, Verdict
 from missions.engine.runner import Controller, Seen
 from missions.suave.world import SEA, Sea
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
 
 SEARCH, INSPECT = "search_pipeline", "inspect_pipeline"
 LOW_LEVEL = 0.25
@@ -33,7 +34,6 @@ class _Timer:
         return self._first + self._count * self._period_s
 
     def is_up(self, now: float) -> bool:
-        """Tell whether it is due by now [s], and if so, wind it up again."""
         if now < self.due:
             return False
         self._count += 1
@@ -41,19 +41,7 @@ class _Timer:
 
 
 class BaselineController(Controller):
-    """Has a manager of the sea's vehicle decide.
-
-    Args:
-        mission: suave, suave_extended, or another one in the sea.
-        name: of the manager, as `rosa run --manager` takes it.
-        manager: its class.
-        world: the sea.
-        rng: all chance of the manager and of its timers.
-        options: values of the manager's options by name.
-        inputs: which of them show among the results.
-
-    Attributes:
-        robot: what the manager knows and has done.
+    """Has a manager of the sea's vehicle decide; of its options, the `inputs` show among the results.
 
     Raises:
         MissionError: whatever the manager raises, here or later, with its name, the moment and the line.
@@ -65,17 +53,16 @@ class BaselineController(Controller):
         name: str,
         manager: type[Manager],
         world: Sea,
-        rng: Generator,
+        rng: "Generator",
         options: Mapping[str, float],
         inputs: Iterable[str] = (),
     ) -> None:
         super().__init__(name, "tree of the manager" if manager.decides_tasks else "mission node")
         self.inputs = {f"input_from_paper_{name}": options[name] for name in inputs}
-        self._world, self._class = world, manager
+        self._world, self._class, self._percepts = world, manager, Percepts()
         phases = rng.random(2).tolist()
         self.robot = Robot(mission, world.managed, world.settings, rng, lambda: world.now, options)
         self._manager = self._ask(manager, self.robot)
-        self._percepts = Percepts()
         self._mission_timer = _Timer(world.settings.mission_period_s, phases[0])
         self._manager_timer = _Timer(self._ask(_checked, self._manager.period_s), phases[1])
         self._tasks_reported = self._changes_reported = 0
@@ -96,7 +83,7 @@ class BaselineController(Controller):
 
     @property
     def measured(self) -> Mapping[str, float | None]:
-        return dict(self.robot.measured)
+        return self.robot.measured
 
     def receive(self, message: Message) -> Sequence[DiagnosticProblem]:
         started = perf_counter()
@@ -141,7 +128,6 @@ class BaselineController(Controller):
             raise MissionError(self._blamed(error)) from error
 
     def _blamed(self, error: Exception) -> str:
-        """Say which manager raised what, when, and at which line of its own file."""
         own = getattr(sys.modules.get(self._class.__module__), "__file__", None)
         frames = traceback.extract_tb(error.__traceback__)[1:]
         frame = next((one for one in reversed(frames) if one.filename == own), None)

@@ -1,19 +1,19 @@
 """What a manager of the vehicle is: the few lines to write for one of your own."""
 
-import heapq
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from math import inf
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from numpy.random import Generator
-
 from kb import RequiredAction
 from missions.engine.components import SimulatedComponents
 from missions.engine.mission import Message, Mission, MissionError
 from missions.engine.settings import Setting
+from suave_env.agenda import Agenda
 
 if TYPE_CHECKING:
+    from numpy.random import Generator
+
     from suave_env import Settings
 
 MEASUREMENTS = ("ea measurement", "qa status")
@@ -23,11 +23,8 @@ COMPONENT_STATUS = "component status"
 class Robot:
     """What a manager knows of the vehicle, and how it acts on it.
 
-    Switching takes as long as the settings of the sea say, whoever asks for it.
-
-    Args:
-        managed: the components.
-        clock: gives the time [s].
+    Components are asked to become active, inactive or to take parameters; that takes as long as the settings of the
+    sea say, whoever asks for it. `is_active` and `parameters` say what is in force by now.
 
     Attributes:
         mission: what is to be done: its model, its tree.
@@ -45,7 +42,7 @@ class Robot:
         mission: Mission,
         managed: SimulatedComponents,
         settings: "Settings",
-        rng: Generator,
+        rng: "Generator",
         clock: Callable[[], float],
         options: Mapping[str, float] | None = None,
     ) -> None:
@@ -54,9 +51,7 @@ class Robot:
         self.reported: dict[str, str] = {}
         self.noticed: dict[str, int] = {}
         self.tasks: list[RequiredAction] = []
-        self._managed, self._clock = managed, clock
-        self._later: list[tuple[float, int, Callable[[], None]]] = []
-        self._entered = 0
+        self._managed, self._clock, self._later = managed, clock, Agenda()
 
     @property
     def now(self) -> float:
@@ -68,23 +63,18 @@ class Robot:
         return self.tasks[-1].action if self.tasks and self.tasks[-1].end is None else None
 
     def activate(self, component: str) -> None:
-        """Ask for a component to become active."""
         self._managed.activate(component)
 
     def deactivate(self, component: str) -> None:
-        """Ask for a component to become inactive."""
         self._managed.deactivate(component)
 
     def set_parameters(self, component: str, parameters: Mapping[str, Any]) -> None:
-        """Ask for parameters of a component to be set."""
         self._managed.set_parameters(component, parameters)
 
     def is_active(self, component: str) -> bool:
-        """Return whether a component is active by now."""
         return self._managed.is_active(component)
 
     def parameters(self, component: str) -> Mapping[str, Any]:
-        """Return the parameters in force of a component."""
         return self._managed.parameters(component)
 
     def later(self, delay_s: float, what: Callable[[], None]) -> None:
@@ -95,35 +85,25 @@ class Robot:
         """
         if not 0 <= delay_s < inf:
             raise MissionError(f"cannot put something off by {delay_s!r} s; allowed is a number from 0")
-        heapq.heappush(self._later, (self.now + delay_s, self._entered, what))
-        self._entered += 1
+        self._later.at(self.now + delay_s, lambda time: what())
 
     @property
     def due(self) -> float:
-        return self._later[0][0] if self._later else inf
+        return self._later.next_time
 
     def catch_up(self) -> None:
         """Call what was put off until now, in order of time."""
         while self.due <= self.now:
-            _, _, what = heapq.heappop(self._later)
-            what()
+            self._later.happen()
 
     def begin(self, task: str) -> None:
-        """Take down that a task is begun; called by whoever decides about tasks.
-
-        Raises:
-            MissionError: another task has not ended.
-        """
+        """Take down that a task is begun; called by whoever decides about tasks, and refused while one is done."""
         if self.task is not None:
             raise MissionError(f"cannot begin {task}: {self.task} is being done; end it first")
         self.tasks.append(RequiredAction(task, None, self.now))
 
     def end(self, result: str, reason: str = "") -> None:
-        """Take down that the task has ended: "completed", "abandoned" or "failed".
-
-        Raises:
-            MissionError: no task is being done.
-        """
+        """Take down that the task has ended: "completed", "abandoned" or "failed"."""
         if self.task is None:
             raise MissionError("no task is being done that could end; begin one first")
         self.tasks[-1] = replace(self.tasks[-1], end=self.now, result=result, reason=reason)
@@ -145,9 +125,6 @@ class Manager:
 
     By default the mission is that of SUAVE's mission node: search until the pipeline is found, then inspect it. A
     manager that decides about tasks itself says so in `decides_tasks`, and calls `robot.begin` and `robot.end`.
-
-    Args:
-        robot: what is managed.
 
     Attributes:
         robot: what is managed.

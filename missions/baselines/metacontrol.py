@@ -20,14 +20,9 @@ METAMODEL = Path(__file__).with_name("tomasys.owl")
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """A way to realise a function.
+    """A way to realise a function, named as a mode of it; a better one has more performance.
 
-    Attributes:
-        name: its name, which is that of a mode of the function.
-        function: what it realises.
-        performance: how good it is; more is better.
-        components: what it needs, in order of name.
-        qualities: (attribute, value it has to have at least) of each, in order of name.
+    It needs components, and qualities: (attribute, value it has to have at least), both in order of name.
     """
 
     name: str
@@ -39,18 +34,12 @@ class Design:
 
 @dataclass(frozen=True, slots=True)
 class Knowledge:
-    """Functions and designs.
-
-    Attributes:
-        designs: all, the best first; equally good ones in order of name.
-        always_improved: functions for which something better is looked for though all is well.
-    """
+    """All designs, the best first, then in order of name, and the functions that are improved though all is well."""
 
     designs: tuple[Design, ...]
     always_improved: frozenset[str] = field(default_factory=frozenset)
 
     def of(self, function: str) -> tuple[Design, ...]:
-        """Return the designs of a function, the best first."""
         return tuple(design for design in self.designs if design.function == function)
 
 
@@ -115,8 +104,6 @@ class Situation:
     """What Metacontrol has heard, and what it inferred in the pass before.
 
     Attributes:
-        measured: last value by attribute.
-        failed: components that have failed.
         unrealisable: names of designs that need one of these, as inferred by the pass before.
         grounded: names of the designs that serve objectives, by function.
         not_in_force: functions whose mode is not in force though it was asked for.
@@ -140,7 +127,8 @@ def unrealisable(knowledge: Knowledge, situation: Situation) -> frozenset[str]:
 
 def standing(knowledge: Knowledge, situation: Situation, function: str) -> Standing:
     """Return how the objective of a function stands."""
-    design = next((one for one in knowledge.of(function) if one.name == situation.grounded.get(function)), None)
+    grounded = situation.grounded.get(function)
+    design = next((one for one in knowledge.of(function) if one.name == grounded), None)
     if design is None:
         return Standing.UNGROUNDED
     if design.name in situation.unrealisable:

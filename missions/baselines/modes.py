@@ -9,52 +9,34 @@ from missions.baselines.manager import Manager, Robot
 from missions.engine.mission import MissionError
 
 UNGROUND = "fd_unground"
+MODES_FILE = Path(__file__).with_name("modes.toml")
 
 
 @dataclass(frozen=True, slots=True)
 class Mode:
-    """What a mode means.
-
-    Attributes:
-        active: whether the component is active in it.
-        parameters: values by parameter name.
-    """
+    """What a mode means: whether the component is active in it, and the values of its parameters."""
 
     active: bool
     parameters: Mapping[str, float]
 
 
 class SystemModes:
-    """Switches components by the modes of their functions, and tells modes from components.
+    """Switches components by the modes of their functions.
 
-    Args:
-        robot: what is switched.
-        path: a TOML file: a table for each function with its `component` and its `modes`.
-
-    Raises:
-        MissionError: the file is not as it should be.
+    Read from a TOML file: a table for each function with its `component` and its `modes`; MissionError if it is not.
     """
 
-    def __init__(self, robot: Robot, path: Path | None = None) -> None:
+    def __init__(self, robot: Robot, path: Path = MODES_FILE) -> None:
         self._robot = robot
-        self._components, self._modes = _read(path or Path(__file__).with_name("modes.toml"))
+        self._components, self._modes = _read(path)
         self._requested: dict[str, str] = {}
-
-    @property
-    def functions(self) -> tuple[str, ...]:
-        """The names of the functions."""
-        return tuple(self._modes)
 
     def of(self, function: str) -> tuple[str, ...]:
         """Return the names of the modes of a function."""
         return tuple(self._known(function))
 
     def request(self, function: str, mode: str) -> None:
-        """Ask for a mode; one that was asked for last already is ignored.
-
-        Raises:
-            MissionError: there is no such function or mode.
-        """
+        """Ask for a mode; one that was asked for last already is ignored."""
         modes = self._known(function)
         if mode not in modes:
             raise MissionError(f"function {function} has no mode {mode!r}; there are {', '.join(modes)}")
@@ -67,10 +49,6 @@ class SystemModes:
     def unground(self, function: str) -> None:
         """Ask for the mode in which the function's component is inactive."""
         self.request(function, UNGROUND)
-
-    def infer(self, function: str) -> str | None:
-        """Return the first mode that the component is in, by what is in force; None if it is in none of them."""
-        return next((mode for mode in self._known(function) if self.is_in(function, mode)), None)
 
     def is_in(self, function: str, mode: str) -> bool:
         """Tell whether what is in force is what a mode means; several modes may mean the same."""

@@ -1,7 +1,6 @@
 """The managers there are, by name, and how a run is opened under the one that is asked for."""
 
 from collections.abc import Mapping
-from types import MappingProxyType
 
 from missions.baselines.manager import Manager
 from missions.engine.controller import OURS, check_task, rosa_run
@@ -12,15 +11,13 @@ from missions.engine.settings import Setting, own_values, read_values
 
 MANAGERS: Registry[type[Manager]] = Registry(
     "manager",
-    MappingProxyType(
-        {
-            "none": "missions.baselines.modes:NoManager",
-            "random": "missions.baselines.modes:RandomManager",
-            "bt": "missions.baselines.bt:TreeManager",
-            "metacontrol": "missions.baselines.metacontrol:Metacontrol",
-            "rosa": "missions.baselines.rosa:RosaManager",
-        }
-    ),
+    {
+        "none": "missions.baselines.modes:NoManager",
+        "random": "missions.baselines.modes:RandomManager",
+        "bt": "missions.baselines.bt:TreeManager",
+        "metacontrol": "missions.baselines.metacontrol:Metacontrol",
+        "rosa": "missions.baselines.rosa:RosaManager",
+    },
 )
 """All but ours."""
 
@@ -40,17 +37,12 @@ def find_manager(name: str | type[Manager]) -> type[Manager]:
 
 
 def name_of(manager: type[Manager]) -> str:
-    """Return the name under which a manager is found."""
     own = f"{manager.__module__}:{manager.__qualname__}"
     return next((name for name, home in MANAGERS.homes.items() if home == own), own)
 
 
 def options_of(manager: str | type[Manager]) -> tuple[Setting, ...]:
-    """Return what can be set of a manager; nothing of ours.
-
-    Raises:
-        MissionError: no such manager.
-    """
+    """Return what can be set of a manager; nothing of ours."""
     return () if manager == OURS else find_manager(manager).options
 
 
@@ -72,9 +64,6 @@ def open_run(
         seed: of all chance in the run.
         settings: what differs from the defaults, by name; a unit at the end of a name may be left out.
         listeners: who hears of it.
-
-    Returns:
-        The run, ready for `run()`.
 
     Raises:
         MissionError: no such manager, task layer or setting, or they do not go together.

@@ -110,22 +110,18 @@ class RosaManager(Manager):
             self._rest()
 
     def _switch(self, plan: ReconfigurationPlan) -> None:
-        for name in plan.deactivate:
-            if name not in plan.plain:
-                self.robot.deactivate(name)
-        for name in plan.activate:
-            if name not in plan.plain:
-                self.robot.activate(name)
+        for names, switch in ((plan.deactivate, self.robot.deactivate), (plan.activate, self.robot.activate)):
+            for name in names:
+                if name not in plan.plain:
+                    switch(name)
         self._after(CONFIGURING if plan.parameters else 0, lambda: self._configure(plan))
 
     def _configure(self, plan: ReconfigurationPlan) -> None:
         for name in plan.parameters:
             configuration = self._kb.configurations[name]
             self.robot.set_parameters(configuration.component, configuration.parameters)
-        for name in plan.deactivate:
-            self._kb.component_active(name, False)
-        for name in plan.activate:
-            self._kb.component_active(name, True)
+        for name in (*plan.deactivate, *plan.activate):
+            self._kb.component_active(name, name in plan.activate)
         self._kb.finish_plan(plan, "completed")
         self._rest()
 

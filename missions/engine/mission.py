@@ -6,16 +6,19 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import nan
 from pathlib import Path
-from typing import Any, Final, NamedTuple, Protocol, Self
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, Self
 
-from numpy.random import Generator
 from py_trees.behaviour import Behaviour
 
 from kb import KnowledgeBase, ManagedSystem, Model
 from missions.engine.settings import MissionError as MissionError
 from missions.engine.settings import RunSettings, near, own_values
 from missions.engine.settings import Setting as Setting
-from rosa_pddl.generation import DeclaredProblem
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
+
+    from rosa_pddl.generation import DeclaredProblem
 
 Message = Mapping[str, Any]
 """Diagnostics as they travel: `{"time": s, "status": [{"name": ..., "message": ..., "values": {...}}, ...]}`."""
@@ -163,7 +166,7 @@ class WorldKind(ABC):
     """How a world is opened; what it needs is imported only then."""
 
     @abstractmethod
-    def open(self, values: Mapping[str, str], rng: Generator) -> World:
+    def open(self, values: Mapping[str, str], rng: "Generator") -> World:
         """Open a world with these settings; all its chance comes from the generator.
 
         Raises:
@@ -209,7 +212,7 @@ class Mission:
     tree: Callable[[KnowledgeBase, Percepts], Behaviour]
     world: WorldKind
     domain: Path | None = None
-    problem: Path | DeclaredProblem | None = None
+    problem: "Path | DeclaredProblem | None" = None
     actions: Mapping[str, Callable[..., Behaviour]] = field(default_factory=dict)
     facts: Callable[[KnowledgeBase, Percepts], Mapping[str, bool | float]] = lambda kb, percepts: {}
     engines: tuple[str, ...] = ()

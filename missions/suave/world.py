@@ -4,8 +4,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from numpy.random import Generator
-
 from kb import KnowledgeBase
 from missions.engine.components import VERBS, SimulatedComponents
 from missions.engine.mission import (
@@ -22,6 +20,8 @@ from missions.engine.mission import (
 from missions.engine.settings import declared, read_values
 
 if TYPE_CHECKING:
+    from numpy.random import Generator
+
     from suave_env import Change, Settings, SuaveEnv
 
 
@@ -97,7 +97,7 @@ class _SeaKind(WorldKind):
 
         return declared(Settings)
 
-    def open(self, values: Mapping[str, str], rng: Generator) -> Sea:
+    def open(self, values: Mapping[str, str], rng: "Generator") -> Sea:
         from suave_env import Settings, SuaveEnv, SuaveEnvError
 
         try:

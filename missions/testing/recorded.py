@@ -11,7 +11,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Protocol, runtime_checkable
 
-from numpy.random import Generator
 from py_trees.behaviour import Behaviour
 
 from kb import DiagnosticProblem, Event, KnowledgeBase, Model, UnknownName
@@ -28,6 +27,8 @@ from missions.testing.managed import FakeClock, ScriptedManaged
 from rosa_bt import TraceVisitor
 
 if TYPE_CHECKING:
+    from numpy.random import Generator
+
     from rosa_pddl import PlanRecord
 
 TaskFactory = Callable[[KnowledgeBase, Percepts], Behaviour]
@@ -132,7 +133,7 @@ class Recording(World):
 class _Nowhere(WorldKind):
     """The world of a model that is handed in without a mission; only recordings happen there."""
 
-    def open(self, values: Mapping[str, str], rng: Generator) -> World:
+    def open(self, values: Mapping[str, str], rng: "Generator") -> World:
         raise MissionError("a model alone has no world; replay a recording to it")
 
     def verdict(self, percepts: Percepts, results: Mapping[str, float | None], kb: KnowledgeBase) -> Verdict:
