@@ -11,33 +11,15 @@ from typing import NamedTuple, TypeAlias
 from weakref import WeakKeyDictionary
 
 from rosa_pddl.domain import FEASIBLE, Domain, State, Step, UpThing, head_of
-from rosa_pddl.engines.fast_downward import (
-    ADDED,
-    Effect,
-    Operator,
-    SasTask,
-    translate,
-    written_domain,
-    written_problem,
-)
+from rosa_pddl.engines import fast_downward
+from rosa_pddl.engines.fast_downward import Effect, Operator, SasTask
 from rosa_pddl.engines.processes import Cancelled, ProcessHandle
 from rosa_pddl.exceptions import RosaPddlError, UnsupportedPddlError
-from rosa_pddl.outcomes import Outcome, Trouble
+from rosa_pddl.outcomes import Outcome, Trouble, trouble_of
 from rosa_pddl.problem import Exact, Problem, lock_of
 from rosa_pddl.resource_usage import Numbers, ResourceUsage, Sum, whole
 from rosa_pddl.search import Fact, Operation, Task, TaskGraph
 from rosa_pddl.validate import literals
-
-__all__ = [
-    "Grounded",
-    "Grounding",
-    "Groundings",
-    "NotRepresentableError",
-    "SearchTask",
-    "UnreachableGoalError",
-    "translated",
-    "usage_of",
-]
 
 # Fast Downward adds up costs in 32 bits; this leaves room for plans of a thousand of the dearest steps.
 _MOST_COST = 2_000_000
@@ -50,7 +32,8 @@ _FEWEST_STATES = 500
 # Beyond this many, only the atoms of a predicate that held or were named are kept alive.
 _MOST_ATOMS = 5000
 _MOST_DOMAINS = 8
-_INSTANTANEOUS: "WeakKeyDictionary[Domain, _Instantaneous]" = WeakKeyDictionary()
+# unified-planning's problem of steps that follow one another, and what steps cost and use up
+_INSTANTANEOUS: "WeakKeyDictionary[Domain, tuple[UpThing, ResourceUsage]]" = WeakKeyDictionary()
 
 
 class NotRepresentableError(RosaPddlError):
@@ -66,17 +49,7 @@ class UnreachableGoalError(RosaPddlError):
 
 @dataclass(frozen=True, eq=False)
 class _Ready:
-    """An operator; what it needs of the variables that no operator changes is asked before the search.
-
-    Args:
-        number: by which `Grounded.step` knows it.
-        step: what it does.
-        needs: what it needs of the frozen variables.
-        prevail: what it needs of the others, and leaves so.
-        effects: as those of an `Operator`, on the others.
-        cost: what it costs.
-        uses: what it uses up of each limited resource.
-    """
+    """An operator: what it needs of the frozen variables is asked before the search; the rest is on the others."""
 
     number: int
     step: Step
@@ -104,21 +77,10 @@ class _Ready:
         return "\n".join([*lines, ""])
 
 
-class _Fitted(NamedTuple):
-    """A state and a goal put in: the value of each variable, the facts that shall hold, the values of frozen ones."""
-
-    state: tuple[int, ...]
-    goal: tuple[Fact, ...]
-    frozen: tuple[int, ...]
-
-
 class SearchTask(NamedTuple):
-    """What the exact search is asked; all numbers are whole.
+    """What the exact search is asked: a graph, and the same as a task; scales multiplied the amounts of each resource.
 
-    Attributes:
-        graph: keeps what it has worked out for as long as neither what is possible, nor the goal, nor costs change.
-        task: the same, to be written.
-        scales: by what the amounts of each resource were multiplied.
+    The graph keeps what it has worked out for as long as neither what is possible, nor the goal, nor costs change.
     """
 
     graph: TaskGraph
@@ -129,24 +91,20 @@ class SearchTask(NamedTuple):
 class Grounded:
     """A translated task. Variables that no operator changes are frozen: they are looked at before the search.
 
-    Args:
-        domain: what `load_domain` returned.
-        task: what the translator wrote.
-        usage: what steps cost and use up.
-        base: the state that was translated.
-        is_patchable: whether the task was translated to fit other states than `base`.
+    It fits other states than `base`, which was translated, if it is patchable. What does not fit raises
+    NotRepresentableError, a fact of the goal that cannot become true UnreachableGoalError, and an amount that has no
+    value, or one that is not counted with, UnsupportedPddlError.
     """
 
     def __init__(self, domain: Domain, task: SasTask, usage: ResourceUsage, base: State, is_patchable: bool) -> None:
         self._domain, self._task, self._usage = domain, task, usage
-        self.is_patchable = is_patchable and not task.has_axioms
-        operators = [operator for operator in task.operators if not operator.name.startswith(ADDED)]
+        self.is_patchable = is_patchable and not task.rules
+        operators = [operator for operator in task.operators if not operator.name.startswith(fast_downward.ADDED)]
+        # a task with axioms fits one state only, so all its variables are written, under their own numbers
         written = _changing(operators) if self.is_patchable else range(len(task.variables))
         self._number = {variable: number for number, variable in enumerate(written)}
         self._frozen = [variable for variable in range(len(task.variables)) if variable not in self._number]
         self._sizes = tuple([len(task.variables[variable].values) for variable in written])
-        # a task with axioms fits one state only, so all its variables are written, under their own numbers
-        self._rules = task.rules if task.has_axioms else ()
         self._is_conditional = any(given for operator in operators for given, *_ in operator.effects)
         self._facts = dict(_named_facts(domain, task))
         self._none = [_none_of(variable.values) for variable in task.variables]
@@ -160,47 +118,33 @@ class Grounded:
 
     @property
     def size(self) -> int:
-        """How many operators there are."""
         return len(self._operators)
 
     def step(self, number: int) -> Step:
-        """Return the step of a number that a search names."""
         return self._operators[number].step
 
     def search_task(self, problem: Problem, numbers: Numbers) -> SearchTask:
-        """Put the state and the goal of a problem in, and the values that its costs and limits are made of.
-
-        Raises:
-            NotRepresentableError: the task does not fit.
-            UnreachableGoalError: a fact of the goal cannot become true.
-            UnsupportedPddlError: an amount has no value, or one below 0.
-        """
-        fitted = self._fitted(problem)
+        """Put the state and the goal of a problem in, and the values that its costs and limits are made of."""
+        state, goal, frozen = self._fitted(problem)
         mentioned = tuple([numbers.get(text) for text in self._mentioned])
-        graph, task, scales = self._graph(fitted.frozen, fitted.goal, mentioned, fitted.state if self._rules else ())
+        graph, task, scales = self._graph(frozen, goal, mentioned, state if self._task.rules else ())
         left = self._usage.remaining(numbers)
         limits = tuple([one.whole(scale) for one, scale in zip(left, scales, strict=True)])
-        return SearchTask(graph, task._replace(start=fitted.state, limits=limits), scales)
+        return SearchTask(graph, Task(task.sizes, state, goal, task.operations, limits, task.rules), scales)
 
     def written(self, problem: Problem, numbers: Numbers) -> tuple[str, str] | None:
-        """Write the task for Fast Downward, and how to search it optimally; None if the goal holds already.
-
-        Raises:
-            NotRepresentableError: the task does not fit.
-            UnreachableGoalError: a fact of the goal cannot become true.
-            UnsupportedPddlError: a cost has no value, or one that Fast Downward does not count with.
-        """
-        fitted = self._fitted(problem)
-        ready = self._possible(fitted.frozen)
+        """Write the task for Fast Downward, and how to search it optimally; None if the goal holds already."""
+        state, goal, frozen = self._fitted(problem)
+        ready = self._possible(frozen)
         costs = self._whole_costs([one.cost for one in ready], numbers)
-        if not fitted.goal:
+        if not goal:
             return None
-        text = [self._head, "begin_state\n", *(f"{value}\n" for value in fitted.state), "end_state\nbegin_goal\n"]
-        text += [f"{len(fitted.goal)}\n", *(f"{variable} {value}\n" for variable, value in fitted.goal)]
+        text = [self._head, "begin_state\n", *(f"{value}\n" for value in state), "end_state\nbegin_goal\n"]
+        text += [f"{len(goal)}\n", *(f"{variable} {value}\n" for variable, value in goal)]
         text += ["end_goal\n", f"{len(ready)}\n"]
         text += [f"{one.text}{cost}\nend_operator\n" for one, cost in zip(ready, costs, strict=True)]
-        text.append(self._task.axioms if self._task.has_axioms else "0\n")
-        is_blind = math.prod(map(float, self._sizes)) <= _FEW_STATES or self._is_conditional or self._task.has_axioms
+        text.append(self._task.axioms)
+        is_blind = math.prod(map(float, self._sizes)) <= _FEW_STATES or self._is_conditional or self._task.rules
         return "".join(text), "blind" if is_blind else "lmcut"
 
     def _graph_of(
@@ -220,7 +164,7 @@ class Grounded:
         operations = tuple(
             [Operation(*one.operation[:3], cost, tuple(uses)) for one, (cost, *uses) in zip(ready, spent, strict=True)]
         )
-        task = Task(self._sizes, start, goal, operations, (0,) * len(scales), self._rules)
+        task = Task(self._sizes, start, goal, operations, (0,) * len(scales), self._task.rules)
         is_guided = math.prod(map(float, self._sizes)) > _FEWEST_STATES
         return TaskGraph(task, is_guided=is_guided), task, tuple(scales)
 
@@ -229,24 +173,23 @@ class Grounded:
         least = min(amounts, default=0)
         if least < 0:
             terms = " + ".join(text for _, text in sums[amounts.index(least)].terms)
-            raise UnsupportedPddlError(
-                f"{terms} comes to {float(least):g}; {what} are 0 or more", self._domain.problem_file
-            )
+            message = f"{terms} comes to {float(least):g}; {what} are 0 or more"
+            raise UnsupportedPddlError(message, self._domain.problem_file)
         return amounts
 
     def _possible_with(self, frozen: tuple[int, ...]) -> tuple[_Ready, ...]:
         values = dict(zip(self._frozen, frozen, strict=True))
         return tuple([one for one in self._operators if all(values[fact[0]] == fact[1] for fact in one.needs)])
 
-    def _fitted(self, problem: Problem) -> _Fitted:
+    def _fitted(self, problem: Problem) -> tuple[tuple[int, ...], tuple[Fact, ...], tuple[int, ...]]:
+        """Put a state and a goal in: the value of each variable, what shall hold, the values of frozen variables."""
         values = self._values(problem.state) if self.is_patchable else list(self._task.initial)
         goal = self._goal(problem, values) if self.is_patchable else self._task.goal
         state = tuple([values[variable] for variable in self._number])
         inside = tuple([(self._number[variable], value) for variable, value in goal])
-        return _Fitted(state, inside, tuple([values[variable] for variable in self._frozen]))
+        return state, inside, tuple([values[variable] for variable in self._frozen])
 
     def _values(self, state: State) -> list[int]:
-        """Return the value of each variable in a state."""
         constants = state - self._facts.keys()
         if constants != self._constants:
             odd = min(constants ^ self._constants)
@@ -271,7 +214,7 @@ class Grounded:
 
     def _goal(self, problem: Problem, values: Sequence[int]) -> list[Fact]:
         goal: dict[int, int] = {}
-        for atom, wanted in _literals(self._domain, problem.wanted):
+        for atom, wanted in self._literals(problem.wanted):
             text = atom if wanted else f"(not {atom})"
             if atom not in self._facts:
                 if (atom in self._constants) != wanted:
@@ -287,6 +230,13 @@ class Grounded:
             if variable not in self._number and values[variable] != value:
                 raise UnreachableGoalError(f"nothing that can be done makes {text} so")
         return [(variable, value) for variable, value in sorted(goal.items()) if variable in self._number]
+
+    def _literals(self, goals: Iterable[UpThing]) -> Iterator[tuple[str, bool]]:
+        for goal in goals:
+            found = literals(self._domain, goal)
+            if found is None:
+                raise NotRepresentableError(f"the goal {goal} leaves several ways open")
+            yield from found
 
     def _whole_costs(self, sums: Sequence[Sum], numbers: Numbers) -> list[int]:
         costs = self._values_of(sums, "costs", numbers)
@@ -348,75 +298,38 @@ def _none_of(values: Sequence[str]) -> int:
     return next((value for value, text in enumerate(values) if not text.startswith("Atom ")), -1)
 
 
-def _literals(domain: Domain, goals: Iterable[UpThing]) -> Iterable[tuple[str, bool]]:
-    """Return the atoms that a conjunction asks for, and whether they shall be true.
-
-    Raises:
-        NotRepresentableError: it is no conjunction.
-    """
-    for goal in goals:
-        found = literals(domain, goal)
-        if found is None:
-            raise NotRepresentableError(f"the goal {goal} leaves several ways open")
-        yield from found
-
-
 # ---------------------------------------------------------------- translation
 
 Grounding: TypeAlias = Future[Grounded | Trouble]
 """The translated task, or why there is none: a value, as an exception that many raise would keep their frames."""
 
 
-class _Instantaneous(NamedTuple):
-    """A domain whose steps follow one another: unified-planning's problem, and what steps cost and use up."""
-
-    up_problem: UpThing
-    usage: ResourceUsage
-
-
-def _instantaneous(domain: Domain) -> _Instantaneous:
+def _instantaneous(domain: Domain) -> tuple[UpThing, ResourceUsage]:
     with lock_of(domain):
         if domain not in _INSTANTANEOUS:
-            up_problem = Problem(domain, frozenset()).build()
-            _INSTANTANEOUS[domain] = _Instantaneous(up_problem, ResourceUsage(domain))
+            _INSTANTANEOUS[domain] = Problem(domain, frozenset()).build(), ResourceUsage(domain)
         return _INSTANTANEOUS[domain]
 
 
 def usage_of(domain: Domain) -> ResourceUsage:
-    """Return what the steps of a domain cost and use up.
-
-    Raises:
-        UnsupportedPddlError: the domain cannot be planned for with steps that follow one another.
-    """
-    return _instantaneous(domain).usage
+    """Return what steps cost and use up; UnsupportedPddlError says that they cannot follow one another."""
+    return _instantaneous(domain)[1]
 
 
 def translated(
-    problem: Problem,
-    alive: Mapping[str, tuple[str, ...]] | None,
-    process: ProcessHandle,
-    limit_s: float,
+    problem: Problem, alive: Mapping[str, tuple[str, ...]] | None, process: ProcessHandle, limit_s: float
 ) -> Grounded:
-    """Translate a problem.
+    """Translate a problem, starting from its state, in so much wall-clock time [s].
 
-    Args:
-        problem: its state is where the translation starts from.
-        alive: atoms that may change, by the predicate in the names of unified-planning; None to keep none alive, which
-            is for this problem only.
-        process: runs the translator.
-        limit_s: wall-clock time that it may take [s].
-
-    Raises:
-        UnsupportedPddlError: the translator does not read this.
-        Trouble: the translator gave no task.
-        Cancelled: it is not wanted any more.
+    Atoms are kept alive by the predicate in the names of unified-planning; None is for this problem only. Raises
+    UnsupportedPddlError for what the translator does not read, else as `translate`.
     """
     domain = problem.domain
     up_problem, usage = _instantaneous(domain)
     kept = [atom for atoms in (alive or {}).values() for atom in atoms]
-    task = translate(
-        written_domain(domain, up_problem, alive),
-        written_problem(problem, problem.wanted if alive is None else None, kept),
+    task = fast_downward.translate(
+        fast_downward.written_domain(domain, up_problem, alive),
+        fast_downward.written_problem(problem, problem.wanted if alive is None else None, kept),
         process,
         limit_s=limit_s,
         for_any_state=alive is not None,
@@ -438,10 +351,6 @@ class Groundings:
     the translator finds reachable from the first state is alive anyway. Atoms of predicates that the actions only make
     true, only make false, or that say what is feasible are kept alive by themselves; atoms of predicates that no action
     changes are so once they were named, or were found to have changed.
-
-    Args:
-        limit_s: wall-clock time that a translation may take [s].
-        memory_bytes: how much data the translator may hold [B].
     """
 
     def __init__(self, limit_s: float, memory_bytes: int | None) -> None:
@@ -452,12 +361,7 @@ class Groundings:
         self._lock = threading.Lock()
 
     def ask(self, problem: Problem, changing: Iterable[str] = ()) -> Grounding:
-        """Begin to translate if that is needed, without waiting.
-
-        Args:
-            problem: what is to be planned.
-            changing: atoms that may change, such as those that are sensed.
-        """
+        """Begin to translate if that is needed, without waiting; atoms that are sensed, for one, may be changing."""
         with self._lock:
             begun, named = self._begun.get(problem.domain), frozenset(changing)
             if begun is not None:
@@ -466,9 +370,8 @@ class Groundings:
                     return begun.future
                 named |= begun.changing
                 problem = begun.base
-            begun = _Begun(problem, named)
             self._begun.pop(problem.domain, None)
-            self._begun[problem.domain] = begun
+            begun = self._begun[problem.domain] = _Begun(problem, named)
             if len(self._begun) > _MOST_DOMAINS:
                 del self._begun[next(iter(self._begun))]
             name = f"translator of {problem.domain.name}"
@@ -488,14 +391,10 @@ class Groundings:
         try:
             alive = _alive(begun.base, begun.changing)
             begun.future.set_result(translated(begun.base, alive, process, self._limit_s))
-        except Trouble as trouble:
-            begun.future.set_result(trouble)
-        except UnsupportedPddlError as error:
-            begun.future.set_result(Trouble(Outcome.UNSUPPORTED, str(error)))
         except Cancelled:
             begun.future.set_result(Trouble(Outcome.ENGINE_CRASHED, "the planner was closed"))
         except Exception as error:  # whatever it is, it belongs to those who wait for the task
-            begun.future.set_result(Trouble(Outcome.ENGINE_CRASHED, f"{type(error).__name__}: {error}"))
+            begun.future.set_result(trouble_of(error))
         finally:
             self._processes.discard(process)
 
@@ -503,7 +402,7 @@ class Groundings:
 def _untouched(domain: Domain, atoms: frozenset[str]) -> frozenset[str]:
     """Return the atoms of predicates that no action changes."""
     if not atoms:
-        return atoms
+        return atoms  # quickly, as every planning asks
     added, deleted = _directions(domain)
     touched = {domain.outside[name] for name in added | deleted}
     return frozenset(atom for atom in atoms if head_of(atom) not in touched)

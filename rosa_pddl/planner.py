@@ -3,7 +3,6 @@
 import sys
 import threading
 import time
-from collections import OrderedDict
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, wait
 from dataclasses import replace
@@ -35,14 +34,11 @@ from rosa_pddl.grounding import (
     translated,
     usage_of,
 )
-from rosa_pddl.outcomes import Attempt, Outcome, PlanningResult, Trouble
+from rosa_pddl.outcomes import Attempt, Outcome, PlanningResult, Trouble, trouble_of
 from rosa_pddl.problem import Problem
 from rosa_pddl.resource_usage import Numbers
 from rosa_pddl.validate import flaw, missing_at_start, schedule_flaw
 
-__all__ = ["PlanCache", "Planner", "awaited"]
-
-_MEGABYTE = 1 << 20
 # What the search in this process looks at within a tick, in a task of no more operators; some milliseconds.
 _MOVES_IN_A_TICK = 1000
 _MOVES_FOR_AN_OPERATOR = 5
@@ -113,11 +109,11 @@ class Planner:
         self.engine = engine
         self.timeout_s = timeout_s
         own = (("warm",) if warm else ()) + ("cold",) if engine in TRANSLATED else (engine,)
-        memory_bytes = memory_mb * _MEGABYTE
-        ways = (*own, *fallback)
-        self._settings = _Settings(engine, ways, timeout_s, dict(budgets_s or {}), overlapping, moves, memory_bytes)
+        memory_bytes = memory_mb << 20
+        self._settings = _Settings(
+            engine, (*own, *fallback), timeout_s, dict(budgets_s or {}), overlapping, safe_step, moves, memory_bytes
+        )
         _check(self._settings)
-        self._safe_step = safe_step
         self._groundings = Groundings(translate_s, memory_bytes)
         self._cache = PlanCache(cached)
         self._processes: set[ProcessHandle] = set()
@@ -136,8 +132,7 @@ class Planner:
         Raises:
             UnknownNameError: an atom is not one of the domain.
         """
-        if "warm" in self._settings.ways and self.missing(problem.domain) is None:
-            self._groundings.ask(problem, [problem.domain.atom(text) for text in changing])
+        self._grounding(problem, changing)
 
     def plan_now(self, problem: Problem) -> PlanningResult | None:
         """Return the answer if it is remembered, or found within a tick on the translated task; None else. Never waits.
@@ -176,12 +171,13 @@ class Planner:
         for process in tuple(self._processes):
             process.cancel()
 
+    def _grounding(self, problem: Problem, changing: Iterable[str] = ()) -> Grounding | None:
+        if "warm" not in self._settings.ways or self.missing(problem.domain) is not None:
+            return None
+        return self._groundings.ask(problem, [problem.domain.atom(text) for text in changing])
+
     def _portfolio(self, problem: Problem) -> "_Portfolio":
-        grounding = None
-        if "warm" in self._settings.ways and self.missing(problem.domain) is None:
-            grounding = self._groundings.ask(problem)
-        safe_step = None if self._safe_step is None else _step(problem.domain, self._safe_step)
-        return _Portfolio(self._settings, problem, grounding, safe_step, self._cache, self._processes)
+        return _Portfolio(self._settings, problem, self._grounding(problem), self._cache, self._processes)
 
 
 def awaited(future: "Future[PlanningResult]", budget_s: float) -> PlanningResult:
@@ -212,15 +208,11 @@ def awaited(future: "Future[PlanningResult]", budget_s: float) -> PlanningResult
 
 
 class PlanCache:
-    """The answers that were last asked for. May be used by several threads.
-
-    Args:
-        size: how many are kept at most.
-    """
+    """The answers that were last asked for, at most so many. May be used by several threads."""
 
     def __init__(self, size: int) -> None:
         self._size = size
-        self._results: OrderedDict[Hashable, tuple[PlanningResult, int]] = OrderedDict()
+        self._results: dict[Hashable, tuple[PlanningResult, int]] = {}
         self._weight = 0
         self._lock = threading.Lock()
 
@@ -228,12 +220,12 @@ class PlanCache:
         return len(self._results)
 
     def get(self, key: Hashable) -> PlanningResult | None:
-        """Return what was remembered by a key; None if nothing is."""
         with self._lock:
-            if key not in self._results:
+            found = self._results.pop(key, None)
+            if found is None:
                 return None
-            self._results.move_to_end(key)
-            return self._results[key][0]
+            self._results[key] = found
+            return found[0]
 
     def put(self, key: Hashable, result: PlanningResult, weight: int = 1) -> None:
         """Remember an answer that takes so much to hold, and forget what was not asked for the longest."""
@@ -243,8 +235,7 @@ class PlanCache:
             self._results[key] = result, weight
             self._weight += weight
             while len(self._results) > self._size or self._weight > _MOST_ATOMS:
-                _, (_, oldest) = self._results.popitem(last=False)
-                self._weight -= oldest
+                self._weight -= self._results.pop(next(iter(self._results)))[1]
 
 
 # ---------------------------------------------------------------- one planning
@@ -258,6 +249,7 @@ class _Settings(NamedTuple):
     timeout_s: float
     budgets_s: Mapping[str, float]
     overlapping: bool
+    safe_step: str | None
     moves: int
     memory_bytes: int
 
@@ -265,13 +257,7 @@ class _Settings(NamedTuple):
 class _Portfolio:
     """One planning: the ways in order, each within its budget, and what is reported of all of them.
 
-    Args:
-        settings: how.
-        problem: what.
-        grounding: the translated task of the domain, or what will be it; None if there is no warm way.
-        safe_step: what to do if there is no plan.
-        cache: what was answered before.
-        running: what runs programs for the planner; added to while this plans.
+    The grounding is None if there is no warm way; to what is running it adds its process while it plans.
     """
 
     def __init__(
@@ -279,16 +265,15 @@ class _Portfolio:
         settings: _Settings,
         problem: Problem,
         grounding: Grounding | None,
-        safe_step: Step | None,
         cache: PlanCache,
         running: set[ProcessHandle],
     ) -> None:
         self._settings, self._problem, self._grounding = settings, problem, grounding
-        self._safe_step, self._cache, self._running = safe_step, cache, running
+        self._cache, self._running = cache, running
+        self._safe_step = None if settings.safe_step is None else _step(problem.domain, settings.safe_step)
         self._process = ProcessHandle(settings.memory_bytes)
 
     def cancel(self) -> None:
-        """End what runs; the answer is not wanted any more."""
         self._process.cancel()
 
     def at_once(self) -> PlanningResult | None:
@@ -367,14 +352,11 @@ class _Portfolio:
             if budget_s <= 0.0:
                 raise Trouble(Outcome.OUT_OF_TIME, f"of {self._settings.timeout_s:g} s no time was left for it")
             return self._checked(way, self._answer(way, time.monotonic() + budget_s))
-        except Trouble as trouble:
-            return PlanningResult(trouble.outcome, message=trouble.message)
-        except UnsupportedPddlError as error:
-            return PlanningResult(Outcome.UNSUPPORTED, message=str(error))
         except Cancelled:
             raise
         except Exception as error:  # whatever goes wrong here must not stop the tree; it is reported by name
-            return PlanningResult(Outcome.ENGINE_CRASHED, message=f"{type(error).__name__}: {error}")
+            trouble = trouble_of(error)
+            return PlanningResult(trouble.outcome, message=str(trouble))
 
     def _engine_of(self, way: str) -> str:
         return self._settings.engine if way in ("warm", "cold") else way
@@ -389,13 +371,8 @@ class _Portfolio:
         if way in ("cold", LABEL_SETTING):
             task = translated(self._problem, None, self._process, _left_s(deadline))
             return self._searched(task, deadline, self._engine_of(way))
-        return asked(
-            way,
-            self._problem,
-            self._process,
-            limit_s=_left_s(deadline),
-            overlapping=self._settings.overlapping,
-        )
+        overlapping = self._settings.overlapping
+        return asked(way, self._problem, self._process, limit_s=_left_s(deadline), overlapping=overlapping)
 
     def _warm_task(self, limit_s: float) -> Grounded:
         assert self._grounding is not None
@@ -405,7 +382,7 @@ class _Portfolio:
             message = f"the task of {self._problem.domain.name} was not translated in time; allow more or ask for less"
             raise Trouble(Outcome.OUT_OF_TIME, message) from error
         if isinstance(task, Trouble):
-            raise Trouble(task.outcome, task.message)
+            raise trouble_of(task)
         if not task.is_patchable:
             raise Trouble(Outcome.UNSUPPORTED, "the translated task has axioms, which hold for one state only")
         return task
@@ -431,11 +408,6 @@ class _Portfolio:
         return engine in _EXACT and is_small and self._settings.moves > 0
 
     def _exact(self, grounded: Grounded, cap: int) -> PlanningResult:
-        """Search in this process.
-
-        Raises:
-            CapReached: that takes too many moves.
-        """
         asked_for = grounded.search_task(self._problem, self._numbers)
         start, limits = asked_for.task.start, asked_for.task.limits
         found = asked_for.graph.plan(start, limits, cap)
@@ -446,13 +418,8 @@ class _Portfolio:
     def _exact_elsewhere(self, grounded: Grounded, deadline: float) -> PlanningResult:
         """Search in a process of its own, which may be killed."""
         asked_for, limit_s = grounded.search_task(self._problem, self._numbers), _left_s(deadline)
-        ended = self._process.run(
-            [sys.executable, "-I", "-S", search.__file__],
-            given=search.written(asked_for.task),
-            limit_s=limit_s,
-        )
-        if ended.is_late:
-            raise Trouble(Outcome.OUT_OF_TIME, f"no answer after {limit_s:.3g} s; allow more time or ask for less")
+        command = [sys.executable, "-I", "-S", search.__file__]
+        ended = self._process.ask(command, given=search.written(asked_for.task), limit_s=limit_s)
         kind, *numbers = ended.output.decode(errors="replace").split() or [""]
         if kind == "plan":
             return PlanningResult(Outcome.SOLVED_OPTIMALLY, tuple([grounded.step(int(number)) for number in numbers]))
@@ -487,19 +454,16 @@ class _Portfolio:
         quiet = "verbosity=silent"
         optimally = f"astar({estimate}(), {quiet})"
         some = f"lazy_greedy([ff()], preferred=[ff()], {quiet})"
-        found = fast_downward.search(
-            text,
-            optimally if engine == "fast-downward-opt" else some,
-            self._process,
-            limit_s=_left_s(deadline),
-        )
+        is_optimal = engine == "fast-downward-opt"
+        strategy = optimally if is_optimal else some
+        found = fast_downward.search(text, strategy, self._process, limit_s=_left_s(deadline))
         if isinstance(found, Outcome):
             return PlanningResult(found)
         try:
             steps = tuple([grounded.step(number) for number in found])
         except IndexError as error:
             raise Trouble(Outcome.ENGINE_CRASHED, "the search named steps that the task does not have") from error
-        return PlanningResult(Outcome.SOLVED_OPTIMALLY if engine == "fast-downward-opt" else Outcome.SOLVED, steps)
+        return PlanningResult(Outcome.SOLVED_OPTIMALLY if is_optimal else Outcome.SOLVED, steps)
 
     def _checked(self, way: str, answer: PlanningResult) -> PlanningResult:
         """Replay a plan; raise Trouble if it does not work."""
@@ -560,12 +524,8 @@ def _may_have_to_overlap(domain: Domain) -> bool:
 
 def _needed(schema: Schema) -> set[UpThing]:
     """Return the predicates that the conditions of an action mention."""
-    left, found = [*schema.start, *schema.over_all, *schema.end], set()
-    while left:
-        formula = left.pop()
-        left += formula.args
-        found |= {formula.fluent()} if formula.is_fluent_exp() else set()
-    return found
+    formulas = (*schema.start, *schema.over_all, *schema.end)
+    return {atom.fluent() for one in formulas for atom in one.environment.free_vars_extractor.get(one)}
 
 
 def _left_s(deadline: float) -> float:
@@ -583,7 +543,6 @@ def _outcome_of(attempts: list[Attempt]) -> Outcome:
 
 
 def _step(domain: Domain, text: str) -> Step:
-    """Return the safe step."""
     head, *words = text.strip().removeprefix("(").removesuffix(")").split() or [""]
     schema = domain.schema_of[domain.spelling("action", head, text)]
     if len(words) != len(schema.parameters):

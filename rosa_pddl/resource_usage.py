@@ -9,20 +9,14 @@ from typing import NamedTuple, TypeAlias
 from rosa_pddl.domain import Domain, Step, UpThing
 from rosa_pddl.exceptions import UnsupportedPddlError, nearest
 from rosa_pddl.problem import Exact, Problem, action_costs, exact
-
-__all__ = ["Numbers", "Remaining", "ResourceUsage", "Sum", "sum_of", "whole"]
+from rosa_pddl.validate import binding_of, text_of
 
 Numbers: TypeAlias = Mapping[str, Exact]
 """The values of numeric facts such as `(travel_cost a b)` by their text, decimals taken as they are written."""
 
 
 class Sum(NamedTuple):
-    """A constant, and numeric facts with their factors; words of these with a mark, such as `?x`, are parameters.
-
-    Attributes:
-        constant: added to the rest.
-        terms: factor and text of each numeric fact.
-    """
+    """A constant, and numeric facts with their factors; words of these with a mark, such as `?x`, are parameters."""
 
     constant: Exact
     terms: tuple[tuple[Exact, str], ...] = ()
@@ -42,18 +36,12 @@ class Sum(NamedTuple):
 
 @dataclass(frozen=True)
 class Remaining:
-    """What may still be used up of a resource.
-
-    Args:
-        amount: so much.
-        is_strict: whether it has to be less than that.
-    """
+    """What may still be used up of a resource: so much, or less than that where it is strict."""
 
     amount: Exact
     is_strict: bool = False
 
     def is_exceeded_by(self, used: Exact) -> bool:
-        """Whether so much is too much."""
         return used > self.amount or (self.is_strict and used == self.amount)
 
     def whole(self, scale: int) -> int:
@@ -65,13 +53,8 @@ class Remaining:
 class ResourceUsage:
     """What the steps of a domain cost, and what they use up of its limited resources, in the order of `domain.limited`.
 
-    A step costs what the metric says, or 1 if there is none.
-
-    Args:
-        domain: what `load_domain` returned.
-
-    Raises:
-        UnsupportedPddlError: an amount is no sum of numbers and numeric facts, or the metric cannot be kept.
+    A step costs what the metric says, or 1 if there is none. UnsupportedPddlError is raised where an amount is no sum
+    of numbers and numeric facts, the metric cannot be kept, or a numeric fact has no value, or none that is finite.
     """
 
     def __init__(self, domain: Domain) -> None:
@@ -88,7 +71,6 @@ class ResourceUsage:
         ]
 
     def cost_of(self, step: Step) -> Sum:
-        """Return what a step costs."""
         return self._costs[step.schema].bound(self._binding(step))
 
     def uses_of(self, step: Step) -> tuple[Sum, ...]:
@@ -97,11 +79,7 @@ class ResourceUsage:
         return tuple([each.get(step.schema, nothing).bound(binding) for each in self._uses])
 
     def numbers(self, problem: Problem) -> Numbers:
-        """Return the values of numeric facts: those of the problem file, or what the problem says instead.
-
-        Raises:
-            UnsupportedPddlError: one is no finite number.
-        """
+        """Return the values of numeric facts: those of the problem file, or what the problem says instead."""
         numbers = dict(self._in_file)
         for text, value in problem.costs.items():
             try:
@@ -112,11 +90,6 @@ class ResourceUsage:
         return numbers
 
     def value(self, amount: Sum, numbers: Numbers) -> Exact:
-        """Return what a sum comes to.
-
-        Raises:
-            UnsupportedPddlError: a numeric fact has no value.
-        """
         try:
             return amount.constant + sum([factor * numbers[key] for factor, key in amount.terms])
         except KeyError as error:
@@ -126,19 +99,10 @@ class ResourceUsage:
             raise UnsupportedPddlError(f"{message} problem ({known})", self._domain.problem_file) from error
 
     def total_cost(self, steps: Iterable[Step], numbers: Numbers) -> float:
-        """Return what a plan costs.
-
-        Raises:
-            UnsupportedPddlError: a numeric fact has no value.
-        """
         return float(sum(self.value(self.cost_of(step), numbers) for step in steps))
 
     def remaining(self, numbers: Numbers) -> tuple[Remaining, ...]:
-        """Return what may still be used up of each limited resource.
-
-        Raises:
-            UnsupportedPddlError: a numeric fact has no value.
-        """
+        """Return what may still be used up of each limited resource."""
         found = []
         for resource in self._domain.limited:
             used = self._value_of(resource.fluent, numbers)
@@ -147,11 +111,7 @@ class ResourceUsage:
         return tuple(found)
 
     def overspent(self, problem: Problem, steps: Iterable[Step]) -> str | None:
-        """Return which limit a plan breaks, in words; None if it keeps them all.
-
-        Raises:
-            UnsupportedPddlError: a numeric fact has no value.
-        """
+        """Return which limit a plan breaks, in words; None if it keeps them all."""
         numbers = self.numbers(problem)
         used: list[Exact] = [0] * len(self._domain.limited)
         for step in steps:
@@ -163,27 +123,18 @@ class ResourceUsage:
         return None
 
     def _binding(self, step: Step) -> Mapping[str, str]:
-        names = [f"?{name}" for name, _ in self._domain.schema_of[step.schema].parameters]
-        return dict(zip(names, step.arguments, strict=True))
+        return {f"?{name}": thing for name, thing in binding_of(self._domain, step).items()}
 
     def _value_of(self, amount: UpThing, numbers: Numbers) -> Exact:
         return self.value(sum_of(self._domain, amount), numbers)
 
 
 def sum_of(domain: Domain, amount: UpThing) -> Sum:
-    """Return an amount, an expression of unified-planning, as a sum, with parameters if it has some.
-
-    Raises:
-        UnsupportedPddlError: it is none.
-    """
+    """Return an amount, an expression of unified-planning, as a sum, with parameters if it has some."""
     if amount.is_constant():
         return Sum(exact(amount.constant_value()))
     if amount.is_fluent_exp():
-        words = [domain.outside[amount.fluent().name]]
-        for part in amount.args:
-            is_parameter = part.is_parameter_exp()
-            words.append(f"?{part.parameter().name}" if is_parameter else domain.outside[part.object().name])
-        return Sum(0, ((1, f"({' '.join(words)})"),))
+        return Sum(0, ((1, text_of(domain, amount, {})),))
     parts = [sum_of(domain, part) for part in amount.args]
     if amount.is_plus():
         return reduce(Sum.plus, parts)
@@ -207,5 +158,4 @@ def whole(amounts: Iterable[Exact]) -> tuple[list[int], int]:
 def _numbers_of_the_file(domain: Domain) -> Iterable[tuple[str, Exact]]:
     for expression, value in domain.up_problem.explicit_initial_values.items():
         if not value.is_bool_constant():
-            words = [expression.fluent().name, *(argument.object().name for argument in expression.args)]
-            yield f"({' '.join(domain.outside[word] for word in words)})", exact(value.constant_value())
+            yield text_of(domain, expression, {}), exact(value.constant_value())

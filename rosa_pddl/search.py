@@ -16,21 +16,6 @@ from math import inf
 from operator import add, gt, le
 from typing import Generic, NamedTuple, Protocol, TypeAlias, TypeVar
 
-__all__ = [
-    "CapReached",
-    "Fact",
-    "Found",
-    "Graph",
-    "Move",
-    "Operation",
-    "Rule",
-    "Task",
-    "TaskGraph",
-    "cheapest",
-    "distances",
-    "written",
-]
-
 T = TypeVar("T")
 S = TypeVar("S")
 Fact: TypeAlias = tuple[int, int]
@@ -58,11 +43,9 @@ class Move(NamedTuple, Generic[S, T]):
 class Graph(Protocol[S, T]):
     """What is searched."""
 
-    def moves(self, state: S) -> Iterable[Move[S, T]]:
-        """Return the moves from a state."""
+    def moves(self, state: S) -> Iterable[Move[S, T]]: ...
 
-    def is_goal(self, state: S) -> bool:
-        """Whether a state is one to end in."""
+    def is_goal(self, state: S) -> bool: ...
 
     def least(self, state: S) -> tuple[float, Sequence[float]]:
         """Return at least what it costs from a state to a goal, and at least what it uses; infinite if out of reach.
@@ -92,18 +75,11 @@ class _Label(NamedTuple, Generic[S, T]):
 def cheapest(graph: Graph[S, T], start: S, limits: Sequence[float] = (), cap: float = inf) -> Found[S, T] | None:
     """Find a way of least cost that uses up no more than the limits; None is a proof that there is none.
 
+    CapReached is raised where looking at as many moves as the cap gives no answer.
+
     Labels leave the queue by cost plus what is lacking at least. So those of a state leave it in order of cost, and a
     label is worth following only if it uses less of something than every one before it; the first at a goal is
     optimal.
-
-    Args:
-        graph: what is searched.
-        start: the state to start from.
-        limits: at most how much may be used up of each limited thing.
-        cap: how many moves may be looked at.
-
-    Raises:
-        CapReached: that is not enough for an answer.
     """
     if any(limit < 0 for limit in limits):
         return None
@@ -119,7 +95,7 @@ def cheapest(graph: Graph[S, T], start: S, limits: Sequence[float] = (), cap: fl
         if _is_dominated(uses, front):
             continue
         if graph.is_goal(state):
-            return Found(tuple(_moves(label)), spent[0], uses, expanded)
+            return Found(_moves(label), spent[0], uses, expanded)
         followed[state] = [uses, *(other for other in front if not _is_dominated(other, (uses,)))]
         expanded += 1
         for move in graph.moves(state):
@@ -174,28 +150,20 @@ def _is_dominated(weight: tuple[int, ...], front: Iterable[tuple[int, ...]]) -> 
     return False
 
 
-def _moves(label: _Label[S, T]) -> list[Move[S, T]]:
+def _moves(label: _Label[S, T]) -> tuple[Move[S, T], ...]:
     moves: list[Move[S, T]] = []
     at: _Label[S, T] | None = label
     while at is not None and at.move is not None:
         moves.append(at.move)
         at = at.before
-    return moves[::-1]
+    return tuple(moves[::-1])
 
 
 # ---------------------------------------------------------------- over a grounded task
 
 
 class Operation(NamedTuple):
-    """A grounded action.
-
-    Attributes:
-        number: names it in the answer.
-        needs: what must hold.
-        effects: what it depends on, the variable, and the value that it gets.
-        cost: from 0.
-        uses: of each resource, from 0.
-    """
+    """A grounded action, which its number names; an effect is what it depends on, the variable, and its new value."""
 
     number: int
     needs: tuple[Fact, ...]
@@ -205,14 +173,7 @@ class Operation(NamedTuple):
 
 
 class Rule(NamedTuple):
-    """An axiom: it derives the value of a variable that has its value of the start otherwise.
-
-    Attributes:
-        layer: rules of a lower one come first.
-        needs: what must hold.
-        variable: what is derived.
-        value: what it becomes.
-    """
+    """An axiom: it derives the value of a variable that has its value of the start otherwise; low layers come first."""
 
     layer: int
     needs: tuple[Fact, ...]
@@ -223,13 +184,7 @@ class Rule(NamedTuple):
 class Task(NamedTuple):
     """A grounded task; all numbers are whole.
 
-    Attributes:
-        sizes: how many values each variable has.
-        start: the value of each variable.
-        goal: the facts that shall hold.
-        operations: what can be done.
-        limits: at most how much of each resource may be used up from here on.
-        rules: by layer.
+    Sizes say how many values each variable has, limits how much of each resource may be used up from here on.
     """
 
     sizes: tuple[int, ...]
@@ -246,10 +201,6 @@ class TaskGraph:
     What a fact of the goal takes at least, all variables but its own being left aside, guides the search. Unguided, it
     finds of equally good plans the one that Fast Downward's blind A* finds: operations are tried in the order of what
     they need.
-
-    Args:
-        task: what is searched.
-        is_guided: whether estimates of the cost that is left decide what is looked at next.
     """
 
     def __init__(self, task: Task, *, is_guided: bool = True) -> None:
@@ -273,11 +224,7 @@ class TaskGraph:
         ]
 
     def plan(self, start: State, limits: Sequence[int], cap: float = inf) -> Found[State, int] | None:
-        """Return a plan of least cost within the limits, its moves named by operations; None proves that there is none.
-
-        Raises:
-            CapReached: looking at so many moves gives no answer.
-        """
+        """Return a plan of least cost within the limits, its moves named by operations; the rest is as `cheapest`."""
         if self._known > _MOST_KNOWN:
             self._moves, self._least, self._known = {}, {}, 0
         return cheapest(self, self._closed(list(start)), limits, cap)
@@ -287,7 +234,6 @@ class TaskGraph:
         return self.least(self._closed(list(start)))[1]
 
     def is_goal(self, state: State) -> bool:
-        """Whether the goal holds."""
         return _hold(self._task.goal, state)
 
     def moves(self, state: State) -> Sequence[Move[State, int]]:

@@ -1,6 +1,6 @@
 """What a formula, an effect and a plan mean in a state: the judge of every plan, independent of the planner."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from itertools import permutations, product
 from math import inf
@@ -306,23 +306,29 @@ def _atoms(domain: Domain, formula: UpThing, binding: Binding) -> Iterator[str]:
             yield from _atoms(domain, part, binding)
 
 
-def text_of(domain: Domain, formula: UpThing, binding: Binding) -> str:
-    """Return a formula as PDDL text in the names of the files, its parameters replaced by what they are bound to."""
+def text_of(domain: Domain, formula: UpThing, binding: Binding, name: Callable[[str], str] | None = None) -> str:
+    """Return a formula as PDDL text, its parameters replaced by what they are bound to.
+
+    It is in the names of the files, or in what is made of the names of unified-planning's problem.
+    """
+    name = name or domain.outside.__getitem__
     if formula.is_parameter_exp():
-        return binding[formula.parameter().name]
+        return binding.get(formula.parameter().name, f"?{formula.parameter().name}")
     if formula.is_variable_exp():
         return binding.get(formula.variable().name, f"?{formula.variable().name}")
     if formula.is_object_exp():
-        return domain.outside[formula.object().name]
+        return name(formula.object().name)
     if formula.is_bool_constant():
-        return str(formula).lower()
-    parts = [text_of(domain, part, binding) for part in formula.args]
+        return "(and)" if formula.is_true() else "(or)"
+    parts = [text_of(domain, part, binding, name) for part in formula.args]
+    if formula.is_iff():
+        return f"(and (imply {parts[0]} {parts[1]}) (imply {parts[1]} {parts[0]}))"
     if formula.is_fluent_exp():
-        head = domain.outside[formula.fluent().name]
+        head = name(formula.fluent().name)
     else:
         head = _HEADS.get(formula.node_type.name, formula.node_type.name.lower())
     if formula.is_exists() or formula.is_forall():
-        variables = (f"?{one.name} - {domain.outside[one.type.name]}" for one in formula.variables())
+        variables = (f"?{one.name} - {name(one.type.name)}" for one in formula.variables())
         parts.insert(0, f"({' '.join(variables)})")
     return "(" + " ".join([head, *parts]) + ")"
 

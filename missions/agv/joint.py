@@ -118,10 +118,7 @@ _Taken = tuple[_Way, Amounts, Amounts]  # a way, what switching to the mode for 
 
 
 class Task:
-    """One question as a graph of places and modes, for the exact search; and for those who judge the planner.
-
-    `crossing` returns what driving takes, as `Costs.crossing`; what switching takes, the costs say.
-    """
+    """One question as a graph of places and modes, for the exact search; and for those who judge the planner."""
 
     def __init__(
         self,
@@ -184,11 +181,10 @@ class Task:
 
     def switching(self, before: Mode, after: Mode) -> tuple[Amounts, int]:
         """Return what it takes, and costs, to change modes."""
-        known = self._switching.get((before, after))
-        if known is None:
+        if (before, after) not in self._switching:
             takes = self._costs.switching(before, after)
-            known = self._switching[before, after] = takes, self._weighed(takes)
-        return known
+            self._switching[before, after] = takes, self._weighed(takes)
+        return self._switching[before, after]
 
     def ways(self, place: Place) -> Iterator[_Way]:
         """Yield the corridors at a place; from within one, on to its end, or back and into another."""
@@ -207,7 +203,7 @@ class Task:
             if other is not inside:  # what was passed on the way here is known, so the way back is free
                 way = self.way(other, place.name)
                 both = {**way.conditions, "light": min(light, way.conditions["light"])}
-                yield way._replace(length_m=way.length_m + back_m, conditions=both)
+                yield _Way(other, way.origin, way.to, way.length_m + back_m, way.passed, both)
 
     def way(self, corridor: Corridor, origin: str) -> _Way:
         """Return a whole corridor, from one of its ends."""
@@ -228,7 +224,8 @@ class Task:
         arcs: list[tuple[str, str, list[int]]] = []
         for name, priced in self._whole.items():
             if priced:
-                (one, two), least = self.building.corridors[name].ends, self._column_minima(priced)
+                counted = [self._counted(takes, cost) for _, takes, cost in priced]
+                (one, two), least = self.building.corridors[name].ends, list(map(min, *counted, counted[0]))
                 arcs += [(one, two, least), (two, one, least)]
         numbers = range(1 + len(self.limited))
         far = [distances([(one, two, least[n]) for one, two, least in arcs], [self.goal]) for n in numbers]
@@ -239,12 +236,9 @@ class Task:
                 for way, _, takes, cost in self.crossings(self.start[0])
                 if way.to in far[0]
             ]
-            costs, *uses = [min(column) for column in zip(*ways, strict=True)] or [math.inf] * len(far)
+            costs, *uses = map(min, *ways, ways[0]) if ways else [math.inf] * len(far)
             found[self.start[0]] = (costs, tuple(uses))
         return found
-
-    def _column_minima(self, priced: list[_Priced]) -> list[int]:
-        return [min(column) for column in zip(*[self._counted(takes, cost) for _, takes, cost in priced], strict=True)]
 
     def _counted(self, takes: Amounts, cost: int) -> list[int]:
         return [cost, *[takes[number] for number in self._indices]]

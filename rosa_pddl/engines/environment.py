@@ -11,8 +11,6 @@ from unified_planning.environment import Environment
 from unified_planning.model import walkers
 from unified_planning.model.type_manager import TypeManager
 
-__all__ = ["LateEnvironment"]
-
 
 class LateEnvironment(Environment):  # type: ignore[misc]  # unified-planning ships no types
     """An environment whose factory of engines is made when it is asked for; it is silent, too."""

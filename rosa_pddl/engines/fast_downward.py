@@ -6,50 +6,31 @@ It is licensed under the GPL-3: nothing of it is imported here. Formats and exit
 
 import re
 import sys
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias, TypeVar
 
 from rosa_pddl.domain import Domain, UpThing
-from rosa_pddl.engines.processes import Ended, ProcessHandle
-from rosa_pddl.exceptions import UnsupportedPddlError
+from rosa_pddl.engines.processes import INSTALL_ADVICE, Ended, ProcessHandle
 from rosa_pddl.outcomes import Outcome, Trouble
 from rosa_pddl.problem import Problem
 from rosa_pddl.search import Fact, Rule
+from rosa_pddl.validate import text_of
 
-__all__ = [
-    "ADDED",
-    "Effect",
-    "INSTALL_ADVICE",
-    "Operator",
-    "SEARCHES",
-    "SasTask",
-    "Variable",
-    "missing_part",
-    "parse",
-    "program",
-    "search",
-    "translate",
-    "translator",
-    "written_domain",
-    "written_problem",
-]
+T = TypeVar("T")
 
 SEARCHES = ("fast-downward-opt", "fast-downward")
 """The engines that these two programs stand for: the best plan, and a plan."""
 ADDED = ("keep!", "finish!")
 """What the names of the actions begin with that are added for a task that fits any state."""
-INSTALL_ADVICE = "try 'pip install --force-reinstall up-fast-downward'"
-"""What to do when a program does not work."""
 
 _KEEP, _FINISH = ADDED
 _DONE = "done!"
 _MAY = "may!"
-_HEADS = {"AND": "and", "OR": "or", "NOT": "not", "IMPLIES": "imply", "EQUALS": "="}
 _STEP = re.compile(rb"^(\d+) \(\d+\)$", re.MULTILINE)
 _LENGTH = re.compile(rb"Plan length: (\d+) step")
 _FITS_ANY_STATE = ("--keep-unreachable-facts", "--keep-unimportant-variables")
@@ -69,11 +50,9 @@ Effect: TypeAlias = tuple[tuple[Fact, ...], int, int, int]
 
 
 class Variable(NamedTuple):
-    """A variable of a translated task.
+    """A variable of a translated task: the layer of axioms that derives it, or -1, and what each value says.
 
-    Attributes:
-        layer: -1, or the layer of axioms that derives it.
-        values: what each value says, such as `Atom lit(room)`, `NegatedAtom lit(room)` or `<none of those>`.
+    That is `Atom lit(room)`, `NegatedAtom lit(room)` or `<none of those>`.
     """
 
     layer: int
@@ -81,13 +60,7 @@ class Variable(NamedTuple):
 
 
 class Operator(NamedTuple):
-    """An action with its arguments.
-
-    Attributes:
-        name: the action and its arguments, in lower case.
-        prevail: what must hold and stays so.
-        effects: what becomes so.
-    """
+    """An action with its arguments, in lower case: what must hold and stays so, and what becomes so."""
 
     name: str
     prevail: tuple[Fact, ...]
@@ -98,13 +71,7 @@ class Operator(NamedTuple):
 class SasTask:
     """A translated task; its costs are not kept, as none were translated.
 
-    Args:
-        variables: by number.
-        mutexes: groups of facts of which at most one holds.
-        initial: the value of each variable.
-        goal: the facts that shall hold.
-        operators: in the order of the file.
-        axioms: the text of the section of axioms, from its count on.
+    Of each group of mutexes at most one fact holds. Axioms are rules by layer, and the text of their section.
     """
 
     variables: tuple[Variable, ...]
@@ -112,19 +79,8 @@ class SasTask:
     initial: tuple[int, ...]
     goal: tuple[Fact, ...]
     operators: tuple[Operator, ...]
+    rules: tuple[Rule, ...]
     axioms: str
-
-    @property
-    def has_axioms(self) -> bool:
-        """Whether anything is derived by axioms."""
-        return self.axioms.split("\n", 1)[0] != "0"
-
-    @property
-    def rules(self) -> tuple[Rule, ...]:
-        """The axioms, by layer."""
-        lines = iter(self.axioms.splitlines())
-        found = [_rule(lines, self.variables) for _ in range(int(next(lines)))]
-        return tuple(sorted(found, key=lambda rule: rule.layer))
 
 
 # ---------------------------------------------------------------- the programs
@@ -138,26 +94,16 @@ def missing_part() -> str | None:
 
 
 def translate(domain: str, problem: str, process: ProcessHandle, *, limit_s: float, for_any_state: bool) -> SasTask:
-    """Translate a task.
+    """Translate PDDL text in so much wall-clock time [s]; raises Trouble, or Cancelled.
 
-    Args:
-        domain: PDDL text.
-        problem: PDDL text.
-        process: runs the program.
-        limit_s: wall-clock time that it may take [s].
-        for_any_state: whether to keep what is of no use from the initial state and for the goal.
-
-    Raises:
-        Trouble: there is no translated task.
-        Cancelled: it is not wanted any more.
+    A task for any state keeps what is of no use from the initial state and for the goal.
     """
     with TemporaryDirectory(prefix="rosa_pddl_") as folder:
         place = Path(folder)
         (place / "domain.pddl").write_text(domain, encoding="utf-8")
         (place / "problem.pddl").write_text(problem, encoding="utf-8")
         options = _FITS_ANY_STATE if for_any_state else ()
-        ended = _run(
-            process,
+        ended = process.ask(
             [sys.executable, "-m", "fast_downward.translate", *options, "domain.pddl", "problem.pddl"],
             limit_s=limit_s,
             environment={"PYTHONPATH": str(translator()), "PYTHONDONTWRITEBYTECODE": "1"},
@@ -173,23 +119,12 @@ def translate(domain: str, problem: str, process: ProcessHandle, *, limit_s: flo
 
 
 def search(text: str, strategy: str, process: ProcessHandle, *, limit_s: float) -> tuple[int, ...] | Outcome:
-    """Search a plan.
+    """Search a plan in so much wall-clock time [s]; raises Trouble, or Cancelled.
 
-    Args:
-        text: the task.
-        strategy: how, in the words of Fast Downward.
-        process: runs the program.
-        limit_s: wall-clock time that it may take [s].
-
-    Returns:
-        The names of the operators of the plan, which have to be numbers; or that it is unsolvable.
-
-    Raises:
-        Trouble: there is no answer.
-        Cancelled: it is not wanted any more.
+    Returns the names of its operators, which have to be numbers, or that it is unsolvable.
     """
     command = [str(program()), "--search", strategy, "--internal-plan-file", "/dev/null"]
-    ended = _run(process, command, given=text.encode(), limit_s=limit_s)
+    ended = process.ask(command, given=text.encode(), limit_s=limit_s)
     if ended.code in (0, 1, 2, 3):
         length = _LENGTH.search(ended.output)
         numbers = tuple(int(number) for number in _STEP.findall(ended.output))
@@ -200,16 +135,6 @@ def search(text: str, strategy: str, process: ProcessHandle, *, limit_s: float) 
     if outcome is not None and not outcome.is_trouble:
         return outcome
     raise _trouble("the search", ended)
-
-
-def _run(process: ProcessHandle, command: Sequence[str], *, limit_s: float, **settings: object) -> Ended:
-    try:
-        ended = process.run(command, limit_s=limit_s, **settings)  # type: ignore[arg-type]  # handed through as given
-    except OSError as error:
-        raise Trouble(Outcome.ENGINE_MISSING, f"it cannot be started ({error}); {INSTALL_ADVICE}") from error
-    if ended.is_late:
-        raise Trouble(Outcome.OUT_OF_TIME, f"no answer after {limit_s:.3g} s; allow more time or ask less")
-    return ended
 
 
 def _trouble(who: str, ended: Ended) -> Trouble:
@@ -255,15 +180,9 @@ def translator() -> Path | None:
 
 
 def written_domain(domain: Domain, up_problem: UpThing, alive: Collection[str] | None) -> str:
-    """Write the domain file.
+    """Write the domain file, with the instantaneous actions of `up_problem`, some of whose predicates are kept alive.
 
-    Args:
-        domain: what `load_domain` returned.
-        up_problem: its instantaneous actions.
-        alive: predicates (of `up_problem`) some of whose atoms are kept alive; None to write what is planned once only.
-
-    Raises:
-        UnsupportedPddlError: a formula that the translator does not read.
+    None writes what is planned once only.
     """
     parts = [f"(define (domain d) (:types {_types(up_problem)})"]
     parts.append(f"(:constants {' '.join(f'{thing.name} - {thing.type.name}' for thing in up_problem.all_objects)})")
@@ -275,30 +194,22 @@ def written_domain(domain: Domain, up_problem: UpThing, alive: Collection[str] |
     parts += [_action(domain, action) for action in up_problem.actions]
     if alive is not None:
         parts += [_keeper(fluent) for fluent in kept]
-        parts.append(f"(:action {_FINISH} :parameters () :precondition (and) :effect ({_DONE}))")
+        parts.append(_as_action(_FINISH, (), "(and)", f"({_DONE})"))
     return "\n".join([*parts, ")"])
 
 
 def written_problem(problem: Problem, goals: Iterable[UpThing] | None, alive: Iterable[str] = ()) -> str:
-    """Write the problem file.
-
-    Args:
-        problem: its state.
-        goals: what shall hold; None for the stand-in.
-        alive: atoms that may hold.
-    """
+    """Write the problem file; without goals that of the stand-in. Atoms that are alive may hold."""
     domain = problem.domain
-    facts = [_inside_atom(domain, atom) for atom in sorted(problem.state)]
-    facts += [f"({_MAY}{_inside_atom(domain, atom)[1:]}" for atom in alive]
+    facts = [_inside(domain, atom) for atom in sorted(problem.state)]
+    facts += [f"({_MAY}{_inside(domain, atom)[1:]}" for atom in alive]
     goal = f"({_DONE})" if goals is None else f"(and {' '.join(_formula(domain, goal) for goal in goals)})"
     return "\n".join(["(define (problem p) (:domain d) (:init", *facts, f") (:goal {goal}))"])
 
 
-def _inside_atom(domain: Domain, atom: str) -> str:
-    """Return an atom in the names of unified-planning's problem."""
-    head, *words = atom[1:-1].split()
-    inside = domain.inside
-    names = [inside["predicate", head.lower()], *(inside["object", word.lower()] for word in words)]
+def _inside(domain: Domain, atom: str) -> str:
+    head, *words = atom[1:-1].lower().split()
+    names = [domain.inside["predicate", head], *[domain.inside["object", word] for word in words]]
     return f"({' '.join(names)})"
 
 
@@ -312,19 +223,18 @@ def _typed(parameters: Iterable[UpThing]) -> str:
 
 def _keeper(fluent: UpThing) -> str:
     arguments = "".join(f" ?{parameter.name}" for parameter in fluent.signature)
-    return (
-        f"(:action {_KEEP}{fluent.name} :parameters ({_typed(fluent.signature)}) "
-        f":precondition ({_MAY}{fluent.name}{arguments}) :effect ({fluent.name}{arguments}))"
-    )
+    atom = f"{fluent.name}{arguments})"
+    return _as_action(_KEEP + fluent.name, fluent.signature, f"({_MAY}{atom}", f"({atom}")
 
 
 def _action(domain: Domain, action: UpThing) -> str:
     conditions = " ".join(_formula(domain, condition) for condition in action.preconditions)
     effects = " ".join(text for effect in action.effects for text in _effect(domain, effect))
-    return (
-        f"(:action {action.name} :parameters ({_typed(action.parameters)}) "
-        f":precondition (and {conditions}) :effect (and {effects}))"
-    )
+    return _as_action(action.name, action.parameters, f"(and {conditions})", f"(and {effects})")
+
+
+def _as_action(name: str, parameters: Iterable[UpThing], precondition: str, effect: str) -> str:
+    return f"(:action {name} :parameters ({_typed(parameters)}) :precondition {precondition} :effect {effect})"
 
 
 def _effect(domain: Domain, effect: UpThing) -> Iterator[str]:
@@ -343,40 +253,14 @@ def _effect(domain: Domain, effect: UpThing) -> Iterator[str]:
 
 
 def _formula(domain: Domain, formula: UpThing) -> str:
-    if formula.is_fluent_exp():
-        return _list(formula.fluent().name, (_formula(domain, part) for part in formula.args))
-    if formula.is_parameter_exp():
-        return f"?{formula.parameter().name}"
-    if formula.is_variable_exp():
-        return f"?{formula.variable().name}"
-    if formula.is_object_exp():
-        return str(formula.object().name)
-    if formula.is_bool_constant():
-        return "(and)" if formula.constant_value() else "(or)"
-    if formula.is_exists() or formula.is_forall():
-        head = "exists" if formula.is_exists() else "forall"
-        return f"({head} ({_typed(formula.variables())}) {_formula(domain, formula.arg(0))})"
-    parts = [_formula(domain, part) for part in formula.args]
-    if formula.is_iff():
-        return f"(and (imply {parts[0]} {parts[1]}) (imply {parts[1]} {parts[0]}))"
-    if formula.node_type.name not in _HEADS:
-        raise UnsupportedPddlError(f"Fast Downward does not read {formula}", domain.file)
-    return _list(_HEADS[formula.node_type.name], parts)
-
-
-def _list(head: str, parts: Iterable[str]) -> str:
-    return "(" + " ".join([head, *parts]) + ")"
+    return text_of(domain, formula, {}, name=str)
 
 
 # ---------------------------------------------------------------- what the translator writes
 
 
 def parse(text: str) -> SasTask:
-    """Read a translated task.
-
-    Raises:
-        ValueError: the text is no such task.
-    """
+    """Read a translated task; raises ValueError if the text is none."""
     lines = iter(text.splitlines())
     try:
         return _task(lines)
@@ -388,15 +272,18 @@ def _task(lines: Iterator[str]) -> SasTask:
     _expect(lines, "begin_version", "3", "end_version", "begin_metric")
     next(lines)
     _expect(lines, "end_metric")
-    variables = tuple([_variable(lines) for _ in range(int(next(lines)))])
-    mutexes = tuple([_mutex(lines) for _ in range(int(next(lines)))])
+    variables = _several(lines, _variable)
+    mutexes = _several(lines, _mutex)
     _expect(lines, "begin_state")
     initial = tuple([int(next(lines)) for _ in variables])
     _expect(lines, "end_state", "begin_goal")
     goal = _facts(lines)
     _expect(lines, "end_goal")
-    operators = tuple([_operator(lines) for _ in range(int(next(lines)))])
-    return SasTask(variables, mutexes, initial, goal, operators, "\n".join([*lines, ""]))
+    operators = _several(lines, _operator)
+    axioms = list(lines)
+    rules = _several(iter(axioms), lambda rest: _rule(rest, variables))
+    by_layer = tuple(sorted(rules, key=lambda rule: rule.layer))
+    return SasTask(variables, mutexes, initial, goal, operators, by_layer, "\n".join([*axioms, ""]))
 
 
 def _expect(lines: Iterator[str], *expected: str) -> None:
@@ -406,10 +293,14 @@ def _expect(lines: Iterator[str], *expected: str) -> None:
             raise ValueError(f"found {found[:40]!r} in a translated task, expected {word!r}")
 
 
+def _several(lines: Iterator[str], read: Callable[[Iterator[str]], T]) -> tuple[T, ...]:
+    return tuple([read(lines) for _ in range(int(next(lines)))])
+
+
 def _variable(lines: Iterator[str]) -> Variable:
     _expect(lines, "begin_variable")
     next(lines)
-    variable = Variable(int(next(lines)), tuple([next(lines) for _ in range(int(next(lines)))]))
+    variable = Variable(int(next(lines)), _several(lines, next))
     _expect(lines, "end_variable")
     return variable
 
@@ -422,7 +313,7 @@ def _mutex(lines: Iterator[str]) -> tuple[Fact, ...]:
 
 
 def _facts(lines: Iterator[str]) -> tuple[Fact, ...]:
-    pairs = [next(lines).split() for _ in range(int(next(lines)))]
+    pairs = _several(lines, lambda rest: next(rest).split())
     return tuple([(int(variable), int(value)) for variable, value in pairs])
 
 
@@ -430,7 +321,7 @@ def _operator(lines: Iterator[str]) -> Operator:
     _expect(lines, "begin_operator")
     name = next(lines).strip()
     prevail = _facts(lines)
-    effects = tuple([_sas_effect(next(lines)) for _ in range(int(next(lines)))])
+    effects = _several(lines, _sas_effect)
     next(lines)
     _expect(lines, "end_operator")
     return Operator(name, prevail, effects)
@@ -444,8 +335,8 @@ def _rule(lines: Iterator[str], variables: Sequence[Variable]) -> Rule:
     return Rule(variables[variable].layer, needs, variable, value)
 
 
-def _sas_effect(line: str) -> Effect:
-    count, *numbers = map(int, line.split())
+def _sas_effect(lines: Iterator[str]) -> Effect:
+    count, *numbers = map(int, next(lines).split())
     conditions = tuple(zip(numbers[: 2 * count : 2], numbers[1 : 2 * count : 2], strict=True))
     variable, before, after = numbers[2 * count :]
     return conditions, variable, before, after

@@ -7,14 +7,8 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import IO, Any
 
-from unified_planning.engines import Credits, Engine, OptimalityGuarantee
+from unified_planning import engines
 from unified_planning.engines.mixins import OneshotPlannerMixin
-from unified_planning.engines.results import (
-    LogLevel,
-    LogMessage,
-    PlanGenerationResult,
-    PlanGenerationResultStatus,
-)
 from unified_planning.exceptions import UPException
 from unified_planning.model import ProblemKind
 from unified_planning.plans import ActionInstance, SequentialPlan
@@ -29,8 +23,6 @@ from rosa_pddl.problem import Problem, initial_state
 from rosa_pddl.reader import lineage_of, resources_of, schema_of
 from rosa_pddl.resource_usage import sum_of
 
-__all__ = ["LabelSetting"]
-
 _FEATURES = (
     *("ACTION_BASED", "SIMPLE_NUMERIC_PLANNING", "GENERAL_NUMERIC_PLANNING", "FLAT_TYPING", "HIERARCHICAL_TYPING"),
     *("NEGATIVE_CONDITIONS", "DISJUNCTIVE_CONDITIONS", "EQUALITIES", "EXISTENTIAL_CONDITIONS"),
@@ -41,17 +33,17 @@ _FEATURES = (
     *("FLUENTS_IN_ACTIONS_COST", "INT_NUMBERS_IN_ACTIONS_COST", "REAL_NUMBERS_IN_ACTIONS_COST"),
 )
 _STATUS = {
-    Outcome.SOLVED_OPTIMALLY: PlanGenerationResultStatus.SOLVED_OPTIMALLY,
-    Outcome.UNSOLVABLE_PROVEN: PlanGenerationResultStatus.UNSOLVABLE_PROVEN,
-    Outcome.OUT_OF_TIME: PlanGenerationResultStatus.TIMEOUT,
-    Outcome.OUT_OF_MEMORY: PlanGenerationResultStatus.MEMOUT,
-    Outcome.UNSUPPORTED: PlanGenerationResultStatus.UNSUPPORTED_PROBLEM,
+    Outcome.SOLVED_OPTIMALLY: engines.PlanGenerationResultStatus.SOLVED_OPTIMALLY,
+    Outcome.UNSOLVABLE_PROVEN: engines.PlanGenerationResultStatus.UNSOLVABLE_PROVEN,
+    Outcome.OUT_OF_TIME: engines.PlanGenerationResultStatus.TIMEOUT,
+    Outcome.OUT_OF_MEMORY: engines.PlanGenerationResultStatus.MEMOUT,
+    Outcome.UNSUPPORTED: engines.PlanGenerationResultStatus.UNSUPPORTED_PROBLEM,
 }
 _LONG_S = 1e6
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 
 
-class LabelSetting(Engine, OneshotPlannerMixin):  # type: ignore[misc]  # unified-planning ships no types
+class LabelSetting(engines.Engine, OneshotPlannerMixin):  # type: ignore[misc]  # unified-planning ships no types
     """Plans of least cost within limits of resources, exactly.
 
     A resource is a numeric fluent without parameters that actions only increase, by sums of constants and of fluents
@@ -62,18 +54,16 @@ class LabelSetting(Engine, OneshotPlannerMixin):  # type: ignore[misc]  # unifie
     """
 
     def __init__(self, memory_mb: int = 4096) -> None:
-        Engine.__init__(self)
+        engines.Engine.__init__(self)
         OneshotPlannerMixin.__init__(self)
         self._memory_mb = memory_mb
 
     @property
     def name(self) -> str:
-        """Its name in unified-planning's factory."""
         return LABEL_SETTING
 
     @staticmethod
     def supported_kind() -> ProblemKind:
-        """Return the features that problems may have."""
         return ProblemKind(_FEATURES, version=2)
 
     @staticmethod
@@ -82,22 +72,14 @@ class LabelSetting(Engine, OneshotPlannerMixin):  # type: ignore[misc]  # unifie
         return bool(problem_kind <= LabelSetting.supported_kind())
 
     @staticmethod
-    def satisfies(optimality_guarantee: OptimalityGuarantee) -> bool:
-        """Whether it gives plans of least cost: it does."""
+    def satisfies(optimality_guarantee: engines.OptimalityGuarantee) -> bool:
         return True
 
     @staticmethod
-    def get_credits(**_: object) -> Credits:
-        """Return who made it."""
-        return Credits(
-            LABEL_SETTING,
-            "rosa-taca",
-            "",
-            "",
-            "Apache-2.0",
-            "Plans of least cost within limits of resources, by label setting.",
-            "Plans of least cost within limits of resources, by label setting, on tasks that Fast Downward translates.",
-        )
+    def get_credits(**_: object) -> engines.Credits:
+        summary = "Plans of least cost within limits of resources, by label setting"
+        details = f"{summary}, on tasks that Fast Downward translates."
+        return engines.Credits(LABEL_SETTING, "rosa-taca", "", "", "Apache-2.0", f"{summary}.", details)
 
     def _solve(
         self,
@@ -105,46 +87,34 @@ class LabelSetting(Engine, OneshotPlannerMixin):  # type: ignore[misc]  # unifie
         heuristic: Any = None,  # noqa: ANN401  # the signature is unified-planning's
         timeout: float | None = None,
         output_stream: IO[str] | None = None,
-    ) -> PlanGenerationResult:
-        planner = Planner(
-            LABEL_SETTING,
-            timeout_s=_LONG_S if timeout is None else timeout,
-            warm=False,
-            memory_mb=self._memory_mb,
-            cached=0,
-        )
+    ) -> engines.PlanGenerationResult:
+        timeout_s = _LONG_S if timeout is None else timeout
+        planner = Planner(LABEL_SETTING, timeout_s, warm=False, memory_mb=self._memory_mb, cached=0)
         try:
             domain = _domain_of(problem)
             result = planner.plan(Problem(domain, initial_state(domain)))
         except UnsupportedPddlError as error:
             result = PlanningResult(Outcome.UNSUPPORTED, message=str(error))
-        status = _STATUS.get(result.outcome, PlanGenerationResultStatus.INTERNAL_ERROR)
+        status = _STATUS.get(result.outcome, engines.PlanGenerationResultStatus.INTERNAL_ERROR)
         plan = _plan(problem, result) if result.outcome.is_solved else None
-        level = LogLevel.ERROR if result.outcome.is_trouble else LogLevel.INFO
-        logs = [LogMessage(level, result.message)] if result.message else []
+        level = engines.LogLevel.ERROR if result.outcome.is_trouble else engines.LogLevel.INFO
+        logs = [engines.LogMessage(level, result.message)] if result.message else []
         if output_stream is not None:
             output_stream.write(f"{result.message or result.outcome}\n")
-        return PlanGenerationResult(status, plan, self.name, log_messages=logs)
+        return engines.PlanGenerationResult(status, plan, self.name, log_messages=logs)
 
 
 def _plan(problem: UpThing, result: PlanningResult) -> SequentialPlan:
     manager = problem.environment.expression_manager
-    instances = [
-        ActionInstance(
-            problem.action(step.schema), tuple(manager.ObjectExp(problem.object(name)) for name in step.arguments)
-        )
-        for step in result.steps
-    ]
+    instances = []
+    for step in result.steps:
+        arguments = tuple(manager.ObjectExp(problem.object(name)) for name in step.arguments)
+        instances.append(ActionInstance(problem.action(step.schema), arguments))
     return SequentialPlan(instances, problem.environment)
 
 
 def _domain_of(up_problem: UpThing) -> Domain:
-    """Return a problem with instantaneous actions as a domain; the problem stays as it is.
-
-    Raises:
-        UnsupportedPddlError: it computes with numbers otherwise than to add up costs and resources, or a name is none
-            in PDDL.
-    """
+    """Return a problem with instantaneous actions as a domain; the problem stays as it is."""
     where = f"problem {up_problem.name or 'without a name'}"
     read = up_problem.clone()
     inside, outside = _names(read, where)
@@ -228,7 +198,7 @@ def _check_amounts(domain: Domain) -> None:
             amounts += [cost for cost in map(metric.get_action_cost, domain.up_problem.actions) if cost is not None]
     for amount in amounts:
         sum_of(domain, amount)
-        if any(part in changed for part in _parts(amount)):
+        if changed & amount.environment.free_vars_extractor.get(amount):
             message = f"the amount '{amount}' depends on what actions change; {NUMBERS}"
             raise UnsupportedPddlError(message, domain.file)
     for goal in domain.up_problem.goals:

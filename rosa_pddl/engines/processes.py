@@ -7,15 +7,18 @@ import select
 import signal
 import subprocess
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from threading import Lock
-from typing import Any, TypeVar
+from typing import Any, BinaryIO, TypeVar
 from weakref import WeakSet
 
-__all__ = ["Cancelled", "Ended", "ProcessHandle"]
+from rosa_pddl.outcomes import Outcome, Trouble
+
+INSTALL_ADVICE = "try 'pip install --force-reinstall up-fast-downward'"
+"""What to do when a program does not work."""
 
 T = TypeVar("T")
 
@@ -32,14 +35,9 @@ class Cancelled(Exception):
 
 @dataclass(frozen=True)
 class Ended:
-    """A program that has ended.
+    """A program that has ended: its exit code, or less than 0 for the signal that killed it, and what it wrote.
 
-    Args:
-        code: exit code; negative for the signal that killed it.
-        output: what it wrote to its standard output.
-        complaints: what it wrote to its standard error.
-        is_late: whether it was killed because its time was over.
-        is_endless: whether it was killed because it printed without end.
+    It was killed if it was late, or printed without end.
     """
 
     code: int
@@ -50,7 +48,6 @@ class Ended:
 
     @property
     def last_words(self) -> str:
-        """The last lines that it wrote, for a message."""
         said = (self.output[-2000:] + b"\n" + self.complaints[-2000:]).decode(errors="replace")
         text = "".join(letter if letter.isprintable() or letter == "\n" else "?" for letter in said)
         lines = [line.strip() for line in text.splitlines() if line.strip()]
@@ -61,10 +58,7 @@ class ProcessHandle:
     """Runs programs, one at a time; cancelling kills the one that runs, and lets none start any more.
 
     Each program leads a process group of its own, which is killed when the program has ended, however it ended:
-    no child of it survives, and one that keeps the output open is not waited for.
-
-    Args:
-        memory_bytes: how much data a program may hold [B]; None for no limit.
+    no child of it survives, and one that keeps the output open is not waited for. It may hold so much data [B].
     """
 
     def __init__(self, memory_bytes: int | None = None) -> None:
@@ -83,16 +77,21 @@ class ProcessHandle:
                 _kill_group(self._process)
 
     def wait(self, future: "Future[T]", limit_s: float) -> T:
-        """Wait for something that another thread makes, unless this is cancelled.
-
-        Raises:
-            Cancelled: it is.
-            TimeoutError: it was not there in time.
-        """
+        """Wait for something that another thread makes; raises TimeoutError, or Cancelled."""
         either: list[Future[Any]] = [future, self._is_cancelled]
         wait(either, limit_s, FIRST_COMPLETED)
         self._check()
         return future.result(0)
+
+    def ask(self, command: Sequence[str], *, limit_s: float, **settings: Any) -> Ended:  # noqa: ANN401  # as of `run`
+        """Run a program as `run` does; raises Trouble if it cannot be started, or gives no answer in time."""
+        try:
+            ended = self.run(command, limit_s=limit_s, **settings)
+        except OSError as error:
+            raise Trouble(Outcome.ENGINE_MISSING, f"it cannot be started ({error}); {INSTALL_ADVICE}") from error
+        if ended.is_late:
+            raise Trouble(Outcome.OUT_OF_TIME, f"no answer after {limit_s:.3g} s; allow more time or ask for less")
+        return ended
 
     def run(
         self,
@@ -103,7 +102,7 @@ class ProcessHandle:
         environment: Mapping[str, str] | None = None,
         folder: str | None = None,
     ) -> Ended:
-        """Run a program to its end.
+        """Run a program to its end; raises OSError if it cannot be started, or Cancelled.
 
         Args:
             command: the program and its arguments.
@@ -111,10 +110,6 @@ class ProcessHandle:
             limit_s: wall-clock time after which it is killed [s].
             environment: variables to add to those of this process.
             folder: its working directory; by default that of this process.
-
-        Raises:
-            Cancelled: it is or was cancelled.
-            OSError: the program cannot be started.
         """
         with _in_memory(given) as read, _in_memory() as output, _in_memory() as complaints:
             with self._lock:
@@ -146,22 +141,17 @@ class ProcessHandle:
             raise Cancelled
 
 
-@contextmanager
-def _in_memory(content: bytes = b"") -> Iterator[int]:
+def _in_memory(content: bytes = b"") -> BinaryIO:
     """Make a file without a name: quicker than a pipe, needs nobody to read on, and nothing is left of it."""
-    file = os.memfd_create("rosa_pddl", os.MFD_CLOEXEC)
-    try:
-        rest = memoryview(content)
-        while rest:
-            rest = rest[os.write(file, rest) :]
-        os.lseek(file, 0, os.SEEK_SET)
-        yield file
-    finally:
-        os.close(file)
+    file = os.fdopen(os.memfd_create("rosa_pddl"), "w+b")
+    file.write(content)
+    file.seek(0)
+    return file
 
 
-def _content(file: int) -> bytes:
-    return os.pread(file, min(os.fstat(file).st_size, _MOST_OUTPUT), 0)
+def _content(file: BinaryIO) -> bytes:
+    file.seek(0)
+    return file.read(_MOST_OUTPUT)
 
 
 def _limit(pid: int, limit_s: float, memory_bytes: int | None) -> None:
@@ -173,7 +163,7 @@ def _limit(pid: int, limit_s: float, memory_bytes: int | None) -> None:
             resource.prlimit(pid, resource.RLIMIT_DATA, (memory_bytes, memory_bytes))
 
 
-def _verdict(pid: int, limit_s: float, written: Sequence[int]) -> str:
+def _verdict(pid: int, limit_s: float, written: Sequence[BinaryIO]) -> str:
     """Wait for a program; return why that is over: `itself`, `late` or `endless`."""
     deadline, file = time.monotonic() + limit_s, os.pidfd_open(pid)
     try:
@@ -182,7 +172,7 @@ def _verdict(pid: int, limit_s: float, written: Sequence[int]) -> str:
         while (left_s := deadline - time.monotonic()) > 0.0:
             if poll.poll(min(left_s, _LOOKS_S) * 1e3):
                 return "itself"
-            if any(os.fstat(one).st_size > _MOST_OUTPUT for one in written):
+            if any(os.fstat(one.fileno()).st_size > _MOST_OUTPUT for one in written):
                 return "endless"
         return "late"
     finally:
@@ -194,10 +184,10 @@ def _kill_group(process: "subprocess.Popen[bytes]") -> None:
         os.killpg(process.pid, signal.SIGKILL)
 
 
+_HANDLES: WeakSet[ProcessHandle] = WeakSet()
+
+
+@atexit.register
 def _cancel_all() -> None:
     for handle in tuple(_HANDLES):
         handle.cancel()
-
-
-_HANDLES: WeakSet[ProcessHandle] = WeakSet()
-atexit.register(_cancel_all)

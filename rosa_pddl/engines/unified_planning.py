@@ -5,16 +5,13 @@ import os
 import pickle
 import sys
 from pathlib import Path
-from typing import Any
 
 from rosa_pddl.domain import Domain, TimedStep, UpThing
-from rosa_pddl.engines.fast_downward import INSTALL_ADVICE, SEARCHES, missing_part
+from rosa_pddl.engines.fast_downward import SEARCHES, missing_part
 from rosa_pddl.engines.processes import ProcessHandle
 from rosa_pddl.exceptions import nearest
 from rosa_pddl.outcomes import Outcome, PlanningResult, Trouble
 from rosa_pddl.problem import Problem, limits_of, lock_of
-
-__all__ = ["LABEL_SETTING", "TRANSLATED", "asked", "missing", "register_engine"]
 
 LABEL_SETTING = "label-setting"
 """The engine that is the exact search, within limits."""
@@ -71,26 +68,11 @@ def _missing(engine: str, factory: UpThing, what: str) -> str:
 
 
 def asked(
-    engine: str,
-    problem: Problem,
-    process: ProcessHandle,
-    *,
-    limit_s: float,
-    overlapping: bool,
+    engine: str, problem: Problem, process: ProcessHandle, *, limit_s: float, overlapping: bool
 ) -> PlanningResult:
-    """Ask an engine for a plan.
+    """Ask an engine for a plan, in so much wall-clock time [s]; raises Trouble, UnsupportedPddlError, or Cancelled.
 
-    Args:
-        engine: its name in unified-planning.
-        problem: what is to be planned.
-        process: runs it.
-        limit_s: wall-clock time that it may take [s].
-        overlapping: whether steps may overlap: durations are kept then, else each step is an instant.
-
-    Raises:
-        UnsupportedPddlError: unified-planning cannot hold the problem.
-        Trouble: there is no answer.
-        Cancelled: it is not wanted any more.
+    If steps may overlap, their durations are kept, else each is an instant.
     """
     with lock_of(problem.domain):
         up_problem = _timed(problem) if overlapping else problem.build()
@@ -100,19 +82,14 @@ def asked(
             message = f"{engine} does not support {', '.join(sorted(unsupported)).lower()} ({problem.domain.file})"
             raise Trouble(Outcome.UNSUPPORTED, message)
         given = pickle.dumps({"engine": engine, "problem": up_problem})
+    command = [sys.executable, "-P", str(Path(__file__).with_name("worker.py"))]
+    paths = {"PYTHONPATH": os.pathsep.join(sys.path)}
     try:
-        ended = process.run(
-            [sys.executable, "-P", str(Path(__file__).with_name("worker.py"))],
-            given=given,
-            limit_s=limit_s,
-            environment={"PYTHONPATH": os.pathsep.join(sys.path)},
-        )
-    except OSError as error:
-        message = f"no process for it can be started ({error}); {INSTALL_ADVICE}"
-        raise Trouble(Outcome.ENGINE_MISSING, message) from error
-    if ended.is_late:
-        message = f"no answer after {limit_s:.3g} s; allow more time or ask for less"
-        raise Trouble(Outcome.OUT_OF_TIME, f"{message}; {_NEVER_UNSOLVABLE}" if overlapping else message)
+        ended = process.ask(command, given=given, limit_s=limit_s, environment=paths)
+    except Trouble as trouble:
+        if overlapping and trouble.outcome is Outcome.OUT_OF_TIME:
+            raise Trouble(trouble.outcome, f"{trouble}; {_NEVER_UNSOLVABLE}") from trouble
+        raise
     try:
         answer = json.loads(ended.output)
         outcome = _OUTCOMES.get(answer["status"], Outcome.ENGINE_CRASHED)
@@ -138,7 +115,7 @@ def _timed_step(
     return TimedStep(step, float(start_s), float(duration_s))
 
 
-def _timed(problem: Problem) -> Any:  # noqa: ANN401  # unified-planning ships no types
+def _timed(problem: Problem) -> UpThing:
     """Make the problem for unified-planning with the durations of its actions."""
     domain = problem.domain
     read = domain.up_problem.clone()

@@ -6,12 +6,12 @@ It is started as a program and imports nothing of this package.
 import json
 import os
 import pickle
+import signal
 import sys
 from typing import Any
 
 
 def main() -> None:
-    """Read one problem, solve it, write one answer."""
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
     # what an engine prints is a complaint, not an answer
     os.dup2(2, 1)
@@ -24,7 +24,7 @@ def main() -> None:
     json.dump(answer, answers)
     answers.close()
     # engines may leave threads behind that would keep this process from ending
-    os._exit(0)
+    os.kill(os.getpid(), signal.SIGKILL)
 
 
 def _solved(engine: str, problem: Any) -> dict[str, Any]:  # noqa: ANN401  # unified-planning ships no types
