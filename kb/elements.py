@@ -68,7 +68,6 @@ def flag(what: str, value: object) -> bool:
 
 
 def priority(field: str, name: str, value: object) -> float | None:
-    """Return a priority: any finite real number, or None."""
     if value is None or (_is_number(value) and (isinstance(value, int) or math.isfinite(value))):
         return value
     raise ModelError(f"the {field} of {name!r} is a finite number or None, not {value!r}")
@@ -82,7 +81,6 @@ def age(field: str, name: str, value: object) -> float:
 
 
 def span(field: str, name: str, value: object) -> float:
-    """Return a hysteresis or dwell."""
     if _is_number(value) and 0 <= value <= sys.float_info.max:
         return float(value)
     raise ModelError(f"the {field} of {name!r} is a number from 0, not {value!r}")
@@ -93,7 +91,6 @@ def _is_number(value: object) -> TypeGuard[int | float]:
 
 
 def agreement(field: str, name: str, value: object) -> tuple[int, int]:
-    """Return how many of the last measurements have to agree."""
     if isinstance(value, tuple | list) and len(value) == 2:
         enough, last = value
         if type(enough) is int and type(last) is int and 0 < enough <= last < 2 * enough:

@@ -123,7 +123,6 @@ Fact = (
     | PlanFact
 )
 
-
 TABLES: Final[Mapping[str, type[Element]]] = {
     "actions": Action,
     "functions": Function,

@@ -176,7 +176,8 @@ class Model:
             when_stale: what its constraints are after that: "not evaluated" or "violated".
             agreement: (n, k): n of the last k measurements have to say so before a constraint on it changes.
         """
-        return self._attribute(name, AttributeKind.QUALITY, max_age, when_stale, agreement)
+        given = {"max_age": max_age, "when_stale": when_stale, "agreement": agreement}
+        return self.declare(Attribute, name, kind=AttributeKind.QUALITY, **given)
 
     def environmental_attribute(
         self,
@@ -187,7 +188,8 @@ class Model:
         agreement: tuple[int, int] = (1, 1),
     ) -> Attribute:
         """Declare a measured property of the surroundings, e.g. the light; see `quality_attribute`."""
-        return self._attribute(name, AttributeKind.ENVIRONMENTAL, max_age, when_stale, agreement)
+        given = {"max_age": max_age, "when_stale": when_stale, "agreement": agreement}
+        return self.declare(Attribute, name, kind=AttributeKind.ENVIRONMENTAL, **given)
 
     def component(
         self,
@@ -201,16 +203,8 @@ class Model:
         constraints: Iterable[Expression] = (),
     ) -> Component:
         """Declare a part of the robot; a part that the manager shall switch is a "process" or a "lifecycle" one."""
-        return self.declare(
-            Component,
-            name,
-            constraints,
-            kind=kind,
-            always_improve=always_improve,
-            stops_to_configure=stops_to_configure,
-            package=package,
-            executable=executable,
-        )
+        given = {"kind": kind, "always_improve": always_improve, "stops_to_configure": stops_to_configure}
+        return self.declare(Component, name, constraints, **given, package=package, executable=executable)
 
     def function(self, name: str, *, always_improve: bool = False) -> Function:
         """Declare something the robot can do as a means; `always_improve` chooses again even while it is solved."""
@@ -399,10 +393,6 @@ class Model:
     def _elements(self, cls: type[ElementT]) -> Elements[ElementT]:
         return Elements(KINDS[cls], self._tables[cls])
 
-    def _attribute(self, name: str, kind: AttributeKind, *given: object) -> Attribute:
-        max_age, when_stale, agreement = given
-        return self.declare(Attribute, name, kind=kind, max_age=max_age, when_stale=when_stale, agreement=agreement)
-
     def _names(self, cls: type[Element], name: str, field: str, value: object) -> object:
         if field not in REFERENCES:
             raise UnknownName(f"field of {KINDS[cls]}", field, CHECKS[cls])
@@ -508,7 +498,6 @@ def _named(model: Contents, name: str) -> Element:
 
 
 def _users_of(model: Contents, element: Element) -> list[str]:
-    """Describe what in a model is made of an element."""
     given = [field for field, cls in REFERENCES.items() if isinstance(element, cls)]
     owners = (*model.actions.values(), *model.designs.values(), *model.configurations.values())
     users: dict[Changeable, str] = {one: f"{KINDS[type(one)]} {one.name!r}" for one in owners}

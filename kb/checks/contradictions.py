@@ -18,7 +18,7 @@ MOST_ACTIONS: Final = 4
 
 
 def contradictions(network: Network) -> Iterator[Finding]:
-    """What is a mere consequence of something else that is found is passed over."""
+    """Yield what can never be feasible, but for mere consequences of something else that is found."""
     quick, thorough = Requirements(limit=QUICK), Requirements()
     impossible = set()
     for node in network.nodes:

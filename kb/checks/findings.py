@@ -47,7 +47,6 @@ class Finding:
 
     @property
     def where_and_what(self) -> str:
-        """The message after the place."""
         return f"{self.place}: {self.message}" if self.place else self.message
 
     def __str__(self) -> str:
@@ -63,7 +62,6 @@ def rules() -> Mapping[str, Rule]:
 
 
 def found(code: str, element: str, message: str) -> Finding:
-    """Return a finding by the rule of that code."""
     rule = rules()[code]
     return Finding(code, rule.severity, element, message, rule.advice)
 

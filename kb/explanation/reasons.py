@@ -157,10 +157,10 @@ class _Explainer:
         self._known: dict[tuple[int, bool], Explanation] = {}
 
     def status(self, node: Node, *, possible_only: bool = False) -> Explanation:
-        found = self._known.get((node.index, possible_only))
-        if found is None:
-            found = self._known[node.index, possible_only] = self._explain(node, possible_only)
-        return found
+        key = node.index, possible_only
+        if key not in self._known:
+            self._known[key] = self._explain(node, possible_only)
+        return self._known[key]
 
     def _explain(self, node: Node, possible_only: bool) -> Explanation:
         if node.kind == "attribute":

@@ -58,7 +58,6 @@ class Interval:
         return max(least, -sys.float_info.max) > min(greatest, sys.float_info.max)
 
     def covers(self, other: "Interval") -> bool:
-        """Tell whether the other interval lies in this one."""
         below = other.low < self.low or (other.low == self.low and self.low_open > other.low_open)
         return not below and (other.high < self.high or (other.high == self.high and self.high_open <= other.high_open))
 
@@ -135,7 +134,6 @@ class Box:
     repairs: frozenset[Repair] = frozenset()
 
     def covers(self, other: "Box") -> bool:
-        """Tell whether the other box asks for all that this one asks for."""
         theirs = other.intervals
         if len(self.intervals) > len(theirs) or not self.repairs <= other.repairs:
             return False

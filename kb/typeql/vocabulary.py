@@ -202,7 +202,6 @@ class Vocabulary:
         return self._fields[kind, label]
 
     def declares(self, label: str) -> bool:
-        """Tell whether an attribute is one that the files themselves declare."""
         return label in self._owned or label in self._attributes
 
     def role(self, of: Type, kind: Kind, word: Word | None, player: Type, place: Place) -> Role:
