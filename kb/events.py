@@ -154,7 +154,6 @@ def _plain(value: object) -> object:
 
 
 def _of(event: Event, place: int) -> str:
-    """Return an argument that is a reason, in brackets; nothing if none was given."""
     return f" ({event.arguments[place]})" if event.arguments[place] else ""
 
 

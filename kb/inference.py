@@ -39,11 +39,7 @@ def initial_state(network: Network) -> State:
 
 
 def propagate(state: State, touched: Iterable[Node]) -> list[StatusChange]:
-    """Infer again whatever depends on the touched nodes, whose facts have changed.
-
-    Returns:
-        The statuses that changed, in the order in which they were inferred.
-    """
+    """Infer again whatever depends on the touched nodes, whose facts have changed."""
     agenda: Agenda = [{} for _ in LEVELS]
     for node in touched:
         _touch(state, node, agenda)
@@ -77,7 +73,6 @@ def _concerned(state: State, node: Node, old: Status, new: Status) -> Iterable[N
 
 
 def _touch(state: State, node: Node, agenda: Agenda) -> None:
-    """Put a node on the agenda after bringing up to date who is required through it."""
     agenda[node.level][node] = None
     if node.kind == "action":
         required = state.requested[node.index] or state.asserted_required[node.index]
@@ -101,7 +96,6 @@ def _touch(state: State, node: Node, agenda: Agenda) -> None:
 
 
 def _use(state: State, part: Node, user: Node, uses: bool, agenda: Agenda) -> None:
-    """Have an action use a function, or a selected design a component; or no longer."""
     state.users.mark(part.index, user, uses)
     _touch(state, part, agenda)
 
@@ -149,7 +143,6 @@ def is_adaptable(state: State, node: Node) -> bool:
 
 
 def infer(state: State, node: Node) -> Status:
-    """Return the status of one node by its table, from the facts and the statuses below it."""
     asserted = state.asserted[node.index]
     if asserted is not None:
         return asserted

@@ -35,11 +35,6 @@ from kb.records import Attempt, Process, ReconfigurationPlan, Records, RequiredA
 from kb.state import FACTS, History, Overlay, Reason
 from kb.status import Status
 
-
-def _nobody() -> None:
-    """Nobody listens."""
-
-
 Put = Callable[[], None]
 
 _ENDED: Final = 4
@@ -69,9 +64,7 @@ class Outcome(NamedTuple):
         touched: the nodes whose facts it changes in the layer, from which to infer.
         puts: what else is to be put in place; each may be called again.
         changes: the statuses that have changed already.
-        effects: see `Event`.
-        plan: see `Event`.
-        words: the event in words.
+        effects, plan, words: see `Event`.
         matters: whether it can matter to a planner; None if only changed statuses do.
     """
 
@@ -97,12 +90,6 @@ class Knowledge:
         lock: to be held by whoever calls anything here; held for such a change.
 
     Attributes:
-        network: what depends on what.
-        serials: the numbers of what has no name.
-        state: facts and statuses.
-        measurements: what is remembered of them beside the latest.
-        records: what was requested, planned, started and tried.
-        log: the events.
         revision: number of the last event that can matter to a planner.
         changed_by: number of the event that last changed the status of a node, by index.
         feasibility: number of the event that last made an action feasible or unfeasible.
@@ -123,7 +110,7 @@ class Knowledge:
         self.changed_by: dict[int, int] = {}
         self.feasibility: int | None = None
         self.in_words = False
-        self.heard: Callable[[], None] = _nobody
+        self.heard: Callable[[], None] = lambda: None
         self._clock, self._lock = clock, lock
         self._layer = Overlay(self.state, lasting=True)
         self._is_laid = False
@@ -230,7 +217,6 @@ class Knowledge:
         return self._layer
 
     def _judged(self, judged: Iterable[Judged]) -> list[Node]:
-        """Enter the verdicts of debounced constraints in the layer; returns those that are not what they were."""
         changed = [(node, after) for node, after, _ in judged if after is not None]
         for node, after in changed:
             self._layer.verdict[node.index] = after
@@ -342,11 +328,7 @@ class Knowledge:
         return Outcome([node], (put,))
 
     def _select(
-        self,
-        event: Event,
-        designs: Mapping[str, str],
-        configurations: Mapping[str, str],
-        reason: str,
+        self, event: Event, designs: Mapping[str, str], configurations: Mapping[str, str], reason: str
     ) -> Outcome | None:
         layer, network = self._layer, self.network
         chosen = [network.designs[name] for name in designs.values()]
@@ -398,19 +380,9 @@ class Knowledge:
         puts = [partial(finish, one, end=event.time) for one in ended]
         return Outcome(puts=puts, matters=False) if ended else None
 
-    def _record_attempt(
-        self,
-        event: Event,
-        plan: int,
-        component: str,
-        operation: str,
-        configuration: str | None,
-        parameters: Mapping[str, Any],
-        number: int,
-        /,
-    ) -> Outcome:
-        serial = next(reversed(self.records.attempts), 0) + 1
-        made = self.records.plans[plan]
+    def _record_attempt(self, event: Event, plan: int, *command: Any) -> Outcome:  # noqa: ANN401  # see `Attempt`
+        component, operation, configuration, parameters, number = command
+        serial, made = next(reversed(self.records.attempts), 0) + 1, self.records.plans[plan]
         given = MappingProxyType(dict(parameters))
         attempt = Attempt(made, component, operation, configuration, given, number, event.time, serial=serial)
         return Outcome(puts=(partial(self.records.attempt, attempt),), matters=False)
@@ -432,7 +404,6 @@ class Knowledge:
     # ---------------------------------------------------------------- the model
 
     def begin(self, facts: Sequence[Fact], now: float) -> None:
-        """Begin with what a model states, which is one event."""
         for position, fact in enumerate(facts):
             self._begin_with(fact, -position - 1, now)
         self.log = Log()
@@ -465,7 +436,6 @@ class Knowledge:
             self.records.begin(fact, number, now)
 
     def model_grew(self, added: Iterable[Changeable]) -> None:
-        """Take in what was added to the model; the model calls this."""
         added = tuple(added)
         with self._lock:
             touched = grow(self.state, [one for one in added if not isinstance(one, Estimation)])
@@ -476,7 +446,6 @@ class Knowledge:
         self.heard()
 
     def model_changed(self, element: Changeable) -> None:
-        """Take in what was changed in the model; the model calls this."""
         with self._lock:
             touched: Sequence[Node] = ()
             if not isinstance(element, Estimation):
@@ -491,7 +460,6 @@ class Knowledge:
         self.heard()
 
     def model_shrank(self, removed: Iterable[Changeable]) -> None:
-        """Take in what was removed from the model; the model calls this."""
         removed = tuple(removed)
         elements = [one for one in removed if not isinstance(one, Estimation)]
         with self._lock:
@@ -603,6 +571,5 @@ class Knowledge:
         return ended[1] if ended is not None and ended[0] == now else self.feasibility
 
     def cause_of_end(self, action: Node, result: str) -> int | None:
-        """Return the event that made an action unfeasible that is given up."""
         is_in_vain = result != "completed" and self.state.status[action.index] is Status.UNFEASIBLE
         return self.changed_by.get(action.index) if is_in_vain else None

@@ -23,11 +23,11 @@ from kb.explanation.reasons import why, why_selected
 from kb.knowledge import Knowledge
 from kb.model import Model
 from kb.network import Node
-from kb.owl.world import Answer, World
+from kb.owl.queries import Answer
+from kb.owl.world import World
 from kb.questions import ELEMENTS, Meant, meant, outline
-from kb.reconfiguration import planned, reselect
+from kb.reconfiguration import by_whole, planned, reselect
 from kb.records import (
-    RESULTS,
     Attempt,
     HistoryView,
     Process,
@@ -89,12 +89,7 @@ class KnowledgeBase:
     """
 
     def __init__(
-        self,
-        model: Model,
-        *,
-        clock: Callable[[], float] = time.time,
-        store: str | Path | None = None,
-        keep: int = KEPT,
+        self, model: Model, *, clock: Callable[[], float] = time.time, store: str | Path | None = None, keep: int = KEPT
     ) -> None:
         if not isinstance(model, Model):
             raise InvalidValue(f"a knowledge base is made of a kb.Model, not of {model!r}")
@@ -117,14 +112,8 @@ class KnowledgeBase:
         self._keep, self._is_closed = keep, False
         self.log: Log = known.log
         self.history = HistoryView(known.records)
-        (
-            self.actions,
-            self.functions,
-            self.components,
-            self.designs,
-            self.configurations,
-            self.attributes,
-        ) = views_of(self, known.network)
+        views = views_of(self, known.network)
+        self.actions, self.functions, self.components, self.designs, self.configurations, self.attributes = views
         model.watch(known)
         if self._store is not None:
             self._store.start(known, self._lock)
@@ -245,12 +234,7 @@ class KnowledgeBase:
 
     @_telling
     def component_failed(self, component: str, reason: str = "") -> None:
-        """Tell that a component has failed.
-
-        Args:
-            component: its name.
-            reason: why, in words; it stands in explanations and in the store.
-        """
+        """Tell that a component has failed; the reason, in words, stands in explanations and in the store."""
         text("the reason of a failure", reason)
         node, state = self._component(component), self._knowledge.state
         is_known = state.failed[node.index] and reason in ("", state.reason("failed", node).text)
@@ -266,13 +250,7 @@ class KnowledgeBase:
 
     @_telling
     def component_active(self, component: str, active: bool, reason: str = "") -> None:
-        """Tell whether a component is running.
-
-        Args:
-            component: its name.
-            active: whether it is.
-            reason: why it is not any more, in words; it stands in explanations as long as it is not.
-        """
+        """Tell whether a component is running; why it is not, in words, stands in explanations as long as it is not."""
         node = self._component(component)
         text("the reason why a component is not active", reason)
         if self._knowledge.state.active[node.index] != _yes("active", active):
@@ -344,13 +322,7 @@ class KnowledgeBase:
 
     @_telling
     def assert_selected(self, element: Meant, selected: bool | None, reason: str = "") -> None:
-        """State that a design or configuration is the selected one, or is not.
-
-        Args:
-            element: a view, an element of the model, or a name that only one element has.
-            selected: whether it is.
-            reason: why, in words; where none is selected by that, explanations say it of what is left without one.
-        """
+        """State that a design or configuration is the selected one, or is not; the reason stands in explanations."""
         text("the reason why something is selected or not", reason)
         node = self._node(element, ("function design", "configuration"))
         if selected is not None:
@@ -426,8 +398,7 @@ class KnowledgeBase:
         Returns:
             The plan that leads there from the present state; None if there is nothing to do.
         """
-        if reason != "":
-            text("the reason of a choice", reason)
+        text("the reason of a choice", reason)
         known = self._knowledge
         network = known.network
         chosen = [
@@ -445,22 +416,16 @@ class KnowledgeBase:
             selection = reselect(layer, chosen, given)
             return planned(layer, selection, reasons, now) if selection else None
         cause = known.cause_of_choice([*chosen, *given]) if cause is None else cause
-        event = known.apply(now, "select", (_by_whole(chosen), _by_whole(given), reason), cause)
+        event = known.apply(now, "select", (by_whole(chosen), by_whole(given), reason), cause)
         return None if event is None else event.plan
 
     @_telling
     def finish_plan(self, plan: ReconfigurationPlan | int, result: str) -> bool:
-        """Close a plan; one that completes abandons every other plan that is open.
+        """Close a plan as "completed", "failed" or "abandoned"; returns whether it was open.
 
-        Args:
-            plan: one of `plans`, or its number.
-            result: "completed", "failed" or "abandoned".
-
-        Returns:
-            Whether it was open.
+        One that completes abandons every other plan that is open.
         """
-        if result not in RESULTS:
-            check_result(result)
+        check_result(result)
         records = self._knowledge.records
         if isinstance(plan, int):
             plan = records.plan_of(plan)
@@ -518,7 +483,7 @@ class KnowledgeBase:
             plan: what it is part of; one of `plans`, or its number.
             component: name of what is commanded.
             operation: "activate", "deactivate" or "configure".
-            configuration: name of what the component is to be configured with, None for a switch.
+            configuration: name of what the component is configured with, None for a switch; with its parameters.
             parameters: what is to be set.
             number: 1 for the first time that the plan gives this command.
         """
@@ -537,17 +502,11 @@ class KnowledgeBase:
     def finish_attempt(self, attempt: Attempt | int, result: str, reason: str = "") -> bool:
         """Put on record what came of a command; returns whether that was not known yet.
 
-        The parameters of a command that has configured a component are in force then.
-
-        Args:
-            attempt: what `record_attempt` returned, or its serial number.
-            result: "completed", "failed" or "abandoned".
-            reason: why it failed, in words, or what was odd about it.
+        The attempt may be given by its serial number; a result is "completed", "failed" or "abandoned". The parameters
+        of a command that has configured a component are in force then.
         """
-        if result not in RESULTS:
-            check_result(result)
-        if reason != "":
-            text("the reason why an attempt ends", reason)
+        check_result(result)
+        text("the reason why an attempt ends", reason)
         serial = attempt if isinstance(attempt, int) else attempt.serial
         record = self._knowledge.records.attempts.get(serial)
         if record is None or record.end is not None:
@@ -601,11 +560,7 @@ class KnowledgeBase:
         return self._store.saved if self._store else 0
 
     def flush(self, timeout: float | None = None) -> bool:
-        """Wait until all that was told by now is on disk; returns whether it is.
-
-        Args:
-            timeout: how long to wait at most [s].
-        """
+        """Wait, at most for a timeout [s], until all that was told by now is on disk; returns whether it is."""
         return self._store is not None and self._store.flush(timeout)
 
     def close(self) -> None:
@@ -692,10 +647,6 @@ def _pairs(chosen: Mapping[str, str] | None) -> Iterable[tuple[str, str]]:
     if chosen is not None and not isinstance(chosen, Mapping):
         raise InvalidValue(f"what is selected is given as choice by name of what it is for, not as {chosen!r}")
     return (chosen or {}).items()
-
-
-def _by_whole(chosen: Iterable[Node]) -> Mapping[str, str]:
-    return MappingProxyType({node.wholes[0].name: node.name for node in chosen})
 
 
 def _owned(node: Node, owner: Node) -> Node:

@@ -55,13 +55,7 @@ class Alarms:
 
 
 class Judged(NamedTuple):
-    """What becomes of a debounced constraint.
-
-    Attributes:
-        node: the constraint.
-        verdict: what it is now; None if it stays as it is.
-        wait: until when it has to stay so although measurements say otherwise [s]; None for not at all.
-    """
+    """What becomes of a debounced constraint."""
 
     node: Node
     verdict: Status | None
@@ -69,15 +63,7 @@ class Judged(NamedTuple):
 
 
 class Measurements:
-    """What is remembered of measurements beside the latest; nothing here changes a state.
-
-    Args:
-        state: with the latest ones, and the verdicts on debounced constraints.
-
-    Attributes:
-        alarms: when a measurement goes stale or a constraint may change after its dwell, by index; when an asserted
-            status lapses, by the complement of the index.
-    """
+    """What is remembered of measurements beside the latest; nothing here changes a state."""
 
     def __init__(self, state: State) -> None:
         self._state = state
@@ -128,7 +114,6 @@ class Measurements:
     def judge(
         self, node: Node, value: float | None, recent: tuple[float, ...], before: Status | None, now: float
     ) -> Judged:
-        """Return what a debounced constraint becomes."""
         constraint, attribute = node.element, node.parts[0].element
         assert isinstance(constraint, Constraint)
         assert isinstance(attribute, Attribute)
@@ -143,7 +128,6 @@ class Measurements:
         return Judged(node, None, end) if known is not None and now < end else Judged(node, after, None)
 
     def renew(self, node: Node, now: float) -> Sequence[Node]:
-        """Take note that an attribute or constraint is new or has changed; returns the constraints concerned."""
         if node.kind == "constraint":
             self._begin(node, now)
             return [node]
@@ -177,7 +161,6 @@ class Measurements:
             self.alarms.clear(key)
 
     def _begin(self, node: Node, now: float) -> None:
-        """Judge a constraint as if nothing had been known of it before."""
         self.alarms.clear(node.index)
         self.since.pop(node.index, None)
         self._state.verdict[node.index] = None

@@ -248,14 +248,8 @@ class Situation:
         self._assumptions = tuple(assumptions)
         self._seen = (-1, -1)
         self._overlay: Overlay | None = None
-        (
-            self.actions,
-            self.functions,
-            self.components,
-            self.designs,
-            self.configurations,
-            self.attributes,
-        ) = views_of(self, self._network)
+        views = views_of(self, self._network)
+        self.actions, self.functions, self.components, self.designs, self.configurations, self.attributes = views
 
     is_feasible = is_feasible
     selectable_actions = selectable_actions
@@ -321,7 +315,6 @@ def _suppose_measured(state: State, attribute: Node, value: float | None) -> lis
 
 
 def _debounced(state: State, node: Node, value: float | None) -> Status | None:
-    """Return what a debounced constraint is once a value has been measured for long enough."""
     assert isinstance(node.element, Constraint)
     return None if value is None else verdict(node.element, [value], 1, state.verdict[node.index])
 

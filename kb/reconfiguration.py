@@ -47,11 +47,7 @@ def obsolete(state: State) -> Obsolete:
 
 
 def reselect(state: State, designs: Iterable[Node], configurations: Iterable[Node]) -> Selection:
-    """Mark the given designs and configurations selected instead of their rivals, and unselect what is obsolete.
-
-    Returns:
-        What leads the managed system there from its present state.
-    """
+    """Mark the given designs and configurations selected instead of their rivals, and unselect what is obsolete."""
     replaced, changed = _choose(state, designs)
     _, newly_configured = _choose(state, configurations)
     changes = propagate(state, [*changed, *newly_configured])
@@ -79,7 +75,6 @@ def by_whole(chosen: Iterable[Node]) -> Mapping[str, str]:
 def planned(
     state: State, selection: Selection, reason: str, now: float, cause: int | None = None, number: int = 0
 ) -> ReconfigurationPlan:
-    """Return the plan of a selection."""
     activate, deactivate, *_ = selection
     elements = (state.network.components[name].element for name in (*activate, *deactivate))
     plain = frozenset(one.name for one in elements if isinstance(one, Component) and one.kind is ComponentKind.PLAIN)
@@ -110,7 +105,6 @@ def _lacking(state: State) -> list[Node]:
 
 
 def _is_needed(state: State, component: Node) -> bool:
-    """Tell whether a selected design of a required function contains the component."""
     return any(state.required[design.wholes[0].index] for design in state.users[component.index])
 
 

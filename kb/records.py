@@ -1,6 +1,6 @@
 """What is put on record: actions that were requested, plans, processes, attempts, and answers about plans."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple
@@ -218,7 +218,6 @@ class Records:
             self.open_plans[record.number] = record
 
     def end_plan(self, record: ReconfigurationPlan, result: str, end: float) -> None:
-        """Put the end of a plan on record; one that completes abandons the others."""
         for other in [record, *(self.open_plans.values() if result == "completed" else ())]:
             if other.end is None:
                 finish(other, result=result if other is record else "abandoned", end=end)
@@ -247,7 +246,6 @@ class Records:
             self.request(record)
 
     def begin(self, fact: PlanFact | ProcessFact, number: int, now: float) -> None:
-        """Put a plan or process on record that a model states."""
         start = _start(fact, now)
         if isinstance(fact, ProcessFact):
             self.processes[number] = Process(fact.component, fact.pid, start, fact.end, number)
@@ -334,24 +332,18 @@ def _start(fact: RequiredActionFact | PlanFact | ProcessFact, now: float) -> flo
 
 
 def _end(fact: RequiredActionFact | PlanFact, now: float) -> float | None:
-    """Return when something ended; with a result but no time it ended before now."""
     if fact.end is None and fact.result is not None:
         return fact.start if fact.start is not None else now
     return fact.end
 
 
-def _written(record: object) -> dict[str, Any]:
-    """Return the fields of a record as values that JSON can hold; a plan within it by its number."""
-    return dict(_fields(record))
+def _written(record: RequiredAction | ReconfigurationPlan | Process | Attempt | VetoAnswer) -> dict[str, Any]:
+    return {field.name: _plain(getattr(record, field.name)) for field in fields(record)}
 
 
-def _fields(record: object) -> Iterator[tuple[str, Any]]:
-    for field in fields(record):  # type: ignore[arg-type]  # all are dataclasses
-        value = getattr(record, field.name)
-        if isinstance(value, ReconfigurationPlan):
-            value = value.number
-        elif isinstance(value, frozenset):
-            value = sorted(value)
-        elif isinstance(value, Mapping):
-            value = dict(value)
-        yield field.name, value
+def _plain(value: object) -> object:
+    if isinstance(value, ReconfigurationPlan):
+        return value.number
+    if isinstance(value, frozenset):
+        return sorted(value)
+    return dict(value) if isinstance(value, Mapping) else value

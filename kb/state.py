@@ -74,7 +74,6 @@ class Marked:
         self._most = 0
 
     def mark(self, node: Node, yes: bool) -> None:
-        """Put a node in, or take it out."""
         if self._below is not None:
             self._own[node] = yes
         elif yes:
@@ -132,7 +131,6 @@ class Users:
         self.of(index).mark(user, uses)
 
     def of(self, index: int) -> Marked:
-        """Return the users of a node, to be changed."""
         users = self._own.get(index)
         if users is None:
             users = self._own[index] = Marked(None if self._below is None else self._below.of(index))
@@ -158,7 +156,6 @@ class History:
         return len(self.pairs) // 2
 
     def add(self, time: float, value: float) -> None:
-        """Add a measurement; mostly it is the newest."""
         pairs = self.pairs
         if not pairs or time >= pairs[-2]:
             pairs.extend((time, value))
@@ -259,7 +256,6 @@ class State:
         self.grow()
 
     def grow(self) -> None:
-        """Make room for the nodes that the network got, with no fact about any of them."""
         count = len(self.network.nodes)
         for name, unset in {**FACTS, **_INFERRED}.items():
             column = self.columns[name]
@@ -333,7 +329,6 @@ class Overlay(State):
             marked.put_in_place()
 
     def clear(self) -> None:
-        """Be as the state below again."""
         for layer in self._layers.values():
             if layer:
                 layer.clear()

@@ -58,13 +58,7 @@ STATUSES: Mapping[str, tuple[Status, ...]] = {
         Status.UNSOLVED,
         Status.FEASIBLE,
     ),
-    "action": (
-        Status.UNFEASIBLE,
-        Status.IMPLICIT_CONFIGURATION_ERROR,
-        Status.UNSOLVED,
-        Status.SOLVED,
-        Status.FEASIBLE,
-    ),
+    "action": (Status.UNFEASIBLE, Status.IMPLICIT_CONFIGURATION_ERROR, Status.UNSOLVED, Status.SOLVED, Status.FEASIBLE),
 }
 """The statuses that an element of each kind can have, in the order of its table."""
 

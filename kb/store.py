@@ -243,7 +243,6 @@ class Store:
         self._wake.set()
 
     def flush(self, timeout: float | None = None) -> bool:
-        """Wait until all that was told by now is in the file; returns whether it is."""
         wanted = self._knowledge.log.last
         self._wake.set()
         with self._progress:
@@ -429,7 +428,6 @@ def _in_use(path: Path) -> StoreError:
 
 
 def _check_format(path: Path, descriptor: int) -> None:
-    """Raise `StoreError` unless the header of a file says that it is a store of the format that is known."""
     try:
         head = os.pread(descriptor, 100, 0)
     except OSError as error:
@@ -473,7 +471,6 @@ def _locked(path: Path) -> sqlite3.Connection:
 
 @contextmanager
 def _blamed(path: Path) -> Iterator[None]:
-    """Say that the file is damaged if what is in it cannot be understood."""
     try:
         yield
     except (sqlite3.Error, TypeError, ValueError, LookupError) as error:

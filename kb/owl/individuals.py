@@ -127,7 +127,6 @@ _UNSAFE: Final = re.compile(r"[^A-Za-z0-9_-]")
 
 
 def property_of(cls: type, field: str) -> str:
-    """Return what a field of a class of elements or facts is called."""
     found = _PROPERTIES.get((cls, field))
     if found is None:
         first, *others = field.split("_")
@@ -156,7 +155,6 @@ class Serials:
         return self._given[one]
 
     def give(self, one: Changeable, number: int) -> None:
-        """Give something the number that it had before."""
         self._given[one] = number
         self._next = max(self._next, number + 1)
 
@@ -185,7 +183,6 @@ def individual(element: Changeable, serials: Serials) -> tuple[Individual, ...]:
 
 
 def nested(kind: str, owner: str, values: Mapping[str, Any]) -> Iterator[Individual]:
-    """Yield the individuals for parameters, or for weights by name of attribute."""
     for key, value in values.items():
         inner = f"{kind}.{owner}.{_escaped(key)}"
         if kind == PREFERENCE:
@@ -197,7 +194,6 @@ def nested(kind: str, owner: str, values: Mapping[str, Any]) -> Iterator[Individ
 
 
 def plain_json(given: Iterable[Individual]) -> list[Any]:
-    """Return individuals as values that JSON can hold."""
     return [
         [one.kind, one.id, {name: [_written(value) for value in values] for name, values in one.values.items()}]
         for one in given
@@ -221,11 +217,7 @@ def _read(value: Any) -> Value:  # noqa: ANN401  # what JSON holds
 
 
 def parameter_values(parameters: Iterable[Individual]) -> dict[str, Any]:
-    """Return what `nested` was given, of parameters.
-
-    Raises:
-        ValueError: the value of one is not written as JSON.
-    """
+    """Return what `nested` was given, of parameters."""
     return {str(one.values["key"][0]): json.loads(str(one.values["parameterValue"][0])) for one in parameters}
 
 
@@ -278,7 +270,6 @@ def _escaped(name: str) -> str:
 
 
 def _sort(value: object) -> str:
-    """Return ROSA's word for the type of a parameter."""
     if isinstance(value, list):
         return f"{_sort(value[0])}_array" if value else "string_array"
     return {bool: "boolean", int: "long", float: "double"}.get(type(value), "string")

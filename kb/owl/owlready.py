@@ -18,7 +18,7 @@ from kb.facts import Contents
 from kb.files import ModelFileError, read_text
 from kb.owl.declaring import Declarer
 from kb.owl.individuals import CLASSES, GENERAL, MODEL, PARAMETER, PREFERENCE, STATED, Individual, Ref, Value
-from kb.owl.queries import FUNCTIONS, Question, complaint, read_question
+from kb.owl.queries import FUNCTIONS, Answer, Question, complaint, read_question
 from kb.owl.rdfxml import ROSA, order, plain_text
 
 _TYPE: Final = "http://www.w3.org/1999/02/22-rdf-syntax-ns#type"
@@ -33,7 +33,6 @@ _WHERE: Final = re.compile(r"line (\d+), column (\d+)")
 
 
 ModelT = TypeVar("ModelT", bound=Contents)
-Answer = str | bool | int | float | None
 
 
 class _Triple(NamedTuple):
@@ -87,7 +86,6 @@ def inconsistency(text: str) -> str | None:
 
 
 def _triples(path: Path) -> Iterator[_Triple]:
-    """Yield what a file says, as the reader of owlready2 understands it; nothing is fetched from anywhere."""
     content = read_text(path)
     if not content.strip():
         raise ModelFileError("the file is empty", str(path))
@@ -115,7 +113,6 @@ def _literal(value: str | float, datatype: str) -> Value:
 
 
 def _individual(subject: str, told: Mapping[str, Sequence[Value]]) -> Individual | None:
-    """Return an individual of ours, or None if it is something else."""
     types = [_local(one) for one in told.get(_TYPE, ())]
     ours = [one for one in types if one and one not in _ABSTRACT]
     if not ours:
@@ -196,17 +193,11 @@ class Book:
         self._write("told", entries)
 
     def write_inferred(self, given: Iterable[Individual]) -> None:
-        """Replace what is inferred of the model."""
         self._clear("inferred")
         self._write("inferred", given)
 
     def ask(self, query: str, timeout: float) -> list[tuple[Answer, ...]]:
-        """Answer a SPARQL query.
-
-        Raises:
-            InvalidValue: it is no query, or would change something.
-            KnowledgeBaseError: it takes longer than the time-out [s], or its answer is too long.
-        """
+        """Answer a SPARQL query."""
         question = read_question(query)
         prepared = self._prepared(question)
         deadline = time.monotonic() + timeout
@@ -291,7 +282,6 @@ class Book:
             self._db.execute(f"INSERT OR IGNORE INTO {table} VALUES {marks}", [one for row in some for one in row])
 
     def _node(self, own: str) -> int:
-        """Return what stands for an individual in the tables."""
         stated, _, number = own.partition(".")
         return _FIRST + int(number) if stated == STATED else self._word(f"{self.base}#{own}")
 

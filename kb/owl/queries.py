@@ -52,6 +52,9 @@ _AFTER_GROUPS: Final = frozenset({"HAVING", "ORDER", "LIMIT", "OFFSET"})
 _VERBS: Final = frozenset({"SELECT", "ASK", "CONSTRUCT", "DESCRIBE"})
 
 
+Answer = str | bool | int | float | None
+
+
 class Question(NamedTuple):
     """A query that can be tried.
 
@@ -68,7 +71,6 @@ class Question(NamedTuple):
     places: Sequence[tuple[int, int]]
 
     def origin(self, offset: int) -> int:
-        """Return where something in the text was written."""
         new, old = self.places[bisect_right(self.places, (offset, len(self.given))) - 1]
         return min(old + offset - new, len(self.given))
 
@@ -80,11 +82,7 @@ class _Token(NamedTuple):
 
 
 def read_question(given: str) -> Question:
-    """Read a query, as far as to know that it only asks and that all of it is supported.
-
-    Raises:
-        InvalidValue: it does not.
-    """
+    """Read a query, as far as to know that it only asks and that all of it is supported."""
     if not isinstance(given, str):
         raise InvalidValue(f"a query is a text in SPARQL, not {given!r}")
     tokens = [_Token(found.lastgroup or "", found[0], found.start()) for found in _TOKEN.finditer(given)]
@@ -107,7 +105,6 @@ def read_question(given: str) -> Question:
 
 
 def complaint(error: Exception, question: Question, vocabulary: Iterable[str]) -> KnowledgeBaseError:
-    """Return what to say when owlready2 does not understand a query."""
     told = str(error.args[0]) if error.args else ""
     quoted = re.search(r"'(?:VAR:')?([^']*)'", told)
     named = quoted[1] if quoted else ""

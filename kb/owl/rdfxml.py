@@ -56,7 +56,6 @@ def order(one: Individual) -> str:
 
 
 def xml_text(text: str) -> str:
-    """Write a text for XML, which cannot hold every character."""
     return escape(_UNFIT.sub(lambda found: f"\\u{ord(found[0]):04x}", text), quote=False)
 
 

@@ -28,6 +28,7 @@ from kb.owl.individuals import (
     named_id,
     nested,
 )
+from kb.owl.queries import Answer
 from kb.owl.rdfxml import BASE, metamodel
 from kb.records import Attempt, Process, ReconfigurationPlan, RequiredAction, VetoAnswer
 from kb.state import State
@@ -35,8 +36,6 @@ from kb.store import Store
 
 if TYPE_CHECKING:
     from kb.owl.owlready import Book
-
-Answer = str | bool | int | float | None
 
 Values = dict[str, tuple[Value, ...]]
 Given = Mapping[str, tuple[Value, ...]]
@@ -59,12 +58,10 @@ class World:
         self._measured = 0
 
     def ask(self, sparql: str, timeout: float, reading: AbstractContextManager[State]) -> list[tuple[Answer, ...]]:
-        """Answer a query; see `KnowledgeBase.query`."""
         with self._asking:
             return self._current(reading).ask(sparql, timeout)
 
     def _current(self, reading: AbstractContextManager[State]) -> "Book":
-        """Return a book in which all is written that is known now."""
         if self._book is None or self._measured > 2 * self._keep:
             return self._anew(reading)
         with reading as state:
