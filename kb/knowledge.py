@@ -498,33 +498,27 @@ class Knowledge:
 
     def to_json(self, keep: int) -> dict[str, Any]:
         """Return all that is known as values that JSON can hold."""
-        nodes = [*self.network.constraints.values()]
-        for kind in ("attribute", "component", "configuration", "function", "function design", "action"):
-            nodes += self.network.of_kind(kind).values()
-        here = {node.index: node.ref for node in nodes}
-        facts = {
-            name: [
-                (here[index], value)
-                for index, value in enumerate(self.state.columns[name])
-                if value != unset and index in here
-            ]
-            for name, unset in FACTS.items()
-        }
-        remembered = self.measurements
+        here = {node.index: node.ref for node in self.network.present()}
+
+        def by_ref(values: Iterable[tuple[int, Any]]) -> list[tuple[Ref, Any]]:
+            return [(here[index], value) for index, value in values if index in here]
+
+        columns, reasons, remembered = self.state.columns, self.state.reasons.items(), self.measurements
         return {
-            "facts": facts,
-            "reasons": [
-                (name, here[index], *one) for (name, index), one in self.state.reasons.items() if index in here
-            ],
+            "facts": {
+                name: by_ref((index, value) for index, value in enumerate(columns[name]) if value != unset)
+                for name, unset in FACTS.items()
+            },
+            "reasons": [(name, here[index], *one) for (name, index), one in reasons if index in here],
             "parameters": {name: dict(given) for name, given in self.state.parameters.items()},
             "histories": [
                 (node.name, b64encode(remembered.history(node).packed(keep)).decode())
                 for node in self.network.attributes.values()
             ],
-            "recent": [(here[index], values) for index, values in remembered.recent.items() if index in here],
-            "since": [(here[index], since) for index, since in remembered.since.items() if index in here],
+            "recent": by_ref(remembered.recent.items()),
+            "since": by_ref(remembered.since.items()),
             "records": self.records.to_json(),
-            "changed_by": [(here[index], number) for index, number in self.changed_by.items() if index in here],
+            "changed_by": by_ref(self.changed_by.items()),
             "feasibility": self.feasibility,
         }
 

@@ -91,10 +91,15 @@ class Measurements:
         if recent:
             self.recent[index] = recent
         if element.max_age != math.inf:  # type: ignore[union-attr]  # it is an attribute
-            self.alarms.set(index, _after(time + element.max_age))  # type: ignore[union-attr]  # it is an attribute
+            self._expire(attribute, time)
         history = self.history(attribute)
         if len(history.pairs) == count:
             history.add(time, value)
+
+    def _expire(self, attribute: Node, measured: float) -> None:
+        max_age: float = attribute.element.max_age  # type: ignore[union-attr]  # it is an attribute
+        if max_age != math.inf:
+            self.alarms.set(attribute.index, math.nextafter(measured + max_age, math.inf))
 
     def put_judged(self, judged: Iterable[Judged], now: float) -> None:
         """Remember since when debounced constraints are what they are, and when to look again; may be done again."""
@@ -138,19 +143,18 @@ class Measurements:
         value = self._state.value[index]
         if element.agreement != (1, 1) and value is not None:
             self.recent[index] = (value,)
-        if time is not None and element.max_age != math.inf:
-            self.alarms.set(index, _after(time + element.max_age))
+        if time is not None:
+            self._expire(node, time)
         for constraint in node.constraints:
             self._begin(constraint, now)
         return node.constraints
 
     def resume(self, attribute: Node, now: float) -> None:
-        element, measured, value = attribute.element, self._state.time[attribute.index], None
-        assert isinstance(element, Attribute)
+        measured, value = self._state.time[attribute.index], None
         if measured is not None:
             value = self._state.value[attribute.index]
-            if element.max_age != math.inf and not self._state.stale[attribute.index]:
-                self.alarms.set(attribute.index, _after(measured + element.max_age))
+            if not self._state.stale[attribute.index]:
+                self._expire(attribute, measured)
         recent = self.recent.get(attribute.index, ())
         steady = [one for one in attribute.constraints if is_steady(one)]
         judged = [self.judge(one, value, recent, self._state.verdict[one.index], now) for one in steady]
@@ -206,7 +210,3 @@ def turning_point(constraint: Constraint, before: Status | None) -> float:
 def _sum(value: float, margin: float) -> float:
     """Add as one does on paper: 0.1 and 0.2 are 0.3."""
     return float(Decimal(repr(value)) + Decimal(repr(margin)))
-
-
-def _after(time: float) -> float:
-    return math.nextafter(time, math.inf)

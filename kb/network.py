@@ -2,7 +2,7 @@
 
 import math
 from bisect import bisect_right, insort
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from operator import itemgetter
 from typing import Any, Final
 
@@ -18,7 +18,7 @@ from kb.elements import (
     FunctionDesign,
 )
 from kb.exceptions import UnknownName
-from kb.facts import Contents
+from kb.facts import Contents, tables_of
 
 Ref = tuple[str, str] | tuple[str, str, int]
 """What stands for a node in plain data: (kind, name), or (kind, name, position) of a constraint by what it is on."""
@@ -135,42 +135,21 @@ class Network:
         self.model = model
         self.revision = 0
         self.nodes: list[Node] = []
-        self.attributes: dict[str, Node] = {}
-        self.components: dict[str, Node] = {}
-        self.configurations: dict[str, Node] = {}
-        self.functions: dict[str, Node] = {}
-        self.designs: dict[str, Node] = {}
-        self.actions: dict[str, Node] = {}
-        self.constraints: dict[Constraint, Node] = {}
         self._thresholds: dict[Node, Thresholds] = {}
-        self._tables: dict[type, dict[Any, Node]] = {
-            Action: self.actions,
-            Attribute: self.attributes,
-            Component: self.components,
-            Configuration: self.configurations,
-            Constraint: self.constraints,
-            Function: self.functions,
-            FunctionDesign: self.designs,
-        }
-        self._kinds: Mapping[str, Mapping[str, Node]] = {
-            "action": self.actions,
-            "function": self.functions,
-            "component": self.components,
-            "function design": self.designs,
-            "configuration": self.configurations,
-            "attribute": self.attributes,
-        }
-        for elements in (
-            model.attributes.values(),
-            model.components.values(),
-            model.configurations.values(),
-            model.functions.values(),
-            model.designs.values(),
-            model.actions.values(),
-            model.constraints,
-        ):
-            for element in elements:
+        self._tables: dict[type, dict[Any, Node]] = {cls: {} for cls in KINDS}
+        self.attributes: Mapping[str, Node] = self._tables[Attribute]
+        self.components: Mapping[str, Node] = self._tables[Component]
+        self.configurations: Mapping[str, Node] = self._tables[Configuration]
+        self.functions: Mapping[str, Node] = self._tables[Function]
+        self.designs: Mapping[str, Node] = self._tables[FunctionDesign]
+        self.actions: Mapping[str, Node] = self._tables[Action]
+        self.constraints: Mapping[Constraint, Node] = self._tables[Constraint]
+        self._kinds = {kind: self._tables[cls] for cls, kind in KINDS.items() if issubclass(cls, Element)}
+        for elements in tables_of(model).values():
+            for element in elements.values():
                 self.add(element)
+        for constraint in model.constraints:
+            self.add(constraint)
 
     def find(self, element: Element | Constraint) -> Node:
         """Return the node of an element of this model."""
@@ -180,6 +159,11 @@ class Network:
             name = str(element) if isinstance(element, Constraint) else element.name
             raise UnknownName(KINDS[type(element)], name, [str(one) for one in table])
         return node
+
+    def present(self) -> Iterator[Node]:
+        """Yield every node that has not been removed."""
+        for table in self._tables.values():
+            yield from table.values()
 
     def of_kind(self, kind: str) -> Mapping[str, Node]:
         table = self._kinds.get(kind)
@@ -204,7 +188,7 @@ class Network:
         node = Node(len(self.nodes), KINDS[type(element)], element)
         self.nodes.append(node)
         if isinstance(element, Constraint):
-            self.constraints[element] = node
+            self._tables[Constraint][element] = node
             attribute = self.attributes[element.attribute]
             node.parts.append(attribute)
             attribute.constraints.append(node)

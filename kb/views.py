@@ -102,7 +102,6 @@ class ConstraintView(ElementView):
     """A constraint: `attribute operator value`.
 
     Attributes:
-        status: the one that it has now.
         attribute: name of the attribute that is compared.
         operator: one of `>=`, `>`, `<=`, `<`.
         value: the threshold, in the attribute's unit.
@@ -129,7 +128,6 @@ class ActionView(_ConstrainedView):
     """An action, and whether it can be done now.
 
     Attributes:
-        status: the one that it has now.
         is_required: the mission is doing it.
     """
 
@@ -148,7 +146,6 @@ class FunctionView(ElementView):
     """A function, and whether it is realised now.
 
     Attributes:
-        status: the one that it has now.
         is_required: what the mission is doing needs it.
         always_improve: a better design is taken even while it is solved.
     """
@@ -169,7 +166,6 @@ class ComponentView(_ConstrainedView):
     """A component: whether it runs, and with which parameters.
 
     Attributes:
-        status: the one that it has now.
         is_required: what the mission is doing needs it.
         is_active: it is running.
         always_improve: a better configuration is taken even while it is solved.
@@ -226,7 +222,6 @@ class DesignView(_SelectableView):
     """A function design: one set of components that realises a function.
 
     Attributes:
-        status: the one that it has now.
         is_selected: it is the one chosen.
         priority: the lowest number is preferred; None comes last.
         function: name of the function that it realises.
@@ -243,7 +238,6 @@ class ConfigurationView(_SelectableView):
     """A component configuration: one set of parameter values.
 
     Attributes:
-        status: the one that it has now.
         is_selected: it is the one chosen.
         priority: the lowest number is preferred; None comes last.
         component: name of the component that it configures.

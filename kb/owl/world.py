@@ -124,16 +124,9 @@ class World:
         return list(individuals(self._known.model, self._known.serials))
 
     def _inferred(self, state: State) -> list[Individual]:
-        network, found = state.network, []
-        for nodes in (
-            network.actions,
-            network.functions,
-            network.components,
-            network.designs,
-            network.configurations,
-            network.constraints,
-        ):
-            for node in nodes.values():
+        found = []
+        for node in state.network.present():
+            if node.kind != "attribute":
                 values: Values = {"status": (str(state.status[node.index]),)}
                 if node.kind in _REQUIRABLE:
                     values["isRequired"] = (state.required[node.index],)
