@@ -20,6 +20,7 @@ from types import MappingProxyType, UnionType
 from typing import Any, Final, Protocol, Self, TypeVar, get_args
 from weakref import ref
 
+from kb import facts
 from kb.checks.findings import Finding
 from kb.checks.model import check_model
 from kb.elements import (
@@ -52,20 +53,7 @@ from kb.elements import (
     pid,
 )
 from kb.exceptions import AmbiguousName, DuplicateName, InvalidValue, ModelError, UnknownName
-from kb.facts import (
-    TABLES,
-    ActiveFact,
-    Contents,
-    Fact,
-    MeasurementFact,
-    PlanFact,
-    ProcessFact,
-    RequiredActionFact,
-    RequiredFact,
-    SelectedFact,
-    StatusFact,
-    tables_of,
-)
+from kb.facts import TABLES, Contents, Fact, RequiredFact, SelectedFact, StatusFact, tables_of
 from kb.files import SUFFIXES, ModelFileError, write_text
 from kb.records import check_result
 from kb.status import STATUSES, Status
@@ -525,16 +513,16 @@ def _checked_fact(model: Contents, fact: object) -> Fact:
     for cls, name in _named_by(fact):
         if not isinstance(name, str) or name not in tables[cls]:
             raise UnknownName(KINDS[cls], name, tables[cls])
-    if isinstance(fact, MeasurementFact):
+    if isinstance(fact, facts.MeasurementFact):
         flag(f"latest of the measurement of {fact.attribute!r}", fact.latest)
         return replace(fact, value=finite_number(fact.value), time=_time(fact.time))
-    if isinstance(fact, ActiveFact):
+    if isinstance(fact, facts.ActiveFact):
         return fact
-    if isinstance(fact, ProcessFact):
+    if isinstance(fact, facts.ProcessFact):
         return replace(fact, pid=pid(fact.pid), start=_time(fact.start), end=_time(fact.end))
     if fact.result is not None:
         check_result(fact.result)
-    if isinstance(fact, RequiredActionFact) and fact.preference is not None:
+    if isinstance(fact, facts.RequiredActionFact) and fact.preference is not None:
         weights = {name: finite_number(weight) for name, weight in fact.preference.items()}
         fact = replace(fact, preference=MappingProxyType(weights) if weights else None)
     return replace(fact, start=_time(fact.start), end=_time(fact.end))
@@ -561,7 +549,7 @@ def _named_by(fact: Fact) -> Iterator[tuple[type[Element], str]]:
                 raise ModelError(f"a preference is given as weights by name of attribute, not as {value!r}")
             yield from ((Attribute, name) for name in value)
         elif field.name in REFERENCES:
-            names = listed(field.name, value) if isinstance(fact, PlanFact) else (value,)
+            names = listed(field.name, value) if isinstance(fact, facts.PlanFact) else (value,)
             yield from ((REFERENCES[field.name], name) for name in names)
 
 

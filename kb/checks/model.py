@@ -4,21 +4,13 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import replace
 
+from kb import facts
 from kb.checks.choices import doubtful_choices
 from kb.checks.contradictions import contradictions
 from kb.checks.findings import Finding, Severity, found, listing
 from kb.elements import KINDS, Action, Component, Constraint, Element, Function, FunctionDesign, listed, text
 from kb.exceptions import UnknownName
-from kb.facts import (
-    ActiveFact,
-    Contents,
-    MeasurementFact,
-    RequiredActionFact,
-    RequiredFact,
-    SelectedFact,
-    StatusFact,
-    tables_of,
-)
+from kb.facts import Contents, RequiredActionFact, tables_of
 from kb.network import Network
 from kb.status import Status
 
@@ -91,7 +83,8 @@ def _similar(table: Mapping[str, Element]) -> Iterator[Finding]:
 
 def _hidden_statuses(model: Contents) -> Iterator[Finding]:
     for fact in model.facts:
-        if isinstance(fact, StatusFact) and fact.status is not Status.FAILURE:  # a failure is not inferred but reported
+        # a failure is not inferred but reported
+        if isinstance(fact, facts.StatusFact) and fact.status is not Status.FAILURE:
             one, what = fact.element, _described(fact.element)
             if isinstance(one, Constraint):
                 what += f" of {listing(each.name for each in one.constrained)}"
@@ -99,7 +92,7 @@ def _hidden_statuses(model: Contents) -> Iterator[Finding]:
 
 
 def _measured_twice(model: Contents) -> Iterator[Finding]:
-    latest = [fact.attribute for fact in model.facts if isinstance(fact, MeasurementFact) and fact.latest]
+    latest = [fact.attribute for fact in model.facts if isinstance(fact, facts.MeasurementFact) and fact.latest]
     for name, count in Counter(latest).items():
         if count > 1:
             message = f"{count} measurements of attribute {name} are each stated to be the latest"
@@ -111,7 +104,7 @@ def _selected_wrongly(model: Contents) -> Iterator[Finding]:
     configurations: dict[str, dict[str, None]] = {}
     wanted = _required(model, Component)
     for fact in model.facts:
-        if not isinstance(fact, SelectedFact):
+        if not isinstance(fact, facts.SelectedFact):
             continue
         if isinstance(fact.element, FunctionDesign):
             wanted.update(fact.element.components)
@@ -139,11 +132,11 @@ def _active_for_nothing(model: Contents) -> Iterator[Finding]:
         functions.update(model.actions[action].functions)
     used = {name for one in model.designs.values() if one.function in functions for name in one.components}
     for fact in model.facts:
-        if functions and isinstance(fact, ActiveFact) and fact.component not in used:
+        if functions and isinstance(fact, facts.ActiveFact) and fact.component not in used:
             what = f"component {fact.component}"
             yield found("contradictory-facts", what, f"{what} is active, but nothing that is required can use it")
 
 
 def _required(model: Contents, cls: type[Element]) -> set[str]:
-    facts = (fact for fact in model.facts if isinstance(fact, RequiredFact))
-    return {fact.element.name for fact in facts if isinstance(fact.element, cls)}
+    stated = (fact for fact in model.facts if isinstance(fact, facts.RequiredFact))
+    return {fact.element.name for fact in stated if isinstance(fact.element, cls)}
