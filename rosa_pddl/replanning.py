@@ -106,9 +106,9 @@ class _Question:
     """What was asked of the planner."""
 
     problem: Problem
-    state: State
     decision: Decision | None
     at_s: float
+    future: "Future[PlanningResult]"
 
 
 class PlannerClient:
@@ -116,7 +116,6 @@ class PlannerClient:
 
     def __init__(self, planner: PlansAhead, clock: Callable[[], float], delay_s: float | None) -> None:
         self._planner, self._clock, self._delay_s = planner, clock, delay_s
-        self._future: Future[PlanningResult] | None = None
         self._question: _Question | None = None
         self.was_answered_at_once = False
 
@@ -124,64 +123,65 @@ class PlannerClient:
     def is_under_way(self) -> bool:
         return self._question is not None
 
-    def ask(self, problem: Problem, state: State, decision: Decision | None) -> None:
+    def ask(self, problem: Problem, decision: Decision | None) -> None:
         self.give_up()
-        self._question = _Question(problem, state, decision, self._clock())
+        at_s = self._clock()
+        future: Future[PlanningResult]
         try:
-            self._future = self._planner.start(problem)
+            future = self._planner.start(problem)
         except Exception as error:  # a planner must not stop the tree; what it raises is its answer
-            self._future = Future()
-            self._future.set_exception(error)
-        self.was_answered_at_once = self._delay_s is None and self._future.done()
+            future = Future()
+            future.set_exception(error)
+        self._question = _Question(problem, decision, at_s, future)
+        self.was_answered_at_once = self._delay_s is None and future.done()
 
     @property
     def has_answer(self) -> bool:
         """Whether the answer is there and due, or will not come any more."""
-        return self._future is not None and self._is_due() and (self._future.done() or self._is_late())
+        question = self._question
+        return question is not None and self._is_due(question) and (question.future.done() or self._is_late(question))
 
     def take(self) -> tuple[_Question, PlanningResult] | None:
         """Return the answer with its question if it is due and there; never waits."""
-        if self._question is None or self._future is None or not self.has_answer:
+        question = self._question
+        if question is None or not self.has_answer:
             return None
-        answer = self._question, self._answer(self._future)
-        self._question, self._future, self.was_answered_at_once = None, None, False
-        return answer
+        result = self._answer(question)
+        self._question, self.was_answered_at_once = None, False
+        return question, result
 
     def catch_up(self) -> None:
         """Wait for an answer that is due, as long as the planner allows."""
-        if self._future is None or self._delay_s is None or not self._is_due():
+        if self._question is None or self._delay_s is None or not self._is_due(self._question):
             return
         try:
-            awaited(self._future, self._planner.timeout_s + _GRACE_S)
+            awaited(self._question.future, self._planner.timeout_s + _GRACE_S)
         except PlanningBudgetError:
             raise
         except Exception as error:  # it is reported by name when the answer is taken
             _LOG.debug("the planner raised %r", error)
 
     def give_up(self) -> None:
-        if self._future is not None:
-            self._future.cancel()
-        self._question, self._future, self.was_answered_at_once = None, None, False
+        if self._question is not None:
+            self._question.future.cancel()
+        self._question, self.was_answered_at_once = None, False
 
-    def _is_due(self) -> bool:
-        return self._passed_s() >= (self._delay_s or 0.0) - _CLOCK_RESOLUTION_S
+    def _is_due(self, question: _Question) -> bool:
+        return self._clock() - question.at_s >= (self._delay_s or 0.0) - _CLOCK_RESOLUTION_S
 
-    def _is_late(self) -> bool:
+    def _is_late(self, question: _Question) -> bool:
         """Whether a planner is not keeping its own time limit; in lock-step the clock says nothing of that."""
-        return self._delay_s is None and self._passed_s() > self._planner.timeout_s + _GRACE_S
+        return self._delay_s is None and self._clock() - question.at_s > self._planner.timeout_s + _GRACE_S
 
-    def _passed_s(self) -> float:
-        assert self._question is not None
-        return self._clock() - self._question.at_s
-
-    def _answer(self, future: "Future[PlanningResult]") -> PlanningResult:
+    def _answer(self, question: _Question) -> PlanningResult:
         engine = str(getattr(self._planner, "engine", type(self._planner).__name__))
-        if not future.done():
-            future.cancel()
-            message = f"{engine} gave no answer in {self._passed_s():.3g} s; allow more time or ask for less"
+        if not question.future.done():
+            question.future.cancel()
+            passed_s = self._clock() - question.at_s
+            message = f"{engine} gave no answer in {passed_s:.3g} s; allow more time or ask for less"
             return PlanningResult(Outcome.OUT_OF_TIME, engine=engine, message=message)
         try:
-            return future.result()
+            return question.future.result()
         except Exception as error:  # a planner of the user's own may raise anything
             return PlanningResult(Outcome.ENGINE_CRASHED, engine=engine, message=f"{type(error).__name__}: {error}")
 
@@ -352,7 +352,7 @@ class Replanning:
             return f"planning in {left_s:.2g} s: {self._wanted.reason}"
         decision, self._wanted = self._wanted, None
         self._asked_in = self._effects.domain
-        self._client.ask(self._task.problem(state, self._goals), state, decision)
+        self._client.ask(self._task.problem(state, self._goals), decision)
         self._last_asked_s, self._dead_end = now_s, None
         return f"planning: {decision.reason}"
 
@@ -375,7 +375,7 @@ class Replanning:
         decision = question.decision
         result, promised = self._task.read(result, self._goals)
         outcome, steps, domain = result.outcome, result.steps, self._effects.domain
-        is_fresh = state == question.state and domain is self._asked_in
+        is_fresh = state == question.problem.state and domain is self._asked_in
         record = (question.at_s, decision.reason, outcome, steps, result.engine, result.message, decision.cause)
         self.records.append(PlanRecord(*record))
         if outcome.is_solved:
@@ -412,7 +412,7 @@ class Replanning:
             self.want(Decision("the state changed", is_needed=True))
         elif diagnosis.next_question is not None:
             self._diagnosis = diagnosis
-            self._client.ask(diagnosis.next_question, state, None)
+            self._client.ask(diagnosis.next_question, None)
         else:
             self._diagnosis = None
             self._give_up(state, diagnosis.problem.costs, "; ".join(map(str, (diagnosis, *self._effects.unmet))))
