@@ -7,7 +7,7 @@ from concurrent.futures import Future
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from itertools import product
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 from weakref import WeakKeyDictionary
 
 from rosa_pddl.domain import FEASIBLE, Domain, State, Step, UpThing, head_of
@@ -77,15 +77,8 @@ class _Ready:
         return "\n".join([*lines, ""])
 
 
-class SearchTask(NamedTuple):
-    """What the exact search is asked: a graph, and the same as a task; scales multiplied the amounts of each resource.
-
-    The graph keeps what it has worked out for as long as neither what is possible, nor the goal, nor costs change.
-    """
-
-    graph: TaskGraph
-    task: Task
-    scales: tuple[int, ...]
+SearchTask: TypeAlias = tuple[TaskGraph, Task, tuple[int, ...]]
+"""What the exact search is asked: a graph, the same as a task, and what the amounts of each resource were scaled by."""
 
 
 class Grounded:
@@ -107,7 +100,11 @@ class Grounded:
         self._sizes = tuple([len(task.variables[variable].values) for variable in written])
         self._is_conditional = any(given for operator in operators for given, *_ in operator.effects)
         self._facts = dict(_named_facts(domain, task))
-        self._none = [_none_of(variable.values) for variable in task.variables]
+        # the value that says that no other atom of the variable holds; -1 if one always does
+        self._none = [
+            next((value for value, text in enumerate(variable.values) if not text.startswith("Atom ")), -1)
+            for variable in task.variables
+        ]
         self._mutexes = [group for group in task.mutexes if len({variable for variable, _ in group}) > 1]
         self._constants = base - self._facts.keys()
         self._operators = [self._operator(index, operator) for index, operator in enumerate(operators)]
@@ -130,7 +127,7 @@ class Grounded:
         graph, task, scales = self._graph(frozen, goal, mentioned, state if self._task.rules else ())
         left = self._usage.remaining(numbers)
         limits = tuple([one.whole(scale) for one, scale in zip(left, scales, strict=True)])
-        return SearchTask(graph, Task(task.sizes, state, goal, task.operations, limits, task.rules), scales)
+        return graph, Task(task.sizes, state, goal, task.operations, limits, task.rules), scales
 
     def written(self, problem: Problem, numbers: Numbers) -> tuple[str, str] | None:
         """Write the task for Fast Downward, and how to search it optimally; None if the goal holds already."""
@@ -149,22 +146,20 @@ class Grounded:
 
     def _graph_of(
         self, frozen: tuple[int, ...], goal: tuple[Fact, ...], mentioned: Sequence[Exact | None], start: tuple[int, ...]
-    ) -> tuple[TaskGraph, Task, tuple[int, ...]]:
-        """Return a task without its start (but for axioms) and limits, as a graph."""
+    ) -> SearchTask:
+        """Return a task without its start (but for axioms) and limits; what its graph has worked out is kept."""
         numbers = {text: value for text, value in zip(self._mentioned, mentioned, strict=True) if value is not None}
         ready = self._possible(frozen)
-        costs, _ = whole(self._values_of([one.cost for one in ready], "costs", numbers))
-        columns, scales = [costs], []
+        amounts = [self._values_of([one.cost for one in ready], "costs", numbers)]
         for index, resource in enumerate(self._domain.limited):
-            amounts = self._values_of([one.uses[index] for one in ready], f"uses of {resource.name}", numbers)
-            column, scale = whole(amounts)
-            columns.append(column)
-            scales.append(scale)
-        spent = zip(*columns, strict=True)
-        operations = tuple(
-            [Operation(*one.operation[:3], cost, tuple(uses)) for one, (cost, *uses) in zip(ready, spent, strict=True)]
-        )
-        task = Task(self._sizes, start, goal, operations, (0,) * len(scales), self._task.rules)
+            uses = [one.uses[index] for one in ready]
+            amounts.append(self._values_of(uses, f"uses of {resource.name}", numbers))
+        columns, (_, *scales) = zip(*map(whole, amounts), strict=True)
+        operations = [
+            Operation(one.number, one.operation.needs, one.operation.effects, cost, tuple(more))
+            for one, (cost, *more) in zip(ready, zip(*columns, strict=True), strict=True)
+        ]
+        task = Task(self._sizes, start, goal, tuple(operations), (0,) * len(scales), self._task.rules)
         is_guided = math.prod(map(float, self._sizes)) > _FEWEST_STATES
         return TaskGraph(task, is_guided=is_guided), task, tuple(scales)
 
@@ -275,12 +270,9 @@ class Grounded:
 
 def _changing(operators: Iterable[Operator]) -> list[int]:
     """Return the variables that an operator changes, or that it looks at to see what to change."""
-    found: set[int] = set()
-    for operator in operators:
-        for conditions, variable, _, _ in operator.effects:
-            found.add(variable)
-            found.update(one for one, _ in conditions)
-    return sorted(found)
+    effects = [effect for operator in operators for effect in operator.effects]
+    looked_at = {variable for conditions, *_ in effects for variable, _ in conditions}
+    return sorted({variable for _, variable, _, _ in effects} | looked_at)
 
 
 def _named_facts(domain: Domain, task: SasTask) -> Iterable[tuple[str, Fact]]:
@@ -291,11 +283,6 @@ def _named_facts(domain: Domain, task: SasTask) -> Iterable[tuple[str, Fact]]:
                 words = [head, *(word.strip() for word in arguments.split(",") if word.strip())]
                 if all(word in domain.outside for word in words):
                     yield f"({' '.join(domain.outside[word] for word in words)})", (number, value)
-
-
-def _none_of(values: Sequence[str]) -> int:
-    """Return the value that says that no other atom of the variable holds; -1 if one always does."""
-    return next((value for value, text in enumerate(values) if not text.startswith("Atom ")), -1)
 
 
 # ---------------------------------------------------------------- translation
@@ -426,16 +413,9 @@ def _alive(problem: Problem, changing: Iterable[str]) -> dict[str, tuple[str, ..
 
 def _directions(domain: Domain) -> tuple[set[str], set[str]]:
     """Return the predicates that actions make true, and those that they make false."""
-    added: set[str] = set()
-    deleted: set[str] = set()
-    for schema in domain.schema_of.values():
-        for effect in schema.start_effects + schema.end_effects:
-            name = effect.fluent.fluent().name
-            if not effect.value.is_false():
-                added.add(name)
-            if not effect.value.is_true():
-                deleted.add(name)
-    return added, deleted
+    effects = [one for schema in domain.schema_of.values() for one in schema.start_effects + schema.end_effects]
+    added = {one.fluent.fluent().name for one in effects if not one.value.is_false()}
+    return added, {one.fluent.fluent().name for one in effects if not one.value.is_true()}
 
 
 def _instances(problem: Problem, fluent: UpThing) -> Iterator[str]:

@@ -29,7 +29,6 @@ from rosa_pddl.grounding import (
     Grounding,
     Groundings,
     NotRepresentableError,
-    SearchTask,
     UnreachableGoalError,
     translated,
     usage_of,
@@ -48,6 +47,7 @@ _EXACT = ("fast-downward-opt", LABEL_SETTING)
 _OVERLAP = "steps may overlap with Planner('aries', overlapping=True), pip install 'rosa-taca[temporal]'"
 # Of several troubles, the first of these that was met is the outcome of all.
 _WORST_FIRST = (
+    Outcome.UNSOLVABLE_AS_FAR_AS_KNOWN,
     Outcome.OUT_OF_TIME,
     Outcome.OUT_OF_MEMORY,
     Outcome.ENGINE_CRASHED,
@@ -332,7 +332,9 @@ class _Portfolio:
             attempts.append(Attempt(way, answer.outcome, message, time.monotonic() - began))
             if answer.outcome.is_solved or answer.outcome is Outcome.UNSOLVABLE_PROVEN:
                 return self._report(answer, way, attempts)
-        return self._report(PlanningResult(_outcome_of(attempts)), self._settings.engine, attempts)
+        outcomes = [attempt.outcome for attempt in attempts]
+        worst = next(outcome for outcome in _WORST_FIRST if outcome in outcomes)
+        return self._report(PlanningResult(worst), self._settings.engine, attempts)
 
     def _budgeted(self) -> Iterator[tuple[str, float]]:
         """Yield each way with the wall-clock time that it may take [s]."""
@@ -408,35 +410,34 @@ class _Portfolio:
         return engine in _EXACT and is_small and self._settings.moves > 0
 
     def _exact(self, grounded: Grounded, cap: int) -> PlanningResult:
-        asked_for = grounded.search_task(self._problem, self._numbers)
-        start, limits = asked_for.task.start, asked_for.task.limits
-        found = asked_for.graph.plan(start, limits, cap)
+        graph, task, scales = grounded.search_task(self._problem, self._numbers)
+        found = graph.plan(task.start, task.limits, cap)
         if found is None:
-            return self._unsolvable(asked_for, asked_for.graph.least_uses(start))
+            return self._unsolvable(graph.least_uses(task.start), scales)
         return PlanningResult(Outcome.SOLVED_OPTIMALLY, tuple([grounded.step(move.what) for move in found.moves]))
 
     def _exact_elsewhere(self, grounded: Grounded, deadline: float) -> PlanningResult:
         """Search in a process of its own, which may be killed."""
-        asked_for, limit_s = grounded.search_task(self._problem, self._numbers), _left_s(deadline)
+        graph, task, scales = grounded.search_task(self._problem, self._numbers)
         command = [sys.executable, "-I", "-S", search.__file__]
-        ended = self._process.ask(command, given=search.written(asked_for.task), limit_s=limit_s)
+        ended = self._process.ask(command, given=search.written(task), limit_s=_left_s(deadline))
         kind, *numbers = ended.output.decode(errors="replace").split() or [""]
         if kind == "plan":
             return PlanningResult(Outcome.SOLVED_OPTIMALLY, tuple([grounded.step(int(number)) for number in numbers]))
-        if kind == "least":
-            return self._unsolvable(asked_for, tuple([float(number) for number in numbers]))
+        if kind == "none":
+            return self._unsolvable(graph.least_uses(task.start), scales)
         if MemoryError.__name__ in ended.last_words:
             raise Trouble(Outcome.OUT_OF_MEMORY, "the search ran out of memory; allow more or ask for less")
         message = f"the search ended with exit code {ended.code} and no answer. It said: {ended.last_words}"
         raise Trouble(Outcome.ENGINE_CRASHED, message)
 
-    def _unsolvable(self, asked_for: SearchTask, least: Sequence[float]) -> PlanningResult:
-        """Say which limits keep from the goal, given what it takes at least of each resource."""
+    def _unsolvable(self, least: Sequence[float], scales: Sequence[int]) -> PlanningResult:
+        """Say which limits keep from the goal, given what it takes at least of each resource, scaled."""
         limited = self._problem.domain.limited
         if not limited or any(isinf(amount) for amount in least):
             return PlanningResult(Outcome.UNSOLVABLE_PROVEN)
         remaining = usage_of(self._problem.domain).remaining(self._numbers)
-        amounts = [Fraction(int(one), scale) for one, scale in zip(least, asked_for.scales, strict=True)]
+        amounts = [Fraction(int(one), scale) for one, scale in zip(least, scales, strict=True)]
         broken = [
             f"{resource.name} takes {float(amount):.12g} at least, {float(left.amount):.12g} are left"
             for resource, amount, left in zip(limited, amounts, remaining, strict=True)
@@ -450,12 +451,10 @@ class _Portfolio:
         if written is None:
             return PlanningResult(Outcome.SOLVED_OPTIMALLY)
         text, estimate = written
-        # each line that is written wakes this process up
-        quiet = "verbosity=silent"
-        optimally = f"astar({estimate}(), {quiet})"
-        some = f"lazy_greedy([ff()], preferred=[ff()], {quiet})"
         is_optimal = engine == "fast-downward-opt"
-        strategy = optimally if is_optimal else some
+        # each line that is written wakes this process up
+        how = f"astar({estimate}()" if is_optimal else "lazy_greedy([ff()], preferred=[ff()]"
+        strategy = f"{how}, verbosity=silent)"
         found = fast_downward.search(text, strategy, self._process, limit_s=_left_s(deadline))
         if isinstance(found, Outcome):
             return PlanningResult(found)
@@ -469,17 +468,17 @@ class _Portfolio:
         """Replay a plan; raise Trouble if it does not work."""
         if not answer.outcome.is_solved:
             return answer
-        problem = self._problem
+        problem, domain = self._problem, self._problem.domain
         if answer.schedule:
-            wrong = schedule_flaw(problem.domain, answer.schedule, problem.state, problem.wanted)
+            wrong = schedule_flaw(domain, answer.schedule, problem.state, problem.wanted)
         else:
-            wrong = flaw(problem.domain, answer.steps, problem.state, problem.wanted)
-        if wrong is None and problem.domain.limited:
-            wrong = usage_of(problem.domain).overspent(problem, answer.steps)
-        if wrong is None:
-            return answer
-        message = f"{self._engine_of(way)} returned a plan that does not work: {wrong}"
-        raise Trouble(Outcome.ENGINE_CRASHED, message)
+            wrong = flaw(domain, answer.steps, problem.state, problem.wanted)
+        if wrong is None and domain.limited:
+            wrong = usage_of(domain).overspent(problem, answer.steps)
+        if wrong is not None:
+            message = f"{self._engine_of(way)} returned a plan that does not work: {wrong}"
+            raise Trouble(Outcome.ENGINE_CRASHED, message)
+        return answer
 
     def _report(self, answer: PlanningResult, way: str, attempts: list[Attempt]) -> PlanningResult:
         engine, domain, outcome = self._engine_of(way), self._problem.domain, answer.outcome
@@ -491,9 +490,7 @@ class _Portfolio:
             outcome = Outcome.UNSOLVABLE_AS_FAR_AS_KNOWN
             message = f"{engine}: {outcome}: there is no plan of one step after the other; {_OVERLAP}"
         if outcome.is_trouble:
-            message = "; ".join(
-                f"{engine}, {attempt}" if engine != attempt.way else str(attempt) for attempt in attempts
-            )
+            message = "; ".join(f"{engine}, {one}" if engine != one.way else str(one) for one in attempts)
         safe = self._safe_step
         if safe is not None and missing_at_start(domain, safe, self._problem.state) is not None:
             safe = None
@@ -530,13 +527,6 @@ def _needed(schema: Schema) -> set[UpThing]:
 
 def _left_s(deadline: float) -> float:
     return max(deadline - time.monotonic(), 0.0)
-
-
-def _outcome_of(attempts: list[Attempt]) -> Outcome:
-    outcomes = [attempt.outcome for attempt in attempts]
-    if Outcome.UNSOLVABLE_AS_FAR_AS_KNOWN in outcomes:
-        return Outcome.UNSOLVABLE_AS_FAR_AS_KNOWN
-    return next(outcome for outcome in _WORST_FIRST if outcome in outcomes)
 
 
 # ---------------------------------------------------------------- settings

@@ -193,23 +193,21 @@ class Task:
             return
         inside = self.building.corridors[place.corridor]
         back_m = min(max(place.driven_m, 0.0), inside.length_m)
-        ahead_m, light = inside.length_m - back_m, self._light(inside)
-        to = inside.other(place.name)
-        demands = {"light": light, "obstacles": inside.obstacles}
-        yield _Way(inside, place.name, to, ahead_m, inside.obstacles * ahead_m, demands)
+        ahead, light = self.way(inside, place.name, inside.length_m - back_m), self._light(inside)
+        yield ahead
         if place.name == self.goal:
-            yield _Way(inside, to, place.name, back_m, 0.0, {"light": light, "obstacles": 0.0})
+            yield _Way(inside, ahead.to, place.name, back_m, 0.0, {"light": light, "obstacles": 0.0})
         for other in self.building.exits[place.name]:
             if other is not inside:  # what was passed on the way here is known, so the way back is free
                 way = self.way(other, place.name)
                 both = {**way.conditions, "light": min(light, way.conditions["light"])}
                 yield _Way(other, way.origin, way.to, way.length_m + back_m, way.passed, both)
 
-    def way(self, corridor: Corridor, origin: str) -> _Way:
-        """Return a whole corridor, from one of its ends."""
+    def way(self, corridor: Corridor, origin: str, length_m: float | None = None) -> _Way:
+        """Return a corridor from one of its ends: all of it, or what is left of it."""
+        left_m = corridor.length_m if length_m is None else length_m
         demands = {"light": self._light(corridor), "obstacles": corridor.obstacles}
-        passed = corridor.obstacles * corridor.length_m
-        return _Way(corridor, origin, corridor.other(origin), corridor.length_m, passed, demands)
+        return _Way(corridor, origin, corridor.other(origin), left_m, corridor.obstacles * left_m, demands)
 
     def _light(self, corridor: Corridor) -> float:
         return self.question.light.get(corridor.name, corridor.light)

@@ -184,7 +184,8 @@ def written_domain(domain: Domain, up_problem: UpThing, alive: Collection[str] |
 
     None writes what is planned once only.
     """
-    parts = [f"(define (domain d) (:types {_types(up_problem)})"]
+    types = [f"{kind.name} - {kind.father.name if kind.father else 'object'}" for kind in up_problem.user_types]
+    parts = [f"(define (domain d) (:types {' '.join(types)})"]
     parts.append(f"(:constants {' '.join(f'{thing.name} - {thing.type.name}' for thing in up_problem.all_objects)})")
     predicates = [fluent for fluent in up_problem.fluents if fluent.type.is_bool_type()]
     signatures = [f"({fluent.name} {_typed(fluent.signature)})" for fluent in predicates]
@@ -211,10 +212,6 @@ def _inside(domain: Domain, atom: str) -> str:
     head, *words = atom[1:-1].lower().split()
     names = [domain.inside["predicate", head], *[domain.inside["object", word] for word in words]]
     return f"({' '.join(names)})"
-
-
-def _types(up_problem: UpThing) -> str:
-    return " ".join(f"{kind.name} - {kind.father.name if kind.father else 'object'}" for kind in up_problem.user_types)
 
 
 def _typed(parameters: Iterable[UpThing]) -> str:

@@ -150,8 +150,7 @@ def _in_memory(content: bytes = b"") -> BinaryIO:
 
 
 def _content(file: BinaryIO) -> bytes:
-    file.seek(0)
-    return file.read(_MOST_OUTPUT)
+    return os.pread(file.fileno(), min(os.fstat(file.fileno()).st_size, _MOST_OUTPUT), 0)
 
 
 def _limit(pid: int, limit_s: float, memory_bytes: int | None) -> None:
