@@ -24,19 +24,19 @@ class EventKind(StrEnum):
     RECORD = "record"
 
 
-_KINDS: Final[Mapping[str, EventKind]] = {
-    "request_action": EventKind.ACTION_UPDATE,
-    "cancel_action": EventKind.ACTION_UPDATE,
-    "component_configured": EventKind.RECORD,
-    "component_started": EventKind.RECORD,
-    "component_ended": EventKind.RECORD,
-    "finish_plan": EventKind.RECORD,
-    "record_attempt": EventKind.RECORD,
-    "finish_attempt": EventKind.RECORD,
-    "record_answer": EventKind.RECORD,
-    "store": EventKind.RECORD,
-}
-"""Any other verb is of monitoring data, but for a selection that makes a plan."""
+RECORDS: Final = frozenset(
+    {
+        "component_configured",
+        "component_started",
+        "component_ended",
+        "finish_plan",
+        "record_attempt",
+        "finish_attempt",
+        "record_answer",
+        "store",
+    }
+)
+"""The verbs of what is only put on record, and changes no fact of the state."""
 
 
 class StatusChange(NamedTuple):
@@ -81,7 +81,9 @@ class Event(NamedTuple):
         """What kind of knowledge it is."""
         if self.plan is not None:
             return EventKind.RECONFIGURATION_PLAN
-        return _KINDS.get(self.verb, EventKind.MONITORING_DATA)
+        if self.verb in ("request_action", "cancel_action"):
+            return EventKind.ACTION_UPDATE
+        return EventKind.RECORD if self.verb in RECORDS else EventKind.MONITORING_DATA
 
     @property
     def subject(self) -> str:

@@ -13,7 +13,7 @@ from typing import Any, Final, NamedTuple
 
 from kb.amendments import amendment
 from kb.elements import Action, Attribute, Changeable, Component, Element, Estimation
-from kb.events import Event, Log, StatusChange
+from kb.events import RECORDS, Event, Log, StatusChange
 from kb.explanation.choice import note_nothing
 from kb.explanation.reasons import shortest, why_selected
 from kb.facts import (
@@ -41,20 +41,6 @@ _ENDED: Final = 4
 """How many requests that have ended a plan names as its reason at most."""
 
 _STATUSES: Final = ("asserted", "verdict")
-
-_RECORDS: Final = frozenset(
-    {
-        "component_configured",
-        "component_ended",
-        "component_started",
-        "finish_attempt",
-        "finish_plan",
-        "record_answer",
-        "record_attempt",
-        "store",
-    }
-)
-"""What changes no fact of the state."""
 
 
 class Outcome(NamedTuple):
@@ -111,14 +97,10 @@ class Knowledge:
         self.feasibility: int | None = None
         self.in_words = False
         self.heard: Callable[[], None] = lambda: None
-        self._clock, self._lock = clock, lock
+        self.clock, self._lock = clock, lock
         self._layer = Overlay(self.state, lasting=True)
         self._is_laid = False
         self.pending: _Pending | None = None
-
-    @property
-    def now(self) -> float:
-        return self._clock()
 
     # ---------------------------------------------------------------- putting in place
 
@@ -126,7 +108,7 @@ class Knowledge:
         """Make an event of what is said, and put it in place; None if it would change nothing."""
         if self.pending is not None:
             self.finish()
-        if verb not in _RECORDS:
+        if verb not in RECORDS:
             self._lay()
         event = Event(self.log.last + 1, time, verb, arguments, (), cause)
         outcome: Outcome | None = getattr(self, f"_{verb}")(event, *arguments)
@@ -204,7 +186,7 @@ class Knowledge:
             changes = [*changes, *propagate(self._layer, touched)]
         if changes or effects or plan is not None or words:
             event = Event(*event[:4], tuple(changes), event.cause, effects, plan, words)
-        is_laid = bool(touched) if event.verb == "measure" else event.verb not in _RECORDS
+        is_laid = bool(touched) if event.verb == "measure" else event.verb not in RECORDS
         matters = bool(changes) if matters is None else matters
         self.pending = event, puts, is_laid, matters
         self.finish()
@@ -342,7 +324,7 @@ class Knowledge:
             node for node in selection.reselected if layer.selected[node.index] != self.state.selected[node.index]
         ]
         effects = tuple((node.kind, node.name, layer.selected[node.index]) for node in dict.fromkeys(changed))
-        if any(selection[:3]):
+        if selection:
             why = why_selected(self.state, [*chosen, *given], event.time, reason, ended)
             plan = planned(self.state, selection, why, event.time, event.cause, len(self.records.plans) + 1)
             put = partial(self.records.plan, plan)
@@ -441,7 +423,7 @@ class Knowledge:
             touched = grow(self.state, [one for one in added if not isinstance(one, Estimation)])
             for node in touched:
                 if node.kind == "constraint" and is_steady(node):
-                    self.measurements.renew(node, self._clock())
+                    self.measurements.renew(node, self.clock())
             self._amended("declared", added, touched)
         self.heard()
 
@@ -453,7 +435,7 @@ class Knowledge:
                 touched = [node]
                 if node.kind in ("constraint", "attribute"):
                     self.network.changed(node)
-                    touched = self.measurements.renew(node, self._clock())
+                    touched = self.measurements.renew(node, self.clock())
                 else:
                     self.state.adaptable.mark(node, is_adaptable(self.state, node))
             self._amended("changed", [element], touched)
@@ -466,7 +448,7 @@ class Knowledge:
             for element in elements:
                 if isinstance(element, Action) and element.name in self.records.required:
                     arguments = (element.name, "abandoned", "it is no longer in the model")
-                    self.apply(self._clock(), "cancel_action", arguments)
+                    self.apply(self.clock(), "cancel_action", arguments)
                 elif isinstance(element, Component):
                     self.state.parameters.pop(element.name, None)
                 self.measurements.forget(self.network.find(element))
@@ -479,7 +461,7 @@ class Knowledge:
         written = amendment(how, changed, self.serials)
         named = [one for one in changed if not isinstance(one, Estimation)] or changed
         names = ", ".join(one.name if isinstance(one, Element) else str(one) for one in named)
-        event = Event(self.log.last + 1, self._clock(), "amend", tuple(written))
+        event = Event(self.log.last + 1, self.clock(), "amend", tuple(written))
         self._put(event, Outcome(changes=propagate(self.state, touched), words=f"{names} {how} in the model"))
 
     # ---------------------------------------------------------------- the fold, and what it is at one moment

@@ -308,15 +308,12 @@ def _suppose_measured(state: State, attribute: Node, value: float | None) -> lis
     before, was_stale = state.value[index], state.stale[index]
     state.value[index], state.time[index], state.stale[index] = value, None, False
     for one in thresholds.steady:
-        state.verdict[one.index] = _debounced(state, one, value)
+        assert isinstance(one.element, Constraint)
+        known = None if value is None else verdict(one.element, [value], 1, state.verdict[one.index])
+        state.verdict[one.index] = known  # as once it has been measured for long enough
     if before is None or value is None or was_stale:
         return attribute.constraints
     return [*thresholds.steady, *thresholds.crossed(before, value)]
-
-
-def _debounced(state: State, node: Node, value: float | None) -> Status | None:
-    assert isinstance(node.element, Constraint)
-    return None if value is None else verdict(node.element, [value], 1, state.verdict[node.index])
 
 
 def _value(name: str, value: object) -> float | None:

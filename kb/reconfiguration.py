@@ -58,7 +58,12 @@ def reselect(state: State, designs: Iterable[Node], configurations: Iterable[Nod
         state.selected[node.index] = False
     if unselected:
         changes += propagate(state, unselected)
-    given_up = [part for design in replaced for part in design.parts if not _is_needed(state, part)]
+    given_up = [
+        part
+        for design in replaced
+        for part in design.parts
+        if not any(state.required[user.wholes[0].index] for user in state.users[part.index])
+    ]
     return Selection(
         activate=_names(_lacking(state)),
         deactivate=_names(node for node in dict.fromkeys([*given_up, *idle]) if state.active[node.index]),
@@ -102,10 +107,6 @@ def _lacking(state: State) -> list[Node]:
     designs = [users[index] for index in sorted(users) if state.required[users[index].wholes[0].index]]
     inactive = (part for design in designs for part in design.parts if not state.active[part.index])
     return list(dict.fromkeys(inactive))
-
-
-def _is_needed(state: State, component: Node) -> bool:
-    return any(state.required[design.wholes[0].index] for design in state.users[component.index])
 
 
 def _names(nodes: Iterable[Node]) -> tuple[str, ...]:

@@ -107,11 +107,6 @@ def _digest(before: bytes, *values: object) -> bytes:
 class Store:
     """The log of a knowledge base on disk.
 
-    Args:
-        path: of the file; made if it is not there.
-        model: of the knowledge base; it is amended as it was before.
-        keep: how many measurements of each attribute are kept; the newest.
-
     Attributes:
         path: of the file.
         is_new: there is nothing in it yet.
@@ -294,7 +289,7 @@ class Store:
             last, waiting = known.log.last, known.log.last - self.saved
             batch = list(known.log.since(self.saved))
             if self._needs_snapshot(batch, last):
-                snapshot = (last, known.now, json.dumps(known.to_json(self.keep), separators=(",", ":")))
+                snapshot = (last, known.clock(), json.dumps(known.to_json(self.keep), separators=(",", ":")))
         if not batch:
             return
         if waiting > _MOST_WAITING or batch[0].number != self.saved + 1:
@@ -356,7 +351,7 @@ class Store:
     def _say(self, words: str, level: int) -> None:
         _log.log(level, words)
         with self._lock:
-            self._knowledge.apply(self._knowledge.now, "store", (words,))
+            self._knowledge.apply(self._knowledge.clock(), "store", (words,))
         self._knowledge.heard()
 
 

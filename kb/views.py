@@ -57,10 +57,6 @@ class ElementView:
         """The element of the model that this is a view of, e.g. to amend it there."""
         return self.node.element
 
-    def reading(self) -> AbstractContextManager[State]:
-        """Give the facts and statuses to answer from."""
-        return self.base.reading()
-
     def __repr__(self) -> str:
         return f"<{self.node.kind} {self.name!r}>"
 
@@ -72,17 +68,13 @@ class ElementView:
 
 
 class Known(Generic[T]):
-    """What is known of an element at this moment.
-
-    Args:
-        column: name of the array of the state that holds it.
-    """
+    """What is known of an element at this moment, by the name of the array of the state that holds it."""
 
     def __init__(self, column: str) -> None:
         self._column = column
 
     def __get__(self, view: ElementView, _: type) -> T:
-        with view.reading() as state:
+        with view.base.reading() as state:
             value: T = getattr(state, self._column)[view.node.index]
             return value
 
@@ -194,13 +186,13 @@ class ComponentView(_ConstrainedView):
     @property
     def selected_configuration(self) -> str | None:
         """Name of the configuration that is selected, if one is."""
-        with self.reading() as state:
+        with self.base.reading() as state:
             return next((part.name for part in self.node.parts if state.selected[part.index]), None)
 
     @property
     def parameters_in_force(self) -> Parameters:
         """The parameters that it was last given; empty before that."""
-        with self.reading() as state:
+        with self.base.reading() as state:
             return MappingProxyType(dict(state.parameters.get(self.name, {})))
 
 
@@ -214,7 +206,7 @@ class _SelectableView(_ConstrainedView):
     @property
     def reason(self) -> str:
         """Why it was selected, in the words of whoever selected it; empty if that was not said, or it is not."""
-        with self.reading() as state:
+        with self.base.reading() as state:
             return state.reason("selected", self.node).text if state.selected[self.node.index] else ""
 
 
@@ -272,14 +264,14 @@ class AttributeView(ElementView):
     @property
     def history(self) -> tuple[tuple[float, float], ...]:
         """Every measurement so far, as (time [s], value), by time."""
-        with self.reading() as state:
+        with self.base.reading() as state:
             history = state.histories.get(self.node.index)
             return () if history is None else history.samples()
 
     def at(self, time: float) -> float | None:
         """Return what the latest measurement was at a time [s]; None before the first."""
         finite_number(time)
-        with self.reading() as state:
+        with self.base.reading() as state:
             history = state.histories.get(self.node.index)
             return None if history is None else history.at(time)
 

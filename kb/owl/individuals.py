@@ -134,11 +134,6 @@ def property_of(cls: type, field: str) -> str:
     return found
 
 
-def kind_of(one: Changeable | Fact) -> str:
-    kind = CLASSES[type(one)]
-    return SPECIAL.get((type(one), str(getattr(one, "kind", ""))), kind)
-
-
 class Serials:
     """Numbers for what has no name; one that was given stays, whatever else is removed from the model."""
 
@@ -194,26 +189,19 @@ def nested(kind: str, owner: str, values: Mapping[str, Any]) -> Iterator[Individ
 
 
 def plain_json(given: Iterable[Individual]) -> list[Any]:
-    return [
-        [one.kind, one.id, {name: [_written(value) for value in values] for name, values in one.values.items()}]
-        for one in given
-    ]
+    def plain(values: Iterable[Value]) -> list[object]:
+        return [{"ref": value.id} if isinstance(value, Ref) else value for value in values]
+
+    return [[one.kind, one.id, {name: plain(values) for name, values in one.values.items()}] for one in given]
 
 
 def from_json(given: Iterable[Any]) -> list[Individual]:
     """Return the individuals that `plain_json` was given."""
-    return [
-        Individual(kind, own, {name: tuple(_read(value) for value in each) for name, each in values.items()})
-        for kind, own, values in given
-    ]
 
+    def read(values: Iterable[Any]) -> tuple[Value, ...]:
+        return tuple(Ref(value["ref"]) if isinstance(value, dict) else value for value in values)
 
-def _written(value: Value) -> object:
-    return {"ref": value.id} if isinstance(value, Ref) else value
-
-
-def _read(value: Any) -> Value:  # noqa: ANN401  # what JSON holds
-    return Ref(value["ref"]) if isinstance(value, dict) else value
+    return [Individual(kind, own, {name: read(each) for name, each in values.items()}) for kind, own, values in given]
 
 
 def parameter_values(parameters: Iterable[Individual]) -> dict[str, Any]:
@@ -237,7 +225,8 @@ def _described(one: Changeable | Fact, own: str, position: int, serials: Serials
             plain = tuple(_plain(type(one), field.name, value, serials))
         if plain:
             values[property_of(type(one), field.name)] = plain
-    yield Individual(kind_of(one), own, values)
+    kind = SPECIAL.get((type(one), str(getattr(one, "kind", ""))), CLASSES[type(one)])
+    yield Individual(kind, own, values)
 
 
 def _plain(cls: type, field: str, value: object, serials: Serials) -> Iterator[Value]:

@@ -43,10 +43,6 @@ def owl_text(model: Contents) -> str:
     return words.replace("</rdf:RDF>", "\n".join(["  <!-- the model -->", "", *told, "", "</rdf:RDF>"]))
 
 
-def iri_of(base: str, individual: str) -> str:
-    return f"{base}#{individual}"
-
-
 def order(one: Individual) -> str:
     """Return the players of each property that has several, in order; nothing if none has."""
     several = {name: values for name, values in one.values.items() if len(values) > 1}
@@ -64,7 +60,7 @@ def plain_text(text: str) -> str:
 
 
 def _lines(one: Individual, base: str) -> Iterator[str]:
-    yield f'  <owl:NamedIndividual rdf:about="{iri_of(base, one.id)}">'
+    yield f'  <owl:NamedIndividual rdf:about="{base}#{one.id}">'
     for kind in dict.fromkeys((GENERAL.get(one.kind, one.kind), one.kind)):
         yield f'    <rdf:type rdf:resource="{ROSA}{kind}"/>'
     for label in one.values.get("name", ()):
@@ -79,7 +75,7 @@ def _lines(one: Individual, base: str) -> Iterator[str]:
 
 def _property(name: str, value: Value, base: str) -> str:
     if isinstance(value, Ref):
-        return f'<{name} rdf:resource="{iri_of(base, value.id)}"/>'
+        return f'<{name} rdf:resource="{base}#{value.id}"/>'
     text = value if isinstance(value, str) else json.dumps(value)
     datatype = f"http://www.w3.org/2001/XMLSchema#{_TYPES[type(value)]}"
     return f'<{name} rdf:datatype="{datatype}">{xml_text(text)}</{name}>'

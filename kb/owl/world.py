@@ -279,7 +279,7 @@ class _Chronicle:
         for key, record in list(self._unended.items()):
             if not isinstance(record, VetoAnswer) and record.end is not None:
                 del self._unended[key]
-                found.append(Individual("", self._id_of(record), _end(record)))
+                found.append(Individual("", self._ids[id(record)], _end(record)))
         return found
 
     def _recorded(self, word: str, number: int, record: Record) -> Iterator[Individual]:
@@ -304,7 +304,7 @@ class _Chronicle:
             values.update(about=(Ref(named_id(Component, record.component)),), pid=(record.pid,))
         else:
             if id(record.plan) in self._ids:
-                values["ofPlan"] = (Ref(self._id_of(record.plan)),)
+                values["ofPlan"] = (Ref(self._ids[id(record.plan)]),)
             if isinstance(record, VetoAnswer):
                 values.update(isVetoed=(record.is_vetoed,), time=(float(record.time),), **_said(record.reason))
             else:
@@ -316,9 +316,6 @@ class _Chronicle:
                 values["hasParameter"] = tuple(Ref(one.id) for one in within)
         yield from within
         yield Individual(word, own, {name: value for name, value in values.items() if value})
-
-    def _id_of(self, record: Record) -> str:
-        return self._ids[id(record)]
 
     def _next(self) -> str:
         self._count += 1
