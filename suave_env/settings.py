@@ -276,6 +276,7 @@ def _thruster_event(words: list[str], text: str) -> ThrusterEvent:
 
 
 def _allowed(info: "dataclasses.Field[float]") -> str:
+    """Say what a setting may be."""
     if isinstance(info.default, bool):
         return "true or false"
     if isinstance(info.default, str):
@@ -286,21 +287,15 @@ def _allowed(info: "dataclasses.Field[float]") -> str:
     return " ".join([kind, *bounds])
 
 
-def _refusal(info: "dataclasses.Field[float]", value: object) -> SuaveEnvError:
-    return SuaveEnvError(
-        f"setting {info.name} cannot be {value!r}; allowed is {_allowed(info)} [{info.metadata['unit']}]"
-    )
-
-
 def _checked(info: "dataclasses.Field[float]", value: float | int | bool | str) -> float | int | bool | str:
     """Return the value in the type of the setting, or refuse it."""
     kind = type(info.default)
-    if kind is float and isinstance(value, int) and not isinstance(value, bool):
+    if kind is float and type(value) is int:
         value = float(value)
-    if type(value) is not kind:
-        raise _refusal(info, value)
-    if isinstance(value, (str, bool)):
-        return value
-    if not (math.isfinite(value) and info.metadata["low"] <= value <= info.metadata["high"]):
-        raise _refusal(info, value)
+    low, high = info.metadata["low"], info.metadata["high"]
+    if type(value) is not kind or not (
+        isinstance(value, str | bool) or (math.isfinite(value) and low <= value <= high)
+    ):
+        allowed = f"{_allowed(info)} [{info.metadata['unit']}]"
+        raise SuaveEnvError(f"setting {info.name} cannot be {value!r}; allowed is {allowed}")
     return value

@@ -11,12 +11,11 @@ from kb import ComponentKind, Event, EventKind, KnowledgeBase, ReconfigurationPl
 if TYPE_CHECKING:
     from rosa_pddl import PlanRecord, Step
 
-_REMEMBERED: Final = 256
-"""How much news is remembered until the plan that it led to is there."""
+_REMEMBERED: Final = 256  # news, until the plan that it led to is there
 
 
 class _News(NamedTuple):
-    """What became known, when it was so [s], and why it calls for another action; empty if it does not by itself."""
+    """What became known, when it was so [s], and why it calls for another action, if it does by itself."""
 
     time: float
     text: str
@@ -85,15 +84,14 @@ class Adaptation:
 
     def close(self) -> Self:
         """Say how the plans have ended up to now, and when the last was in force, if it was."""
-        last = self._plans[-1][1] if self._plans else None
-        if last is None:
+        if not self._plans:
             self.reaction_s = self.at_s - self.news_s
-        elif last.result == "completed" and last.end is not None:
+        elif (last := self._plans[-1][1]).result == "completed" and last.end is not None:
             self.reaction_s = max(self.at_s, last.end) - self.news_s
-        head = [f"{self.before} -> {self.action}"] if self.action else []
-        ends = [(words, plan.result or "completed") for words, plan in self._plans]
-        parts = [words if result == "completed" else f"{words} ({result})" for words, result in ends]
-        self.change = "; ".join([*head, *parts]) or self.change
+        parts = [f"{self.before} -> {self.action}"] if self.action else []
+        for words, plan in self._plans:
+            parts.append(words if plan.result in (None, "completed") else f"{words} ({plan.result})")
+        self.change = "; ".join(parts) or self.change
         return self
 
 
@@ -117,9 +115,6 @@ class AdaptationLog:
         kb: the knowledge base to listen to.
         report: called with each adaptation once it is in force or has failed.
         plans: returns the task plans made so far.
-
-    Attributes:
-        adaptations: all so far, in the order in which they were decided.
     """
 
     def __init__(
@@ -176,9 +171,8 @@ class AdaptationLog:
     def settle(self) -> None:
         """Put together what was decided, and complete what has ended; called after each turn of the manager."""
         self._settle_task_plans(is_told=self._settle_actions())
-        made, self._made = self._made, []
-        for plan in made:
-            self._put_down(plan)
+        while self._made:
+            self._put_down(self._made.pop(0))
         if self._kb.pending_plan is None:  # the manager has answered all news, with a plan or without
             self._to_answer.clear()
             if self._task is not None and self._task.is_over(self._kb, self._last_tick):
@@ -194,7 +188,7 @@ class AdaptationLog:
         last, self._before = self._before, None
         if last is None or last.cause is None or self._kb.required_actions:
             return
-        given_up = self._change(last, "nothing", last.at_s, last.cause, self._prelude)
+        given_up = self._change(last, "nothing", last.at_s, last.cause)
         self.adaptations.sort(key=lambda one: one.at_s)
         self._report(given_up.close())
 
@@ -271,15 +265,14 @@ class AdaptationLog:
         action, time = list(began.items())[-1]
         cause = None if before is None else self._why_begun(before, action, time)
         self._given_up.difference_update(began)
-        prelude, self._prelude = self._prelude, []
-        if cause is None or before is None:
-            return False
-        self._end_task()
-        plan = self._new_plan()
-        if plan is not None and not cause.reason:
-            cause = _News(cause.time, cause.text, plan.reason)
-        self._task = self._change(before, action, time, cause, prelude)
-        return True
+        if before is not None and cause is not None:
+            self._end_task()
+            plan = self._new_plan()
+            if plan is not None and not cause.reason:
+                cause = _News(cause.time, cause.text, plan.reason)
+            self._task = self._change(before, action, time, cause)
+        self._prelude.clear()
+        return cause is not None
 
     def _why_begun(self, before: _Ended, action: str, time: float) -> _News | None:
         """Return what made an action take the place of another; None for the ordinary course."""
@@ -297,14 +290,12 @@ class AdaptationLog:
         since = f"{regained.reason} (since {regained.time:.1f} s: {regained.text})"
         return _News(time, f"{before.action} is over", since)
 
-    def _change(
-        self, before: _Ended, action: str, time: float, cause: _News, prelude: Sequence[ReconfigurationPlan]
-    ) -> Adaptation:
+    def _change(self, before: _Ended, action: str, time: float, cause: _News) -> Adaptation:
         """Enter a change of action, with the plans that were made for it already."""
         reason = cause.reason or f"{action} is chosen, though {before.action} is still feasible"
-        change = Adaptation(time, "task", cause.text, reason, f"{before.action} -> {action}", None, cause.time)
-        change.before, change.action = before.action, action
-        for made in prelude:
+        words = f"{before.action} -> {action}"
+        change = Adaptation(time, "task", cause.text, reason, words, None, cause.time, before.action, action)
+        for made in self._prelude:
             change.add(self._in_words(made), made)
         self.adaptations.append(change)
         return change

@@ -181,27 +181,32 @@ class RosaController(Controller):
 
 @runtime_checkable
 class Planning(Protocol):
-    """A behaviour that plans, such as `rosa_pddl.PlanExecutor`: the plans of one in a tree are those of the run."""
+    """A behaviour that plans: the plans of one in a tree are those of the run."""
 
     @property
     def plans(self) -> tuple["PlanRecord", ...]: ...
 
 
+@runtime_checkable
+class Waiting(Planning, Protocol):
+    """One that waits for an answer that is due between ticks, as a tick never waits: `rosa_pddl.PlanExecutor`."""
+
+    def catch_up(self) -> None: ...
+
+
 @dataclass(frozen=True, slots=True)
 class TaskLayer:
-    """What decides about actions.
+    """What decides about actions: the behaviour to tick, and the task plans made so far, by it or in it.
 
     Attributes:
-        root: the behaviour to tick.
         catch_up: to be called between ticks: waits for an answer that is due.
-        plans: the task plans made so far, by a planner or by behaviours in a tree.
-        is_planned: whether the actions are those of the plans, none of a tree's own.
         close: to be called at the end: lets go of what was used for planning.
+        is_planned: whether the actions are those of the plans, none of a tree's own.
     """
 
     root: Behaviour
-    catch_up: Callable[[], None] = lambda: None
-    plans: Callable[[], tuple["PlanRecord", ...]] = tuple
+    catch_up: Callable[[], None]
+    plans: Callable[[], tuple["PlanRecord", ...]]
     close: Callable[[], None] = lambda: None
     is_planned: bool = False
 
@@ -242,7 +247,8 @@ def build_task(
         root = mission.tree(kb, percepts)
         if not isinstance(root, Behaviour):
             raise MissionError(f"the tree of mission {mission.name} is {root!r}, not a py_trees behaviour")
-        return TaskLayer(root, plans=_Plans(root))
+        plans = _Plans(root)
+        return TaskLayer(root, plans.catch_up, plans)
     return _planning(mission, kb, percepts, clock, planning_delay_s)
 
 
@@ -284,15 +290,19 @@ class _Plans:
 
     def __init__(self, root: Behaviour) -> None:
         self._planning = [one for one in root.iterate() if isinstance(one, Planning)]
+        self._waiting = [one for one in self._planning if isinstance(one, Waiting)]
         self._heard = [0] * len(self._planning)
         self._plans: tuple[PlanRecord, ...] = ()
 
+    def catch_up(self) -> None:
+        for one in self._waiting:
+            one.catch_up()
+
     def __call__(self) -> tuple["PlanRecord", ...]:
         for number, one in enumerate(self._planning):
-            plans = one.plans
-            if len(plans) > self._heard[number]:
-                self._plans += plans[self._heard[number] :]
-                self._heard[number] = len(plans)
+            if len(one.plans) > self._heard[number]:
+                self._plans += one.plans[self._heard[number] :]
+                self._heard[number] = len(one.plans)
         return self._plans
 
 

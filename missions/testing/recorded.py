@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Final
 
 from py_trees.behaviour import Behaviour
 
@@ -29,7 +29,6 @@ from rosa_bt import TraceVisitor
 if TYPE_CHECKING:
     from numpy.random import Generator
 
-    from rosa_pddl import PlanRecord
 
 TaskFactory = Callable[[KnowledgeBase, Percepts], Behaviour]
 """Makes what decides about actions: a tree, or a plan executor (whose clock is then `lambda: kb.now`)."""
@@ -38,16 +37,6 @@ SWITCHING_S: Final = 0.05
 """How long a command takes where a recording does not say [s]."""
 AFTERMATH_S: Final = 1.0
 """How long a replay goes on after the last message, for what that set off [s]."""
-
-
-@runtime_checkable
-class _Plans(Protocol):
-    """A behaviour that plans: `rosa_pddl.PlanExecutor`."""
-
-    def catch_up(self) -> None: ...
-
-    @property
-    def plans(self) -> tuple["PlanRecord", ...]: ...
 
 
 def replay(
@@ -86,7 +75,7 @@ def replay(
     end_s = max((message["time"] for message in messages), default=0.0) + AFTERMATH_S
     limits = settings or RunSettings(**{"duration_s": end_s, **recorded.get("settings", {})})
     limits = replace(limits, duration_s=min(limits.duration_s, end_s))
-    decisions = _decide(_asked(mission, behaviour, world), "bt" if behaviour else task, world, limits)
+    decisions = _decide(_asked(mission, behaviour), "bt" if behaviour else task, world, limits)
     if not isinstance(source, str | Path):
         _refuse_slips(messages, decisions)
     return decisions
@@ -95,20 +84,13 @@ def replay(
 class Recording(World):
     """A world in which what was recorded happens, and nothing else.
 
-    Args:
-        messages: in order of time.
-        managed: what takes the commands; its clock, which has to show 0, is that of the world.
-
-    Raises:
-        MissionError: the clock does not show 0.
+    The clock of what takes the commands is that of the world; it has to show 0.
     """
 
     def __init__(self, messages: Iterable[Message], managed: ScriptedManaged) -> None:
         if managed.clock.now != 0.0:
             raise MissionError(f"a replay begins at 0 s, not at {managed.clock.now:g} s; hand in a new managed system")
-        self.unheard = deque(messages)
-        self.planners: tuple[_Plans, ...] = ()
-        self._managed = managed
+        self.unheard, self._managed = deque(messages), managed
 
     @property
     def now(self) -> float:
@@ -122,8 +104,6 @@ class Recording(World):
         """Go on to the next message or end of a command, at most to the time `until` [s]."""
         following = self.unheard[0]["time"] if self.unheard else math.inf
         self._managed.clock.advance_to(max(self.now, min(until, following, self._managed.next_event())))
-        for planner in self.planners:  # a tick never waits, so what is due by now is waited for here
-            planner.catch_up()
         heard = []
         while self.unheard and self.unheard[0]["time"] <= self.now:
             heard.append(self.unheard.popleft())
@@ -140,10 +120,7 @@ class _Nowhere(WorldKind):
         return Verdict("replayed", "")
 
 
-def _asked(
-    mission: Mission | Model | Callable[[], Model] | str, behaviour: TaskFactory | None, world: Recording
-) -> Mission:
-    """Return the mission to run; the planners in its tree are made known to the world."""
+def _asked(mission: Mission | Model | Callable[[], Model] | str, behaviour: TaskFactory | None) -> Mission:
     if behaviour is not None and (isinstance(behaviour, Behaviour) or not callable(behaviour)):
         raise MissionError(f"what decides is made for each replay: lambda kb, percepts: ..., not {behaviour!r}")
     wanted = find_mission(mission) if isinstance(mission, str) else mission
@@ -151,20 +128,11 @@ def _asked(
         model = wanted if isinstance(wanted, Model) else _made(wanted)
         if behaviour is None:
             raise MissionError(f"the model {model.name} decides nothing by itself; replay(source, model, behaviour)")
-        wanted = Mission(model.name, "", lambda: model, behaviour, _Nowhere())
-    build = behaviour or wanted.tree
-
-    def tree(kb: KnowledgeBase, percepts: Percepts) -> Behaviour:
-        root = build(kb, percepts)
-        if isinstance(root, Behaviour):
-            world.planners = tuple(one for one in root.iterate() if isinstance(one, _Plans))
-        return root
-
-    return replace(wanted, tree=tree)
+        return Mission(model.name, "", lambda: model, behaviour, _Nowhere())
+    return replace(wanted, tree=behaviour or wanted.tree)
 
 
 def _made(make: Callable[[], object]) -> Model:
-    """Return the model that a function makes; anything that is none is refused."""
     try:
         model = make()
     except TypeError:
@@ -195,7 +163,7 @@ def _decide(mission: Mission, task: str, world: Recording, limits: RunSettings) 
         actions=tuple((one.action, one.start, one.end, one.result) for one in run.kb.history.actions),
         plans=run.kb.plans,
         adaptations=tuple(run.adaptations),
-        task_plans=run.plans or tuple(plan for planner in world.planners for plan in planner.plans),
+        task_plans=run.plans,
         problems=tuple(run.problems),
         timeline=tuple(moments),
         trace=trace,
