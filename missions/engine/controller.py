@@ -290,7 +290,7 @@ class _Plans:
 
     def __init__(self, root: Behaviour) -> None:
         self._planning = [one for one in root.iterate() if isinstance(one, Planning)]
-        self._waiting = [one for one in self._planning if isinstance(one, Waiting)]
+        self._waiting = [one for one in root.iterate() if isinstance(one, Waiting)]
         self._heard = [0] * len(self._planning)
         self._plans: tuple[PlanRecord, ...] = ()
 
