@@ -1,4 +1,4 @@
-"""A domain translated once, beside everything else, such that any state, goal and numbers can be put in."""
+"""A domain translated once, in the background, such that any state, goal and numbers can be put in."""
 
 import math
 import threading

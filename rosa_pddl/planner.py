@@ -83,8 +83,8 @@ class Planner:
         warm: whether a task is tried that was translated before.
         moves: how many moves the search in this process may look at; 0 to leave it to other programs.
         memory_mb: how much data each program may hold [MB].
-        translate_s: wall-clock time for the translation that the warm way needs once [s]. It goes on beside everything
-            else when a planning that waited for it is out of time.
+        translate_s: wall-clock time for the translation that the warm way needs once [s]. It goes on in the
+            background when a planning that waited for it is out of time.
         cached: how many answers are remembered; 0 for none.
 
     Raises:
@@ -123,7 +123,7 @@ class Planner:
         return missing(self.engine, domain)
 
     def prepare(self, problem: Problem, changing: Iterable[str] = ()) -> None:
-        """Begin to translate, beside everything else; without this it begins with the first planning.
+        """Begin to translate in the background; without this it begins with the first planning.
 
         Args:
             problem: the state that the mission begins with.

@@ -59,7 +59,9 @@ class ResourceUsage:
 
     def __init__(self, domain: Domain) -> None:
         self._domain = domain
-        self._in_file = dict(_numbers_of_the_file(domain))
+        values = domain.up_problem.explicit_initial_values.items()
+        numeric = [(one, value.constant_value()) for one, value in values if not value.is_bool_constant()]
+        self._in_file = {text_of(domain, one, {}): exact(value) for one, value in numeric}
         metric = action_costs(domain)
         self._costs: dict[str, Sum] = {}
         for action in domain.up_problem.actions:
@@ -153,9 +155,3 @@ def whole(amounts: Iterable[Exact]) -> tuple[list[int], int]:
     listed = list(amounts)
     scale = lcm(*{amount.denominator for amount in listed})
     return [int(amount * scale) for amount in listed], scale
-
-
-def _numbers_of_the_file(domain: Domain) -> Iterable[tuple[str, Exact]]:
-    for expression, value in domain.up_problem.explicit_initial_values.items():
-        if not value.is_bool_constant():
-            yield text_of(domain, expression, {}), exact(value.constant_value())
