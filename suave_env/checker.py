@@ -142,7 +142,7 @@ def _check_components(env: SuaveEnv, component: str) -> None:
     for wanted, change in ((True, components.activate), (False, components.deactivate)):
         change(component)
         word = "active" if wanted else "inactive"
-        _require(components.is_active(component) is wanted, f"{component} is {word} when it was told so")
+        _require(components.is_active(component) is wanted, f"{component} is {word} when it was asked to be")
         _require((component in env.observe().active) is wanted, f"{component} is observed to be {word}")
         env.advance(env.now + 5)
 

@@ -160,16 +160,18 @@ class FollowPipeline(Component):
         before = self._last
         while self._target is not None or self._path:
             if self._target is None:
-                self._target = self._path.popleft()
-                self._waits = 0
+                self._target, self._waits = self._path.popleft(), 0
                 self._send(self._target, time)
             if not self._is_reached(self._target):
-                self._wait(self._target, time)
+                self._waits += 1
+                if self._waits > self._settings.follow_patience:
+                    self._send(self._target, time)
                 break
             self._count(self._target)
             self._target = None
         else:
-            self._finish(time)
+            self._path = None
+            self._outbox.publish(time, self.name, MISSION_STATUS, "pipeline_inspected", "true")
         if self._last != before:
             self._publish_distance(time)
 
@@ -180,11 +182,6 @@ class FollowPipeline(Component):
         x, y, _ = self._autopilot.position
         tolerance = self._settings.follow_tolerance_m
         return abs(x - point[0]) <= tolerance and abs(y - point[1]) <= tolerance
-
-    def _wait(self, point: tuple[float, float], time: float) -> None:
-        self._waits += 1
-        if self._waits > self._settings.follow_patience:
-            self._send(point, time)
 
     def _count(self, point: tuple[float, float]) -> None:
         if self._last is not None:
@@ -200,10 +197,6 @@ class FollowPipeline(Component):
                 return
         self._published = (time, self.distance_m)
         self._outbox.publish(time, self.name, MISSION_STATUS, "distance_inspected", self.distance_m)
-
-    def _finish(self, time: float) -> None:
-        self._path = None
-        self._outbox.publish(time, self.name, MISSION_STATUS, "pipeline_inspected", "true")
 
 
 class RecoverThrusters(Component):

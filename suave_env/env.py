@@ -117,7 +117,7 @@ class SuaveEnv:
         agenda.at(phases[2] * settings.pose_period_s, self._look)
         if settings.battery:
             phase = phases[3] * settings.battery_period_s
-            agenda.at(phase, self._tell_battery)
+            agenda.at(phase, self._publish_battery)
             agenda.every(settings.battery_period_s, phase + settings.battery_period_s, self._drain)
 
     def _enter_disturbances(self) -> None:
@@ -229,15 +229,15 @@ class SuaveEnv:
         if before >= LOW_LEVEL > self._battery.level:
             self._disturb(time, "battery", f"battery level fell below {LOW_LEVEL}")
             self._judge(time, corrected=False)
-        self._tell_battery(time)
+        self._publish_battery(time)
 
-    def _tell_battery(self, time: float) -> None:
+    def _publish_battery(self, time: float) -> None:
         self._outbox.publish(time, "battery_monitor", QA_STATUS, "battery_level", self._battery.level)
 
     def _recharge(self, time: float) -> None:
         self._battery.recharge()
         if self.settings.battery:
-            self._tell_battery(time)
+            self._publish_battery(time)
         self._outbox.publish(time, "recharge", MISSION_STATUS, "battery_recharged", "true")
 
     def _thruster_event(self, event: ThrusterEvent, time: float) -> None:

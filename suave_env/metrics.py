@@ -14,7 +14,7 @@ class Metrics:
     """Figures of a run up to now: the first two are those of SUAVE (kas-lab/suave v1.3.0), the others say more.
 
     Attributes:
-        search_time_s: Whole seconds [s] from the moment at which the node that measures was told of GUIDED until the
+        search_time_s: Whole seconds [s] from the moment at which the node that measures heard of GUIDED until the
             pipeline was found; None before. Of a run that never finds it SUAVE reports the duration of the mission.
         distance_inspected_m: The xy distance between consecutive points of the path that were reached [m], back to 0
             whenever the follower is activated.
@@ -40,7 +40,7 @@ class Metrics:
 
 @dataclass(frozen=True)
 class Disturbance:
-    """What happened to the vehicle or the sea, and when [s]: the truth, which no monitor tells.
+    """What happened to the vehicle or the sea, and when [s]: the truth, which no monitor reports.
 
     Its kind is "thruster", "visibility" or "battery".
     """
@@ -95,7 +95,7 @@ class Reaction:
         uncertainty: "U1", a thruster has failed: until the recovery is active; "U2", the search is set to another
             altitude than the visibility calls for: until it is set to that; "U3", the battery is below a quarter: until
             the recharge is active. The names are those of the ROSA paper.
-        start_s: Stamp of the first message that tells it [s].
+        start_s: Stamp of the first message that reports it [s].
         end_s: When the answer was in force [s].
     """
 

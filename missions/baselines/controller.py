@@ -104,7 +104,7 @@ class BaselineController(Controller):
         if is_ticked:
             self._ask(self._manager.update)
         self.compute_s["manager"] += perf_counter() - started
-        self._tell()
+        self._report()
         return is_ticked
 
     def look(self) -> Seen:
@@ -153,7 +153,7 @@ class BaselineController(Controller):
         self.robot.end("completed")
         self._ask(self._manager.end, task)
 
-    def _tell(self) -> None:
+    def _report(self) -> None:
         """Tell the listeners what has been done since the last time."""
         if not self.listeners:
             return

@@ -96,7 +96,7 @@ class Adaptation:
 
 
 class AdaptationLog:
-    """Listens to a knowledge base and tells adaptations from the ordinary course of a mission.
+    """Listens to a knowledge base and separates adaptations from the ordinary course of a mission.
 
     A new plan of reconfiguration is an adaptation if news from the robot led to it. A new action is one if the action
     before it
@@ -106,7 +106,7 @@ class AdaptationLog:
 
     The plans that configure the robot for it belong to it. If none follows by the end of the run, that is one, too. A
     task plan that was made anew, and has steps that the one before had not, is one too, unless the action that is begun
-    for it tells as much.
+    for it says as much.
 
     Not an adaptation: the first action, the next one after one that is completed, the same one again, and whatever no
     news has led to.
@@ -170,7 +170,7 @@ class AdaptationLog:
 
     def settle(self) -> None:
         """Put together what was decided, and complete what has ended; called after each turn of the manager."""
-        self._settle_task_plans(is_told=self._settle_actions())
+        self._settle_task_plans(is_reported=self._settle_actions())
         while self._made:
             self._put_down(self._made.pop(0))
         if self._kb.pending_plan is None:  # the manager has answered all news, with a plan or without
@@ -305,14 +305,14 @@ class AdaptationLog:
             self._report(self._task.close())
             self._task = None
 
-    def _settle_task_plans(self, *, is_told: bool) -> None:
-        """Tell of a task plan with steps that are new, unless the action that it begins with tells of it."""
+    def _settle_task_plans(self, *, is_reported: bool) -> None:
+        """Report a task plan with steps that are new, unless the action that it begins with was reported."""
         for plan in self._plans()[self._plans_seen :]:
             self._plans_seen += 1
             if not plan.outcome.is_solved:
                 continue
             added = [self._step_in_words(step) for step in plan.steps if step not in self._steps]
-            if added and self._steps and not is_told:
+            if added and self._steps and not is_reported:
                 change = f"plan anew, with {', '.join(dict.fromkeys(added))}"
                 cause = self._cause_of_plan(plan)
                 made = Adaptation(self._this_tick, "task", cause.text, cause.reason, change, None, cause.time).close()

@@ -54,7 +54,7 @@ class _Script:
     crash_after: float = math.inf
 
 
-_AS_TOLD: Final = _Script()
+_OBEDIENT: Final = _Script()
 
 
 class Operation:
@@ -228,7 +228,7 @@ class SimulatedComponents:
         return operation
 
     def _script(self, verb: str, component: str) -> _Script:
-        return self._scripts.get((verb, component), _AS_TOLD)
+        return self._scripts.get((verb, component), _OBEDIENT)
 
 
 def checked_times(takes: Mapping[str, float]) -> Mapping[str, float]:

@@ -31,23 +31,21 @@ class Percepts:
     """Takes in the same messages as the knowledge base and keeps those with the text "mission status".
 
     The knowledge base passes these over; they say what a mission's conditions look at, e.g. that something is found.
+
+    Attributes:
+        revision: how often something was received; while it is the same, so is all that was sensed.
     """
 
     def __init__(self) -> None:
         self._said: dict[str, str] = {}
         self._times: Counter[str] = Counter()
-        self._revision = 0
-
-    @property
-    def revision(self) -> int:
-        """How often something was received; while it is the same, so is all that was sensed."""
-        return self._revision
+        self.revision = 0
 
     def receive(self, message: Mapping[str, Any]) -> None:
         """Take in one message: `{"time": ..., "status": [{"message": ..., "values": {...}}, ...]}`."""
         for status in message["status"]:
             if str(status["message"]).casefold() == MISSION_STATUS:
-                self._revision += 1
+                self.revision += 1
                 for key, value in status["values"].items():
                     self._said[key] = str(value)
                     self._times[key] += 1
@@ -228,9 +226,7 @@ def settings_of(mission: Mission) -> tuple[Setting, ...]:
 def split_settings(mission: Mission, values: Mapping[str, str]) -> tuple[RunSettings, dict[str, str]]:
     """Return how to run, and what remains for the world, whose values the world checks.
 
-    Args:
-        mission: whose settings.
-        values: by name; a unit at the end of a name may be left out, as in start_y for start_y_m.
+    Values are by name; a unit at the end of a name may be left out, as in start_y for start_y_m.
 
     Raises:
         MissionError: an unknown name or a value that is not allowed.

@@ -99,17 +99,17 @@ class InspectPipeline(RosaAction):
     def __init__(self, kb: KnowledgeBase, percepts: Percepts) -> None:
         super().__init__("inspect", kb, self.schema.rosa_action)
         self._percepts = percepts
-        self.inspected_m, self._told_m, self._heard = 0.0, 0.0, 0
+        self.inspected_m, self._reported_m, self._heard = 0.0, 0.0, 0
 
     def initialise(self) -> None:
-        self.inspected_m, self._told_m, self._heard = 0.0, 0.0, 0
+        self.inspected_m, self._reported_m, self._heard = 0.0, 0.0, 0
 
     def save_progress(self) -> tuple[float, float]:
-        return self.inspected_m, self._told_m
+        return self.inspected_m, self._reported_m
 
     def restore_progress(self, progress: object) -> None:
         if isinstance(progress, tuple):
-            self.inspected_m, self._told_m = progress
+            self.inspected_m, self._reported_m = progress
 
     def update(self) -> Status:
         heard = self._percepts.count("distance_inspected")
@@ -118,9 +118,9 @@ class InspectPipeline(RosaAction):
             self._count(self._percepts.value("distance_inspected") or 0.0)
         return Status.SUCCESS if self._percepts.holds("pipeline_inspected") else Status.RUNNING
 
-    def _count(self, told_m: float) -> None:
-        self.inspected_m += told_m - self._told_m if told_m >= self._told_m else told_m
-        self._told_m = told_m
+    def _count(self, reported_m: float) -> None:
+        self.inspected_m += reported_m - self._reported_m if reported_m >= self._reported_m else reported_m
+        self._reported_m = reported_m
         self.feedback_message = f"{self.inspected_m:.1f} m inspected"
 
 

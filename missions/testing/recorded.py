@@ -178,8 +178,8 @@ def _refuse_slips(messages: Iterable[Message], decisions: Decisions) -> None:
         if message["time"] > decisions.kb.now:
             slips += [(message["time"], problem) for problem in _unknown(decisions.kb, message)]
     if slips:
-        told = "".join(f"\n  at {seconds(time)}: {problem}" for time, problem in slips)
-        raise MissionError(f"the messages cannot be used as they are:{told}")
+        found = "".join(f"\n  at {seconds(time)}: {problem}" for time, problem in slips)
+        raise MissionError(f"the messages cannot be used as they are:{found}")
 
 
 def _unknown(kb: KnowledgeBase, message: Message) -> Iterator[DiagnosticProblem]:
