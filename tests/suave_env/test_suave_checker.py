@@ -139,7 +139,7 @@ BROKEN = {
     RollsItsOwnDice: "the same seed gives the same run",
     KnowsNoChance: "another seed gives another run",
     CountsItsCalls: "how time is sliced",
-    Disobeys: "spiral_search is active when it was told so",
+    Disobeys: "spiral_search is active when it was asked to be",
     KnowsEveryComponent: "an unknown component is refused",
     NeverEnds: "a closed environment refuses to advance",
 }
