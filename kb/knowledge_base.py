@@ -28,6 +28,7 @@ from kb.owl.world import World
 from kb.questions import ELEMENTS, Meant, meant, outline
 from kb.reconfiguration import by_whole, planned, reselect
 from kb.records import (
+    RESULTS,
     Attempt,
     HistoryView,
     Process,
@@ -398,7 +399,8 @@ class KnowledgeBase:
         Returns:
             The plan that leads there from the present state; None if there is nothing to do.
         """
-        text("the reason of a choice", reason)
+        if reason != "":
+            text("the reason of a choice", reason)
         known = self._knowledge
         network = known.network
         chosen = [
@@ -425,7 +427,8 @@ class KnowledgeBase:
 
         One that completes abandons every other plan that is open.
         """
-        check_result(result)
+        if result not in RESULTS:
+            check_result(result)
         records = self._knowledge.records
         if isinstance(plan, int):
             plan = records.plan_of(plan)
@@ -505,8 +508,10 @@ class KnowledgeBase:
         The attempt may be given by its serial number; a result is "completed", "failed" or "abandoned". The parameters
         of a command that has configured a component are in force then.
         """
-        check_result(result)
-        text("the reason why an attempt ends", reason)
+        if result not in RESULTS:
+            check_result(result)
+        if reason != "":
+            text("the reason why an attempt ends", reason)
         serial = attempt if isinstance(attempt, int) else attempt.serial
         record = self._knowledge.records.attempts.get(serial)
         if record is None or record.end is not None:
