@@ -223,7 +223,8 @@ class KnowledgeBase:
             InvalidValue: not a finite number; the facts are as they were.
         """
         node = _found(self._knowledge.network.attributes, "attribute", attribute)
-        number = value if type(value) is float and math.isfinite(value) else _measured(attribute, value)
+        is_plain = type(value) is float and math.isfinite(value)
+        number = value if is_plain else questions.number(f"{attribute} cannot be measured as", value)
         with self._lock:
             self._check_open()
             known, now = self._knowledge, self._clock()
@@ -664,10 +665,3 @@ def _yes(what: str, value: object) -> bool:
     if isinstance(value, bool):
         return value
     raise InvalidValue(f"{what} is True or False, not {value!r}")
-
-
-def _measured(attribute: str, value: object) -> float:
-    try:
-        return finite_number(value)
-    except InvalidValue as error:
-        raise InvalidValue(f"{attribute} cannot be measured as {value!r}: {error}") from None

@@ -222,8 +222,12 @@ def suppose(
     with base.reading() as state:
         network = state.network
         supposed = [
-            _Assumption("measured", named(network.attributes, "attribute", name), _value(name, values[name]))
-            for name in values
+            _Assumption(
+                "measured",
+                named(network.attributes, "attribute", name),
+                None if value is None else number(f"{name} cannot be supposed to be", value),
+            )
+            for name, value in values.items()
         ]
         for what, names, kind in (
             ("failed", failed, "component"),
@@ -316,8 +320,9 @@ def _suppose_measured(state: State, attribute: Node, value: float | None) -> lis
     return [*thresholds.steady, *thresholds.crossed(before, value)]
 
 
-def _value(name: str, value: object) -> float | None:
+def number(refusal: str, value: object) -> float:
+    """Return a finite number; the refusal of anything else begins with what cannot be so."""
     try:
-        return None if value is None else finite_number(value)
+        return finite_number(value)
     except InvalidValue as error:
-        raise InvalidValue(f"{name} cannot be supposed to be {value!r}: {error}") from None
+        raise InvalidValue(f"{refusal} {value!r}: {error}") from None

@@ -188,13 +188,15 @@ class Book:
         self._clear("model")
         self._write("model", (one for one in given if not one.id.startswith(f"{STATED}.")))
 
-    def write(self, entries: Iterable[Individual]) -> None:
-        """Add what was told; an individual that has no kind is there already and has more values now."""
-        self._write("told", entries)
+    def write(self, entries: Iterable[Individual], inferred: Iterable[Individual]) -> None:
+        """Add what was told, and replace what is inferred.
 
-    def write_inferred(self, given: Iterable[Individual]) -> None:
+        An individual of what was told that has no kind is there already and has more values now.
+        """
+        self._write("told", entries)
         self._clear("inferred")
-        self._write("inferred", given)
+        self._write("inferred", inferred)
+        self._db.commit()
 
     def ask(self, query: str, timeout: float) -> list[tuple[Answer, ...]]:
         """Answer a SPARQL query."""
@@ -244,9 +246,6 @@ class Book:
                 yield self.world.python_of(cell, datatype)
             else:
                 yield f"_:{-cell}" if cell < 0 else self.world.iri_of(cell)
-
-    def commit(self) -> None:
-        self._db.commit()
 
     def close(self) -> None:
         self.world.close()

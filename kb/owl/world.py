@@ -82,7 +82,7 @@ class World:
             return self._anew(reading)
         if model:
             self._book.write_model(model)
-        self._write(self._book, [*self._chronicle.of_events(events), *records], inferred)
+        self._book.write([*self._chronicle.of_events(events), *records], inferred)
         self._measured += sum(event.verb == "measure" for event in events)
         return self._book
 
@@ -108,17 +108,12 @@ class World:
         self._book = Book(f"{BASE}{model[0].id}")
         self._book.describe(metamodel(), model)
         samples = [chronicle.measurement(name, value, time) for name, (time, value) in measured]
-        self._write(self._book, [*samples, *chronicle.of_events(past), *records], inferred)
+        self._book.write([*samples, *chronicle.of_events(past), *records], inferred)
         self._measured = 0
         return self._book
 
     def _seen(self, state: State) -> None:
         self._last, self._revision = self._known.log.last, state.network.revision
-
-    def _write(self, book: "Book", entries: Iterable[Individual], inferred: Iterable[Individual]) -> None:
-        book.write(entries)
-        book.write_inferred(inferred)
-        book.commit()
 
     def _model(self) -> list[Individual]:
         return list(individuals(self._known.model, self._known.serials))
