@@ -91,10 +91,8 @@ def adaptable_functions(base: Readable) -> tuple[str, ...]:
 def adaptable_components(base: Readable, designs: Iterable[str] | Mapping[str, str] = ()) -> tuple[str, ...]:
     """Names of the components for which a configuration has to be chosen, or may be chosen better.
 
-    Args:
-        base: what is asked.
-        designs: names of designs just chosen, or these by function; the answer is what it will be once they are
-            selected and what is obsolete is not.
+    With designs just chosen, by name or by function, the answer is what it will be once they are selected and what is
+    obsolete is not.
     """
     names = listed("designs", designs.values() if isinstance(designs, Mapping) else designs)
     with base.reading() as state:
@@ -112,11 +110,8 @@ def obsolete(base: Readable) -> Obsolete:
 def explain(base: Readable, element: Meant) -> Explanation:
     """Say why an element has the status that it has, and what would make it feasible if it is not.
 
-    Args:
-        base: what is asked.
-        element: a view, an element of the model, or a name; a name that several kinds share means the action
-            before the function, component, design, configuration and attribute. Of an attribute it is said what
-            is known of it, and what depends on it.
+    A name that several kinds share means the action before the function, component, design, configuration and
+    attribute. Of an attribute it is said what is known of it, and what depends on it.
     """
     with base.reading() as state:
         return explained(state, meant(base, state, element, _EXPLAINED), base.now)
@@ -131,9 +126,7 @@ def why(base: Readable, element: Meant) -> str:
 def explain_choice(base: Readable, element: Meant) -> ChoiceExplanation:
     """Say why a function has the design, or a component the configuration, that it has, and not another one.
 
-    Args:
-        base: what is asked.
-        element: a view, an element of the model, or a name; of a name that both kinds share the function is meant.
+    Of a name that both kinds share the function is meant.
     """
     with base.reading() as state:
         return explained_choice(state, meant(base, state, element, ("function", "component")), base.now)
