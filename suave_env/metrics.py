@@ -60,9 +60,7 @@ class Violations:
 
     def __init__(self) -> None:
         self._open: set[str] = set()
-        self._any_since = 0.0
-        self._past_s = 0.0
-        self._missed = 0
+        self._any_since, self._past_s, self._missed = 0.0, 0.0, 0
 
     def note(self, time: float, kind: str, holds: bool, corrected: bool) -> None:
         """Say whether a violation of a kind holds now [s], and if it holds no longer, whether it was corrected."""
@@ -142,10 +140,9 @@ class Reactions:
 
     def see(self, change: Change) -> None:
         """Take in what was switched or set."""
-        if change.component == "recover_thrusters" and change.active:
-            self._answer("U1", change.time)
-        elif change.component == "recharge" and change.active:
-            self._answer("U3", change.time)
+        answered = {"recover_thrusters": "U1", "recharge": "U3"}.get(change.component)
+        if answered and change.active:
+            self._answer(answered, change.time)
         elif change.component == "spiral_search" and change.parameters["spiral_altitude"] != self._altitude:
             self._altitude = change.parameters["spiral_altitude"]
             if self._altitude == self._called_for:

@@ -3,7 +3,6 @@
 from abc import ABC, abstractmethod
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from time import perf_counter
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -122,24 +121,11 @@ class Controller(ABC):
         """Say how the mission, which is over, has ended."""
 
 
-@dataclass(slots=True)
-class Trace:
-    """What there was to see during a run, for pictures.
-
-    Attributes:
-        samples: what was seen, with the action and the configurations of that moment.
-        designs: the designs of each of these moments, of required functions that have more than one.
-    """
-
-    samples: list[tuple[Sample, str, str]] = field(default_factory=list)
-    designs: list[str] = field(default_factory=list)
-
-
 class MissionRun:
     """Runs a mission to its end.
 
     Attributes:
-        trace: what was seen.
+        trace: what there was to see, for pictures.
         problems: parts of messages that could not be used, with their times [s].
     """
 
@@ -153,7 +139,7 @@ class MissionRun:
     ) -> None:
         self.mission, self.controller, self.world = mission, controller, world
         self.settings = settings or RunSettings()
-        self.trace = Trace()
+        self.trace: list[tuple[Sample, Seen]] = []
         self.problems: list[tuple[float, DiagnosticProblem]] = []
         self._listeners = listeners
         self._decided_s: list[tuple[float, float]] = []
@@ -268,5 +254,4 @@ class MissionRun:
             return
         self._sampled_at, seen = self.world.now, self.controller.look()
         sample = self.world.sample() or Sample.of(self.world.now, self.controller.measured)
-        self.trace.samples.append((sample, seen.action, seen.configured))
-        self.trace.designs.append(seen.designs)
+        self.trace.append((sample, seen))

@@ -101,18 +101,18 @@ class RunTimeline:
 
 def timeline_of(run: MissionRun, data: Mapping[str, Any]) -> RunTimeline:
     """Return the timeline of a finished run; data is what `views.output.summary` returned for it."""
-    samples = [sample for sample, _, _ in run.trace.samples]
-    actions = [action for _, action, _ in run.trace.samples]
+    samples = [sample for sample, _ in run.trace]
+    seen = [one for _, one in run.trace]
+    actions = [one.action for one in seen]
     signals = dict.fromkeys(name for sample in samples for name in sample.signals)
-    designs = run.trace.designs if len(run.trace.designs) == len(samples) else [""] * len(samples)
     model = run.model
     return RunTimeline(
         max(float(data["duration_s"]), 1e-3),
         np.array([sample.time for sample in samples], dtype=float),
         np.array([sample.position[:2] for sample in samples], dtype=float).reshape(-1, 2),
         actions,
-        designs,
-        _telling([configured for _, _, configured in run.trace.samples], actions, model),
+        [one.designs for one in seen],
+        _telling([one.configured for one in seen], actions, model),
         {name: np.array([sample.signals.get(name, np.nan) for sample in samples], dtype=float) for name in signals},
         _limits(model),
         data["adaptations"],

@@ -9,7 +9,7 @@ import pytest
 from matplotlib.image import imread
 from running import run_mission
 
-from missions.engine.runner import Trace
+from missions.engine.runner import Seen
 from missions.views.picture import draw, picture
 
 
@@ -95,7 +95,7 @@ def test_the_map_has_the_same_scale_both_ways():
 @pytest.mark.parametrize("samples", [0, 1, 2])
 def test_hardly_any_samples_are_drawn_all_the_same(samples):
     run, _, data = run_mission("suave_extended", duration_s=20)
-    run.trace = Trace(run.trace.samples[:samples], run.trace.designs[:samples])
+    run.trace = run.trace[:samples]
     assert draw(run, data)
 
 
@@ -107,11 +107,10 @@ def test_a_run_in_which_nothing_happened_says_so():
 
 def test_signals_that_are_missing_and_names_that_look_like_formulas_do_no_harm():
     run, _, data = run_mission("suave_extended", duration_s=20)
-    kept = [
-        (replace(sample, signals={"battery level [-]": float("nan"), "odd $x [m]": sample.time}), "$a, b", "c$")
-        for sample, _, _ in run.trace.samples
+    run.trace = [
+        (replace(sample, signals={"battery level [-]": float("nan"), "odd $x [m]": sample.time}), Seen("$a, b", "c$"))
+        for sample, _ in run.trace
     ]
-    run.trace = Trace(kept)
     figure = picture(run, data)
     assert panel(figure, "odd $x")
     assert not [axes for axes in figure.axes if axes.get_ylabel().startswith("battery")]
