@@ -9,7 +9,6 @@ from kb import RequiredAction
 from missions.engine.components import SimulatedComponents
 from missions.engine.mission import Message, Mission, MissionError
 from missions.engine.settings import Setting
-from suave_env.agenda import Agenda
 
 if TYPE_CHECKING:
     from numpy.random import Generator
@@ -46,6 +45,8 @@ class Robot:
         clock: Callable[[], float],
         options: Mapping[str, float] | None = None,
     ) -> None:
+        from suave_env.agenda import Agenda
+
         self.mission, self.settings, self.rng, self.options = mission, settings, rng, options or {}
         self.measured: dict[str, float] = {}
         self.reported: dict[str, str] = {}
