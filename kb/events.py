@@ -211,6 +211,7 @@ class Log:
         self._others: deque[Event] = deque(maxlen=_MOST)
 
     def append(self, event: Event) -> None:
+        """Add an event; one that is there already, by its number, is added no second time."""
         events = self._measured if event.verb == "measure" else self._others
         if not events or events[-1].number < event.number:
             events.append(event)

@@ -60,15 +60,19 @@ class ManagedObjects:
         self._objects = dict(objects)
 
     def activate(self, component: str) -> Operation | None:
+        """Activate the object of that name; see `ManagedObject`."""
         return self._object(component).activate()
 
     def deactivate(self, component: str) -> Operation | None:
+        """Deactivate the object of that name."""
         return self._object(component).deactivate()
 
     def set_parameters(self, component: str, parameters: Parameters) -> Operation | None:
+        """Give the object of that name its parameters."""
         return self._object(component).set_parameters(parameters)
 
     def is_active(self, component: str) -> bool | None:
+        """Whether the object of that name runs; None if it cannot tell."""
         tell = getattr(self._object(component), "is_active", None)
         answer = tell() if callable(tell) else tell
         return answer if isinstance(answer, bool) else None

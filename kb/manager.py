@@ -51,6 +51,7 @@ class PriorityPlanner:
             return choice_by_priority(state)
 
     def plan(self, kb: KnowledgeBase) -> ReconfigurationPlan | None:
+        """Select what is preferred by priority; None if there is nothing to choose."""
         choice = self.choose(kb)
         return None if choice is None else kb.select(*choice)
 

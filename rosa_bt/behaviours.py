@@ -473,6 +473,7 @@ class RosaAction(ActionBehaviour):
 
     @property
     def waits(self) -> bool:
+        """Whether it begins only when the robot is configured for its action."""
         return self._request.timeout is not None
 
     def save_progress(self) -> object | None:

@@ -20,9 +20,11 @@ class Feasibility(Protocol):
     """What this package asks a knowledge base."""
 
     @property
-    def actions(self) -> Mapping[str, object]: ...
+    def actions(self) -> Mapping[str, object]:
+        """The ROSA actions by name."""
 
-    def is_feasible(self, action: str) -> bool: ...
+    def is_feasible(self, action: str) -> bool:
+        """Tell whether an action can be done now."""
 
 
 @dataclass(frozen=True)

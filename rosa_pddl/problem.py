@@ -49,6 +49,7 @@ class Problem:
 
     @property
     def wanted(self) -> tuple[UpThing, ...]:
+        """The goals: its own, or else those of the domain's problem file."""
         return tuple(self.domain.up_problem.goals) if self.goals is None else self.goals
 
     def build(self) -> UpThing:

@@ -308,6 +308,7 @@ class Components:
         return tuple(name for name, component in self._components.items() if component.active)
 
     def is_active(self, name: str) -> bool:
+        """Tell whether a component acts."""
         return self._component(name).active
 
     def parameters(self, name: str) -> dict[str, float]:

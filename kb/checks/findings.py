@@ -47,6 +47,7 @@ class Finding:
 
     @property
     def where_and_what(self) -> str:
+        """The message, behind the place it is about if that is known."""
         return f"{self.place}: {self.message}" if self.place else self.message
 
     def __str__(self) -> str:

@@ -48,6 +48,7 @@ class Criterion:
                 raise InvalidValue(f"a switching cost is 0 or more, not {cost!r}")
 
     def cost_of(self, component: str) -> float:
+        """Return what it costs to switch a component."""
         costs = self.switching_cost
         return costs.get(component, 0.0) if isinstance(costs, Mapping) else costs
 

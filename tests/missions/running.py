@@ -1,9 +1,12 @@
 """Runs missions as the command line does, for the tests."""
 
+import sys
 from functools import cache
+from types import ModuleType
 
 from missions import cli
 from missions.baselines import open_run
+from missions.engine import registry
 from missions.engine.mission import Verdict
 from missions.engine.registry import find_mission
 from missions.engine.runner import MissionRun
@@ -41,3 +44,11 @@ def called(capsys, monkeypatch, *arguments) -> tuple[int, str, str]:
     captured = capsys.readouterr()
     assert "Traceback" not in captured.out + captured.err
     return code, captured.out, captured.err
+
+
+def register(monkeypatch, name: str, mission: object) -> None:
+    """Have a mission be the only one of the registry, under a name."""
+    home = ModuleType("registered_by_a_test")
+    home.MISSION = mission
+    monkeypatch.setitem(sys.modules, home.__name__, home)
+    monkeypatch.setattr(registry.MISSIONS, "homes", {name: f"{home.__name__}:MISSION"})

@@ -7,10 +7,10 @@ import numpy
 import pytest
 from py_trees.behaviours import Running
 from py_trees.common import Status
-from running import run_mission
+from running import register, run_mission
 
 from missions import cli, suave_extended
-from missions.engine import registry, runner
+from missions.engine import runner
 from missions.engine.controller import rosa_run
 from missions.engine.mission import MissionError
 from missions.engine.registry import MISSIONS
@@ -28,7 +28,7 @@ def altered(monkeypatch):
     def alter(**changes):
         files = {"domain": DOMAIN, "problem": PROBLEM}
         mission = dataclasses.replace(MISSIONS["suave_extended"], name="altered", **(files | changes))
-        monkeypatch.setattr(registry, "MISSIONS", {"altered": mission})
+        register(monkeypatch, "altered", mission)
 
     return alter
 

@@ -7,12 +7,11 @@ from functools import partial
 
 import py_trees
 import pytest
-from running import called
+from running import called, register
 
 from kb import Model
 from kb.checks.findings import rules
 from missions.commands.check import judge
-from missions.engine import registry
 from missions.engine.mission import MissionError
 from missions.engine.registry import MISSIONS
 from missions.views.names import names_in_pddl, names_in_tree, planned_names
@@ -212,7 +211,7 @@ def test_mission_of_ones_own_with_a_misspelt_action_is_judged_although_it_cannot
     broken = dataclasses.replace(
         MISSIONS["suave"], name="broken", tree=lambda kb, percepts: IsActionFeasible("search?", kb, "serch_pipeline")
     )
-    monkeypatch.setattr(registry, "MISSIONS", {"broken": broken})
+    register(monkeypatch, "broken", broken)
     code, out, _ = rosa("--mission", "broken")
     assert code == 1
     assert "did you mean 'search_pipeline'" in out

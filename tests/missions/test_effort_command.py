@@ -1,6 +1,7 @@
 """`rosa effort` as a person uses it: tables, marks, files, pictures, and one clear message for each mistake."""
 
 import json
+import tomllib
 from dataclasses import replace
 from functools import partial
 from io import BytesIO
@@ -14,7 +15,7 @@ from running import called
 
 from kb import KnowledgeBase, Model
 from missions import suave
-from missions.baselines.modes import SystemModes
+from missions.baselines.modes import MODES_FILE, SystemModes
 from missions.engine.mission import MissionError, Percepts
 from missions.engine.registry import MISSIONS
 from missions.experiments import effort
@@ -105,7 +106,7 @@ def test_modes_are_those_of_the_functions_that_the_mission_needs(everything):
     modes = SystemModes(None)  # only asked which modes there are
     base, extended = (one.counted.modes for one in everything.trees)
     altitudes = 4  # only searching has a value beside `active`
-    names = sum(len(modes.of(function)) for function in modes.functions)
+    names = sum(len(modes.of(function)) for function in tomllib.loads(MODES_FILE.read_text()))
     assert extended == 2 * names + altitudes
     assert extended - base == 2 * len(modes.of("f_generate_recharge_path"))
     first, second = (TREES[one.name].second for one in everything.trees)

@@ -1,0 +1,149 @@
+"""How big and how tangled the product may be; docs/house.md says why. These numbers only ever fall."""
+
+import ast
+import sys
+from collections import defaultdict
+from graphlib import CycleError, TopologicalSorter
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from kb import ConfigurationManager, KnowledgeBase
+from missions.suave_extended.model import suave_extended_model
+
+ROOT = Path(__file__).parents[2]
+PACKAGES = ("kb", "rosa_bt", "rosa_pddl", "suave_env", "missions")
+MOST_LINES = {"product": 37_725, "kb": 12_960}
+MOST_FILES = {"product": 201, "kb": 57}
+MOST_IN_A_FOLDER = 25
+MOST_PUBLIC_NAMES = 48
+MOST_FILES_OF_A_MEASUREMENT, MOST_HOPS_OF_A_MEASUREMENT = 16, 120
+FILES = {path: ast.parse(path.read_text()) for one in PACKAGES for path in sorted((ROOT / one).rglob("*.py"))}
+
+
+def dotted(path):
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def imported(path, tree, modules):
+    """Yield the modules of ours that a file imports, at whatever depth it says so."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            for alias in node.names:
+                submodule = f"{node.module}.{alias.name}"
+                yield submodule if submodule in modules else node.module
+        elif isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+
+
+@pytest.mark.parametrize("part", MOST_LINES)
+def test_product_keeps_within_its_budget(part):
+    files = [path for path in FILES if part in ("product", path.relative_to(ROOT).parts[0])]
+    lines = sum(len(path.read_text().splitlines()) for path in files)
+    assert 0 < lines <= MOST_LINES[part], "before you add, look what it makes superfluous"
+    assert len(files) <= MOST_FILES[part]
+
+
+def test_folders_explain_themselves():
+    held = defaultdict(list)
+    for path in FILES:
+        held[path.parent].append(path.name)
+        assert len(path.relative_to(ROOT).parts) <= 3, f"{path}: two levels of folders at most"
+    for folder, names in held.items():
+        assert len(names) <= MOST_IN_A_FOLDER, folder
+
+
+def test_no_module_reaches_itself_by_imports():
+    modules = {dotted(path) for path in FILES}
+    graph = {
+        dotted(path): {one for one in imported(path, tree, modules) if one in modules and one != dotted(path)}
+        for path, tree in FILES.items()
+    }
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        pytest.fail(" -> ".join(error.args[1]))
+
+
+def test_nobody_reaches_into_anothers_underscore_names():
+    """`_name` is asked of self, cls, a call's result, and in comparisons of the other."""
+    reached = [
+        f"{path.relative_to(ROOT)}:{node.lineno}: {ast.unparse(node)}"
+        for path, tree in FILES.items()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Attribute)
+        and node.attr.startswith("_")
+        and not node.attr.startswith("__")
+        and not isinstance(node.value, ast.Call)
+        and not (isinstance(node.value, ast.Name) and node.value.id in ("self", "cls", "other"))
+    ]
+    assert not reached, "\n".join(reached)
+
+
+def test_knowledge_base_is_one_class_with_few_names():
+    assert [one for one in KnowledgeBase.__mro__ if one.__module__.startswith("kb.")] == [KnowledgeBase]
+    names = [name for name in dir(KnowledgeBase) if not name.startswith("_")]
+    assert 0 < len(names) <= MOST_PUBLIC_NAMES, names
+
+
+class Managed:
+    """A robot that does what it is asked."""
+
+    def activate(self, component): ...
+
+    def deactivate(self, component): ...
+
+    def set_parameters(self, component, parameters): ...
+
+
+def test_measurement_takes_a_short_way_to_the_parameters_it_changes():
+    now = [0.0]
+    kb = KnowledgeBase(suave_extended_model(), clock=lambda: now[0])
+    manager = ConfigurationManager(kb, Managed())
+    kb.measure("water_visibility", 3.5)
+    kb.measure("battery_level", 1.0)
+    kb.request_action("search_pipeline")
+    for _ in range(5):
+        now[0] += 0.1
+        manager.update()
+    called = []
+
+    def note(frame, event, _):
+        path = Path(frame.f_code.co_filename)
+        if event == "call" and path in FILES:
+            called.append(path)
+
+    now[0] += 0.1
+    before = sys.getprofile()
+    sys.setprofile(note)
+    kb.measure("water_visibility", 3.0)
+    manager.update()
+    sys.setprofile(before)
+    assert dict(kb.components["spiral_search"].parameters_in_force) == {"spiral_altitude": 2.0}
+    assert 0 < len(set(called)) <= MOST_FILES_OF_A_MEASUREMENT
+    assert sum(one != two for one, two in pairwise(called)) <= MOST_HOPS_OF_A_MEASUREMENT
+
+
+def test_every_public_class_says_what_its_methods_do():
+    """What a package exports is read by users: each public method, property and function of it has a docstring."""
+    import importlib
+    import inspect
+
+    silent = []
+    for package in PACKAGES:
+        module = importlib.import_module(package)
+        for name in module.__all__:
+            what = getattr(module, name)
+            if not (inspect.isclass(what) or inspect.isfunction(what)):
+                continue
+            if not inspect.getdoc(what):
+                silent.append(f"{package}.{name}")
+            if not inspect.isclass(what) or issubclass(what, BaseException | tuple):
+                continue
+            for method, value in vars(what).items():
+                own = inspect.isfunction(value) or isinstance(value, property | classmethod | staticmethod)
+                if own and not method.startswith("_") and not inspect.getdoc(getattr(what, method)):
+                    silent.append(f"{package}.{name}.{method}")
+    assert not silent, silent
