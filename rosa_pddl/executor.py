@@ -350,7 +350,7 @@ class PlanExecutor(Behaviour):
             return None
         if self._replanning.had_no_plan and self._replanning.why_no_plan(self._unstarted(state)) is None:
             return "the state changed"
-        flaw = plan.outlook(state).flaw or self._monitor.overspent(plan)
+        flaw = plan.prediction(state).flaw or self._monitor.overspent(plan)
         self._found_valid = (plan, now) if flaw is None else None
         return flaw
 
@@ -494,7 +494,7 @@ class PlanExecutor(Behaviour):
         """Go on without what a step did not make feasible, or plan anew if the rest needs that."""
         state = self._belief.observe()
         expected = state | {self._domain.feasible_atom(one.action) for one in unmet}
-        if plan.outlook(state).flaw is not None and plan.outlook(expected).flaw is None:
+        if plan.prediction(state).flaw is not None and plan.prediction(expected).flaw is None:
             self._want(Decision("; ".join(map(str, unmet)), is_needed=True))
         else:
             self._plan = plan

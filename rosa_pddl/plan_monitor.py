@@ -31,7 +31,7 @@ _Touched = tuple[frozenset[str], frozenset[str]]
 _Numbers = Mapping[str, float]
 
 
-class Outlook(NamedTuple):
+class Prediction(NamedTuple):
     """What the rest of a plan leads to, if nothing comes between."""
 
     flaw: str | None
@@ -84,13 +84,13 @@ class PlanExecution:
         """Return the number of an equal step that may start now, None if there is none."""
         return next((number for number in self.startable if self.steps[number] == step), None)
 
-    def outlook(self, state: State) -> Outlook:
+    def prediction(self, state: State) -> Prediction:
         """Suppose that the rest happens as planned, from the atoms that are true now."""
         left = [event for event in self.events if event not in self.happened]
         started = [one.number for one in self.events if not one.is_end and one in self.happened]
         running = [number for number in started if StepEvent(number, True) not in self.happened]
         flaw, facts = replay(self.domain, self.steps, ([event] for event in left), state, running)
-        return Outlook(flaw or self._unreached(facts), facts)
+        return Prediction(flaw or self._unreached(facts), facts)
 
     def _unreached(self, facts: State) -> str | None:
         for goal in self.goals:
@@ -282,7 +282,7 @@ class PlanMonitor:
 
     def aimed(self, plan: PlanExecution, state: State, goals: Goals) -> PlanExecution:
         """Return a plan that has to reach the goals as they are now; of the soft ones those that it reaches."""
-        return replace(plan, goals=goals.hard + self._holding(goals.soft, plan.outlook(state).facts))
+        return replace(plan, goals=goals.hard + self._holding(goals.soft, plan.prediction(state).facts))
 
     def is_over(self, state: State, goals: Goals, plan: PlanExecution | None) -> bool:
         """Whether nothing is left to do: the goals hold, or those that do not are not worth it, as the plan found."""
@@ -294,13 +294,13 @@ class PlanMonitor:
 
     def is_better(self, new: PlanExecution, after: State, old: PlanExecution, now: State, goals: Goals) -> bool:
         """Whether a plan, begun in a state, works and costs less than the rest of another one, now."""
-        if new.outlook(after).flaw is not None or self.overspent(new) is not None:
+        if new.prediction(after).flaw is not None or self.overspent(new) is not None:
             return False
         return self._price(new, after, goals) < self._price(old, now, goals) - _SAME_COST
 
     def _price(self, plan: PlanExecution, state: State, goals: Goals) -> float:
         """Return the cost of what has not ended, and the worth of the goals that are forgone."""
-        held = self._holding(goals.soft, plan.outlook(state).facts)
+        held = self._holding(goals.soft, plan.prediction(state).facts)
         forgone = sum(goal.worth or 0.0 for goal in goals.soft if goal not in held)
         numbers = self._usage.numbers(Problem(self._effects.domain, frozenset(), costs=self._numbers()))
         return forgone + self._usage.total_cost(plan.unfinished_steps, numbers)

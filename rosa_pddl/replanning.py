@@ -380,7 +380,7 @@ class Replanning:
         self.records.append(PlanRecord(*record))
         if outcome.is_solved:
             plan = PlanExecution.of(domain, result, promised)
-            wrong = plan.outlook(state).flaw if is_fresh else None
+            wrong = plan.prediction(state).flaw if is_fresh else None
             if wrong is None:
                 return _Found(plan, decision)
             # the same question would get the same answer, again and again
