@@ -183,7 +183,7 @@ def whole(label, seed):
         start = process_time()
         verdict = run.run()
         took = process_time() - start
-        assert verdict.success, verdict
+        assert verdict.success or label == "none", verdict  # which never recharges
         return took, dict(run.compute_s)
     sea = find_mission("suave_extended").world.open({}, numpy.random.default_rng(seed))
     if label == "the sea alone":
