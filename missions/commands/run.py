@@ -10,7 +10,7 @@ import typer
 from missions.commands import FAILED, open_console
 
 if TYPE_CHECKING:
-    from missions.engine.runner import Listener
+    from missions.engine.runner import Listener, MissionRun
 
 
 def run(
@@ -26,6 +26,10 @@ def run(
     timing: Annotated[Path | None, typer.Option(help="Write the compute times as JSON.")] = None,
     record: Annotated[Path | None, typer.Option(help="Write the diagnostics, one message per line.")] = None,
     settings: Annotated[list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Change a setting.")] = None,
+    groot2: Annotated[
+        int | None,
+        typer.Option(metavar="PORT", help="Let Groot2 watch the tree, on this TCP port of this machine (1667)."),
+    ] = None,
     realtime: Annotated[bool, typer.Option("--realtime", help="Run no faster than the wall clock.")] = False,
     progress: Annotated[bool, typer.Option("--progress/--no-progress", help="Show what happens meanwhile.")] = True,
 ) -> None:
@@ -51,6 +55,8 @@ def run(
         listeners += [narrator] if progress else []
         listeners += [Recorder(files["record"])] if "record" in files else []
         opened = open_run(found, manager=manager, task=task, seed=seed, settings=changed, listeners=tuple(listeners))
+        if groot2 is not None:
+            _publish(opened, groot2, stack)
         if "record" in files:
             listeners[-1].message(header(opened, seed))
         with narrator if progress else nullcontext():
@@ -73,6 +79,16 @@ def run(
             files["plot"].finish(draw(opened, data))
     if not verdict.success:
         raise typer.Exit(FAILED)
+
+
+def _publish(run: "MissionRun", port: int, stack: ExitStack) -> None:
+    from missions.engine.controller import RosaController
+    from missions.engine.mission import MissionError
+    from missions.wires.groot2 import Groot2Publisher
+
+    if not isinstance(run.controller, RosaController):
+        raise MissionError(f"manager {run.manager} ticks no tree that Groot2 could watch")
+    stack.callback(Groot2Publisher(run.controller.tree, port).close)
 
 
 def _assignments(texts: list[str]) -> dict[str, str]:

@@ -18,14 +18,14 @@ from rosa_bt.xml.reader import Document, SubTree
 from rosa_bt.xml.reader import Element as Read
 from rosa_bt.xml.registry import BUILT_IN, BehaviourRegistry
 
-_SAME: Final[Mapping[type[Behaviour], str]] = {
+SAME: Final[Mapping[type[Behaviour], str]] = {
     Inverter: "Inverter",
     FailureIsSuccess: "ForceSuccess",
     SuccessIsFailure: "ForceFailure",
     Success: "AlwaysSuccess",
     Failure: "AlwaysFailure",
 }
-_BY_MEMORY: Final[Mapping[type[Behaviour], Mapping[bool, str]]] = {
+BY_MEMORY: Final[Mapping[type[Behaviour], Mapping[bool, str]]] = {
     Sequence: {True: "Sequence", False: "ReactiveSequence"},
     Selector: {True: "Fallback", False: "ReactiveFallback"},
 }
@@ -51,7 +51,7 @@ def export_xml(behaviour: Behaviour, registry: BehaviourRegistry | None = None) 
         main = writer.tree(behaviour)
     else:
         main = "MainTree"
-        writer.trees[main] = writer.element(_slot_of(behaviour))
+        writer.trees[main] = writer.element(slot_of(behaviour))
     root = Element("root", BTCPP_format="4", main_tree_to_execute=main)
     for name, content in writer.trees.items():
         SubElement(root, "BehaviorTree", ID=name).append(content)
@@ -104,18 +104,18 @@ class _Writer:
 
     def _of_py_trees(self, node: Behaviour) -> Element:
         kind = type(node)
-        if isinstance(node, Selector | Sequence) and kind in _BY_MEMORY and node.children:
-            tag = _BY_MEMORY[kind][node.memory]
-        elif kind in _SAME:
-            tag = _SAME[kind]
-        elif node.children or isinstance(node, XmlNode) or kind in _BY_MEMORY:
-            known = ", ".join(sorted(one.__name__ for one in (*_BY_MEMORY, *_SAME)))
+        if isinstance(node, Selector | Sequence) and kind in BY_MEMORY and node.children:
+            tag = BY_MEMORY[kind][node.memory]
+        elif kind in SAME:
+            tag = SAME[kind]
+        elif node.children or isinstance(node, XmlNode) or kind in BY_MEMORY:
+            known = ", ".join(sorted(one.__name__ for one in (*BY_MEMORY, *SAME)))
             what = f"{kind.__name__} {node.name!r}{'' if node.children else ' without children'}"
             raise ExportError(f"{what} has no exact counterpart in BehaviorTree.CPP; of py_trees, written are {known}")
         else:
             return self._leaf(node)
         element = Element(tag, name=node.name)
-        element.extend([self.element(_slot_of(child)) for child in node.children])
+        element.extend([self.element(slot_of(child)) for child in node.children])
         return element
 
     def _leaf(self, leaf: Behaviour) -> Element:
@@ -152,7 +152,7 @@ class _Writer:
             )
 
 
-def _slot_of(behaviour: Behaviour) -> Slot:
+def slot_of(behaviour: Behaviour) -> Slot:
     parent = behaviour.parent
     if isinstance(parent, XmlNode):
         return next(slot for slot in parent.slots if slot.node is behaviour)

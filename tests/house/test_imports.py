@@ -33,6 +33,17 @@ ALLOWED = {
         "mujoco",
         "owlready2",
         "pytest",
+        "cyclonedds",
+        "mcap",
+        "mcp",
+        "msgpack",
+        "rclpy",
+        "rosbags",
+        "starlette",
+        "textual",
+        "uvicorn",
+        "websockets",
+        "zmq",
     },
 }
 LATE = {
@@ -50,6 +61,17 @@ LATE = {
     "gymnasium",
     "defusedxml",
     "pytest",
+    "cyclonedds",
+    "mcap",
+    "mcp",
+    "msgpack",
+    "rclpy",
+    "rosbags",
+    "starlette",
+    "textual",
+    "uvicorn",
+    "websockets",
+    "zmq",
 }
 """Slow to import: only inside functions, or in the one module that is itself imported late."""
 LATE_MODULES = {

@@ -1,0 +1,200 @@
+"""Groot2's wire: a tree that runs here is watched with what speaks to BehaviorTree.CPP's publisher (protocol 2).
+
+    publisher = Groot2Publisher(tree)       # a py_trees.trees.BehaviourTree
+    ...                                     # ticks as before
+    publisher.close()
+
+Groot2 asks, over ZeroMQ on TCP port 1667, for the tree as XML, the statuses of its nodes and its blackboards. The
+protocol knows no token, so it is served on this machine only; from elsewhere `ssh -L 1667:127.0.0.1:1667 -L
+1668:127.0.0.1:1668 ROBOT` leads to it. What would change how the tree runs (breakpoints, replaced nodes) is refused.
+"""
+
+import struct
+import threading
+import time
+from collections import deque
+from collections.abc import Mapping, Sequence
+from typing import Any, Final, NamedTuple
+from uuid import uuid4
+
+from py_trees.behaviour import Behaviour
+from py_trees.blackboard import Blackboard
+from py_trees.common import Status
+from py_trees.trees import BehaviourTree
+from py_trees.visitors import VisitorBase
+
+from missions.engine.mission import MissionError
+from missions.extras import needs
+from rosa_bt.xml import NumberedTree
+
+PORT: Final = 1667
+_HEAD: Final = struct.Struct("<BBI")
+"""Of a request: the protocol, a letter for its kind, and its number."""
+_PROTOCOL: Final = 2
+_STATUS: Final = struct.Struct("<HB")
+_MOST_TRANSITIONS: Final = 1000
+"""In one answer; ten times as many are kept until they are asked for."""
+_LARGEST_REQUEST: Final = 2**16
+_IDLE, _SKIPPED, _WAS = 0, 4, 10
+"""What is idle is 10 + the status that it had before, or 0 if it never had one."""
+_CODES: Final = {Status.INVALID: _IDLE, Status.RUNNING: 1, Status.SUCCESS: 2, Status.FAILURE: 3}
+_LOOK_MS: Final = 100
+_NO_HOOKS: Final = "breakpoints and replaced nodes are not accepted: a robot does what its own program says"
+_NOT_SERVED: Final = dict.fromkeys("IRUAX", _NO_HOOKS)
+
+
+class _Present(NamedTuple):
+    """The tree after a tick."""
+
+    tree: NumberedTree
+    identity: bytes
+    """Another one for each tree, so that a client asks for it anew."""
+    codes: Mapping[Behaviour, int]
+
+    def statuses(self) -> bytes:
+        return b"".join(_STATUS.pack(number, self.codes[node]) for node, number in self.tree.numbers.items())
+
+
+class Groot2Publisher(VisitorBase):
+    """Shows a tree as it is after each tick; followed when the tree changes.
+
+    A tick writes down the statuses; all else happens in a thread of its own, so whoever watches slows nobody.
+
+    Args:
+        tree: to be watched; until `close`.
+        port: TCP port on 127.0.0.1; the next one is taken too, as clients listen there for breakpoints.
+
+    Raises:
+        MissionError: a port is taken, or the extra `groot2` is missing.
+    """
+
+    def __init__(self, tree: BehaviourTree, port: int = PORT) -> None:
+        super().__init__(full=False)
+        with needs("groot2", "Groot2's wire"):
+            import msgpack
+            import zmq
+        self._tree = tree
+        self._visited: set[Behaviour] = set()
+        self._transitions: deque[tuple[int, int, int]] | None = None
+        self._began_us = 0
+        self._present = self._seen(None)
+        self._packed = msgpack.packb
+        self._context = zmq.Context()
+        self._context.setsockopt(zmq.LINGER, 0)
+        try:
+            self._socket = self._bound(zmq.REP, port)
+            self._notices = self._bound(zmq.PUB, port + 1)
+        except zmq.ZMQError as error:
+            self._context.destroy()
+            taken = f"Groot2's wire needs the TCP ports {port} and {port + 1} of this machine: {error}"
+            raise MissionError(f"{taken}; give another port") from None
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._serve, name="groot2", daemon=True)
+        self._thread.start()
+        tree.visitors.append(self)
+
+    def close(self) -> None:
+        """Watch the tree no longer, and let go of the ports."""
+        if self in self._tree.visitors:
+            self._tree.visitors.remove(self)
+        self._closing.set()
+        self._thread.join()
+
+    def initialise(self) -> None:
+        """Begin a tick."""
+        self._visited.clear()
+
+    def run(self, behaviour: Behaviour) -> None:
+        """Note what is ticked: INVALID then means skipped, not idle."""
+        self._visited.add(behaviour)
+
+    def finalise(self) -> None:
+        """Write down, after a tick, what each node's status is."""
+        before, recorded = self._present, self._transitions
+        self._present = self._seen(before)
+        if recorded is not None and before.identity == self._present.identity:
+            now_us = time.time_ns() // 1000
+            numbers, codes = self._present.tree.numbers, self._present.codes
+            recorded += [(now_us, numbers[n], code) for n, code in codes.items() if code != before.codes[n]]
+
+    def _seen(self, before: _Present | None) -> _Present:
+        if before is None or not before.tree.shows(self._tree.root):
+            tree = NumberedTree(self._tree.root)
+            before = _Present(tree, uuid4().bytes, dict.fromkeys(tree.numbers, _IDLE))
+        codes = {node: self._code(node, code) for node, code in before.codes.items()}
+        return _Present(before.tree, before.identity, codes)
+
+    def _code(self, node: Behaviour, before: int) -> int:
+        if node.status is not Status.INVALID:
+            return _CODES[node.status]
+        if node in self._visited:
+            return _SKIPPED
+        return before if before == _IDLE or before > _WAS else _WAS + before
+
+    def _bound(self, kind: int, port: int) -> Any:  # noqa: ANN401  # zmq is imported late
+        import zmq
+
+        socket = self._context.socket(kind)
+        socket.setsockopt(zmq.MAXMSGSIZE, _LARGEST_REQUEST)
+        socket.bind(f"tcp://127.0.0.1:{port}")
+        return socket
+
+    def _serve(self) -> None:
+        while not self._closing.is_set():
+            if self._socket.poll(_LOOK_MS):
+                self._socket.send_multipart(self._answer(self._socket.recv_multipart()))
+        self._context.destroy()
+
+    def _answer(self, frames: Sequence[bytes]) -> list[bytes]:
+        head, argument = frames[0], b"".join(frames[1:2])
+        if len(head) != _HEAD.size or head[0] != _PROTOCOL:
+            return _refusal(f"a request begins with 6 bytes: {_PROTOCOL}, a letter and a number of 4 bytes")
+        kind, present = chr(head[1]), self._present
+        try:
+            if kind == "T":
+                body = present.tree.xml.encode()
+            elif kind == "S":
+                body = present.statuses()
+            elif kind == "B":
+                body = self._packed(self._boards(present.tree, argument.decode(errors="replace").split(";")))
+            elif kind == "r":
+                body = self._record(argument)
+            elif kind == "t":
+                body = self._recorded()
+            elif kind == "D":
+                body = b"[]"
+            else:
+                return _refusal(_NOT_SERVED.get(kind, f"unknown request {kind!r}; served are T S B r t D"))
+        except ValueError as error:
+            return _refusal(str(error))
+        return [head + present.identity, body]
+
+    def _boards(self, tree: NumberedTree, names: Sequence[str]) -> Mapping[str, Mapping[str, Any]]:
+        chosen = [name for name in names if name in tree.subtrees] or list(tree.subtrees)
+        return {name: _values(None if (one := tree.subtrees[name]) is None else one.blackboard) for name in chosen}
+
+    def _record(self, wish: bytes) -> bytes:
+        if wish not in (b"start", b"stop"):
+            raise ValueError(f"a recording is told 'start' or 'stop', not {wish[:20]!r}")
+        self._transitions = deque(maxlen=10 * _MOST_TRANSITIONS) if wish == b"start" else None
+        self._began_us = time.time_ns() // 1000
+        return str(self._began_us).encode() if wish == b"start" else b""
+
+    def _recorded(self) -> bytes:
+        recorded = self._transitions or deque()
+        taken = [recorded.popleft() for _ in range(min(len(recorded), _MOST_TRANSITIONS))]
+        return b"".join(
+            max(0, now_us - self._began_us).to_bytes(6, "little") + _STATUS.pack(number, code if code < _WAS else _IDLE)
+            for now_us, number, code in taken
+        )
+
+
+def _values(subtree: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Return what is on a blackboard, in words where a value is no plain one; a tick may write meanwhile."""
+    board = Blackboard.storage if subtree is None else subtree
+    plain = (bool, int, float, str)
+    return {key.lstrip("/"): one if isinstance(one, plain) else repr(one) for key, one in list(board.items())}
+
+
+def _refusal(why: str) -> list[bytes]:
+    return [b"error", why.encode()]
