@@ -4,7 +4,7 @@ import sys
 
 import typer
 
-from missions.commands import FAILED, WRONG_USE, campaign, check, complain, effort, listing, plan, run
+from missions.commands import FAILED, WRONG_USE, campaign, check, complain, effort, listing, plan, report, run
 
 __all__ = ["app", "main"]
 
@@ -20,7 +20,7 @@ app.command("run")(run.run)
 app.command("check")(check.check)
 app.command("plan")(plan.plan)
 app.command("campaign")(campaign.campaign)
-app.command("report")(campaign.report)
+app.command("report")(report.report)
 app.command("effort")(effort.effort)
 
 

@@ -1,4 +1,4 @@
-"""`rosa campaign`: many runs on all cores or on a cluster, gone on with after whatever stopped it; `rosa report`."""
+"""`rosa campaign`: many runs on all cores or on a cluster, gone on with after whatever stopped it."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -56,21 +56,6 @@ def campaign(
         open_workers = partial(Processes, workers) if cluster is None else partial(Cluster, cluster, modules)
         if _conduct(console, store, folder, open_workers, retry, again):
             raise typer.Exit(FAILED)
-
-
-def report(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Where the campaign is.")],
-    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Where to write; default: DIR/report.")] = None,
-) -> None:
-    """Say what came of a campaign, as report.md and report.html with pictures: published figures beside ours, tests."""
-    from missions.experiments.results import read_store
-
-    kept = read_store(folder)
-    from missions.experiments.report import write_report  # draws: imported only if there is something to report
-
-    for path in write_report(kept, out or folder / "report"):
-        if path.suffix in (".md", ".html"):
-            typer.echo(path)
 
 
 def _asked(file: Path | None, table: bool, runs: int | None) -> "Campaign | None":

@@ -10,7 +10,7 @@ import typer
 from missions.commands import FAILED, open_console
 
 if TYPE_CHECKING:
-    from missions.engine.runner import Listener, MissionRun
+    from missions.engine.runner import MissionRun
 
 
 def run(
@@ -23,6 +23,7 @@ def run(
     seed: Annotated[int, typer.Option(min=0, help="Seed of all chance in the run.")] = 0,
     json: Annotated[Path | None, typer.Option(help="Write the result as JSON.")] = None,
     plot: Annotated[Path | None, typer.Option(help="Draw the run as a PNG picture.")] = None,
+    report: Annotated[Path | None, typer.Option(help="Write the run as a page to click through, as HTML.")] = None,
     timing: Annotated[Path | None, typer.Option(help="Write the compute times as JSON.")] = None,
     record: Annotated[Path | None, typer.Option(help="Write the diagnostics, one message per line.")] = None,
     settings: Annotated[list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Change a setting.")] = None,
@@ -39,9 +40,11 @@ def run(
     from missions.engine.mission import Verdict, split_settings
     from missions.engine.recording import header
     from missions.engine.registry import find_mission
+    from missions.engine.runner import Listener
     from missions.engine.settings import own_values
     from missions.views.console import Narrator, Pace, Recorder, print_result
     from missions.views.output import as_json, open_files, summary, timing_of
+    from missions.views.run_recorder import RunRecorder
 
     found = find_mission(mission)
     changed = _assignments(settings or []) | ({} if rules is None else {"rules": rules})
@@ -49,16 +52,21 @@ def run(
     run_settings, _ = split_settings(found, of_mission)
     console = open_console()
     with ExitStack() as stack:
-        files = open_files({"json": json, "plot": plot, "timing": timing, "record": record}, stack)
+        files = open_files({"json": json, "plot": plot, "report": report, "timing": timing, "record": record}, stack)
         narrator = Narrator(console, run_settings.duration_s)
         listeners: list[Listener] = [Pace()] if realtime else []
         listeners += [narrator] if progress else []
-        listeners += [Recorder(files["record"])] if "record" in files else []
+        recorder = Recorder(files["record"]) if "record" in files else Listener()
+        listeners += [recorder]
+        page = RunRecorder() if "report" in files else None
+        listeners += [page] if page else []
         opened = open_run(found, manager=manager, task=task, seed=seed, settings=changed, listeners=tuple(listeners))
         if groot2 is not None:
             _publish(opened, groot2, stack)
         if "record" in files:
-            listeners[-1].message(header(opened, seed))
+            recorder.message(header(opened, seed))
+        if page:
+            page.begin(opened, seed, changed)
         with narrator if progress else nullcontext():
             doing = f"task layer: {task}" if manager == "ours" else f"manager: {manager}"
             console.print(f"[bold]{found.name}[/] ({doing}, seed {seed})")
@@ -73,6 +81,11 @@ def run(
         texts = {"json": as_json(data), "timing": as_json(timing_of(opened, wall_s)), "record": ""}
         for name in texts.keys() & files.keys():
             files[name].finish(texts[name])
+        if page:
+            from missions.views.report import report as page_of
+
+            page.end(opened, verdict)
+            files["report"].finish(page_of(page.recorder.recorded))
         if "plot" in files:  # last, because it takes longest
             from missions.views.picture import draw
 

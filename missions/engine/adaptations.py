@@ -15,11 +15,12 @@ _REMEMBERED: Final = 256  # news, until the plan that it led to is there
 
 
 class _News(NamedTuple):
-    """What became known, when it was so [s], and why it calls for another action, if it does by itself."""
+    """What became known, when it was so [s], why it calls for another action by itself, and in which events it came."""
 
     time: float
     text: str
     reason: str = ""
+    events: tuple[int, ...] = ()
 
 
 class _Ended(NamedTuple):
@@ -43,6 +44,8 @@ class Adaptation:
         reaction_s: from the news to the change being in force [s]; None if it never was.
         news_s: when the news was so [s].
         before, action: of a task adaptation, the action that was given up or has ended, and the one in its place.
+        events: numbers of the events that were the news; none if the task layer alone perceived it.
+        plans: the plans that belong to it, each with what it changes, in words.
     """
 
     at_s: float
@@ -54,7 +57,8 @@ class Adaptation:
     news_s: float = field(default=0.0, repr=False)
     before: str = field(default="", repr=False)
     action: str = field(default="", repr=False)
-    _plans: list[tuple[str, ReconfigurationPlan]] = field(default_factory=list, repr=False)
+    events: tuple[int, ...] = field(default=(), repr=False)
+    plans: list[tuple[str, ReconfigurationPlan]] = field(default_factory=list, repr=False)
 
     @property
     def in_force_s(self) -> float:
@@ -70,7 +74,7 @@ class Adaptation:
     def is_over(self, kb: KnowledgeBase, last_tick: float) -> bool:
         """Whether the robot is configured as it is to be, or nobody does anything about it any more."""
         if not self.action:
-            return self._plans[-1][1].end is not None
+            return self.plans[-1][1].end is not None
         if all(one.action != self.action for one in kb.required_actions):
             return True
         latest = kb.latest_plan
@@ -79,17 +83,17 @@ class Adaptation:
 
     def add(self, words: str, plan: ReconfigurationPlan) -> None:
         """Take in a plan that belongs to it."""
-        self._plans.append((words, plan))
+        self.plans.append((words, plan))
         self.close()
 
     def close(self) -> Self:
         """Say how the plans have ended up to now, and when the last was in force, if it was."""
-        if not self._plans:
+        if not self.plans:
             self.reaction_s = self.at_s - self.news_s
-        elif (last := self._plans[-1][1]).result == "completed" and last.end is not None:
+        elif (last := self.plans[-1][1]).result == "completed" and last.end is not None:
             self.reaction_s = max(self.at_s, last.end) - self.news_s
         parts = [f"{self.before} -> {self.action}"] if self.action else []
-        for words, plan in self._plans:
+        for words, plan in self.plans:
             parts.append(words if plan.result in (None, "completed") else f"{words} ({plan.result})")
         self.change = "; ".join(parts) or self.change
         return self
@@ -151,7 +155,10 @@ class AdaptationLog:
         kb.subscribe(self._hear)
 
     def news(self, stamp: float | None) -> None:
-        """Say that what the knowledge base hears next is news of that time [s]; None: it is our own doing."""
+        """Say that what the knowledge base hears next is news of that time [s]; None: it is our own doing.
+
+        Infinity: whatever comes is news of the time at which it comes, as where nobody says what is.
+        """
         self._stamp = stamp
 
     def sensed(self, text: str) -> None:
@@ -208,16 +215,19 @@ class AdaptationLog:
 
     def _hear_news(self, event: Event) -> None:
         """Take in what was measured; without a stamp it is the task layer's own word, which is no news to it."""
-        time = event.time if self._stamp is None else self._stamp
+        time = event.time if self._stamp in (None, inf) else self._stamp
         for change in event.changes:
             if change.kind == "action" and change.new is Status.UNFEASIBLE:
                 why = self._kb.why(self._kb.actions[change.name])
-                self._lost[event.number if self._stamp is None else change.name] = _News(time, event.text, why)
+                self._lost[event.number if self._stamp is None else change.name] = _News(
+                    time, event.text, why, (event.number,)
+                )
             elif change.kind == "action" and change.old is Status.UNFEASIBLE and self._stamp is not None:
                 self._lost.pop(change.name, None)
-                self._regained[change.name] = _News(time, event.text, f"{change.name} is feasible again")
+                again = f"{change.name} is feasible again"
+                self._regained[change.name] = _News(time, event.text, again, (event.number,))
         if self._stamp is not None:
-            news = _News(time, event.text)
+            news = _News(time, event.text, "", (event.number,))
             self._heard.append((news, bool(event.changes)))
             self._to_answer += [news] if event.changes else []
 
@@ -235,7 +245,8 @@ class AdaptationLog:
         if action in self._lost:
             return self._lost[action]
         if result == "failed":
-            return _News(event.time, f"{action} has failed", reason or f"{action} gave no reason")
+            said = reason or f"{action} gave no reason"
+            return _News(event.time, f"{action} has failed", said, (event.number,))
         if event.cause in self._lost:
             return self._lost[event.cause]
         plan = self._new_plan()
@@ -250,7 +261,7 @@ class AdaptationLog:
         """Return what was news when a plan was asked for, or else why it was."""
         until = max((tick for tick, _ in self._turns if tick <= plan.at_s), default=None)
         led = _together([news for tick, news in self._turns if tick == until])
-        return _News(plan.at_s, plan.reason, plan.reason) if led is None else _News(led.time, led.text, plan.reason)
+        return _News(plan.at_s, plan.reason, plan.reason) if led is None else led._replace(reason=plan.reason)
 
     # ---------------------------------------------------------------- what comes of it
 
@@ -269,7 +280,7 @@ class AdaptationLog:
             self._end_task()
             plan = self._new_plan()
             if plan is not None and not cause.reason:
-                cause = _News(cause.time, cause.text, plan.reason)
+                cause = cause._replace(reason=plan.reason)
             self._task = self._change(before, action, time, cause)
         self._prelude.clear()
         return cause is not None
@@ -288,13 +299,15 @@ class AdaptationLog:
         if plan is not None and not self._steps.issuperset(plan.steps):
             return self._cause_of_plan(plan)
         since = f"{regained.reason} (since {regained.time:.1f} s: {regained.text})"
-        return _News(time, f"{before.action} is over", since)
+        return _News(time, f"{before.action} is over", since, regained.events)
 
     def _change(self, before: _Ended, action: str, time: float, cause: _News) -> Adaptation:
         """Enter a change of action, with the plans that were made for it already."""
         reason = cause.reason or f"{action} is chosen, though {before.action} is still feasible"
         words = f"{before.action} -> {action}"
-        change = Adaptation(time, "task", cause.text, reason, words, None, cause.time, before.action, action)
+        change = Adaptation(
+            time, "task", cause.text, reason, words, None, cause.time, before.action, action, cause.events
+        )
         for made in self._prelude:
             change.add(self._in_words(made), made)
         self.adaptations.append(change)
@@ -315,7 +328,9 @@ class AdaptationLog:
             if added and self._steps and not is_reported:
                 change = f"plan anew, with {', '.join(dict.fromkeys(added))}"
                 cause = self._cause_of_plan(plan)
-                made = Adaptation(self._this_tick, "task", cause.text, cause.reason, change, None, cause.time).close()
+                made = Adaptation(
+                    self._this_tick, "task", cause.text, cause.reason, change, None, cause.time, events=cause.events
+                ).close()
                 self.adaptations.append(made)
                 self._report(made)
             self._steps = frozenset(plan.steps)
@@ -332,7 +347,7 @@ class AdaptationLog:
                 self._prelude.append(plan)
         elif cause is not None:
             kind = "structural" if plan.activate or plan.deactivate else "parameter"
-            made = Adaptation(plan.start, kind, cause.text, plan.reason, "", None, cause.time)
+            made = Adaptation(plan.start, kind, cause.text, plan.reason, "", None, cause.time, events=cause.events)
             made.add(self._in_words(plan), plan)
             self.adaptations.append(made)
             self._under_way.append(made)
@@ -354,4 +369,7 @@ class AdaptationLog:
 
 
 def _together(news: Sequence[_News]) -> _News | None:
-    return _News(news[0].time, " and ".join(dict.fromkeys(one.text for one in news))) if news else None
+    if not news:
+        return None
+    events = tuple(dict.fromkeys(number for one in news for number in one.events))
+    return _News(news[0].time, " and ".join(dict.fromkeys(one.text for one in news)), "", events)

@@ -1,0 +1,41 @@
+"""`rosa report`: what came of a campaign, or pages of runs to click through."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def report(
+    sources: Annotated[
+        list[Path],
+        typer.Argument(metavar="DIR | RECORDING [RECORDING]", help="A campaign's folder, or one or two runs."),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help="Where to write; default: DIR/report, or the recording's name with .html."),
+    ] = None,
+) -> None:
+    """Say what came of a campaign, as report.md and report.html; or show a run, or two side by side, as a page.
+
+    A run is a recording, or a page that `rosa run MISSION --report FILE.html` wrote.
+    """
+    from missions.engine.mission import MissionError
+
+    if len(sources) > 2:
+        raise MissionError(f"one run is shown, or two beside each other, not {len(sources)}")
+    if len(sources) == 1 and (sources[0].is_dir() or not sources[0].exists()):
+        from missions.experiments.results import read_store
+
+        kept = read_store(sources[0])
+        from missions.experiments.report import write_report as write_campaign  # draws: only if there is something
+
+        for path in write_campaign(kept, out or sources[0] / "report"):
+            if path.suffix in (".md", ".html"):
+                typer.echo(path)
+        return
+    from missions.views.report import read_page, write_report
+
+    target = out or sources[0].with_name(f"{'-'.join(one.stem for one in sources)}.report.html")
+    write_report(target, *map(read_page, sources))
+    typer.echo(target)

@@ -1,0 +1,412 @@
+"""Makes the rows of a page from what a knowledge base and a tree do: the same live, afterwards and for a recording."""
+
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import count
+from math import inf, isfinite
+from typing import Any, Final
+
+from py_trees.behaviour import Behaviour
+from py_trees.common import Status
+from py_trees.composites import Parallel, Selector
+from py_trees.composites import Sequence as SequenceNode
+from py_trees.decorators import Decorator
+from py_trees.trees import BehaviourTree
+from py_trees.visitors import VisitorBase
+
+from kb import Event, KnowledgeBase, RequiredAction
+from kb.network import Network, Node
+from missions.engine.adaptations import Adaptation, AdaptationLog
+from missions.views.chain import chain_of
+from missions.views.facts import CHOSEN, cases, choice_of, described, plain
+from missions.views.rows import VERSION, Recorded, Rows
+from rosa_bt import HasStatus, IsActionFeasible, TreeRunner
+from rosa_bt.composites import DoUntilUnfeasible, SafeSwitch
+
+_COLUMNS: Final = ("status", "required", "selected", "active", "stale")
+_LETTERS: Final = {Status.RUNNING: "R", Status.SUCCESS: "S", Status.FAILURE: "F", Status.INVALID: ""}
+_SHAPES: Final[Sequence[tuple[tuple[type, ...], str]]] = (
+    ((SequenceNode, SafeSwitch), "sequence"),
+    ((Selector, DoUntilUnfeasible), "selector"),
+    ((Parallel,), "parallel"),
+    ((Decorator,), "decorator"),
+    ((IsActionFeasible, HasStatus), "condition"),
+)
+POSE_PERIOD_S: Final = 0.5
+
+
+class Recorder:
+    """Writes down what there is to see of a robot: in three lines of its own program, from before the first tick.
+
+        recorder = Recorder(kb, tree)
+        ...                                  # the robot does its work
+        recorder.report("run.html")
+
+    Args:
+        kb: what is known of it.
+        tree: what decides: a `TreeRunner`, a py_trees tree; None if none does. A tree that changes is followed.
+        title: what the page is called; by default the name of the model.
+        units: of attributes, by name, e.g. {"water_visibility": "m"}.
+        pose: returns where the robot is, (x, y, z) [m], world frame, z up; asked at most twice a second.
+        scene: what a map of the place shows: points (n, 2) [m] by name.
+        keep: how many rows to keep, the newest; None for all.
+        what_if: whether to work out, for each instant at which news has changed something, what would have been
+            possible if another value had been measured.
+        header: of a run whose adaptations are told by `adapted` or as rows, and not found here; its units count.
+
+    Attributes:
+        rows: what there was to see.
+        header: what was run.
+    """
+
+    def __init__(
+        self,
+        kb: KnowledgeBase,
+        tree: TreeRunner | BehaviourTree | None = None,
+        *,
+        title: str = "",
+        units: Mapping[str, str] | None = None,
+        pose: Callable[[], Sequence[float]] | None = None,
+        scene: Mapping[str, Iterable[Sequence[float]]] | None = None,
+        keep: int | None = None,
+        what_if: bool = True,
+        header: Mapping[str, Any] | None = None,
+    ) -> None:
+        self.rows = Rows(keep)
+        named = {"title": title or kb.model.name, "model": kb.model.name, "units": dict(units or {})}
+        self.header: dict[str, Any] = {**bare_header(), **named, **(header or {})}
+        self._kb, self._pose, self._what_if = kb, pose, what_if
+        self._own = None if header is not None else AdaptationLog(kb, self.adapted, lambda: self._task_plans)
+        if self._own is not None:
+            self._own.news(inf)
+        self._nodes: dict[tuple[str, str], int] = {}
+        self._seen_version = self._revision = -1
+        self._columns: dict[str, list[Any]] = {name: [] for name in _COLUMNS}
+        self._events: deque[Event] = deque(maxlen=2000)
+        self._counted, self._posed_at = 0, -inf
+        self._task_plans: list[Any] = []
+        self._adapted = 0
+        self._look(kb.now)
+        self._tree = _TreeRows(self, tree.tree if isinstance(tree, TreeRunner) else tree) if tree else None
+        if scene is not None:
+            self.show(scene)
+        self._stop = kb.subscribe(self._hear)
+
+    def show(self, scene: Mapping[str, Iterable[Sequence[float]]]) -> None:
+        """Say what a map of the place shows from now on: points (n, 2) [m], world frame, by name."""
+        shown = []
+        for name, points in scene.items():
+            pairs = [[round(float(point[0]), 3), round(float(point[1]), 3)] for point in points]
+            shown.append({"name": name, "points": pairs, "shape": "line" if len(pairs) > 1 else "point"})
+        self.rows.put(self._kb.now, "scene", 0, shown)
+
+    def put(self, track: str, key: int | str, value: object, time: float | None = None) -> None:
+        """Add a row of another kind, at a time [s], by default now; see `docs/see_it.md` for the tracks."""
+        self.rows.put(self._kb.now if time is None else time, track, key, value)
+
+    @property
+    def recorded(self) -> Recorded:
+        """The run up to now."""
+        return Recorded(self.header, self.rows.since(0))
+
+    def report(self, path: str) -> None:
+        """Write the run up to now as one self-contained page."""
+        from missions.views.report import write_report
+
+        write_report(path, self.recorded)
+
+    def close(self) -> None:
+        """Hear no more of the robot; what there was to see stays."""
+        self._stop()
+        if self._tree is not None:
+            self._tree.let_go()
+        self.rows.put(self._kb.now, "now", 0, "end")
+
+    def _repr_html_(self) -> str:
+        from missions.views.report import framed
+
+        return framed(self.recorded)
+
+    # ---------------------------------------------------------------- what the knowledge base tells
+
+    def _hear(self, event: Event) -> None:
+        rows, time = self.rows, event.time
+        if event.verb == "measure" and not event.changes:
+            rows.put(time, "value", self._nodes[self._key("attribute", event.subject)], event.arguments[1])
+            return
+        self._events.append(event)
+        if event.verb == "measure":
+            rows.put(time, "value", self._nodes[self._key("attribute", event.subject)], event.arguments[1])
+        written = plain(event.to_json())
+        shown = {"verb": event.verb, "words": event.text, "subject": event.subject, "kind": str(event.kind)}
+        for name in ("arguments", "cause", "changes", "effects"):
+            if written.get(name):
+                shown[name] = written[name]
+        rows.put(time, "event", event.number, shown)
+        self._look(time)
+        self._note_records(event)
+        if self._what_if and event.kind == "monitoring data" and any(one.kind != "constraint" for one in event.changes):
+            self.suppose(time)
+        if self._own is not None and self._tree is None:
+            self._own.ticking(time)
+            self._own.settle()
+
+    def _key(self, kind: str, name: str) -> tuple[str, str]:
+        if (kind, name) not in self._nodes:
+            self._look(self._kb.now)
+        return kind, name
+
+    def _look(self, time: float) -> None:
+        """Write down what is not as it was."""
+        with self._kb.reading() as state:
+            if state.network.revision != self._revision:
+                self._revision = state.network.revision
+                self._describe(time, state.network)
+            elif state.version == self._seen_version:
+                return
+            self._seen_version = state.version
+            changed: dict[int, None] = {}
+            for name in _COLUMNS:
+                now, before = state.columns[name], self._columns[name]
+                if now == before:
+                    continue
+                before += [None] * (len(now) - len(before))
+                for index, value in enumerate(now):
+                    if value != before[index]:
+                        self._note(time, name, state.network.nodes[index], value, is_new=before[index] is None)
+                        changed[index] = None
+                self._columns[name] = list(now)
+            self._explain(time, state.network, changed)
+
+    def _note(self, time: float, column: str, node: Node, value: Any, *, is_new: bool) -> None:  # noqa: ANN401  # of the column
+        if column != "status":
+            if value or not is_new:
+                self.rows.put(time, column, node.index, int(value))
+        elif node.kind != "attribute":
+            self.rows.put(time, column, node.index, str(value))
+
+    def _describe(self, time: float, network: Network) -> None:
+        present = {node.index: node for node in network.present()}
+        for index in sorted(present.keys() | set(self._nodes.values())):
+            node = present.get(index)
+            self.rows.put(time, "element", index, None if node is None else described(node, self.header["units"]))
+        self._nodes = {(node.kind, node.name): node.index for node in present.values()}
+
+    def _explain(self, time: float, network: Network, changed: Iterable[int]) -> None:
+        """Say why each of these is as it is, what would help, and what was chosen for it."""
+        chosen_for: dict[Node, None] = {}
+        present = {node.index: node for node in network.present()} if changed else {}
+        for index in changed:
+            node = present.get(index)
+            if node is None or node.kind in ("constraint", "attribute"):
+                continue
+            found = self._kb.explain(node.element)
+            self.rows.put(time, "why", index, found.sentence)
+            helps = [str(one) for one in found.remedies] if found.remedies else None
+            self.rows.put(time, "help", index, helps)
+            for one in (node, *node.wholes):
+                if one.kind in CHOSEN and one.parts:
+                    chosen_for[one] = None
+        for node in chosen_for:
+            self.rows.put(time, "choice", node.index, choice_of(self._kb, node))
+
+    def _note_records(self, event: Event) -> None:
+        """Write down what became of actions, plans and commands."""
+        time, rows, names = event.time, self.rows, self._nodes
+        if event.verb in ("request_action", "cancel_action"):
+            one = next(one for one in reversed(self._kb.history.actions) if one.action == event.subject)
+            self.acted(one.number, one)
+        elif event.plan is not None or event.verb == "finish_plan":
+            for plan in reversed(self._kb.plans):
+                shown = {"words": str(plan), "start": plan.start, "end": plan.end, "result": plan.result}
+                shown |= {"reason": plan.reason, "cause": plan.cause}
+                for word, part in (("activate", plan.activate), ("deactivate", plan.deactivate)):
+                    shown[word] = [names["component", name] for name in part]
+                shown["configurations"] = [names["configuration", name] for name in plan.parameters]
+                rows.put(time, "plan", plan.number, shown)
+                if plan.end is not None and plan.end < time:
+                    break
+        elif event.verb in ("record_attempt", "finish_attempt"):
+            serial = event.arguments[0] if event.verb == "finish_attempt" else None
+            attempts = reversed(self._kb.history.attempts)
+            made = next((one for one in attempts if serial in (None, one.serial)), None)
+            if made is None:
+                return
+            index = names["component", made.component]
+            shown = {"plan": made.plan.number, "component": index, "operation": made.operation, "start": made.start}
+            rows.put(
+                time, "attempt", made.serial, {**shown, "end": made.end, "result": made.result, "reason": made.reason}
+            )
+        if event.verb in ("finish_attempt", "component_configured", "component_active"):
+            for name, view in self._kb.components.items():
+                if view.parameters_in_force:
+                    rows.put(time, "parameters", names["component", name], plain(view.parameters_in_force))
+
+    # ---------------------------------------------------------------- what the task layer does
+
+    def ticking(self) -> None:
+        """Begin a tick."""
+        if self._own is not None:
+            self._own.ticking(self._kb.now)
+
+    def ticked(self, planning: Iterable[Any]) -> None:
+        """End a tick, in which these behaviours may have planned."""
+        for one in planning:
+            for plan in one.plans:
+                if plan not in self._task_plans:
+                    self._task_plans.append(plan)
+                    shown = {"asked": plan.at_s, "outcome": str(plan.outcome), "solved": plan.outcome.is_solved}
+                    shown |= {"engine": plan.engine, "steps": [str(step) for step in plan.steps]}
+                    shown |= {"reason": plan.reason, "message": plan.message}
+                    self.put("taskplan", len(self._task_plans), shown)
+        if self._own is not None:
+            self._own.settle()
+        if self._pose is not None and self._kb.now >= self._posed_at + POSE_PERIOD_S - 1e-9:
+            self._posed_at = self._kb.now
+            self.posed(self._kb.now, self._pose())
+
+    def posed(self, time: float, position: Sequence[float]) -> None:
+        """Say where the robot is, (x, y, z) [m]; what is not known is left out."""
+        if all(map(isfinite, position)):
+            self.rows.put(time, "pose", 0, [round(float(one), 3) for one in position])
+
+    def acted(self, number: int, one: RequiredAction) -> None:
+        """Write down an action that was begun, or has ended."""
+        shown = {"action": self._nodes["action", one.action], "start": one.start, "end": one.end}
+        self.put("action", number, {**shown, "result": one.result, "reason": one.reason, "cause": one.cause})
+
+    def adapted(self, adaptation: Adaptation) -> None:
+        """Write down an adaptation that is in force, or has failed, with the chain from cause to effect."""
+        self._adapted += 1
+        nodes = {} if self._tree is None else self._tree.about
+        shown = {
+            "t": adaptation.at_s,
+            "kind": adaptation.kind,
+            "cause": adaptation.trigger,
+            "decided": adaptation.reason,
+            "changed": adaptation.change,
+            "reaction": adaptation.reaction_s,
+            "in_force": plain(adaptation.in_force_s),
+            "chain": chain_of(adaptation, self._events, self._task_plans, self._nodes, nodes),
+        }
+        self.put("adaptation", self._adapted, shown)
+        if self._what_if:
+            self.suppose(self._kb.now)
+
+    def suppose(self, time: float) -> None:
+        """Work out what would be if something else had been measured."""
+        self._counted += 1
+        self.rows.put(time, "whatif", self._counted, {"t": time, "cases": cases(self._kb)})
+
+    def elements_of(self, behaviour: Behaviour) -> list[int]:
+        """Return the indices of the actions that a behaviour is about."""
+        try:
+            action = getattr(behaviour, "action", None)
+        except Exception:  # py_trees raises several kinds when a port is not connected before the tree runs
+            return []
+        index = self._nodes.get(("action", action)) if isinstance(action, str) else None
+        return [] if index is None else [index]
+
+
+class _TreeRows(VisitorBase):
+    """Writes down the statuses of a tree after each tick, and the tree itself whenever it has changed."""
+
+    def __init__(self, recorder: Recorder, tree: BehaviourTree) -> None:
+        super().__init__(full=False)
+        self._recorder, self._behaviours = recorder, tree
+        self._ids: dict[Behaviour, int] = {}
+        self._known: dict[Behaviour, tuple[str, str]] = {}
+        self._below: list[tuple[Behaviour, list[Behaviour]]] = []
+        self._planning: list[Behaviour] = []
+        self._seen: list[tuple[Behaviour, Status, str]] = []
+        self._before: list[tuple[Behaviour, Status, str]] = []
+        self._count, self._numbers = 0, count()
+        self.about: dict[int, list[int]] = {}
+        self._describe()
+        tree.add_visitor(self)
+
+    def let_go(self) -> None:
+        if self in self._behaviours.visitors:
+            self._behaviours.visitors.remove(self)
+
+    def initialise(self) -> None:
+        self._seen = []
+        self._recorder.ticking()
+
+    def run(self, behaviour: Behaviour) -> None:
+        self._seen.append((behaviour, behaviour.status, behaviour.feedback_message))
+
+    def finalise(self) -> None:
+        recorder = self._recorder
+        if not self._below or any(one.children != children for one, children in self._below):
+            self._describe()
+        if self._seen != self._before:
+            ticked = {}
+            for behaviour, status, feedback in self._seen:
+                ticked[behaviour] = _LETTERS[status], feedback
+            for behaviour in self._ids:
+                now = ticked.get(behaviour)
+                if now is None:
+                    now = _LETTERS[behaviour.status].lower(), behaviour.feedback_message
+                if now != self._known.get(behaviour):
+                    self._known[behaviour] = now
+                    recorder.put("node", self._ids[behaviour], list(now))
+            recorder.put("tick", 0, self._count)
+            self._before = self._seen
+        self._count += 1
+        recorder.ticked(self._planning)
+
+    def _describe(self) -> None:
+        recorder, nodes = self._recorder, []
+        parents: list[tuple[Behaviour, int | None]] = [(self._behaviours.root, None)]
+        present: dict[Behaviour, int] = {}
+        self._below, self._planning, self.about = [], [], {}
+        while parents:
+            behaviour, parent = parents.pop()
+            if behaviour in present:
+                continue
+            uid = present[behaviour] = self._ids[behaviour] if behaviour in self._ids else next(self._numbers)
+            parents += [(child, uid) for child in reversed(behaviour.children)]
+            if behaviour.children or not isinstance(behaviour, (IsActionFeasible, HasStatus)):
+                self._below.append((behaviour, list(behaviour.children)))
+            if isinstance(getattr(behaviour, "plans", None), tuple):
+                self._planning.append(behaviour)
+            elements = recorder.elements_of(behaviour)
+            for index in elements:
+                self.about.setdefault(index, []).append(uid)
+            nodes.append([uid, parent, type(behaviour).__name__, behaviour.name, _shape(behaviour), elements])
+        for behaviour, uid in self._ids.items():
+            if behaviour not in present:
+                recorder.put("node", uid, None)
+                self._known.pop(behaviour, None)
+        self._ids = present
+        recorder.put("tree", 0, {"name": self._behaviours.root.name, "nodes": nodes})
+        self._before = []
+
+
+def _shape(behaviour: Behaviour) -> str:
+    for kinds, shape in _SHAPES:
+        if isinstance(behaviour, kinds):
+            return shape
+    if isinstance(getattr(behaviour, "plans", None), tuple):
+        return "plan"
+    return "other" if behaviour.children else "action"
+
+
+def bare_header() -> dict[str, Any]:
+    """Return the header of a page of which nothing is known yet."""
+    from importlib.metadata import version
+
+    return {
+        **{"version": VERSION, "program": f"rosa-taca {version('rosa-taca')}", "live": False, "units": {}},
+        **{
+            "title": "",
+            "words": "",
+            "mission": "",
+            "task": "",
+            "manager": "",
+            "seed": None,
+            "settings": {},
+            "model": "",
+        },
+    }

@@ -1,0 +1,93 @@
+"""Makes the rows of a page from a run of a mission: what its robot knows and does, and what its world shows."""
+
+from collections.abc import Mapping
+
+from kb import DiagnosticProblem, KnowledgeBase
+from missions.engine.adaptations import Adaptation
+from missions.engine.mission import Message, Verdict
+from missions.engine.runner import Listener, MissionRun
+from missions.views.output import figure_in_words
+from missions.views.recorder import Recorder
+
+
+class RunRecorder(Listener):
+    """Hears of a run and writes down what there is to see: `begin` before it, `end` after it.
+
+    Under a manager without a knowledge base one of our own hears the same messages and says what they mean.
+
+    Args:
+        keep: how many rows to keep, the newest; None for all.
+        what_if: whether to work out what would have been if something else had been measured.
+    """
+
+    recorder: Recorder
+
+    def __init__(self, keep: int | None = None, *, what_if: bool = True) -> None:
+        self._keep, self._what_if = keep, what_if
+        self._shown = self._disturbed = self._failed = 0
+        self._own: KnowledgeBase | None = None
+        self._measured: frozenset[str] = frozenset()
+
+    def begin(self, run: MissionRun, seed: int, settings: Mapping[str, str]) -> None:
+        """Take over a run that is opened, before it runs."""
+        kb, sample = run.controller.kb, run.world.sample()
+        if kb is None:
+            kb = self._own = KnowledgeBase(run.model, clock=lambda: run.world.now)
+        self._measured = frozenset(kb.attributes)
+        header = {
+            **{"title": run.mission.name, "mission": run.mission.name, "words": run.mission.summary},
+            **{"task": run.task, "manager": run.manager, "seed": seed, "settings": dict(sorted(settings.items()))},
+            "units": dict(map(_split, sample.signals if sample else ())),
+        }
+        tree = getattr(run.controller, "tree", None)
+        self.recorder = Recorder(kb, tree, keep=self._keep, what_if=self._what_if, header=header)
+        self._show(run)
+
+    def end(self, run: MissionRun, verdict: Verdict) -> None:
+        """Write down how it ended."""
+        self.tick(run)
+        self._show(run)
+        figures = [list(figure_in_words(name, value)) for name, value in run.results().items()]
+        shown = {"outcome": verdict.outcome, "success": verdict.success, "reason": verdict.reason, "figures": figures}
+        self.recorder.put("result", 0, shown)
+        self.recorder.close()
+
+    def message(self, message: Message) -> None:
+        if self._own is not None:
+            self._own.receive(message)
+
+    def problem(self, problem: DiagnosticProblem, time_s: float) -> None:
+        self._failed += 1
+        self.recorder.put("problem", self._failed, str(problem))
+
+    def adaptation(self, adaptation: Adaptation) -> None:
+        self.recorder.adapted(adaptation)
+
+    def tick(self, run: MissionRun) -> None:
+        if len(run.trace) > self._shown:
+            self._shown = len(run.trace)
+            self._show(run)
+
+    def _show(self, run: MissionRun) -> None:
+        """Write down what the world shows now, and what has happened in it."""
+        recorder = self.recorder
+        sample = run.world.sample()
+        if sample is not None:
+            recorder.posed(sample.time, sample.position)
+            for signal, value in sample.signals.items():
+                if _split(signal)[0] not in self._measured:
+                    recorder.put("signal", signal, round(value, 4))
+        recorder.show(run.world.scenery())
+        for time, text in run.world.disturbances()[self._disturbed :]:
+            self._disturbed += 1
+            recorder.put("disturbance", self._disturbed, {"t": time, "words": text})
+        if self._own is not None:
+            for number, one in enumerate(run.actions, start=1):
+                recorder.acted(number, one)
+
+
+def _split(signal: str) -> tuple[str, str]:
+    """Return the name of the attribute that a signal is called after, and the unit."""
+    name, _, unit = signal.partition(" [")
+    unit = unit.rstrip("]")
+    return name.replace(" ", "_"), "" if unit == "-" else unit
