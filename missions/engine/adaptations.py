@@ -261,7 +261,11 @@ class AdaptationLog:
         """Return what was news when a plan was asked for, or else why it was."""
         until = max((tick for tick, _ in self._turns if tick <= plan.at_s), default=None)
         led = _together([news for tick, news in self._turns if tick == until])
-        return _News(plan.at_s, plan.reason, plan.reason) if led is None else led._replace(reason=plan.reason)
+        return (
+            _News(plan.at_s, plan.reason, plan.reason)
+            if led is None
+            else _News(led.time, led.text, plan.reason, led.events)
+        )
 
     # ---------------------------------------------------------------- what comes of it
 
@@ -280,7 +284,7 @@ class AdaptationLog:
             self._end_task()
             plan = self._new_plan()
             if plan is not None and not cause.reason:
-                cause = cause._replace(reason=plan.reason)
+                cause = _News(cause.time, cause.text, plan.reason, cause.events)
             self._task = self._change(before, action, time, cause)
         self._prelude.clear()
         return cause is not None
