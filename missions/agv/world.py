@@ -26,6 +26,7 @@ _PAPER: Final = "ROSA paper, AGV use case; where along the corridor: own choice"
 _STAND: Final = Aim(0.0, 0.0)
 _ERROR_KEEPS: Final = 0.98  # of the error of the position, from one look to the next
 _DARK: Final = 0.1  # where the lamps of a corridor have gone out, from 0 to 1; own choice
+_CREEP_M: Final = 1e-4  # in a period; who goes no farther stands
 _WELL_INSIDE_M: Final = 1.0  # from there on the robot is in a corridor, no longer at a place
 
 
@@ -49,6 +50,7 @@ class Settings(Constants):
     reach_m: float = setting(0.3, "m", "distance at which a place is reached", _OWN, 0.05)
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         steps = self.control_period_s / self.physics_step_s
         if round(steps) < 1 or abs(steps - round(steps)) > 1e-6:
             message = f"control_period_s {self.control_period_s:g} is no whole multiple of physics_step_s"
@@ -108,7 +110,7 @@ class BuildingWorld(World):
         self._sensor = ""
         self._error: Array = np.zeros(2)
         self._error_m = 0.0
-        self._energy_j, self._driven_total_m = settings.capacity_j, 0.0
+        self._energy_j, self._driven_total_m, self._is_moving = settings.capacity_j, 0.0, False
         self._news: dict[str, dict[str, str]] = {}
         self._happened: list[tuple[float, str]] = []
         self._monitor_due = 0.0
@@ -136,6 +138,12 @@ class BuildingWorld(World):
         news, self._news = self._news, {}
         said = [{"name": "building", "message": kind, "values": values} for kind, values in news.items()]
         return [{"time": self.now, "status": said}] if said else []
+
+    @property
+    def is_still(self) -> bool:
+        """Whether it stands, lost or without energy: incidents happen to a vehicle that drives."""
+        waits = self._energy_j > 0.0 and (self._sensor or self._managed.next_event() < math.inf)
+        return not (waits or self._is_moving)
 
     def results(self) -> Mapping[str, float | None]:
         return {
@@ -171,7 +179,9 @@ class BuildingWorld(World):
         aim = self._aim()
         self._vehicle.drive(aim, round(self._settings.control_period_s / self._settings.physics_step_s))
         self._energy_j = max(0.0, self._energy_j - self._draws_w(aim is not _STAND) * self._settings.control_period_s)
-        self._driven_total_m += math.dist(before, self._vehicle.position)
+        driven_m = math.dist(before, self._vehicle.position)
+        self._driven_total_m += driven_m
+        self._is_moving = driven_m > _CREEP_M
         self._look_where_it_is()
         for one, part in [each for each in self._waiting if each[0].corridor == self._inside]:
             if self._driven_m >= part * self._building.corridors[one.corridor].length_m:

@@ -50,9 +50,11 @@ def campaign(
     folder = out or Path("campaigns") / (asked.name if asked else "")
     console = Console(emoji=False, soft_wrap=True)
     with Store(folder, asked, resume=resume) as store:
-        resuming = f"rosa campaign --resume --out {shlex.quote(str(folder))}"
-        again = f"{resuming} --cluster {cluster}" if cluster else resuming
         modules = store.campaign.own_modules
+        words = [str(file)] if modules else []  # what it imports is not for the folder to say
+        words += ["--runs", str(runs)] if modules and runs is not None else []
+        words += ["--resume", "--out", str(folder), *(["--cluster", cluster] if cluster else [])]
+        again = f"rosa campaign {shlex.join(words)}"
         open_workers = partial(Processes, workers) if cluster is None else partial(Cluster, cluster, modules)
         if _conduct(console, store, folder, open_workers, retry, again):
             raise typer.Exit(FAILED)

@@ -235,7 +235,7 @@ def checked_times(takes: Mapping[str, float]) -> Mapping[str, float]:
     """Return how long commands take by verb [s]; ValueError if there is no such command, or a number is below 0."""
     for verb, seconds in takes.items():
         _check_verb(verb)
-        if not seconds >= 0:
+        if not (isinstance(seconds, int | float) and seconds >= 0):
             raise ValueError(f"{verb} takes {seconds!r}; allowed is a number of seconds from 0")
     return takes
 

@@ -109,6 +109,8 @@ class RosaController(Controller):
         spent["waiting for plans"] += caught_up - managed
         spent["task layer"] += decided - caught_up
         self._check_plans()
+        if is_ticked and self._world.is_still and self._kb.pending_plan is None:
+            self.is_stuck = bool(self._mission.why_not(self._kb, self.percepts))
         return is_ticked
 
     def look(self) -> Seen:

@@ -100,11 +100,16 @@ class Sample:
         return cls(time, (nan, nan, nan), signals)
 
 
+TIME_LIMIT: Final = "time_limit"
+NO_SUCCESS: Final = ("not_found", "aborted", "ended_early")
+
+
 class Verdict(NamedTuple):
     """How a mission ended.
 
     Attributes:
-        outcome: a word, e.g. "inspected_all", "time_limit"; "not_found" and "aborted" are no successes, all others are.
+        outcome: a word, e.g. "inspected_all"; "time_limit" for what was done as well as time allowed; "not_found",
+            "aborted" and "ended_early" (the task ended short of the goal) are no successes, all others are.
         reason: why, in words.
         detail: what only a person at this machine has use for; no part of the result.
     """
@@ -116,7 +121,7 @@ class Verdict(NamedTuple):
     @property
     def success(self) -> bool:
         """Whether the mission did what it was for."""
-        return self.outcome not in ("not_found", "aborted")
+        return self.outcome not in NO_SUCCESS
 
 
 class World(ABC):
@@ -135,6 +140,11 @@ class World(ABC):
     @abstractmethod
     def advance(self, until: float) -> list[Message]:
         """Let time pass until something is published, a commanded change has ended, or the time is `until` [s]."""
+
+    @property
+    def is_still(self) -> bool:
+        """Whether nothing that a decision depends on changes here any more unless something is commanded."""
+        return False
 
     def results(self) -> Mapping[str, float | None]:
         """Return the mission's figures up to now by name, units in the names; None for what did not happen."""
@@ -173,7 +183,10 @@ class WorldKind(ABC):
 
     @abstractmethod
     def verdict(self, percepts: Percepts, results: Mapping[str, float | None], kb: KnowledgeBase) -> Verdict:
-        """Say how a mission here has ended, from what was sensed, its figures and what was done."""
+        """Say how a mission here has ended: whether its goal is reached, or else what was not done in its time.
+
+        It is judged from what was sensed, its figures and what was done. That the task ended early is not asked here.
+        """
 
     def settings(self) -> tuple[Setting, ...]:
         """Return what can be set."""
@@ -201,7 +214,7 @@ class Mission:
             the default.
         fixed: settings of the world that belong to this mission.
         why_not: says why its goal cannot be reached, from what is known and was sensed; empty if it knows no more
-            than the planner.
+            than the planner. A mission that knows one ends as soon as its world `is_still`.
     """
 
     name: str
@@ -237,6 +250,5 @@ def split_settings(mission: Mission, values: Mapping[str, str]) -> tuple[RunSett
         close = near(name, [one.name for one in settings_of(mission)])
         hint = f"did you mean {' or '.join(close)}?" if close else f"`rosa settings {mission.name}` lists them"
         raise MissionError(f"unknown setting {name!r} of mission {mission.name}; {hint}")
-    own = {one.name for one in RunSettings.describe()}
-    fixed = {name: value for name, value in mission.fixed.items() if name not in own}
-    return RunSettings.read(run), {**fixed, **world}
+    fixed_run, fixed_world = own_values(RunSettings.describe(), mission.fixed)
+    return RunSettings.read({**fixed_run, **run}), {**fixed_world, **world}

@@ -100,6 +100,9 @@ def _check(message: Any, where: str) -> None:  # noqa: ANN401  # that it is a me
     time = message.get("time") if isinstance(message, dict) else None
     if not isinstance(time, int | float) or isinstance(time, bool) or not 0 <= time < math.inf:
         raise MissionError(f'{where}: a message is an object with a number "time" [s] from 0 and a list "status"')
+    run = message.get("run", {})
+    if not isinstance(run, dict) or not all(isinstance(run.get(key, {}), dict) for key in ("settings", "switching_s")):
+        raise MissionError(f'{where}: "run" says how it was run: an object with objects "settings" and "switching_s"')
     statuses = message.get("status")
     if not isinstance(statuses, list) or not all(
         isinstance(one, dict) and isinstance(one.get("message"), str) and isinstance(one.get("values"), dict)

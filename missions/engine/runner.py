@@ -3,18 +3,32 @@
 from abc import ABC, abstractmethod
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
+from contextlib import closing
+from math import isfinite
 from time import perf_counter
 from typing import TYPE_CHECKING, NamedTuple
 
-from kb import DiagnosticProblem, KnowledgeBase, Model, RequiredAction
+from kb import DiagnosticProblem, KnowledgeBase, KnowledgeBaseError, Model, RequiredAction
 from missions.engine.adaptations import Adaptation
-from missions.engine.mission import Message, Mission, MissionError, Reaction, Sample, Verdict, World
+from missions.engine.mission import (
+    NO_SUCCESS,
+    TIME_LIMIT,
+    Message,
+    Mission,
+    MissionError,
+    Reaction,
+    Sample,
+    Verdict,
+    World,
+)
 from missions.engine.settings import RunSettings
 
 if TYPE_CHECKING:
     from rosa_pddl import PlanRecord
 
 SAMPLE_PERIOD_S = 0.5
+STANDSTILL = 10_000
+"""How often a world may be asked to go on without a millisecond passing, until it counts as standing still."""
 
 
 class Seen(NamedTuple):
@@ -60,6 +74,7 @@ class Controller(ABC):
         compute_s: seconds of this machine's time by part, not part of any decision.
         listeners: who hears of actions and adaptations.
         trouble: how the mission has to end at once; None if it may go on.
+        is_stuck: whether nothing can be done any more, whatever time passes: the mission ends, and is judged.
     """
 
     def __init__(self, manager: str, task: str) -> None:
@@ -69,6 +84,7 @@ class Controller(ABC):
         self.compute_s: defaultdict[str, float] = defaultdict(float)
         self.listeners: Sequence[Listener] = ()
         self.trouble: Verdict | None = None
+        self.is_stuck = False
 
     @property
     @abstractmethod
@@ -144,6 +160,7 @@ class MissionRun:
         self._listeners = listeners
         self._decided_s: list[tuple[float, float]] = []
         self._world_s, self._sampled_at, self._plans_heard = 0.0, -SAMPLE_PERIOD_S, 0
+        self._moved_s, self._turns = world.now, 0
         controller.listeners = listeners
 
     @property
@@ -204,20 +221,31 @@ class MissionRun:
         return {**self.world.results(), **self.controller.inputs}
 
     def run(self) -> Verdict:
-        """Run until the mission is done or the time limit is reached; nothing is left running however this ends."""
-        controller = self.controller
-        try:
-            while controller.trouble is None and not controller.is_done and self.world.now < self.settings.duration_s:
-                self._turn()
-        finally:
-            controller.end()
-            self.world.close()
-        return controller.trouble or controller.verdict(self.world.results())
+        """Run until the mission is done, stuck or out of time; nothing is left running however this ends.
+
+        Raises:
+            MissionError: the world does not let time pass, or what is of the mission's own raises; names it.
+        """
+        controller, world, duration_s = self.controller, self.world, self.settings.duration_s
+        with closing(world):
+            try:
+                while not (controller.trouble or controller.is_stuck or controller.is_done or world.now >= duration_s):
+                    self._turn()
+            finally:
+                controller.end()
+        if controller.trouble:
+            return controller.trouble
+        verdict = controller.verdict(world.results())
+        if controller.is_done and world.now < duration_s and verdict.outcome in (*NO_SUCCESS, TIME_LIMIT):
+            # it was judged by a goal that is not reached, as if time had run out
+            ended = f"the task ended after {world.now:.1f} s of {duration_s:g} s, short of the mission's goal"
+            return Verdict("ended_early", ended)
+        return verdict
 
     def _turn(self) -> None:
         """Let the world go on to the next news, or to when the controller is due, and have it answered."""
         controller, started = self.controller, perf_counter()
-        messages = self.world.advance(min(controller.due, self.settings.duration_s))
+        messages = self._advanced(min(controller.due, self.settings.duration_s))
         self._world_s += perf_counter() - started
         took_s = sum(self._take_in(message) for message in messages)
         started = perf_counter()
@@ -228,6 +256,26 @@ class MissionRun:
             for listener in self._listeners:
                 listener.tick(self)
         self._report_plans()
+
+    def _advanced(self, until: float) -> Sequence[Message]:
+        """Let the world go on, and see that it does."""
+        world, before = self.world, self.world.now
+        where = f"the world of mission {self.mission.name}"
+        try:
+            messages = [*world.advance(until)]
+        except (MissionError, KnowledgeBaseError):
+            raise
+        except Exception as error:  # whatever an author's world may raise
+            raise MissionError(f"{where} failed after {before:.1f} s: {type(error).__name__}: {error}") from error
+        if not isfinite(world.now) or world.now < before:
+            raise MissionError(f"{where} shows {world.now!r} s after {before!r} s; its time has to pass")
+        self._turns += 1
+        if world.now >= self._moved_s + 1e-3:
+            self._moved_s, self._turns = world.now, 0
+        elif self._turns > STANDSTILL:
+            advice = "advance() goes on until something is published, a command has ended, or to the time asked for"
+            raise MissionError(f"{where} stands still at {world.now:.3f} s, asked to go on to {until:.3f} s; {advice}")
+        return messages
 
     def _take_in(self, message: Message) -> float:
         """Have a message heard; return how long that took the controller [s]."""

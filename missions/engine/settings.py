@@ -1,9 +1,10 @@
 """What can be set from outside: declared once, as the fields of a frozen dataclass; listed and read from there."""
 
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, fields
 from difflib import get_close_matches
-from math import inf, isfinite, nan
+from math import inf, isfinite
 from typing import Any, Self
 
 Value = bool | int | float | str
@@ -58,22 +59,30 @@ class Setting:
         """
         if isinstance(self.default, str):
             return text
-        if isinstance(self.default, bool):
-            if text.strip().lower() in ("true", "false"):
-                return text.strip().lower() == "true"
-            raise MissionError(f"setting {self.name} is {text!r}; allowed is true or false")
-        is_whole = isinstance(self.default, int)
-        try:
-            value = float(text)
-        except ValueError:
-            value = nan
-        if not (isfinite(value) and self.low <= value <= self.high) or (is_whole and value != int(value)):
-            kind = "whole number" if is_whole else "number of seconds" if self.unit == "s" else "number"
-            bounds = [
-                f" {word} {bound:g}" for word, bound in (("from", self.low), ("to", self.high)) if isfinite(bound)
-            ]
-            raise MissionError(f"setting {self.name} is {text!r}; allowed is a {kind}{''.join(bounds)}")
-        return int(value) if is_whole else value
+        value: object = text
+        with suppress(ValueError, KeyError):
+            value = (
+                {"true": True, "false": False}[text.strip().lower()] if isinstance(self.default, bool) else float(text)
+            )
+        if isinstance(value, float) and value.is_integer() and isinstance(self.default, int):
+            value = int(value)
+        return self.checked(text if value in (inf, -inf) else value, text)
+
+    def checked(self, value: object, given: object = None) -> Value:
+        """Return a value; MissionError if it is none that is allowed, which names what was given."""
+        if isinstance(self.default, bool | str):
+            allowed = "true or false" if isinstance(self.default, bool) else "a text"
+            if isinstance(value, type(self.default)):
+                return value
+        else:
+            is_whole = isinstance(self.default, int)
+            allowed = "a whole number" if is_whole else "a number of seconds" if self.unit == "s" else "a number"
+            bounds = (("from", self.low), ("to", self.high))
+            allowed += "".join(f" {word} {bound:g}" for word, bound in bounds if isfinite(bound))
+            is_number = isinstance(value, int | float) and not isinstance(value, bool)
+            if is_number and self.low <= value <= self.high and (not is_whole or float(value).is_integer()):  # type: ignore[operator,arg-type]  # a number
+                return value  # type: ignore[return-value]
+        raise MissionError(f"setting {self.name} is {given or value!r}; allowed is {allowed}")
 
 
 def setting(default: Value, unit: str, meaning: str, source: str, low: float = 0.0, high: float = inf) -> Any:  # noqa: ANN401  # as of dataclasses.field: it stands where a value of the field's type would
@@ -89,7 +98,11 @@ def declared(kind: Any) -> tuple[Setting, ...]:  # noqa: ANN401  # any dataclass
 
 @dataclass(frozen=True, slots=True)
 class Constants:
-    """A subclass is a frozen dataclass, each field of which is a `setting(...)`."""
+    """A subclass is a frozen dataclass, each field of which is a `setting(...)`; it refuses what is not allowed."""
+
+    def __post_init__(self) -> None:
+        for one in declared(type(self)):
+            one.checked(getattr(self, one.name))
 
     @classmethod
     def describe(cls) -> tuple[Setting, ...]:

@@ -102,6 +102,11 @@ class Store:
         if campaign is None and not resume:
             raise MissionError("say what to run: FILE.toml or --paper-table, or --resume --out DIR")
         self.campaign = _begun(folder, campaign) if campaign and not resume else _same(folder, campaign)
+        if campaign is None and (own := ", ".join(self.campaign.own_modules)):
+            advice = f"if it is yours, say so by its file: rosa campaign FILE.toml --resume --out {folder}"
+            raise MissionError(
+                f"the campaign in {folder} would import {own}, because a file of results says so; {advice}"
+            )
         with ExitStack() as stack:
             self._runs, self._timing, self._crashes = (self._open(name, stack) for name in (RUNS, TIMING, CRASHES))
             self._stack = stack.pop_all()

@@ -73,7 +73,8 @@ def replay(
     world = Recording(messages, managed or ScriptedManaged(FakeClock()))
     world.managed.take({verb: takes_s.get(verb, default_s) for verb in VERBS})
     end_s = max((message["time"] for message in messages), default=0.0) + AFTERMATH_S
-    limits = settings or RunSettings(**{"duration_s": end_s, **recorded.get("settings", {})})
+    as_recorded = {"duration_s": end_s, **recorded.get("settings", {})}
+    limits = settings or RunSettings.read({name: str(value) for name, value in as_recorded.items()})
     limits = replace(limits, duration_s=min(limits.duration_s, end_s))
     decisions = _decide(_asked(mission, behaviour), "bt" if behaviour else task, world, limits)
     if not isinstance(source, str | Path):

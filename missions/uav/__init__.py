@@ -26,4 +26,5 @@ MISSION = Mission(
     actions=by_schema(SearchForSamples, PickUpAndAnalyse, AnalyseOnSite, ReturnAndRecharge, LandAndFoldGripper),
     facts=facts,
     world=SKY,
+    why_not=lambda kb, percepts: "the battery is empty" if percepts.holds("battery_empty") else "",
 )

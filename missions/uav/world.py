@@ -122,6 +122,11 @@ class UavWorld(World):
     def _disturb(self, text: str) -> None:
         self._disturbances.append((self._now, text))
 
+    @property
+    def is_still(self) -> bool:
+        """Whether the battery has run empty, after which it does not fly again, and nobody wants anything more."""
+        return not (self._robot.vehicle.has_power or self._robot.is_charging or self._not_wanted)
+
     def results(self) -> dict[str, float | None]:
         robot = self._robot
         return {

@@ -259,11 +259,25 @@ def test_run_that_crashes_is_recorded_and_the_others_go_on(rosa, tmp_path):
     assert len(lines(folder)) == 4
 
     (tmp_path / "clumsy.py").write_text(CLUMSY.format(trouble="pass"))
-    out = finish(rosa("campaign", "--resume", "--out", "c", cwd=tmp_path))
+    out = finish(rosa("campaign", "c.toml", "--resume", "--out", "c", cwd=tmp_path))
     assert "4 of 4 runs done, 0 of them now" in out  # a run that crashed is done too
-    out = finish(rosa("campaign", "--resume", "--retry", "--workers", 2, "--out", "c", cwd=tmp_path))
+    out = finish(rosa("campaign", "c.toml", "--resume", "--retry", "--workers", 2, "--out", "c", cwd=tmp_path))
     assert "4 of 4 runs done, 3 of them now" in out
     assert not read_store(folder).crashed
+
+
+def test_folder_of_results_imports_nothing_by_itself(tmp_path, quick, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "theirs.py").write_text("open('imported', 'w').close()\nMANAGER = object\n")
+    given = Campaign("theirs", ("suave",), ("theirs:MANAGER",))
+    with Store(tmp_path / "c", given):
+        pass
+    code, _, err = quick("campaign", "--resume", "--out", "c")
+    assert code == 2
+    assert "would import theirs, because a file of results says so" in err
+    assert "rosa campaign FILE.toml --resume --out c" in err
+    assert quick("report", "c")[0] == 2
+    assert not (tmp_path / "imported").exists()
 
 
 @pytest.mark.parametrize(

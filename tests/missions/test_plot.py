@@ -9,6 +9,7 @@ import pytest
 from matplotlib.image import imread
 from running import run_mission
 
+from missions.agv.world import BuildingWorld
 from missions.engine.runner import Seen
 from missions.views.picture import draw, picture
 
@@ -227,7 +228,8 @@ def test_map_with_a_crowd_of_places_names_those_that_the_way_leads_along(monkeyp
     assert len(set(words(axes_beside(picture(run, data), "start"))) & set(crowd)) == 10
 
 
-def test_time_is_marked_once_where_the_vehicle_stands():
+def test_time_is_marked_once_where_the_vehicle_stands(monkeypatch):
+    monkeypatch.setattr(BuildingWorld, "is_still", False)  # so that it stands to the end
     run, _, data = run_mission("agv", seed=1, capacity_j=2500)
     marks = [word for word in words(axes_beside(picture(run, data), "start")) if word.endswith(" s")]
     assert data["duration_s"] == 300

@@ -185,6 +185,9 @@ def test_replay_needs_no_simulator():
         (["[]"], r':1: a message is an object with a number "time"'),
         (['{"time": true, "status": []}'], ':1: a message is an object with a number "time"'),
         (['{"time": 1, "status": [{"message": "x"}]}'], ':1: each "status" is an object with a text "message"'),
+        (['{"time": 0, "status": [], "run": [1]}'], ':1: "run" says how it was run'),
+        (['{"time": 0, "status": [], "run": {"settings": {"duration_s": "x"}}}'], "duration_s is 'x'"),
+        (['{"time": 0, "status": [], "run": {"settings": {"import": "os"}}}'], "unknown setting 'import'"),
         (['{"time": 2, "status": []}', "", '{"time": 1, "status": []}'], ":3: time 1 comes after 2"),
     ],
 )

@@ -1,0 +1,188 @@
+"""However a run ends, it ends, and says truly how: also with a world or a task that its author got wrong."""
+
+import math
+from dataclasses import replace
+
+import numpy
+import pytest
+from py_trees.behaviours import Success
+from running import register, run_mission
+from small_rover import rover_model, rover_tree
+
+from missions.agv import agv_mission
+from missions.agv.building import building_from
+from missions.engine.controller import TASK_KINDS, rosa_run
+from missions.engine.mission import Mission, MissionError, Verdict, World, WorldKind, split_settings
+from missions.engine.recording import measured, sensed
+from missions.engine.registry import find_mission
+from missions.engine.settings import RunSettings
+from missions.testing import FakeClock, ScriptedManaged
+
+
+class Field(World):
+    """A world whose time goes as a function says; it publishes what it is given, once."""
+
+    def __init__(self, goes=lambda now, until: until, news=()):
+        self.goes, self.news, self.is_closed = goes, list(news), False
+        self.clock = FakeClock()
+        self.managed_ = ScriptedManaged(self.clock)
+        self.time = 0.0
+
+    @property
+    def now(self):
+        return self.time
+
+    @property
+    def managed(self):
+        return self.managed_
+
+    def advance(self, until):
+        self.time = self.goes(self.time, until)
+        if self.time > self.clock.now:
+            self.clock.advance_to(self.time)
+        news, self.news = self.news, []
+        return news
+
+    def close(self):
+        self.is_closed = True
+
+
+class FieldKind(WorldKind):
+    def open(self, values, rng):
+        return Field()
+
+    def verdict(self, percepts, results, kb):
+        if percepts.holds("explored"):
+            return Verdict("explored_all", "all is explored")
+        return Verdict("aborted", "time ran out before all was explored")
+
+
+ROVER = Mission("rover", "explores", rover_model, rover_tree, FieldKind())
+
+
+def run_in(world, mission=ROVER, **settings):
+    return rosa_run(mission, "bt", world, RunSettings(**{"duration_s": 5.0, **settings}))
+
+
+@pytest.mark.parametrize(
+    ("goes", "words"),
+    [
+        (lambda now, until: now, r"stands still at 0\.000 s, asked to go on to 0\.100 s; advance\(\) goes on until"),
+        (lambda now, until: now + 1e-12, "stands still"),
+        (lambda now, until: math.nan, "shows nan s after 0.0 s; its time has to pass"),
+        (lambda now, until: math.inf, "shows inf s after 0.0 s; its time has to pass"),
+        (
+            lambda now, until: until if now < 1.0 else now - 0.5,
+            r"shows 0\.5\d* s after 1\.0\d* s; its time has to pass",
+        ),
+        (lambda now, until: until if now < 1.0 else 1 / 0, r"rover failed after 1\.0 s: ZeroDivisionError"),
+    ],
+)
+def test_world_that_does_not_let_time_pass_is_refused_by_name_and_closed(goes, words):
+    world = Field(goes)
+    run = run_in(world)
+    with pytest.raises(MissionError, match=words):
+        run.run()
+    assert world.is_closed
+    assert run.kb.required_actions == ()
+
+
+def test_world_that_publishes_at_one_moment_for_ever_is_refused():
+    class Loud(Field):
+        def advance(self, until):
+            return [measured(self.now, light=0.9)]
+
+    with pytest.raises(MissionError, match="stands still"):
+        run_in(Loud()).run()
+
+
+def test_command_line_tells_of_a_world_that_stands_still_in_one_message(monkeypatch, capsys):
+    from running import called
+
+    kind = FieldKind()
+    kind.open = lambda values, rng: Field(lambda now, until: now)
+    register(monkeypatch, "rover", replace(ROVER, world=kind))
+    code, _, err = called(capsys, monkeypatch, "run", "rover", "--no-progress")
+    assert code == 2
+    assert "the world of mission rover stands still" in err
+
+
+def test_measurements_that_are_no_numbers_are_told_and_nothing_else_happens():
+    world = Field(news=[measured(0.0, light=math.nan), measured(0.0, energy=math.inf, light=0.9)])
+    run = run_in(world)
+    run.run()
+    assert [problem.key for _, problem in run.problems] == ["light", "energy"]
+    assert run.kb.attributes["light"].value == 0.9
+    assert run.kb.attributes["energy"].value is None
+
+
+def test_task_that_ends_early_is_told_so_and_not_that_time_ran_out():
+    world = Field()
+    verdict = run_in(world, replace(ROVER, tree=lambda kb, percepts: Success("done"))).run()
+    assert not verdict.success
+    assert world.now < 1.0
+    assert verdict.outcome == "ended_early"
+    assert verdict.reason == f"the task ended after {world.now:.1f} s of 5 s, short of the mission's goal"
+
+
+def test_task_that_ends_in_the_sea_before_anything_is_found_is_told_so(monkeypatch):
+    mission = replace(find_mission("suave"), tree=lambda kb, percepts: Success("done"))
+    register(monkeypatch, "short", mission)
+    _, verdict, data = run_mission("short")
+    assert verdict.outcome == data["outcome"] == "ended_early"
+    assert "time ran out" not in verdict.reason
+
+
+def test_task_that_reaches_the_goal_early_is_a_success_and_one_without_time_says_so():
+    done = run_in(Field(news=[sensed(0.0, explored=True), measured(0.0, light=0.9, energy=1.0)]))
+    assert done.run().outcome == "explored_all"
+    world = Field()
+    assert run_in(world).run().reason.startswith("time ran out")
+    assert world.now == 5.0
+
+
+@pytest.mark.parametrize("task", TASK_KINDS)
+def test_vehicle_that_has_no_way_ends_when_that_is_proven(task):
+    plan = {"a": [0, 0], "b": [6, 0]}
+    building = {"start": "a", "goal": "b", "places": plan, "corridors": {"c1": {"from": "a", "to": "b", "light": 0.0}}}
+    mission = agv_mission("small", "drives", building_from(building))
+    lost = {"incidents": "lamp fails in c1, lidar fails in c1, kinect fails in c1"}
+    run = rosa_run(mission, task, mission.world.open(lost, numpy.random.default_rng(0)), RunSettings(duration_s=900.0))
+    verdict = run.run()
+    assert run.world.now < 60.0
+    assert verdict.outcome == "aborted"
+    assert verdict.reason.startswith("there is no way from within c1")
+
+
+@pytest.mark.parametrize("task", TASK_KINDS)
+def test_aircraft_whose_battery_is_empty_ends_then_and_not_before_all_that_is_wanted_is_known(task):
+    run, verdict, data = run_mission("uav", task, seed=0, capacity_j=1000, charge_s=1e6, added_s=100)
+    empty = next(one["at_s"] for one in data["disturbances"] if one["what"] == "the battery is empty")
+    assert empty < 100 <= run.world.now < 101
+    assert verdict.reason.startswith("the battery ran empty, 0 of 8 samples were analysed")
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"duration_s": math.nan}, "duration_s is nan; allowed is a number of seconds from 0.001"),
+        ({"duration_s": "soon"}, "duration_s is 'soon'"),
+        ({"tick_period_s": 0.0}, "tick_period_s is 0.0; allowed is a number of seconds from 0.001"),
+        ({"planning_delay_s": -1}, "planning_delay_s is -1"),
+        ({"tick_period_s": True}, "tick_period_s is True"),
+    ],
+)
+def test_settings_that_mean_nothing_are_refused_also_in_python(settings, words):
+    with pytest.raises(MissionError, match=words):
+        RunSettings(**settings)
+
+
+def test_settings_that_a_mission_fixes_are_how_it_is_run_and_may_be_changed():
+    mission = replace(find_mission("suave"), fixed={"battery": "false", "duration": "7"})
+    assert split_settings(mission, {})[0].duration_s == 7.0
+    assert split_settings(mission, {"duration_s": "9"})[0].duration_s == 9.0
+    assert split_settings(mission, {})[1] == {"battery": "false"}
+    with pytest.raises(MissionError, match="'nonsense'"):
+        mission.world.open(
+            split_settings(replace(mission, fixed={"nonsense": "1"}), {})[1], numpy.random.default_rng(0)
+        )
