@@ -80,8 +80,8 @@ class Setting:
             bounds = (("from", self.low), ("to", self.high))
             allowed += "".join(f" {word} {bound:g}" for word, bound in bounds if isfinite(bound))
             is_number = isinstance(value, int | float) and not isinstance(value, bool)
-            if is_number and self.low <= value <= self.high and (not is_whole or float(value).is_integer()):  # type: ignore[operator,arg-type]  # a number
-                return value  # type: ignore[return-value]
+            if is_number and self.low <= value <= self.high and (not is_whole or float(value).is_integer()):  # type: ignore[operator,arg-type]  # is a number
+                return value  # type: ignore[return-value]  # is a number
         raise MissionError(f"setting {self.name} is {given or value!r}; allowed is {allowed}")
 
 
