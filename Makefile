@@ -1,5 +1,8 @@
-# Short names for the two commands of the README.
-.PHONY: run test
+# Short names for the two commands of the README, and for building the page that reports and live views show.
+.PHONY: page run test
+
+page:
+	cd missions/views/page && npm ci --ignore-scripts && npm run build
 
 run:
 	python3 launch.py rosa run suave_extended --plot mission.png

@@ -28,7 +28,7 @@ def sources(*packages):
 def written():
     """Return every file of the project that a person wrote: no environment, no cache."""
     files = [path for path in ROOT.rglob("*") if path.is_file()]
-    unwritten = {".git", ".venv", "__pycache__", "build", "dist"}
+    unwritten = {".git", ".venv", "__pycache__", "build", "dist", "node_modules"}
     own = [path for path in files if not unwritten & set(path.relative_to(ROOT).parts)]
     return [path for path in own if not any("cache" in part or part == ".hypothesis" for part in path.parts)]
 

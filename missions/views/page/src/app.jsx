@@ -1,0 +1,120 @@
+// The page: its head, its panels, and what a screen reader is told.
+import { useComputed } from "@preact/signals";
+import { useRef } from "preact/hooks";
+import { Adaptations, Chain } from "./adaptations.jsx";
+import { seconds } from "./format.js";
+import { KEYS } from "./keys.js";
+import { Knowledge } from "./knowledge.jsx";
+import { complaint, connection, dropped, may, order, state } from "./live.js";
+import { Scene } from "./scene.jsx";
+import { adaptations, chosen, revision, run, runs, shown, time } from "./state.js";
+import { theme, toggleTheme } from "./theme.js";
+import { Timelines } from "./timelines.jsx";
+import { Transport } from "./transport.jsx";
+import { Tree } from "./tree.jsx";
+import { WhatIf } from "./whatif.jsx";
+
+const PACES = [0, 0.5, 1, 2, 5, 10];
+
+function Live() {
+  const { paused, speed, over, pages } = state.value;
+  const can = (what) => may.value.includes(what);
+  return (
+    <div class="live" role="group" aria-label="mission">
+      <span class={`connection ${connection.value}`} role="status">{over ? "over" : connection.value}{paused ? ", paused" : ""}</span>
+      {dropped.value > 0 && <span class="bad">{dropped.value} updates dropped</span>}
+      {pages > 1 && <small>{pages} pages</small>}
+      {can("pause") && <button onClick={() => order(paused ? "resume" : "pause")}>{paused ? "Resume" : "Pause"} mission</button>}
+      {can("pause") && paused && <button onClick={() => order("step")}>One tick</button>}
+      {can("speed") && (
+        <select aria-label="speed of the mission" value={speed} onChange={({ target }) => order("speed", { value: Number(target.value) })}>
+          {PACES.map((one) => <option key={one} value={one}>{one ? `${one}× real time` : "as fast as it can"}</option>)}
+        </select>
+      )}
+    </div>
+  );
+}
+
+function Results() {
+  const result = run.value.of("result").last;
+  if (!result) return null;
+  return (
+    <details class="results">
+      <summary>
+        {result.success ? "✓" : "✕"} {result.outcome.replaceAll("_", " ")}
+      </summary>
+      <div>
+        <p>{result.reason}</p>
+        <table>
+          <tbody>{result.figures.map(([words, unit, text]) => <tr key={words + unit}><th scope="row">{words}</th><td>{text} {unit}</td></tr>)}</tbody>
+        </table>
+        {Object.entries(run.value.header.settings).map(([name, text]) => <p key={name}><code>{name} = {text}</code></p>)}
+        {run.value.last("problem").map(([key, words]) => <p key={key} class="bad">{words}</p>)}
+      </div>
+    </details>
+  );
+}
+
+function Help() {
+  const dialog = useRef(null);
+  return (
+    <>
+      <button aria-label="keys" title="keys" onClick={() => dialog.current.showModal()}>?</button>
+      <dialog ref={dialog} aria-label="keys">
+        <table>
+          <tbody>{Object.values(KEYS).map(([name, what]) => <tr key={name}><th scope="row"><kbd>{name}</kbd></th><td>{what}</td></tr>)}</tbody>
+        </table>
+        <form method="dialog"><button>Close</button></form>
+      </dialog>
+    </>
+  );
+}
+
+function Head({ note }) {
+  const { title, words, task, manager, seed } = run.value.header;
+  const facts = [task && `task layer: ${task}`, manager && manager !== "ours" && `manager: ${manager}`, seed !== null && `seed ${seed}`].filter(Boolean);
+  return (
+    <header class="head">
+      <h1>{title}</h1>
+      <small class="words">{words}{words && " · "}{facts.join(" · ")}</small>
+      {runs.value.length > 1 && (
+        <div class="tools" role="group" aria-label="run">
+          {runs.value.map((one, side) => <button key={side} aria-pressed={shown.value === side} onClick={() => (shown.value = side, chosen.value = null)}>{"AB"[side]}: {one.header.title}</button>)}
+        </div>
+      )}
+      <Results />
+      {connection.value !== "none" && <Live />}
+      <button aria-label={`to ${theme.value === "dark" ? "light" : "dark"}`} title="light or dark (d)" onClick={toggleTheme}>{theme.value === "dark" ? "☀︎" : "☾"}</button>
+      <Help />
+      {[note, complaint.value].filter(Boolean).map((one) => <p key={one} class="note" role="alert">{one}</p>)}
+    </header>
+  );
+}
+
+/** What a screen reader is told: the adaptation that came last, and what is done. */
+function Told() {
+  const latest = useComputed(() => adaptations.value.findLast(([, one]) => one.t <= time.value)?.[1]).value;
+  return <p class="unseen" aria-live="polite">{latest ? `Adaptation at ${seconds(latest.t)}: ${latest.cause}; ${latest.changed}` : ""}</p>;
+}
+
+export function App({ differences, note }) {
+  revision.value;
+  if (!run.value) return <main class="waiting"><p role="status">{complaint.value || `The mission is being asked: ${connection.value}.`}</p></main>;
+  return (
+    <>
+      <a class="skip" href="#adaptations" onClick={(event) => (event.preventDefault(), document.querySelector("#adaptations button, #adaptations .body").focus())}>to the adaptations</a>
+      <Head note={note} />
+      <main>
+        <Chain />
+        <Adaptations differences={differences} />
+        <Scene />
+        <Timelines />
+        <Tree />
+        <Knowledge />
+        <WhatIf />
+      </main>
+      <Transport />
+      <Told />
+    </>
+  );
+}

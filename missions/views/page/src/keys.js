@@ -1,0 +1,40 @@
+// The keyboard: what each key does, wherever the focus is, but where one types or where a list has keys of its own.
+import { chosen, end, leap, seek, selected, start, step, time } from "./state.js";
+import { togglePlay } from "./player.js";
+import { toggleTheme } from "./theme.js";
+
+const find = () => document.querySelector("#tree input[type=search]")?.focus();
+const clear = () => {
+  chosen.value = null;
+  selected.value = null;
+};
+
+/** Each key as [its name, what it does, and how]. */
+export const KEYS = {
+  " ": ["Space", "play or pause", togglePlay],
+  ArrowRight: ["→", "next change", () => step(1)],
+  ArrowLeft: ["←", "previous change", () => step(-1)],
+  PageDown: ["Page ↓", "10 s later", () => seek(time.value + 10)],
+  PageUp: ["Page ↑", "10 s earlier", () => seek(time.value - 10)],
+  Home: ["Home", "start", () => seek(start.value)],
+  End: ["End", "end", () => seek(end.value)],
+  n: ["n", "next adaptation", () => leap(1)],
+  p: ["p", "previous adaptation", () => leap(-1)],
+  "/": ["/", "search the tree", find],
+  Escape: ["Esc", "nothing chosen", clear],
+  d: ["d", "light or dark", toggleTheme],
+};
+
+export function listenToKeys() {
+  addEventListener("keydown", (event) => {
+    const { target, key } = event;
+    const doing = KEYS[key]?.[2];
+    const isTyping = target.matches("input:not([type=range]), select, textarea") && key !== "Escape";
+    const isOwn = event.defaultPrevented || event.ctrlKey || event.metaKey || event.altKey;
+    const isPressing = key === " " && target.matches("button, summary, [role=treeitem]");
+    const isSetting = target.matches("input[type=range]:not(#instant)") && key.length > 1;
+    if (!doing || isTyping || isOwn || isPressing || isSetting) return;
+    event.preventDefault();
+    doing();
+  });
+}

@@ -1,0 +1,83 @@
+// The small parts that every view is made of: panels, marks of status, references to elements, sizes.
+import { useSignal } from "@preact/signals";
+import { useEffect, useRef } from "preact/hooks";
+import { run, select, selected, stepsOf, useAt } from "./state.js";
+
+/** Each status as [shape, tone]; the shapes differ, so that nobody needs the colours. */
+const MARKS = {
+  R: ["▶", "active", "running"], S: ["✓", "good", "success"], F: ["✕", "bad", "failure"], "": ["·", "idle", "not run"],
+  feasible: ["○", "good"], solved: ["✓", "good"], satisfied: ["✓", "good"], completed: ["✓", "good"],
+  unfeasible: ["✕", "bad"], failure: ["✕", "bad"], violated: ["✕", "bad"], failed: ["✕", "bad"],
+  unsolved: ["!", "warn"], "configuration error": ["!", "warn"], "implicit configuration error": ["!", "warn"],
+};
+const UNKNOWN = ["?", "idle"];
+
+/** The mark of a status as [shape, tone, words]. */
+export function markOf(status = "") {
+  const [shape, tone, words = status || "unknown"] = MARKS[status] ?? MARKS[status.toUpperCase()] ?? UNKNOWN;
+  return [shape, tone, words];
+}
+
+export function Mark({ status, quiet }) {
+  const [shape, tone, words] = markOf(status);
+  return (
+    <span class={`mark ${tone}`} title={words}>
+      <span class="shape" aria-hidden="true">{shape}</span>
+      <span class={quiet ? "unseen" : ""}>{words}</span>
+    </span>
+  );
+}
+
+/** The status of an element at the instant shown. */
+export const Standing = ({ of, quiet }) => <Mark status={useAt("status", of) ?? ""} quiet={quiet} />;
+
+export function Panel({ id, title, aside, children }) {
+  return (
+    <section class="panel" id={id} aria-labelledby={`${id}-title`}>
+      <header>
+        <h2 id={`${id}-title`}>{title}</h2>
+        {aside}
+      </header>
+      {children}
+    </section>
+  );
+}
+
+/** The numbers of the steps of the chosen chain that are about an element, or a node of the tree. */
+export function Badges({ list = "elements", one }) {
+  return stepsOf(list, one).map((step) => (
+    <span class="badge" key={step}>
+      <span class="unseen">step </span>
+      {step}
+    </span>
+  ));
+}
+
+/** The name of an element; pressing it chooses the element wherever it is shown. */
+export function Name({ of, children }) {
+  return (
+    <button class="plain name" aria-pressed={selected.value === String(of)} onClick={() => select(of)}>
+      {children ?? run.value.name(of)}
+      <Badges one={of} />
+    </button>
+  );
+}
+
+/** A ref for an element, and its size [CSS px] as a signal. */
+export function useSize() {
+  const ref = useRef(null);
+  const size = useSignal([0, 0]);
+  useEffect(() => {
+    const watch = new ResizeObserver(([{ contentRect }]) => (size.value = [contentRect.width, contentRect.height]));
+    watch.observe(ref.current);
+    return () => watch.disconnect();
+  }, []);
+  return [ref, size];
+}
+
+/** Scroll a list, never the page, until something in it is in sight. */
+export function reveal(list, item) {
+  if (!list || !item || list.scrollHeight <= list.clientHeight) return;
+  const [outer, inner] = [list.getBoundingClientRect(), item.getBoundingClientRect()];
+  if (inner.top < outer.top || inner.bottom > outer.bottom) list.scrollTop += inner.top - outer.top - outer.height / 3;
+}

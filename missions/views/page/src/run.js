@@ -1,0 +1,67 @@
+// A run is its header and rows [t, track, key, value]: from t on, the value of that key of that track. Nothing else is known
+// of it, in a report as live; what there is at an instant is the last value of each key.
+import { Track } from "./track.js";
+
+const EMPTY = new Track();
+
+export class Run {
+  #tracks = new Map();
+  start = Infinity;
+  end = -Infinity;
+  moments = new Track(); // when anything was decided or became known
+  amended = new Track(); // when there came to be other elements
+
+  constructor({ header, rows }) {
+    this.header = header;
+    this.add(rows);
+  }
+
+  add(rows) {
+    for (const [t, track, key, value] of rows) {
+      let keys = this.#tracks.get(track);
+      if (!keys) this.#tracks.set(track, (keys = new Map()));
+      let one = keys.get(String(key));
+      if (!one) keys.set(String(key), (one = new Track()));
+      one.set(t, value);
+      if (track === "tick" || track === "event") this.moments.set(t, true);
+      if (track === "element") this.amended.set(t, true);
+      this.reach(t);
+    }
+  }
+
+  /** The run has come to t, whether or not there was anything to tell. */
+  reach(t) {
+    this.start = Math.min(this.start, t);
+    this.end = Math.max(this.end, t);
+  }
+
+  of(track, key = 0) {
+    return this.#tracks.get(track)?.get(String(key)) ?? EMPTY;
+  }
+
+  keys(track) {
+    return [...(this.#tracks.get(track)?.keys() ?? [])];
+  }
+
+  /** The last words on each key of a track, as [key, value], but for what is gone. */
+  last(track) {
+    return this.keys(track)
+      .map((key) => [key, this.of(track, key).last])
+      .filter(([, value]) => value !== null);
+  }
+
+  /** What is known of an element, whenever. */
+  element(index) {
+    const { values } = this.of("element", index);
+    return values.findLast((value) => value !== null);
+  }
+
+  name(index) {
+    return this.element(index)?.name ?? String(index);
+  }
+
+  /** The index of the element of that kind and name, for what is compared with another run. */
+  find({ kind, name }) {
+    return this.last("element").find(([, one]) => one.kind === kind && one.name === name)?.[0];
+  }
+}

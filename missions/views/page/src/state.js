@@ -1,0 +1,75 @@
+// What the page shows, as signals: the runs, the instant, and what is chosen. Every view is a function of these.
+import { batch, computed, signal, useComputed } from "@preact/signals";
+import { countUntil } from "./track.js";
+
+export const runs = signal([]);
+export const shown = signal(0); // which run, where there are two
+export const revision = signal(0); // counts what was added to the runs
+export const time = signal(0); // the instant shown [s]
+export const isFollowing = signal(false); // whether the instant is that of a mission that still runs
+export const chosen = signal(null); // key of the adaptation
+export const selected = signal(null); // index of the element
+export const isPrinting = signal(false);
+
+export const run = computed(() => runs.value[shown.value]);
+export const start = computed(() => (revision.value, Math.min(...runs.value.map((one) => one.start))));
+export const end = computed(() => (revision.value, Math.max(...runs.value.map((one) => one.end), start.value + 0.001)));
+
+/** What a key of a track is at the instant shown; a view that reads it is drawn anew only when that changes. */
+export const at = (track, key) => (revision.value, run.value.of(track, key).at(time.value));
+export const useAt = (track, key) => useComputed(() => at(track, key)).value;
+
+/** The adaptations in order of time, as [key, adaptation], those still to come among them. */
+export const adaptations = computed(() => (revision.value, run.value.last("adaptation").sort(([, a], [, b]) => a.t - b.t)));
+export const adaptation = computed(() => adaptations.value.find(([key]) => key === chosen.value)?.[1]);
+export const chain = computed(() => adaptation.value?.chain ?? []);
+
+/** The places in the chosen chain (from 1) of the steps that are about an element, or a node of the tree. */
+export const stepsOf = (list, one) => chain.value.flatMap((step, index) => (step[list].map(String).includes(String(one)) ? [index + 1] : []));
+
+const amendments = computed(() => (revision.value, countUntil(run.value.amended.times, time.value)));
+
+/** What there is at the instant shown, as [index, element]. */
+export const elements = computed(() => {
+  const { times } = run.value.amended;
+  const since = times[Math.max(amendments.value, 1) - 1];
+  return run.value.keys("element").map((key) => [key, run.value.of("element", key).at(since)]).filter(([, one]) => one);
+});
+
+export function seek(t) {
+  batch(() => {
+    isFollowing.value = false;
+    time.value = Math.min(Math.max(t, start.value), end.value);
+  });
+}
+
+export function choose(key) {
+  batch(() => {
+    chosen.value = key === chosen.value ? null : key;
+    if (adaptation.value) seek(adaptation.value.t);
+  });
+}
+
+/** Go to the next (1) or the previous (-1) adaptation. */
+export function leap(direction) {
+  const list = adaptations.value;
+  const here = list.findIndex(([key]) => key === chosen.value && list.some(([, one]) => one.t === time.value));
+  const later = list.findIndex(([, one]) => one.t > time.value);
+  const before = list.findLastIndex(([, one]) => one.t < time.value);
+  const next = here >= 0 ? here + direction : direction > 0 ? later : before;
+  const found = list[next];
+  if (found && found[0] !== chosen.value) choose(found[0]);
+  else if (found) seek(found[1].t);
+}
+
+/** Go to the next (1) or the previous (-1) moment at which anything changed. */
+export function step(direction) {
+  const { times } = run.value.moments;
+  const until = countUntil(times, time.value);
+  const place = direction > 0 ? until : until - (times[until - 1] === time.value ? 2 : 1);
+  seek(times[place] ?? (direction > 0 ? end.value : start.value));
+}
+
+export function select(index) {
+  selected.value = index === null || String(index) === selected.value ? null : String(index);
+}

@@ -1,0 +1,86 @@
+// The instant: the slider over the whole run with its adaptations, and the buttons that move it.
+import { isPlaying, speed, SPEEDS, togglePlay } from "./player.js";
+import { at, adaptations, chosen, choose, end, isFollowing, leap, run, seek, start, step, time } from "./state.js";
+import { seconds } from "./format.js";
+import { connection } from "./live.js";
+
+const part = (t) => `${(100 * (t - start.value)) / (end.value - start.value)}%`;
+
+/** What is done at the instant shown, in words. */
+export function doing() {
+  const open = run.value.keys("action").map((key) => at("action", key)).filter((one) => one && one.result === null);
+  return open.map((one) => run.value.name(one.action)).join(", ") || "no action";
+}
+
+function Ticks() {
+  return (
+    <div class="ticks">
+      {run.value.last("disturbance").map(([key, { t, words }]) => (
+        <i key={key} class="disturbance" style={{ left: part(t) }} title={words} />
+      ))}
+      {adaptations.value.map(([key, one]) => (
+        <button
+          key={key}
+          class={`tick ${one.kind}`}
+          style={{ left: part(one.t) }}
+          tabIndex={-1}
+          aria-hidden="true"
+          aria-pressed={chosen.value === key}
+          title={`${seconds(one.t)}: ${one.cause}`}
+          onClick={() => choose(key)}
+        />
+      ))}
+    </div>
+  );
+}
+
+function Slider() {
+  return (
+    <div class="slider">
+      <Ticks />
+      <input
+        id="instant"
+        type="range"
+        aria-label="instant shown"
+        aria-valuetext={`${seconds(time.value)}, ${doing()}`}
+        min={start.value}
+        max={end.value}
+        step="any"
+        value={time.value}
+        onInput={({ target }) => seek(target.valueAsNumber)}
+      />
+    </div>
+  );
+}
+
+const Button = ({ words, press, children, ...more }) => (
+  <button aria-label={words} title={words} onClick={press} {...more}>
+    {children}
+  </button>
+);
+
+export function Transport() {
+  return (
+    <footer class="transport" role="group" aria-label="instant">
+      <div class="buttons">
+        <Button words="previous adaptation (p)" press={() => leap(-1)}>«</Button>
+        <Button words="previous change (←)" press={() => step(-1)}>‹</Button>
+        <Button words={isPlaying.value ? "pause (Space)" : "play (Space)"} press={togglePlay} class="play">
+          {isPlaying.value ? "❚❚" : "▶︎"}
+        </Button>
+        <Button words="next change (→)" press={() => step(1)}>›</Button>
+        <Button words="next adaptation (n)" press={() => leap(1)}>»</Button>
+        <select aria-label="speed of playing" value={speed.value} onChange={({ target }) => (speed.value = Number(target.value))}>
+          {SPEEDS.map((one) => <option key={one} value={one}>{one}×</option>)}
+        </select>
+        {connection.value !== "none" && (
+          <button aria-pressed={isFollowing.value} onClick={() => (isFollowing.value = true)}>Now</button>
+        )}
+      </div>
+      <Slider />
+      <output class="clock">
+        {seconds(time.value)} <small>of {seconds(end.value)}</small>
+      </output>
+    </footer>
+  );
+}

@@ -1,0 +1,64 @@
+"""The page that reports and live views show is what its sources say: the built files carry the hash of what made them."""
+
+import json
+import re
+import shutil
+import subprocess
+from hashlib import sha256
+from pathlib import Path
+
+import pytest
+
+PAGE = Path(__file__).parents[2] / "missions" / "views" / "page"
+BUILT = ("page.css", "page.js")
+
+
+def sources():
+    own = sorted(path for path in (PAGE / "src").iterdir() if path.is_file())
+    assert len(own) > 10
+    return [PAGE / "build.mjs", PAGE / "package-lock.json", PAGE / "package.json", *own]
+
+
+@pytest.mark.parametrize("name", BUILT)
+def test_bundle_carries_the_hash_of_its_sources(name):
+    found = sha256()
+    for path in sources():
+        found.update(f"{path.relative_to(PAGE).as_posix()}\0{path.read_text(encoding='utf-8')}\0".encode())
+    said = re.match(r"/\*! sources (\w{64})\b", (PAGE / "dist" / name).read_text(encoding="utf-8"))
+    assert said, name
+    assert said[1] == found.hexdigest(), "the sources have changed since the page was built: run `make page`"
+
+
+def test_building_again_gives_the_same_bytes(tmp_path):
+    if not shutil.which("node") or not (PAGE / "node_modules").is_dir():
+        pytest.skip("node, or what `npm ci` installs, is not here")
+    for path in (*sources(), PAGE / "node_modules"):
+        place = tmp_path / path.relative_to(PAGE)
+        place.parent.mkdir(exist_ok=True)
+        place.symlink_to(path)
+    subprocess.run(["node", "--preserve-symlinks-main", "build.mjs"], cwd=tmp_path, check=True, timeout=60)
+    for name in BUILT:
+        assert (tmp_path / "dist" / name).read_bytes() == (PAGE / "dist" / name).read_bytes()
+
+
+def test_lock_names_no_place_to_download_from_and_pins_everything():
+    lock = json.loads((PAGE / "package-lock.json").read_text())
+    assert len(lock["packages"]) > 5
+    for name, one in lock["packages"].items():
+        assert "resolved" not in one, name
+        assert not name or one["integrity"].startswith("sha512-"), name
+    given = json.loads((PAGE / "package.json").read_text())
+    for name, version in {**given["dependencies"], **given["devDependencies"]}.items():
+        assert re.fullmatch(r"[\d.]+", version), name
+
+
+def test_bundle_carries_the_licences_of_what_is_in_it():
+    text = (PAGE / "dist" / "page.js").read_text(encoding="utf-8")
+    for name in json.loads((PAGE / "package.json").read_text())["dependencies"]:
+        assert f"{name}: " in text
+    assert text.count("Copyright") >= len(BUILT)
+
+
+def test_bundle_can_stand_inside_a_script_element():
+    for name in BUILT:
+        assert "</script" not in (PAGE / "dist" / name).read_text(encoding="utf-8").lower()
