@@ -1,4 +1,4 @@
-"""The page that reports and live views show is what its sources say: the built files carry the hash of what made them."""
+"""The page of reports and live views is what its sources say: the built files carry the hash of what made them."""
 
 import json
 import re
