@@ -3,14 +3,23 @@
 import time
 from contextlib import ExitStack, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
 from missions.commands import FAILED, open_console
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from missions.engine.runner import MissionRun
+    from missions.views.live import LiveView
+    from missions.views.output import OutputFile
+    from missions.views.run_recorder import RunRecorder
+    from missions.views.steering import Steering
+
+LIVE_ROWS: Final = 100_000
+"""How many rows a live page can look back."""
 
 
 def run(
@@ -31,7 +40,20 @@ def run(
         int | None,
         typer.Option(metavar="PORT", help="Let Groot2 watch the tree, on this TCP port of this machine (1667)."),
     ] = None,
+    live: Annotated[
+        int | None, typer.Option(metavar="PORT", help="Show the run while it runs, as a page on this port (0: any).")
+    ] = None,
+    host: Annotated[str, typer.Option(help="Address that --live listens on; others need the token in the link.")] = (
+        "127.0.0.1"
+    ),
+    token: Annotated[str | None, typer.Option(help="The token of --host; by default one is made up.")] = None,
+    allow_control: Annotated[
+        bool, typer.Option("--allow-control", help="Let the live page hold, pace and disturb the simulation.")
+    ] = False,
     realtime: Annotated[bool, typer.Option("--realtime", help="Run no faster than the wall clock.")] = False,
+    speed: Annotated[
+        float | None, typer.Option(help="Times real time at most, 0 for no limit; --live alone runs at 1.")
+    ] = None,
     progress: Annotated[bool, typer.Option("--progress/--no-progress", help="Show what happens meanwhile.")] = True,
 ) -> None:
     """Run a mission, say what happened and why, and exit with 0 if it did what it was for."""
@@ -42,9 +64,9 @@ def run(
     from missions.engine.registry import find_mission
     from missions.engine.runner import Listener
     from missions.engine.settings import own_values
-    from missions.views.console import Narrator, Pace, Recorder, print_result
+    from missions.views.console import Narrator, Recorder, print_result
     from missions.views.output import as_json, open_files, summary, timing_of
-    from missions.views.run_recorder import RunRecorder
+    from missions.views.steering import Steering
 
     found = find_mission(mission)
     changed = _assignments(settings or []) | ({} if rules is None else {"rules": rules})
@@ -54,12 +76,10 @@ def run(
     with ExitStack() as stack:
         files = open_files({"json": json, "plot": plot, "report": report, "timing": timing, "record": record}, stack)
         narrator = Narrator(console, run_settings.duration_s)
-        listeners: list[Listener] = [Pace()] if realtime else []
-        listeners += [narrator] if progress else []
         recorder = Recorder(files["record"]) if "record" in files else Listener()
-        listeners += [recorder]
-        page = RunRecorder() if "report" in files else None
-        listeners += [page] if page else []
+        page, is_paced = _page(files, live), realtime or live is not None
+        steering = Steering((1.0 if is_paced else 0.0) if speed is None else speed)
+        listeners: list[Listener] = [*([narrator] if progress else []), recorder, *([page] if page else []), steering]
         opened = open_run(found, manager=manager, task=task, seed=seed, settings=changed, listeners=tuple(listeners))
         if groot2 is not None:
             _publish(opened, groot2, stack)
@@ -67,6 +87,10 @@ def run(
             recorder.message(header(opened, seed))
         if page:
             page.begin(opened, seed, changed)
+        if page and live is not None:
+            view = _show(opened, page, steering if allow_control else None, live, host, token)
+            stack.callback(view.close)
+            console.print(f"live: {view.url}", highlight=False, soft_wrap=True)
         with narrator if progress else nullcontext():
             doing = f"task layer: {task}" if manager == "ours" else f"manager: {manager}"
             console.print(f"[bold]{found.name}[/] ({doing}, seed {seed})")
@@ -82,9 +106,10 @@ def run(
         for name in texts.keys() & files.keys():
             files[name].finish(texts[name])
         if page:
+            page.end(opened, verdict)
+        if page and "report" in files:
             from missions.views.report import report as page_of
 
-            page.end(opened, verdict)
             files["report"].finish(page_of(page.recorder.recorded))
         if "plot" in files:  # last, because it takes longest
             from missions.views.picture import draw
@@ -92,6 +117,26 @@ def run(
             files["plot"].finish(draw(opened, data))
     if not verdict.success:
         raise typer.Exit(FAILED)
+
+
+def _page(files: "Mapping[str, OutputFile]", live: int | None) -> "RunRecorder | None":
+    """Return what writes down what there is to see, if anybody will look."""
+    if live is None and "report" not in files:
+        return None
+    from missions.views.run_recorder import RunRecorder
+
+    return RunRecorder() if "report" in files else RunRecorder(LIVE_ROWS, what_if=False)
+
+
+def _show(
+    run: "MissionRun", page: "RunRecorder", steering: "Steering | None", port: int, host: str, token: str | None
+) -> "LiveView":
+    from missions.views.live import LiveView
+
+    if steering is not None:
+        steering.begin(run)
+    recorder = page.recorder
+    return LiveView(recorder.kb, port=port, host=host, token=token, recorder=recorder, steering=steering)
 
 
 def _publish(run: "MissionRun", port: int, stack: ExitStack) -> None:

@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from math import isfinite
 from time import perf_counter
@@ -143,6 +143,7 @@ class MissionRun:
     Attributes:
         trace: what there was to see, for pictures.
         problems: parts of messages that could not be used, with their times [s].
+        alter: returns what is heard in place of what was published by a time [s]; a disturbance from outside.
     """
 
     def __init__(
@@ -157,6 +158,7 @@ class MissionRun:
         self.settings = settings or RunSettings()
         self.trace: list[tuple[Sample, Seen]] = []
         self.problems: list[tuple[float, DiagnosticProblem]] = []
+        self.alter: Callable[[list[Message], float], list[Message]] | None = None
         self._listeners = listeners
         self._decided_s: list[tuple[float, float]] = []
         self._world_s, self._sampled_at, self._plans_heard = 0.0, -SAMPLE_PERIOD_S, 0
@@ -247,6 +249,8 @@ class MissionRun:
         controller, started = self.controller, perf_counter()
         messages = self._advanced(min(controller.due, self.settings.duration_s))
         self._world_s += perf_counter() - started
+        if self.alter is not None:
+            messages = self.alter(messages, self.world.now)
         took_s = sum(self._take_in(message) for message in messages)
         started = perf_counter()
         is_decided = controller.decide()

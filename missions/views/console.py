@@ -92,16 +92,6 @@ class Recorder(Listener):
         self._output.write(line_of(message))
 
 
-class Pace(Listener):
-    """Holds a simulated run back to the pace of the wall clock."""
-
-    def __init__(self) -> None:
-        self._start = time.monotonic()
-
-    def tick(self, run: MissionRun) -> None:
-        time.sleep(max(0.0, self._start + run.world.now - time.monotonic()))
-
-
 class CampaignProgress(_WithBar):
     """Shows how far a campaign is, how fast it goes and how long it will take, and each run that crashes."""
 

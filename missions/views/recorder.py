@@ -55,6 +55,7 @@ class Recorder:
         header: of a run whose adaptations are told by `adapted` or as rows, and not found here; its units count.
 
     Attributes:
+        kb: what is known of it.
         rows: what there was to see.
         header: what was run.
     """
@@ -75,7 +76,7 @@ class Recorder:
         self.rows = Rows(keep)
         named = {"title": title or kb.model.name, "model": kb.model.name, "units": dict(units or {})}
         self.header: dict[str, Any] = {**bare_header(), **named, **(header or {})}
-        self._kb, self._pose, self._what_if = kb, pose, what_if
+        self.kb, self._pose, self._what_if = kb, pose, what_if
         self._own = None if header is not None else AdaptationLog(kb, self.adapted, lambda: self._task_plans)
         if self._own is not None:
             self._own.news(inf)
@@ -98,16 +99,16 @@ class Recorder:
         for name, points in scene.items():
             pairs = [[round(float(point[0]), 3), round(float(point[1]), 3)] for point in points]
             shown.append({"name": name, "points": pairs, "shape": "line" if len(pairs) > 1 else "point"})
-        self.rows.put(self._kb.now, "scene", 0, shown)
+        self.rows.put(self.kb.now, "scene", 0, shown)
 
     def put(self, track: str, key: int | str, value: object, time: float | None = None) -> None:
         """Add a row of another kind, at a time [s], by default now; see `docs/see_it.md` for the tracks."""
-        self.rows.put(self._kb.now if time is None else time, track, key, value)
+        self.rows.put(self.kb.now if time is None else time, track, key, value)
 
     @property
     def recorded(self) -> Recorded:
         """The run up to now."""
-        return Recorded(self.header, self.rows.since(0))
+        return Recorded(self.header, self.rows.since(0)[1])
 
     def report(self, path: str) -> None:
         """Write the run up to now as one self-contained page."""
@@ -120,7 +121,7 @@ class Recorder:
         self._stop()
         if self._tree is not None:
             self._tree.let_go()
-        self.rows.put(self._kb.now, "now", 0, "end")
+        self.rows.put(self.kb.now, "now", 0, "end")
 
     def _repr_html_(self) -> str:
         from missions.views.report import framed
@@ -153,12 +154,12 @@ class Recorder:
 
     def _key(self, kind: str, name: str) -> tuple[str, str]:
         if (kind, name) not in self._nodes:
-            self._look(self._kb.now)
+            self._look(self.kb.now)
         return kind, name
 
     def _look(self, time: float) -> None:
         """Write down what is not as it was."""
-        with self._kb.reading() as state:
+        with self.kb.reading() as state:
             if state.network.revision != self._revision:
                 self._revision = state.network.revision
                 self._describe(time, state.network)
@@ -200,7 +201,7 @@ class Recorder:
             node = present.get(index)
             if node is None or node.kind in ("constraint", "attribute"):
                 continue
-            found = self._kb.explain(node.element)
+            found = self.kb.explain(node.element)
             self.rows.put(time, "why", index, found.sentence)
             helps = [str(one) for one in found.remedies] if found.remedies else None
             self.rows.put(time, "help", index, helps)
@@ -208,16 +209,16 @@ class Recorder:
                 if one.kind in CHOSEN and one.parts:
                     chosen_for[one] = None
         for node in chosen_for:
-            self.rows.put(time, "choice", node.index, choice_of(self._kb, node))
+            self.rows.put(time, "choice", node.index, choice_of(self.kb, node))
 
     def _note_records(self, event: Event) -> None:
         """Write down what became of actions, plans and commands."""
         time, rows, names = event.time, self.rows, self._nodes
         if event.verb in ("request_action", "cancel_action"):
-            one = next(one for one in reversed(self._kb.history.actions) if one.action == event.subject)
+            one = next(one for one in reversed(self.kb.history.actions) if one.action == event.subject)
             self.acted(one.number, one)
         elif event.plan is not None or event.verb == "finish_plan":
-            for plan in reversed(self._kb.plans):
+            for plan in reversed(self.kb.plans):
                 shown = {"words": str(plan), "start": plan.start, "end": plan.end, "result": plan.result}
                 shown |= {"reason": plan.reason, "cause": plan.cause}
                 for word, part in (("activate", plan.activate), ("deactivate", plan.deactivate)):
@@ -228,7 +229,7 @@ class Recorder:
                     break
         elif event.verb in ("record_attempt", "finish_attempt"):
             serial = event.arguments[0] if event.verb == "finish_attempt" else None
-            attempts = reversed(self._kb.history.attempts)
+            attempts = reversed(self.kb.history.attempts)
             made = next((one for one in attempts if serial in (None, one.serial)), None)
             if made is None:
                 return
@@ -238,7 +239,7 @@ class Recorder:
                 time, "attempt", made.serial, {**shown, "end": made.end, "result": made.result, "reason": made.reason}
             )
         if event.verb in ("finish_attempt", "component_configured", "component_active"):
-            for name, view in self._kb.components.items():
+            for name, view in self.kb.components.items():
                 if view.parameters_in_force:
                     rows.put(time, "parameters", names["component", name], plain(view.parameters_in_force))
 
@@ -247,7 +248,7 @@ class Recorder:
     def ticking(self) -> None:
         """Begin a tick."""
         if self._own is not None:
-            self._own.ticking(self._kb.now)
+            self._own.ticking(self.kb.now)
 
     def ticked(self, planning: Iterable[Any]) -> None:
         """End a tick, in which these behaviours may have planned."""
@@ -261,9 +262,9 @@ class Recorder:
                     self.put("taskplan", len(self._task_plans), shown)
         if self._own is not None:
             self._own.settle()
-        if self._pose is not None and self._kb.now >= self._posed_at + POSE_PERIOD_S - 1e-9:
-            self._posed_at = self._kb.now
-            self.posed(self._kb.now, self._pose())
+        if self._pose is not None and self.kb.now >= self._posed_at + POSE_PERIOD_S - 1e-9:
+            self._posed_at = self.kb.now
+            self.posed(self.kb.now, self._pose())
 
     def posed(self, time: float, position: Sequence[float]) -> None:
         """Say where the robot is, (x, y, z) [m]; what is not known is left out."""
@@ -291,12 +292,12 @@ class Recorder:
         }
         self.put("adaptation", self._adapted, shown)
         if self._what_if:
-            self.suppose(self._kb.now)
+            self.suppose(self.kb.now)
 
     def suppose(self, time: float) -> None:
         """Work out what would be if something else had been measured."""
         self._counted += 1
-        self.rows.put(time, "whatif", self._counted, {"t": time, "cases": cases(self._kb)})
+        self.rows.put(time, "whatif", self._counted, {"t": time, "cases": cases(self.kb)})
 
     def elements_of(self, behaviour: Behaviour) -> list[int]:
         """Return the indices of the actions that a behaviour is about."""

@@ -78,11 +78,11 @@ class Rows:
         for hear in self.heard:
             hear(row)
 
-    def since(self, number: int, most: int | None = None) -> list[Row]:
-        """Return the rows from a number on, as far as they are kept."""
+    def since(self, number: int, most: int | None = None) -> tuple[int, list[Row]]:
+        """Return the rows from a number on, at most so many, and the number of the first: later if it is not kept."""
         with self._lock:
-            start = max(0, number - self.first)
-            return self._rows[start : None if most is None else start + most]
+            start = min(max(0, number - self.first), len(self._rows))
+            return self.first + start, self._rows[start : None if most is None else start + most]
 
     def snapshot(self) -> tuple[list[Row], int]:
         """Return the last row of each track and key, by time, and the number of the next row to come."""
@@ -91,7 +91,7 @@ class Rows:
 
     def _let_go(self, count: int) -> None:
         for row in self._rows[:count]:
-            if row[1] in NUMBERED and self._latest.get((row[1], row[2])) is row:
+            if (row[1] in NUMBERED or row[3] is None) and self._latest.get((row[1], row[2])) is row:
                 del self._latest[row[1], row[2]]
         del self._rows[:count]
         self.first += count

@@ -25,6 +25,7 @@ class RunRecorder(Listener):
     def __init__(self, keep: int | None = None, *, what_if: bool = True) -> None:
         self._keep, self._what_if = keep, what_if
         self._shown = self._disturbed = self._failed = 0
+        self._scene: tuple[str, ...] | None = None
         self._own: KnowledgeBase | None = None
         self._measured: frozenset[str] = frozenset()
 
@@ -71,13 +72,16 @@ class RunRecorder(Listener):
     def _show(self, run: MissionRun) -> None:
         """Write down what the world shows now, and what has happened in it."""
         recorder = self.recorder
-        sample = run.world.sample()
+        sample = run.trace[-1][0] if run.trace else run.world.sample()
         if sample is not None:
             recorder.posed(sample.time, sample.position)
             for signal, value in sample.signals.items():
                 if _split(signal)[0] not in self._measured:
                     recorder.put("signal", signal, round(value, 4))
-        recorder.show(run.world.scenery())
+        scenery = run.world.scenery()
+        if tuple(scenery) != self._scene:  # what is special in a place is in its name
+            self._scene = tuple(scenery)
+            recorder.show(scenery)
         for time, text in run.world.disturbances()[self._disturbed :]:
             self._disturbed += 1
             recorder.put("disturbance", self._disturbed, {"t": time, "words": text})

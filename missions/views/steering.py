@@ -1,0 +1,136 @@
+"""What a page may do to a simulation, with leave: hold it, let it go on by ticks, set its pace, disturb it."""
+
+import time
+from collections.abc import Mapping
+from threading import Condition
+from typing import Any, Final
+
+from kb.diagnostics import MEASUREMENTS
+from kb.elements import finite_number
+from missions.engine.mission import Message, MissionError
+from missions.engine.recording import failed, measured, recovered
+from missions.engine.runner import Listener, MissionRun
+
+FASTEST: Final = 1000.0
+
+
+class Steering(Listener):
+    """Holds a simulated run to the pace that is asked for, and has it hear what is put in place of what was measured.
+
+    Args:
+        speed: times real time; 0 for as fast as it can.
+    """
+
+    def __init__(self, speed: float = 1.0) -> None:
+        self._speed = _pace(speed)
+        self._is_paused = False
+        self._steps = 0
+        self._held: dict[str, float] = {}
+        self._said: list[tuple[str, str]] = []
+        self._change = Condition()
+        self._start: tuple[float, float] | None = None
+        self._attributes: frozenset[str] = frozenset()
+        self._components: frozenset[str] = frozenset()
+
+    @property
+    def state(self) -> dict[str, Any]:
+        """Whether it is held, how fast it goes, and what is put in place of what is measured."""
+        with self._change:
+            return {"paused": self._is_paused, "speed": self._speed, "held": dict(self._held)}
+
+    def begin(self, run: MissionRun) -> None:
+        """Take over a run of a simulation that is opened."""
+        self._attributes, self._components = frozenset(run.model.attributes), frozenset(run.model.components)
+        run.alter = self.alter
+
+    def do(self, asked: Mapping[str, Any]) -> None:
+        """Do what a page asks for; see `docs/see_it.md`.
+
+        Raises:
+            MissionError: there is no such thing to be done, or not with that.
+        """
+        what = asked.get("do")
+        with self._change:
+            if what in ("pause", "resume"):
+                self._is_paused, self._start, self._steps = what == "pause", None, 0
+            elif what == "step":
+                self._is_paused, self._steps = True, self._steps + 1
+            elif what == "speed":
+                self._speed, self._start = _pace(asked.get("value")), None
+            elif what == "inject":
+                self._inject(asked)
+            else:
+                raise MissionError(f"{what!r} cannot be done; there are pause, resume, step, speed and inject")
+            self._change.notify_all()
+
+    def _inject(self, asked: Mapping[str, Any]) -> None:
+        values = {
+            _known("attribute", name, self._attributes): finite_number(value)
+            for name, value in dict(asked.get("measure", {})).items()
+        }
+        released = [_known("attribute", name, self._attributes) for name in asked.get("release", ())]
+        said = [
+            (what, _known("component", asked[what], self._components)) for what in ("fail", "recover") if what in asked
+        ]
+        self._held.update(values)
+        for name in released:
+            self._held.pop(name, None)
+        self._said += [("measure", name) for name in values] + said
+
+    def alter(self, messages: list[Message], now: float) -> list[Message]:
+        """Return what the robot hears in place of what was published by now [s]."""
+        with self._change:
+            said, self._said, held = self._said, [], dict(self._held)
+        if held:
+            messages = [_with(message, held) for message in messages]
+        for what, name in said:
+            if what == "measure":
+                messages = [*messages, measured(now, **{name: held[name]})] if name in held else messages
+            else:
+                messages = [*messages, failed(now, name) if what == "fail" else recovered(now, name)]
+        return messages
+
+    def tick(self, run: MissionRun) -> None:
+        """Wait until the run may go on."""
+        with self._change:
+            while True:
+                if self._is_paused:
+                    if self._steps:
+                        self._steps -= 1
+                        return
+                    self._change.wait()
+                    continue
+                now = time.monotonic()
+                if self._start is None:
+                    self._start = now, run.world.now
+                if not self._speed:
+                    return
+                begun, simulated = self._start
+                left = begun + (run.world.now - simulated) / self._speed - now
+                if left <= 0:
+                    return
+                self._change.wait(left)
+
+
+def _with(message: Message, held: Mapping[str, float]) -> Message:
+    """Return a message with other values in place of those that are held."""
+    statuses = [
+        {**one, "values": {key: repr(held[key]) if key in held else value for key, value in one["values"].items()}}
+        if str(one["message"]).strip().casefold() in MEASUREMENTS
+        else one
+        for one in message["status"]
+    ]
+    return {**message, "status": statuses}
+
+
+def _known(kind: str, name: Any, names: frozenset[str]) -> str:  # noqa: ANN401  # whatever a page sends
+    if name in names:
+        return str(name)
+    raise MissionError(f"unknown {kind} {name!r}; there are {', '.join(sorted(names)) or 'none'}")
+
+
+def _pace(value: Any) -> float:  # noqa: ANN401  # whatever a page sends
+    speed = finite_number(value)
+    if 0 <= speed <= FASTEST:
+        return speed
+    raise MissionError(f"a speed is a number from 0 (as fast as it can) to {FASTEST:g} times real time, not {value!r}")
