@@ -158,7 +158,7 @@ class MissionRun:
         self.settings = settings or RunSettings()
         self.trace: list[tuple[Sample, Seen]] = []
         self.problems: list[tuple[float, DiagnosticProblem]] = []
-        self.alter: Callable[[list[Message], float], list[Message]] | None = None
+        self.alter: Callable[[Sequence[Message], float], Sequence[Message]] | None = None
         self._listeners = listeners
         self._decided_s: list[tuple[float, float]] = []
         self._world_s, self._sampled_at, self._plans_heard = 0.0, -SAMPLE_PERIOD_S, 0

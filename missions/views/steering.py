@@ -1,7 +1,7 @@
 """What a page may do to a simulation, with leave: hold it, let it go on by ticks, set its pace, disturb it."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from threading import Condition
 from typing import Any, Final
 
@@ -77,7 +77,7 @@ class Steering(Listener):
             self._held.pop(name, None)
         self._said += [("measure", name) for name in values] + said
 
-    def alter(self, messages: list[Message], now: float) -> list[Message]:
+    def alter(self, messages: Sequence[Message], now: float) -> Sequence[Message]:
         """Return what the robot hears in place of what was published by now [s]."""
         with self._change:
             said, self._said, held = self._said, [], dict(self._held)
