@@ -95,9 +95,9 @@ class LiveView:
         **shown: Any,  # noqa: ANN401  # as of Recorder
     ) -> None:
         with needs("live", "the live page"):
-            import starlette  # noqa: F401
+            import starlette  # noqa: F401  # used later, in the server's thread
             import uvicorn
-            import websockets  # noqa: F401
+            import websockets  # noqa: F401  # used by uvicorn
         self._kb, self._steering = kb, steering
         self._token = token if token is not None or _is_this_machine(host) else token_urlsafe(16)
         self._socket = _listening(host, port)
