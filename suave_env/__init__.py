@@ -3,8 +3,7 @@
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from suave_env.exceptions import SuaveEnvError
-from suave_env.settings import Settings
+from suave_env.settings import Settings, SuaveEnvError
 
 if TYPE_CHECKING:
     from suave_env.checker import BrokenEnvError, check_env

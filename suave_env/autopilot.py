@@ -3,8 +3,7 @@
 import math
 from math import atan2, cos, isfinite, sin
 
-from suave_env.exceptions import SuaveEnvError
-from suave_env.settings import Settings
+from suave_env.settings import Settings, SuaveEnvError
 from suave_env.thrusters import Thrusters
 from suave_env.vehicle import Vehicle
 

@@ -5,8 +5,8 @@ from collections.abc import Callable
 from dataclasses import fields
 
 from suave_env.env import Observation, SuaveEnv
-from suave_env.exceptions import SuaveEnvError
 from suave_env.monitors import Message
+from suave_env.settings import SuaveEnvError
 
 SPAN_S = 12.0
 """How long each trial of an environment is [s]: monitors publish every second, and the search has begun."""

@@ -3,22 +3,56 @@
 Each has a free-running timer and acts only while active. Their rules are those of the nodes of kas-lab/suave v1.3.0.
 """
 
+import heapq
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from suave_env.agenda import Agenda
 from suave_env.autopilot import Autopilot, Vector
-from suave_env.exceptions import SuaveEnvError, unknown_name
 from suave_env.monitors import COMPONENT_STATUS, MISSION_STATUS, Outbox, thruster_words
 from suave_env.pipeline import SEABED_Z_M
-from suave_env.settings import Settings
+from suave_env.settings import Settings, SuaveEnvError, unknown_name
 from suave_env.thrusters import COUNT
 
 HIGHEST_ALTITUDE_M = 19.0
 """Altitude above the seabed [m] that a parameter may command at most: 1 m below the surface."""
+
+
+class Agenda:
+    """What is to happen when: events in order of time [s]; those of the same time in the order of their entry."""
+
+    def __init__(self) -> None:
+        self._events: list[tuple[float, int, Callable[[float], None]]] = []
+        self._entered = 0
+
+    @property
+    def next_time(self) -> float:
+        """Time of the next event [s]; infinite if there is none."""
+        return self._events[0][0] if self._events else float("inf")
+
+    def at(self, time: float, event: Callable[[float], None]) -> None:
+        """Enter an event, which is called with its time [s]."""
+        heapq.heappush(self._events, (time, self._entered, event))
+        self._entered += 1
+
+    def every(self, period: float, phase: float, event: Callable[[float], None]) -> None:
+        """Enter a timer that runs freely from now on, called at `phase + k * period` [s] without accumulating error."""
+        count = 0
+
+        def tick(time: float) -> None:
+            nonlocal count
+            count += 1
+            self.at(phase + count * period, tick)
+            event(time)
+
+        self.at(phase, tick)
+
+    def happen(self) -> None:
+        """Let the next event happen."""
+        time, _, event = heapq.heappop(self._events)
+        event(time)
 
 
 class Component:

@@ -6,15 +6,13 @@ from functools import partial
 
 import numpy as np
 
-from suave_env.agenda import Agenda
 from suave_env.autopilot import Autopilot, Vector
 from suave_env.battery import LOW_LEVEL, Battery
-from suave_env.components import Change, Components, FollowPipeline, Recharge, RecoverThrusters, SpiralSearch
-from suave_env.exceptions import SuaveEnvError
+from suave_env.components import Agenda, Change, Components, FollowPipeline, Recharge, RecoverThrusters, SpiralSearch
 from suave_env.metrics import Disturbance, Metrics, Reaction, Reactions, Violations
 from suave_env.monitors import MISSION_STATUS, QA_STATUS, Message, Outbox, ThrusterMonitor, VisibilityMonitor
 from suave_env.pipeline import SEABED_Z_M, Pipeline
-from suave_env.settings import Settings, ThrusterEvent, parse_thruster_events
+from suave_env.settings import Settings, SuaveEnvError, ThrusterEvent, parse_thruster_events
 from suave_env.thrusters import Thrusters
 from suave_env.vehicle import Vehicle, floated, yaw_of
 from suave_env.water import THRESHOLDS_M, Water, expected_altitude

@@ -1,16 +1,28 @@
 """Every constant of the simulated sea, with its unit, its meaning and where the figure comes from."""
 
 import dataclasses
+import difflib
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from itertools import accumulate
 from types import MappingProxyType
 from typing import TypeVar
 
-from suave_env.exceptions import SuaveEnvError, unknown_name
-
 T = TypeVar("T", float, int, bool, str)
+
+
+class SuaveEnvError(Exception):
+    """The base of every error that this package raises: it says what was given, what is allowed and what exists."""
+
+
+def unknown_name(kind: str, name: object, known: Iterable[str]) -> SuaveEnvError:
+    """Make the error for a name that does not exist; it lists the nearest known names, or all if none is near."""
+    names = list(known)
+    near = difflib.get_close_matches(str(name), names, n=3)
+    hint = f"the nearest are {', '.join(near)}" if near else f"known are {', '.join(names) or 'none'}"
+    return SuaveEnvError(f"there is no {kind} {name!r}; {hint}")
+
 
 RULES: Mapping[str, Mapping[str, float | bool | str]] = MappingProxyType(
     {

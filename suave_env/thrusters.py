@@ -2,8 +2,7 @@
 
 import math
 
-from suave_env.exceptions import SuaveEnvError
-from suave_env.settings import Settings
+from suave_env.settings import Settings, SuaveEnvError
 
 COUNT = 6
 """Number of thrusters: 1 front right, 2 front left, 3 rear right, 4 rear left, 5 right and 6 left vertical."""

@@ -10,8 +10,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from suave_env.exceptions import SuaveEnvError
-from suave_env.settings import Settings
+from suave_env.settings import Settings, SuaveEnvError
 from suave_env.thrusters import COUNT
 
 _log = logging.getLogger(__name__)

@@ -1,26 +1,174 @@
-"""The mission as a behaviour tree: what is planned is done, and planned anew when what is believed changes.
+"""What the mission does: as a behaviour tree it does what is planned, and plans anew when what is believed changes.
 
 until arrived
 └── follow route             one child for each corridor; the one that is planned next is ticked
     ├── cross c1 if feasible
     └── ...
+
+Planned step by step, it switches modes before it crosses.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 from py_trees.composites import Composite
 
-from kb import KnowledgeBase
-from missions.agv.actions import Cross
+from kb import KnowledgeBase, ReconfigurationPlan
 from missions.agv.building import Building
-from missions.agv.joint import Answer
+from missions.agv.joint import Answer, Leg
+from missions.agv.model import FOLLOW, NAVIGATE, NAVIGATOR, heading, headings
+from missions.agv.modes import Mode, running_mode
+from missions.agv.pddl import SWITCH, PddlNames
 from missions.agv.route import Route
 from missions.engine.mission import Percepts
-from rosa_bt import feasible_then_act
+from rosa_bt import RosaAction, feasible_then_act
 from rosa_bt.decorators import UntilSuccess
 from rosa_pddl import Outcome, PlanRecord, Step
+from rosa_pddl.generation import ActionSchema
+
+
+class Cross(RosaAction):
+    """Cross a corridor, in the configuration that was planned for it; `choose` returns what is planned for it now."""
+
+    def __init__(self, route: Route, corridor: str, choose: Callable[[], Leg | None]) -> None:
+        super().__init__(f"cross {corridor}", route.kb, f"cross_{corridor}")
+        self.corridor = corridor
+        self._route, self._choose = route, choose
+        self._leg: Leg | None = None
+
+    @property
+    def is_crossed(self) -> bool:
+        """Whether the robot has come to the other end."""
+        return self._leg is not None and self._route.at == self._leg.to and not self._route.inside
+
+    def initialise(self) -> None:
+        """Tell what the corridor demands, and select what was planned."""
+        self._leg = self._choose()
+        if self._leg is not None:
+            way = headings(self._route.building).index((self._leg.corridor, self._leg.origin)) + 1.0
+            _measure(self._route, {**self._leg.conditions, "way": way})
+            if self.kb.pending_plan is None:  # else it would be abandoned together with that one
+                self._select(self._leg)
+
+    def update(self) -> Status:
+        """Look whether the other end is reached; take over what was planned anew for the same corridor."""
+        leg = self._leg
+        if leg is None:
+            self.feedback_message = f"{self.corridor} does not lead from {self._route.at}"
+            return Status.FAILURE
+        if self.is_crossed:
+            return Status.SUCCESS
+        anew = self._choose()
+        if anew is not None and anew.to == leg.to:
+            self._leg = leg = anew
+        if self.kb.pending_plan is None and not self._is_selected(leg):
+            self._select(leg)  # it was planned anew, or the manager had to choose before it was
+        return Status.RUNNING
+
+    def terminate(self, new_status: Status) -> None:
+        """Demand no more than where it stands: what is behind or given up does not lie ahead."""
+        _measure(self._route, self._route.standing)
+
+    def _select(self, leg: Leg) -> None:
+        why = f"{leg.mode.name} is the best to cross {leg.corridor}, {leg.why}"
+        self.kb.select(_designs(leg), _configurations(leg), why)
+
+    def _is_selected(self, leg: Leg) -> bool:
+        designs = [self.kb.designs[name].is_selected for name in _designs(leg).values()]
+        return all(designs) and all(self.kb.configurations[name].is_selected for name in _configurations(leg).values())
+
+
+class Switch(RosaAction):
+    """Change to a mode, where the robot stands."""
+
+    def __init__(self, route: Route, mode: Mode) -> None:
+        super().__init__(f"switch to {mode.name}", route.kb, SWITCH)
+        self._route, self._mode = route, mode
+        self._plan: ReconfigurationPlan | None = None
+
+    def initialise(self) -> None:
+        """Demand no more than where it stands."""
+        self._plan = None
+        _measure(self._route, self._route.standing)
+
+    def update(self) -> Status:
+        """Select the mode, and look whether the robot is configured so."""
+        if self.kb.pending_plan is not None:
+            return Status.RUNNING
+        if self._plan is not None and self._plan.result == "failed":
+            self.feedback_message = f"the robot cannot be configured so: {self._plan} failed"
+            return Status.FAILURE
+        choice, running = self._mode.choice, running_mode(self.kb, NAVIGATE)
+        if (running.components, running.choice.configurations) == (self._mode.components, choice.configurations):
+            return Status.SUCCESS
+        why = f"{self._mode.name} is planned for what comes next"
+        self._plan = self.kb.select(choice.designs, choice.configurations, why)
+        return Status.RUNNING
+
+
+class PlanningState:
+    """What the plan executor knows: the names of the PDDL problem, and what holds in it."""
+
+    def __init__(self, route: Route, pddl: PddlNames) -> None:
+        self.route, self.pddl = route, pddl
+        self._revision: tuple[object, ...] = ()
+        self._facts: Mapping[str, bool | float] = {}
+        self._switching: Mapping[str, float] = {}
+
+    @property
+    def facts(self) -> Mapping[str, bool | float]:
+        """What holds and costs now; worked out when something has happened, not with every metre and joule."""
+        if self._revision != self.route.revision:
+            self._revision, task = self.route.revision, self.route.task
+            self._switching = self._switching or self.pddl.switching(task, self.pddl.by_mode)
+            self._facts = {**self.pddl.facts(task), **self._switching, **self.pddl.numbers(task)}
+        return self._facts
+
+    def leg(self, way: str, mode: str) -> Leg | None:
+        """Return a way in a mode as what to do now; None if it cannot be done from here."""
+        via, task = self.pddl.by_way[way], self.route.task
+        for one, possible, takes, _ in task.crossings(task.start[0]):
+            if (one.corridor.name, one.to, self.pddl.modes[possible.name]) == (via.corridor, via.to, mode):
+                why = "planned together with all that comes after it"
+                return Leg(one.corridor.name, one.origin, one.to, possible, one.conditions, takes, why)
+        return None
+
+
+@dataclass(frozen=True)
+class Planned:
+    """Makes the behaviour of a step of a plan, from the planning state of a run, and declares it."""
+
+    schema: ActionSchema
+    planning_state: Callable[[KnowledgeBase, Percepts], PlanningState]
+    make: Callable[[PlanningState, Step], Behaviour]
+
+    def __call__(self, kb: KnowledgeBase, percepts: Percepts, step: Step) -> Behaviour:
+        return self.make(self.planning_state(kb, percepts), step)
+
+
+def cross(planning_state: PlanningState, step: Step) -> Cross:
+    _, way, _, _, mode = step.arguments
+    leg = planning_state.leg(way, mode)
+    return Cross(planning_state.route, planning_state.pddl.by_way[way].corridor, lambda: leg)
+
+
+def switch(planning_state: PlanningState, step: Step) -> Switch:
+    return Switch(planning_state.route, planning_state.pddl.by_mode[step.arguments[-1]])
+
+
+def _measure(route: Route, demands: Mapping[str, float]) -> None:
+    for attribute, value in demands.items():
+        route.kb.measure(attribute, value)
+
+
+def _designs(leg: Leg) -> dict[str, str]:
+    return {**leg.mode.choice.designs, FOLLOW: "by_navigator"}
+
+
+def _configurations(leg: Leg) -> dict[str, str]:
+    return {**leg.mode.choice.configurations, NAVIGATOR: heading(leg.corridor, leg.origin)}
 
 
 class FollowRoute(Composite):

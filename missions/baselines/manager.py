@@ -45,7 +45,7 @@ class Robot:
         clock: Callable[[], float],
         options: Mapping[str, float] | None = None,
     ) -> None:
-        from suave_env.agenda import Agenda
+        from suave_env.components import Agenda
 
         self.mission, self.settings, self.rng, self.options = mission, settings, rng, options or {}
         self.measured: dict[str, float] = {}

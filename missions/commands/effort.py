@@ -13,7 +13,6 @@ def effort(
         typer.Argument(metavar="MISSION|FILE", help="A mission, module:NAME or model file; default: all missions."),
     ] = None,
     json: Annotated[Path | None, typer.Option(help="Write all that is counted.")] = None,
-    plot: Annotated[Path | None, typer.Option(help="Draw the counts and the linear law: *.svg, else PNG.")] = None,
 ) -> None:
     """Count what it takes to write a model, beside the counts of the ROSA paper.
 
@@ -22,17 +21,12 @@ def effort(
     function designs, component configurations, constraints (one that is
     shared counts once), estimations.
     """
-    from missions.experiments.effort import as_data, survey
-    from missions.experiments.effort_views import print_survey
+    from missions.experiments.effort import as_data, print_survey, survey
     from missions.views.output import as_json, open_files
 
     with ExitStack() as stack:
-        files = open_files({"json": json, "plot": plot}, stack)
+        files = open_files({"json": json}, stack)
         found = survey(models or ())
         print_survey(found)
         if "json" in files:
             files["json"].finish(as_json(as_data(found)))
-        if plot is not None:
-            from missions.experiments.effort_views import draw
-
-            files["plot"].finish(draw(found, "svg" if plot.suffix.lower() == ".svg" else "png"))

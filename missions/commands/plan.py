@@ -1,4 +1,4 @@
-"""`rosa plan`: a plan asked for by hand: what to do in which order, why actions are out, and a tree that does it."""
+"""`rosa plan`: a plan asked for by hand: what to do in which order, and why actions are out."""
 
 from contextlib import ExitStack
 from pathlib import Path
@@ -9,7 +9,7 @@ import typer
 from missions.commands import FAILED
 
 if TYPE_CHECKING:
-    from missions.planning.question import Answer
+    from missions.engine.question import Answer
 
 
 def plan(
@@ -26,15 +26,12 @@ def plan(
     goal: Annotated[list[str] | None, typer.Option(help="Reach this, e.g. '(found it)', not the file's goal.")] = None,
     json: Annotated[Path | None, typer.Option(help="Write outcome, engine, cost and steps.")] = None,
     svg: Annotated[Path | None, typer.Option(help="Draw the causal order of the steps.")] = None,
-    tree: Annotated[
-        Path | None, typer.Option(help="Write the plan as a tree: BehaviorTree.CPP's XML to *.xml, else text.")
-    ] = None,
     timeout: Annotated[float, typer.Option(help="Seconds after which planning is given up.")] = 30.0,
 ) -> None:
     """Plan, say why actions are out and why there is no plan, and exit with 0 if there is one."""
     from missions.engine.mission import MissionError
+    from missions.engine.question import answer, ask, read_situation
     from missions.engine.registry import find_mission
-    from missions.planning.question import answer, ask, read_situation
     from missions.views.output import open_files
     from missions.views.plan import lines_of
 
@@ -42,7 +39,7 @@ def plan(
         raise MissionError("give either a domain and a problem file, or a mission with --mission NAME")
     supposed = read_situation(situation or [], feasible)
     question = ask(files or [], find_mission(mission) if mission else None, model or [], supposed, goal or [])
-    paths = {"json": json, "svg": svg, "tree": tree}
+    paths = {"json": json, "svg": svg}
     with ExitStack() as stack:
         outputs = open_files(paths, stack)
         found = answer(question, timeout)
@@ -51,21 +48,19 @@ def plan(
         is_solved = found.result.outcome.is_solved
         for name, output in outputs.items():
             if is_solved or name == "json":
-                output.finish(_written(name, found, paths[name]))
+                output.finish(_written(name, found))
             else:
                 typer.echo(f"{paths[name]} is not written, as there is no plan")
     if not is_solved:
         raise typer.Exit(FAILED)
 
 
-def _written(option: str, found: "Answer", path: Path | None) -> str:
+def _written(option: str, found: "Answer") -> str:
     from missions.views.output import as_json
-    from missions.views.plan import causes_of, svg_of, tree_of
+    from missions.views.plan import causes_of, svg_of
 
     if option == "svg":
         return svg_of(causes_of(found), f"plan of {found.question.domain.name}")
-    if option == "tree":
-        return tree_of(found, xml=path is not None and path.suffix.lower() == ".xml")
     result = found.result
     steps = [{"action": step.schema, "arguments": list(step.arguments)} for step in result.steps]
     return as_json({"outcome": str(result.outcome), "engine": result.engine, "cost": result.cost, "steps": steps})

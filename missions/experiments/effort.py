@@ -12,6 +12,9 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeVar
 
 from py_trees.behaviour import Behaviour
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
 
 from kb import KnowledgeBase, KnowledgeBaseError, Model, UnknownName
 from kb.elements import Attribute, Component, Function
@@ -285,3 +288,73 @@ def _built(title: str, kind: type[T], build: Callable[..., object], *given: obje
     if not isinstance(made, kind):
         raise MissionError(f"{title} is {made!r}, not a {kind.__name__}")
     return made
+
+
+AGV: Final = (
+    "agv: the vehicle's model, as in the paper; in the mission, each corridor of the building is an action of its own."
+)
+DIFFERS: Final = "* differs from the published count: nothing is fitted to it"
+TREE_RULE: Final = (
+    "nodes: of the tree of `--manager bt`, less those of the mission's own, which has the task only (published)\n"
+    "modes: each mode and each value in it, `active` too, of the functions whose component the mission has"
+)
+TREES_DIFFER: Final = (
+    "* nodes: the published tree is one of BehaviorTree.CPP, whose nodes also arm, abort and unground. Ours is of "
+    "py_trees and the same for both missions, so that suave has the branch that recharges, too.\n"
+    "* modes: recharging adds 8, as published; what the 2 more in each published count are is not known."
+)
+LAW_IN_WORDS: Final = "linear law: 10 + 6 for each structural + 3 for each parameter adaptation of an action"
+
+
+def print_survey(found: Survey) -> None:
+    """Print it all."""
+    console = Console(emoji=False, highlight=False, soft_wrap=False)
+    if not console.is_terminal:
+        console.width = 160  # letters
+    about = [*RULE, *([AGV] if any(one.name == "agv" for one in found.models) else [])]
+    _print_table(console, _models(found.models), about, DIFFERS)
+    if found.trees:
+        _print_table(console, _trees(found.trees), [TREE_RULE], TREES_DIFFER)
+    on_it = sum(one.total == one.law for one in found.points)
+    console.print(f"{LAW_IN_WORDS}; of {len(found.points)} generated models, {on_it} have just that\n", markup=False)
+
+
+def _print_table(console: Console, rows: list[list[str]], about: list[str], differs: str) -> None:
+    table = Table(box=None, pad_edge=False)
+    head, *body = rows
+    for number, column in enumerate(head):
+        table.add_column(column, justify="left" if number in (0, len(head) - 1) else "right", no_wrap=True)
+    for row in body:
+        table.add_row(*row)
+    console.print(table)
+    console.print("\n".join([*about, *([differs] if any(row[-1].endswith("*") for row in body) else [])]), markup=False)
+    console.print()
+
+
+def _models(models: tuple[ModelEffort, ...]) -> list[list[str]]:
+    rows = [["model", "entities", "relations", "total", "published"]]
+    for one in models:
+        numbers = one.counted.entities, one.counted.relations
+        rows.append([_short(one.name), *map(str, (*numbers, one.counted.total)), _published(one, numbers)])
+    return rows
+
+
+def _trees(trees: tuple[TreeEffort, ...]) -> list[list[str]]:
+    rows = [["managed by a tree", "nodes", "of the task", "left", "modes", "total", "published"]]
+    for one in trees:
+        numbers = one.counted.adaptation_nodes, one.counted.modes
+        task = f"{one.counted.task_nodes}" + ("" if one.published_task is None else f" ({one.published_task})")
+        left = map(str, (*numbers, one.counted.total))
+        rows.append([_short(one.name), str(one.counted.nodes), task, *left, _published(one, numbers)])
+    return rows
+
+
+def _published(one: ModelEffort | TreeEffort, counted: tuple[int, int]) -> str:
+    if one.published is None:
+        return "-"
+    return str(one.published) if one.published == counted else f"{one.published} *"
+
+
+def _short(name: str) -> str:
+    """Return a name without the folders of its files."""
+    return escape(",".join(Path(part).name for part in name.split(",")))

@@ -12,7 +12,6 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
-from importlib.util import find_spec
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple, Self
@@ -256,11 +255,9 @@ def write_tables(kept: Kept, folder: Path) -> list[Path]:
     """Write the runs and the reactions, and return the files; raises MissionError if one cannot be written."""
     written = []
     for name, rows in (("runs", run_rows(kept)), ("reactions", reaction_rows(kept))):
-        contents = {".csv": _csv(rows)} | ({".parquet": _parquet(rows)} if rows and find_spec("pyarrow") else {})
-        for suffix, content in contents.items():
-            written.append(folder / f"{name}{suffix}")
-            with OutputFile(written[-1]) as file:
-                file.finish(content)
+        written.append(folder / f"{name}.csv")
+        with OutputFile(written[-1]) as file:
+            file.finish(_csv(rows))
     return written
 
 
@@ -270,16 +267,3 @@ def _csv(rows: Sequence[Mapping[str, Any]]) -> bytes:
     writer.writeheader()
     writer.writerows(rows)
     return text.getvalue().encode()
-
-
-def _parquet(rows: Sequence[Mapping[str, Any]]) -> bytes:
-    import pyarrow
-    import pyarrow.parquet
-
-    columns = {name: [row[name] for row in rows] for name in rows[0]}
-    for name, values in columns.items():
-        if {int, float} <= set(map(type, values)):  # whole numbers and others
-            columns[name] = [float(value) if isinstance(value, int) else value for value in values]
-    sink = io.BytesIO()
-    pyarrow.parquet.write_table(pyarrow.table(columns), sink)
-    return sink.getvalue()

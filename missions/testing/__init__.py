@@ -8,11 +8,9 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from missions.engine.components import CommandFailed
-    from missions.testing.decisions import Decisions
-    from missions.testing.golden import check_golden
-    from missions.testing.leaves import LeafMock, mock_leaf
-    from missions.testing.managed import FakeClock, ScriptedManaged
+    from missions.testing.decisions import Decisions, check_golden
     from missions.testing.recorded import replay
+    from missions.testing.scripted import FakeClock, LeafMock, ScriptedManaged, mock_leaf
 
 __all__ = [
     "CommandFailed",
@@ -27,11 +25,9 @@ __all__ = [
 
 _HOMES = {
     "missions.engine.components": ("CommandFailed",),
-    "missions.testing.decisions": ("Decisions",),
-    "missions.testing.golden": ("check_golden",),
-    "missions.testing.leaves": ("LeafMock", "mock_leaf"),
-    "missions.testing.managed": ("FakeClock", "ScriptedManaged"),
+    "missions.testing.decisions": ("Decisions", "check_golden"),
     "missions.testing.recorded": ("replay",),
+    "missions.testing.scripted": ("FakeClock", "LeafMock", "ScriptedManaged", "mock_leaf"),
 }
 
 

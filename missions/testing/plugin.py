@@ -62,7 +62,7 @@ def replay(request: pytest.FixtureRequest) -> "Callable[..., Decisions]":
 @pytest.fixture
 def golden_trace(request: pytest.FixtureRequest) -> "Callable[..., None]":
     """Compare a trace with the one in the folder `golden` beside the test; `pytest --update-traces` writes that."""
-    from missions.testing.golden import check_golden, golden_path
+    from missions.testing.decisions import check_golden, golden_path
 
     config, test = request.config, request.node.nodeid
     compared: set[Path] = set()

@@ -23,7 +23,7 @@ from missions.engine.registry import find_mission
 from missions.engine.runner import MissionRun
 from missions.engine.settings import RunSettings
 from missions.testing.decisions import Decisions, Moment, seconds, timeline
-from missions.testing.managed import FakeClock, ScriptedManaged
+from missions.testing.scripted import FakeClock, ScriptedManaged
 from rosa_bt import TraceVisitor
 
 if TYPE_CHECKING:

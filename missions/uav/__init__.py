@@ -2,7 +2,8 @@
 
 from missions.engine.declared import by_schema
 from missions.engine.mission import Mission
-from missions.uav.actions import (
+from missions.uav.model import uav_model
+from missions.uav.tree import (
     PROBLEM,
     AnalyseOnSite,
     LandAndFoldGripper,
@@ -10,9 +11,8 @@ from missions.uav.actions import (
     ReturnAndRecharge,
     SearchForSamples,
     facts,
+    uav_tree,
 )
-from missions.uav.model import uav_model
-from missions.uav.tree import uav_tree
 from missions.uav.world import SKY
 
 __all__ = ["MISSION"]

@@ -1,4 +1,4 @@
-"""The mission as a behaviour tree: find samples and analyse them one by one, as well as is feasible.
+"""What the mission does, as actions and as a behaviour tree: find samples and analyse them one by one, as feasible.
 
 until all are analysed
 └── one after another
@@ -10,25 +10,183 @@ until all are analysed
     └── all analysed?
 
 Before it analyses on site after a pick-up, it lands and folds the gripper, whatever happened in between.
+
+Each action says when it is finished; the components that it needs do the flying. The tree and the plan executor run the
+same behaviours; their schemas are what the PDDL is made of. Every action waits until the robot is configured for it, so
+that one behaviour gives way to the next in a safe state only.
 """
 
+from collections.abc import Callable, Mapping
+from typing import ClassVar, Final
+
 from py_trees.behaviour import Behaviour
+from py_trees.common import Status
 from py_trees.composites import Selector, Sequence
 
 from kb import KnowledgeBase
 from missions.engine.mission import Percepts
-from missions.uav.actions import (
-    AnalyseOnSite,
-    LandAndFoldGripper,
-    PickUpAndAnalyse,
-    ReturnAndRecharge,
-    SearchForSamples,
-    Sensed,
-    is_all_analysed,
-    is_waiting,
-)
-from rosa_bt import do_until_unfeasible, feasible_then_act, first_feasible, switch_safely
+from missions.uav.settings import MOST_SAMPLES
+from rosa_bt import RosaAction, do_until_unfeasible, feasible_then_act, first_feasible, switch_safely
 from rosa_bt.decorators import UntilSuccess
+from rosa_pddl.generation import ActionSchema, DeclaredProblem
+
+SAMPLES: Final = tuple(f"sample_{number}" for number in range(1, MOST_SAMPLES + 1))
+
+# What is wanted is sensed, so the goal changes by itself when a sample is added.
+PROBLEM: Final = DeclaredProblem(
+    objects={**dict.fromkeys(SAMPLES, "sample"), "drone": "robot"},
+    facts=("(looking drone)", "(gripper_folded drone)", *(f"(wanted {one})" for one in SAMPLES[:-1])),
+    goal=("(forall (?s - sample) (imply (wanted ?s) (analysed ?s)))",),
+)
+
+
+def analysed(percepts: Percepts) -> int:
+    """Return how many samples are analysed."""
+    return sum(percepts.holds(f"{one}_analysed") for one in SAMPLES)
+
+
+def _target(percepts: Percepts) -> str:
+    """Return the sample that is to be analysed next; empty if there is none."""
+    return next((one for one in SAMPLES if percepts.holds(f"{one}_target")), "")
+
+
+def is_waiting(percepts: Percepts) -> bool:
+    """Whether there is a sample to be analysed next."""
+    return bool(_target(percepts))
+
+
+def is_all_analysed(percepts: Percepts) -> bool:
+    """Whether all samples are analysed that are wanted now, of which there is at least one."""
+    wanted = [one for one in SAMPLES if percepts.holds(f"{one}_wanted")]
+    return bool(wanted) and all(percepts.holds(f"{one}_analysed") for one in wanted)
+
+
+def facts(kb: KnowledgeBase, percepts: Percepts) -> Mapping[str, bool]:
+    """Return what was sensed as facts of the PDDL problem."""
+    kinds = ("wanted", "analysed", "target")
+    known = {f"({what} {one})": percepts.holds(f"{one}_{what}") for what in kinds for one in SAMPLES}
+    is_folded = percepts.holds("gripper_folded")
+    if is_folded and kb.pending_plan is not None:  # it unfolds before long, also if what it was for has been given up
+        is_folded = "gripper" not in kb.pending_plan.activate
+    return known | {"(looking drone)": not is_waiting(percepts), "(gripper_folded drone)": is_folded}
+
+
+class Sensed(Behaviour):
+    """Condition: SUCCESS while something is sensed, such as `is_waiting` or `is_all_analysed`."""
+
+    def __init__(self, name: str, percepts: Percepts, holds: Callable[[Percepts], bool]) -> None:
+        super().__init__(name)
+        self._percepts, self._holds = percepts, holds
+
+    def update(self) -> Status:
+        return Status.SUCCESS if self._holds(self._percepts) else Status.FAILURE
+
+
+class UavAction(RosaAction):
+    """An action with its schema and the name of its behaviour; works when all that it needs runs."""
+
+    schema: ClassVar[ActionSchema]
+    title: ClassVar[str]
+
+    def __init__(self, kb: KnowledgeBase, percepts: Percepts) -> None:
+        super().__init__(self.title, kb, self.schema.rosa_action, wait=True)
+        self.percepts = percepts
+
+
+class SearchForSamples(UavAction):
+    """Search until there is a sample to be analysed."""
+
+    title: ClassVar = "search"
+    schema: ClassVar = ActionSchema(
+        "search_for_samples",
+        parameters=("?s - sample", "?r - robot"),
+        start=("(looking ?r)", "(wanted ?s)"),
+        end_effects=("(target ?s)", "(not (looking ?r))"),
+        duration_s=15,
+        cost=1,
+    )
+
+    def update(self) -> Status:
+        return Status.SUCCESS if is_waiting(self.percepts) else Status.RUNNING
+
+
+class _Analyse(UavAction):
+    """Analyse one sample; finished when the one for which it was begun is not to be analysed any more."""
+
+    def initialise(self) -> None:
+        self._sample = _target(self.percepts)
+
+    def update(self) -> Status:
+        return Status.RUNNING if self.percepts.holds(f"{self._sample}_target") else Status.SUCCESS
+
+
+class PickUpAndAnalyse(_Analyse):
+    """Pick a sample up and analyse it while it is held: the better analysis."""
+
+    title: ClassVar = "pick up"
+    schema: ClassVar = ActionSchema(
+        "pick_up_and_analyse",
+        parameters=("?s - sample", "?r - robot"),
+        start=("(target ?s)",),
+        start_effects=("(not (gripper_folded ?r))",),
+        end_effects=("(analysed ?s)", "(not (target ?s))", "(looking ?r)"),
+        duration_s=18,
+        cost=1,
+    )
+
+
+class AnalyseOnSite(_Analyse):
+    """Analyse a sample from above with the infra-red camera; the gripper has to be folded."""
+
+    title: ClassVar = "analyse on site"
+    schema: ClassVar = ActionSchema(
+        "analyse_on_site",
+        parameters=("?s - sample", "?r - robot"),
+        start=("(target ?s)",),
+        over_all=("(gripper_folded ?r)",),
+        end_effects=("(analysed ?s)", "(not (target ?s))", "(looking ?r)"),
+        duration_s=10,
+        cost=3,
+    )
+
+
+class LandAndFoldGripper(UavAction):
+    """Land and fold the gripper."""
+
+    title: ClassVar = "land and fold"
+    schema: ClassVar = ActionSchema(
+        "land_and_fold_gripper",
+        parameters=("?r - robot",),
+        end_effects=("(gripper_folded ?r)",),
+        duration_s=8,
+        cost=1,
+    )
+
+    def update(self) -> Status:
+        return Status.SUCCESS if self.percepts.holds("gripper_folded") else Status.RUNNING
+
+
+class ReturnAndRecharge(UavAction):
+    """Return to the base and recharge; in a plan only when nothing waits that can still be analysed on site.
+
+    It costs more than analysing every sample on site, so no plan recharges for the sake of a better analysis.
+    """
+
+    title: ClassVar = "recharge"
+    schema: ClassVar = ActionSchema(
+        "return_and_recharge",
+        parameters=("?r - robot",),
+        start=("(or (looking ?r) (not (action_feasible ?a3)))",),
+        duration_s=30,
+        cost=30,
+        makes_feasible=("search_for_samples", "pick_up_and_analyse", "analyse_on_site"),
+    )
+
+    def initialise(self) -> None:
+        self._before = self.percepts.count("battery_recharged")
+
+    def update(self) -> Status:
+        return Status.SUCCESS if self.percepts.count("battery_recharged") > self._before else Status.RUNNING
 
 
 def uav_tree(kb: KnowledgeBase, percepts: Percepts) -> Behaviour:

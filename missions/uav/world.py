@@ -9,9 +9,9 @@ from numpy.random import Generator
 from kb import KnowledgeBase
 from missions.engine.components import SimulatedComponents
 from missions.engine.mission import Message, Percepts, Sample, Setting, Verdict, World, WorldKind
-from missions.uav.actions import analysed, is_all_analysed
 from missions.uav.model import ANALYSE_LEVEL, PICK_UP_LEVEL, SEARCH_LEVEL
 from missions.uav.settings import Settings
+from missions.uav.tree import analysed, is_all_analysed
 
 STATUS = "mission status"
 LEVELS = {

@@ -1,4 +1,4 @@
-"""A plan as people see it: its steps with what they need, the tree that does them, and a picture of their causal order.
+"""A plan as people see it: its steps with what they need, and a picture of their causal order.
 
 The picture goes from the top to the goal; side by side is what could come in any order.
 """
@@ -11,12 +11,7 @@ from itertools import pairwise
 from textwrap import wrap
 from typing import Final, NamedTuple
 
-from py_trees.behaviours import Success
-
-from missions.planning.question import Answer
-from missions.planning.tree import plan_tree
-from rosa_bt import export_xml
-from rosa_bt.display import ascii_tree
+from missions.engine.question import Answer
 from rosa_pddl import Domain, State, Step
 from rosa_pddl.domain import UpThing
 from rosa_pddl.validate import binding_of, ended, mentioned_atoms, started
@@ -65,14 +60,6 @@ def lines_of(answer: Answer) -> Iterator[str]:
             yield f"  {number + 1}  {step}" + (f"  needs {', '.join(needs)}" if needs else "")
     yield from (f"out: {question.kb.why(question.kb.actions[action])}" for action in question.unfeasible)
     yield from (f"note: {oversight}" for oversight in question.oversights)
-
-
-def tree_of(answer: Answer, *, xml: bool) -> str:
-    """Return the tree that executes a plan, as BehaviorTree.CPP's XML or as a picture in text."""
-    domain = answer.question.domain
-    idle = dict.fromkeys(domain.schemas, lambda step: Success(str(step)))
-    tree = plan_tree(domain, answer.result.steps, kb=answer.question.kb, behaviours=idle)
-    return export_xml(tree) if xml else ascii_tree(tree)
 
 
 def causes_of(answer: Answer) -> CausalOrder:

@@ -31,7 +31,7 @@ class Fatal(Manager):
     def update(self):
         os._exit(1)
 """
-TABLES = ("runs.csv", "runs.parquet", "reactions.csv", "reactions.parquet")
+TABLES = ("runs.csv", "reactions.csv")
 
 
 class Machines:

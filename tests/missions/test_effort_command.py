@@ -1,15 +1,12 @@
-"""`rosa effort` as a person uses it: tables, marks, files, pictures, and one clear message for each mistake."""
+"""`rosa effort` as a person uses it: tables, marks, files, and one clear message for each mistake."""
 
 import json
 import tomllib
 from dataclasses import replace
 from functools import partial
-from io import BytesIO
 from pathlib import Path
 
-import numpy as np
 import pytest
-from matplotlib.image import imread
 from py_trees.display import ascii_tree
 from running import called
 
@@ -20,7 +17,6 @@ from missions.engine.mission import MissionError, Percepts
 from missions.engine.registry import MISSIONS
 from missions.experiments import effort
 from missions.experiments.effort import MODELS, MOST_ADAPTATIONS, TASK_NODES, TREES, as_data, count, count_tree, survey
-from missions.experiments.effort_views import draw, picture
 from missions.suave.model import suave_model
 
 OWN = """
@@ -175,8 +171,6 @@ def test_model_asked_for_twice_is_counted_once(everything):
         (["effort_own:NO_TREE"], "cannot build the tree of suave: RuntimeError: not today"),
         (["effort_own:OTHER"], "the model of effort_own:OTHER is 3, not a Model"),
         (["uav", "--json", "nowhere/effort.json"], "cannot write nowhere/effort.json"),
-        (["uav", "--plot", "nowhere/effort.png"], "cannot write nowhere/effort.png"),
-        (["uav", "--plot", "same", "--json", "same"], "name the same file"),
         (["--frobnicate"], "No such option"),
     ],
 )
@@ -188,7 +182,7 @@ def test_mistake_is_one_clear_message(rosa, arguments, message):
 
 def test_nothing_is_written_when_a_model_cannot_be_read(rosa, tmp_path):
     before = sorted(tmp_path.iterdir())
-    code, _, _ = rosa("uav", "missing.tql", "--json", "effort.json", "--plot", "effort.png")
+    code, _, _ = rosa("uav", "missing.tql", "--json", "effort.json")
     assert code == 2
     assert sorted(tmp_path.iterdir()) == before
 
@@ -198,36 +192,7 @@ def test_mission_that_the_sea_cannot_open_is_a_clear_error():
         count_tree(replace(suave.MISSION, fixed={"no_such_setting": "1"}))
 
 
-def test_picture_is_the_same_twice_and_not_blank(rosa, everything):
-    code, _, _ = rosa("--plot", "effort.png")
-    assert code == 0
-    png = Path("effort.png").read_bytes()
-    assert draw(everything) == png
-    assert np.ptp(imread(BytesIO(png))) == 1
-    svg = draw(everything, "svg")
-    assert svg == draw(everything, "svg")
-    assert svg.startswith(b"<?xml")
-
-
-def test_suffix_svg_gives_that(rosa):
-    rosa("uav", "--plot", "effort.SVG")
-    assert b"<svg" in Path("effort.SVG").read_bytes()
-
-
-def test_bars_are_as_high_as_what_is_counted(everything):
-    sizes, scaling = picture(everything).axes
-    over = {text.get_text() for text in sizes.texts if text.get_fontweight() == "bold"}
-    counts = [*(one.counted for one in everything.models), *(one.counted for one in everything.trees)]
-    assert over == {str(one.total) for one in counts}
-    lines = [line for line in scaling.lines if len(line.get_xdata())]
-    assert len(lines) == 6
-    for law, counted in zip(lines[::2], lines[1::2], strict=True):
-        assert list(law.get_ydata()) == list(counted.get_ydata())
-        assert len(law.get_xdata()) == MOST_ADAPTATIONS + 1
-
-
-def test_empty_model_can_be_drawn(tmp_path):
+def test_empty_model_is_counted(tmp_path):
     Model("empty").save(tmp_path / "empty.tql")
     found = survey([str(tmp_path / "empty.tql")])
     assert count(Model("empty")) == found.models[0].counted
-    assert draw(found).startswith(b"\x89PNG")

@@ -12,7 +12,7 @@ from kb import KnowledgeBase, UnknownName
 from missions.engine.mission import Percepts
 from missions.engine.recording import measured
 from missions.testing import FakeClock, mock_leaf, replay
-from missions.testing.leaves import LETTERS
+from missions.testing.scripted import LETTERS
 from rosa_bt import BehaviourRegistry, TreeRunner, load_xml
 
 XML = """

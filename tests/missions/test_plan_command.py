@@ -10,17 +10,13 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-from plan_worlds import House
 from running import called
 
-from kb import KnowledgeBase
 from missions import suave, suave_extended
 from missions.engine.declared import by_schema, declarations_of, mission_domain
 from missions.engine.mission import MissionError
 from missions.engine.registry import MISSIONS
-from missions.planning.tree import plan_registry
 from missions.suave.tree import SearchPipeline
-from rosa_bt import load_xml
 from rosa_pddl import ActionSchema, Planner, Problem, initial_state, load_domain
 
 FOLDERS = {module.MISSION.name: module.__path__[0] for module in (suave, suave_extended)}
@@ -195,23 +191,6 @@ def test_problem_file_that_states_feasibility_is_believed_without_a_model(rosa, 
     assert "the problem file does not state that it is feasible" in out
 
 
-def test_tree_is_written_as_xml_that_can_be_executed_and_else_as_text(rosa, tmp_path):
-    assert rosa("--mission", "suave", "--tree", "plan.xml")[0] == 0
-    domain = mission_domain(MISSIONS["suave"])
-    world = House()
-    kb = KnowledgeBase(MISSIONS["suave"].model(), clock=lambda: 0.0)
-    tree = load_xml(tmp_path / "plan.xml", plan_registry(domain, kb=kb, behaviours=world.behaviours(domain)))
-    tree.tick_once()
-    assert [(step.schema, what) for _, step, what in world.log] == [
-        ("search_pipeline", "begins"),
-        ("search_pipeline", "SUCCESS"),
-        ("inspect_pipeline", "begins"),
-        ("inspect_pipeline", "SUCCESS"),
-    ]
-    assert rosa("--mission", "suave", "--tree", "plan.txt")[0] == 0
-    assert "`-- [-] inspect_pipeline(inspect_pipeline, pipeline, bluerov)" in (tmp_path / "plan.txt").read_text()
-
-
 def test_picture_has_a_box_for_each_step_and_the_goal_and_an_arrow_for_each_need(rosa, tmp_path):
     assert rosa("--mission", "suave_extended", "--feasible", "recharge", "--svg", "plan.svg")[0] == 0
     root = ElementTree.parse(tmp_path / "plan.svg").getroot()
@@ -223,7 +202,7 @@ def test_picture_has_a_box_for_each_step_and_the_goal_and_an_arrow_for_each_need
 
 
 def test_without_a_plan_only_the_json_is_written_and_the_rest_is_told(rosa, tmp_path):
-    files = ["--json", "plan.json", "--svg", "plan.svg", "--tree", "plan.xml"]
+    files = ["--json", "plan.json", "--svg", "plan.svg"]
     code, out, _ = rosa("--mission", "suave", "--feasible", "", *files)
     assert code == 1
     assert [path.name for path in tmp_path.iterdir()] == ["plan.json"]
@@ -267,7 +246,7 @@ def test_without_a_plan_only_the_json_is_written_and_the_rest_is_told(rosa, tmp_
         (["--mission", "suave", "--goal", " "], "--goal is empty; give a condition such as '(found it)'"),
         (["--mission", "suave", "--timeout", "0"], "timeout_s is 0, expected more than 0"),
         (["--mission", "suave", "--json", "nowhere/plan.json"], "cannot write nowhere/plan.json"),
-        (["--mission", "suave", "--tree", "."], "it is a directory; name a file in it"),
+        (["--mission", "suave", "--svg", "."], "it is a directory; name a file in it"),
         (["--mission", "suave", "--json", "plan", "--svg", "plan"], "--json and --svg name the same file"),
         (["--mission", "suave", "--plan"], "No such option: --plan"),
     ],
@@ -282,10 +261,10 @@ def test_wrong_use_is_one_clear_message_and_exits_with_2(rosa, tmp_path, argumen
 
 def test_files_may_go_to_a_pipe():
     command = [sys.executable, "-m", "missions", "plan", "--mission", "suave"]
-    command += ["--json", "/dev/stdout", "--tree", "/dev/stdout"]
+    command += ["--json", "/dev/stdout", "--svg", "/dev/stdout"]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert '"outcome": "solved optimally"' in done.stdout
-    assert "[-] ^ Plan" in done.stdout
+    assert "<svg" in done.stdout
 
 
 def test_action_without_a_schema_or_with_that_of_another_is_refused():

@@ -12,8 +12,8 @@ from missions.agv import agv_mission
 from missions.engine.controller import build_task
 from missions.engine.declared import by_schema
 from missions.engine.mission import Mission, MissionError, Percepts
+from missions.engine.question import answer, ask, read_situation
 from missions.engine.registry import find_mission
-from missions.planning.question import answer, ask, read_situation
 from missions.views.names import planned_names
 from missions.views.plan import lines_of
 from rosa_bt import RosaAction

@@ -10,7 +10,7 @@ import pytest
 import missions.engine.components
 import missions.testing.decisions
 import missions.testing.recorded
-from missions.testing.golden import golden_path
+from missions.testing.decisions import golden_path
 
 assert missions.MISSIONS, "loaded here, so that the runs inside of a test do not load all of it a second time"
 

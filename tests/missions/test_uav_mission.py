@@ -11,8 +11,8 @@ from missions.engine.controller import TASK_KINDS
 from missions.engine.mission import Percepts
 from missions.engine.registry import find_mission
 from missions.engine.runner import Listener
-from missions.uav.actions import AnalyseOnSite, Sensed, facts, is_all_analysed
 from missions.uav.model import uav_model
+from missions.uav.tree import AnalyseOnSite, Sensed, facts, is_all_analysed
 from missions.views.output import as_json
 
 RUNS = [("bt", seed) for seed in range(6)] + [("pddl", seed) for seed in range(4)]

@@ -4,8 +4,7 @@ import pytest
 from suave_stand_ins import Pilot, values_of
 
 from suave_env import Settings
-from suave_env.agenda import Agenda
-from suave_env.components import FollowPipeline, Recharge, RecoverThrusters, SpiralSearch
+from suave_env.components import Agenda, FollowPipeline, Recharge, RecoverThrusters, SpiralSearch
 from suave_env.monitors import Outbox
 from suave_env.thrusters import Thrusters
 

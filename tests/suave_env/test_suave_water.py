@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from suave_stand_ins import altitude_for
 
 from suave_env import Settings
-from suave_env.agenda import Agenda
 from suave_env.battery import Battery
+from suave_env.components import Agenda
 from suave_env.pipeline import Pipeline
 from suave_env.water import Water
 
