@@ -4,7 +4,15 @@ from kb.checks.findings import Finding, Severity
 from kb.diagnostics import DiagnosticProblem
 from kb.elements import AttributeKind, ComponentKind, EstimationKind, Expression, StalePolicy
 from kb.events import Event, EventKind, Log, StatusChange
-from kb.exceptions import AmbiguousName, DuplicateName, InvalidValue, KnowledgeBaseError, ModelError, UnknownName
+from kb.exceptions import (
+    AmbiguousName,
+    DuplicateName,
+    InvalidValue,
+    KnowledgeBaseError,
+    ModelError,
+    ProtocolError,
+    UnknownName,
+)
 from kb.execution.executor import StagedExecutor
 from kb.execution.safeguards import Quarantined
 from kb.explanation.choice import ChoiceExplanation
@@ -61,6 +69,7 @@ __all__ = [
     "Process",
     "ProcessComponents",
     "Program",
+    "ProtocolError",
     "Quarantined",
     "ReconfigurationPlan",
     "Reply",

@@ -23,6 +23,14 @@ class InvalidValue(KnowledgeBaseError, ValueError):
     """A value is outside what is allowed; the facts are as they were."""
 
 
+class Unselectable(InvalidValue):
+    """A design or configuration is to be selected that is unfeasible now; nothing is selected."""
+
+
+class ProtocolError(KnowledgeBaseError, TypeError):
+    """A managed system, planner, executor or monitor is not what its protocol says: a slip in a program."""
+
+
 class AmbiguousName(KnowledgeBaseError, ValueError):
     """A bare name stands for elements of several kinds."""
 

@@ -18,7 +18,7 @@ from kb.elements import Parameters, finite_number, text
 from kb.elements import parameters as checked_parameters
 from kb.elements import pid as checked_pid
 from kb.events import Event, Log, Publisher
-from kb.exceptions import InvalidValue, KnowledgeBaseError
+from kb.exceptions import InvalidValue, KnowledgeBaseError, Unselectable
 from kb.explanation.reasons import why, why_selected
 from kb.knowledge import Knowledge
 from kb.model import Model
@@ -399,6 +399,9 @@ class KnowledgeBase:
 
         Returns:
             The plan that leads there from the present state; None if there is nothing to do.
+
+        Raises:
+            InvalidValue: one of them is unfeasible now; nothing is selected.
         """
         if reason != "":
             text("the reason of a choice", reason)
@@ -413,6 +416,9 @@ class KnowledgeBase:
             for of, name in _pairs(configurations)
         ]
         now = self._advanced()
+        for node in (*chosen, *given):
+            if known.state.status[node.index] is Status.UNFEASIBLE:
+                raise Unselectable(f"{node.kind} {node.name} cannot be selected: {why(known.state, node, now)}")
         if dry_run:
             layer = Overlay(known.state)
             reasons = why_selected(layer, [*chosen, *given], now, reason, known.records.ended)

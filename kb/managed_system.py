@@ -1,11 +1,15 @@
 """The managed system: what the manager commands, an adapter for objects of this process, and a look at what runs."""
 
 from collections.abc import Mapping
+from contextlib import suppress
+from inspect import isasyncgenfunction, iscoroutine, iscoroutinefunction, isgeneratorfunction, signature
+from itertools import takewhile
 from typing import Protocol
 
 from kb.elements import Component, ComponentKind, Parameters
-from kb.exceptions import UnknownName
+from kb.exceptions import ProtocolError, UnknownName
 from kb.knowledge_base import KnowledgeBase
+from kb.records import Attempt
 
 
 class Operation(Protocol):
@@ -54,10 +58,16 @@ class ManagedObject(Protocol):
 
 
 class ManagedObjects:
-    """A managed system made of objects in this process, given by component name."""
+    """A managed system made of objects in this process, given by component name.
+
+    Raises:
+        ProtocolError: one of them lacks a method, or has one that cannot be called as it is going to be.
+    """
 
     def __init__(self, objects: Mapping[str, ManagedObject]) -> None:
         self._objects = dict(objects)
+        for name, one in self._objects.items():
+            check_methods(f"the object of component {name!r}", one, ManagedObject)
 
     def activate(self, component: str) -> Operation | None:
         """Activate the object of that name; see `ManagedObject`."""
@@ -74,8 +84,7 @@ class ManagedObjects:
     def is_active(self, component: str) -> bool | None:
         """Whether the object of that name runs; None if it cannot tell."""
         tell = getattr(self._object(component), "is_active", None)
-        answer = tell() if callable(tell) else tell
-        return answer if isinstance(answer, bool) else None
+        return tell() if callable(tell) else tell
 
     def _object(self, component: str) -> ManagedObject:
         if component not in self._objects:
@@ -86,14 +95,57 @@ class ManagedObjects:
 def is_active(managed: ManagedSystem, component: str) -> bool | None:
     """Return what a managed system says of a component, None if it cannot tell."""
     answer = getattr(managed, "is_active", lambda _: None)(component)
-    return answer if isinstance(answer, bool) else None
+    if answer is None or isinstance(answer, bool):
+        return answer
+    raise wrong_answer(f"is_active({component!r})", managed, answer, "True, False or None")
+
+
+def operation_of(answer: object, call: str, managed: ManagedSystem) -> Operation | None:
+    """Return what a command was answered with if it can be followed."""
+    if answer is None or (callable(getattr(answer, "done", None)) and callable(getattr(answer, "exception", None))):
+        return answer  # type: ignore[return-value]  # it was looked at
+    raise wrong_answer(call, managed, answer, "None if it is done, or an operation with done() and exception()")
+
+
+def wrong_answer(call: str, given: object, answer: object, expected: str) -> ProtocolError:
+    """Return the error for an answer that means nothing; a coroutine is closed, for nobody awaits it."""
+    if iscoroutine(answer):
+        answer.close()
+    return ProtocolError(f"{call} of {type(given).__name__} returned {answer!r:.80}; it is to return {expected}")
+
+
+def check_methods(what: str, given: object, protocol: type, optional: tuple[str, ...] = ()) -> None:
+    """Raise `ProtocolError` unless an object has the methods of a protocol, to be called as the protocol has them.
+
+    Args:
+        what: what it is given as, in words.
+        given: the object.
+        protocol: whose public functions it has to have.
+        optional: calls of methods that it may have besides, such as "choose(kb)".
+    """
+    if isinstance(given, type):
+        raise ProtocolError(f"{what} is an object; {given.__name__} is a class: write {given.__name__}(...)")
+    wanted = {name: list(signature(one).parameters)[1:] for name, one in vars(protocol).items() if name[0] != "_"}
+    extra = {call.partition("(")[0]: call.partition("(")[2].rstrip(")").split(", ") for call in optional}
+    for name, arguments in (wanted | {name: one for name, one in extra.items() if hasattr(given, name)}).items():
+        method, call = getattr(given, name, None), f"{name}({', '.join(arguments)})"
+        if not callable(method):
+            raise ProtocolError(f"{what} has a method {call}; {given!r:.80} has none")
+        if any(is_late(method) for is_late in (iscoroutinefunction, isasyncgenfunction, isgeneratorfunction)):
+            raise ProtocolError(f"{call} of {type(given).__name__} is async or a generator; {what} answers at once")
+        with suppress(ValueError):  # one that was not written in Python may not say how it is called
+            try:
+                signature(method).bind(*arguments)
+            except TypeError as error:
+                raise ProtocolError(f"{what} is called as {call}; {type(given).__name__}.{name}: {error}") from None
 
 
 class ActivityMonitor:
     """A monitor that asks after each component that is believed to be active, while no plan is being carried out.
 
     One that was started by the last command to it, and is not running, has failed. Any other belief that is wrong is
-    only put right: a component may have been stopped while the program was not there to see it.
+    only put right: a component may have been stopped while the program was not there to see it. What could not be
+    started is asked after too: that may have come true when nobody waited for it any longer.
     """
 
     def __init__(self, managed: ManagedSystem) -> None:
@@ -102,23 +154,42 @@ class ActivityMonitor:
         self._unmanaged: set[str] = set()
         self._believed: list[str] = []
         self._believed_at = -1
+        self._switched: dict[str, Attempt] = {}
+        self._late: set[str] = set()
 
     def observe(self, kb: KnowledgeBase) -> None:
         if kb.pending_plan is not None:
             return
         if kb is not self._known or kb.revision != self._believed_at:
+            self._look_up(kb)
             self._believed, self._believed_at = _believed_active(kb), kb.revision
-        for name in [name for name in self._believed if self._has_ended(name)]:
-            reason = f"{name} is not running, though nobody has stopped it"
-            was_started = kb is self._known and _was_started(kb, name)
+        for name in [name for name in self._believed if self._is(name, False)]:
+            reason, last = f"{name} is not running, though nobody has stopped it", self._switched.get(name)
+            was_started = last is not None and (last.operation, last.result) == ("activate", "completed")
             kb.component_active(name, False, reason)
-            if was_started:
+            if was_started and kb is self._known:
                 kb.component_failed(name, reason)
+        for name in sorted(self._late.difference(self._believed)):
+            if name in kb.components and self._is(name, True):
+                kb.component_active(name, True)
         self._known = kb
 
-    def _has_ended(self, name: str) -> bool:
+    def _look_up(self, kb: KnowledgeBase) -> None:
+        """Take note of the commands since the last time: the last to each component, and which were given up."""
+        if kb is not self._known:
+            self._switched, self._late = {}, set()
+        last = max((one.serial for one in self._switched.values()), default=0)
+        switches = takewhile(lambda one: one.serial > last, reversed(kb.history.attempts))
+        for one in reversed([one for one in switches if one.operation != "configure"]):
+            self._switched[one.component] = one
+            if one.operation == "activate" and one.result != "completed":
+                self._late.add(one.component)
+
+    def _is(self, name: str, active: bool) -> bool:
         try:
-            return name not in self._unmanaged and is_active(self._managed, name) is False
+            return name not in self._unmanaged and is_active(self._managed, name) is active
+        except ProtocolError:
+            raise
         except UnknownName:  # it is not this system that manages it
             self._unmanaged.add(name)
         except Exception:
@@ -131,11 +202,3 @@ def _believed_active(kb: KnowledgeBase) -> list[str]:
     with kb.reading() as state:
         active = [node.element for node in state.network.components.values() if state.active[node.index]]
     return [one.name for one in active if isinstance(one, Component) and one.kind is not ComponentKind.PLAIN]
-
-
-def _was_started(kb: KnowledgeBase, name: str) -> bool:
-    """Tell whether the last command that switched a component has started it."""
-    for one in reversed(kb.history.attempts):
-        if one.component == name and one.operation != "configure":
-            return (one.operation, one.result) == ("activate", "completed")
-    return False

@@ -7,11 +7,11 @@ your own monitor, planner or executor and the rest stays as it is.
 from collections.abc import Iterable
 from typing import Protocol
 
-from kb.exceptions import InvalidValue
+from kb.exceptions import InvalidValue, ProtocolError, Unselectable
 from kb.execution.executor import StagedExecutor
 from kb.execution.safeguards import Veto, VetoGate
 from kb.knowledge_base import KnowledgeBase
-from kb.managed_system import ActivityMonitor, ManagedSystem
+from kb.managed_system import ActivityMonitor, ManagedSystem, check_methods, wrong_answer
 from kb.planners.choice import Choice, choice_by_priority
 from kb.records import ReconfigurationPlan
 
@@ -68,6 +68,9 @@ class ConfigurationManager:
         monitors: asked first at each turn.
         veto: is shown each plan, with its reason, before it is executed, whoever made it. It answers None or True to
             let it pass; False, or the reason in words, to forbid it. What it raises forbids too.
+
+    Raises:
+        ProtocolError: one of them lacks a method, or has one that cannot be called as it is going to be.
     """
 
     def __init__(
@@ -80,11 +83,19 @@ class ConfigurationManager:
         monitors: Iterable[Monitor] = (),
         veto: Veto | None = None,
     ) -> None:
+        if not isinstance(kb, KnowledgeBase):
+            raise ProtocolError(f"a manager works on a kb.KnowledgeBase, not on {kb!r:.80}")
         self._kb = kb
-        self._planner = planner or PriorityPlanner()
-        self._executor = executor or StagedExecutor(managed, budgets=getattr(self._planner, "budgets", None))
+        self._planner = PriorityPlanner() if planner is None else planner
+        check_methods("a planner", self._planner, Planner, ("choose(kb)",))
+        check_methods("a managed system", managed, ManagedSystem, ("is_active(component)",))
+        budgets = getattr(self._planner, "budgets", None)
+        self._executor = StagedExecutor(managed, budgets=budgets) if executor is None else executor
+        check_methods("an executor", self._executor, Executor)
         can_tell = callable(getattr(managed, "is_active", None))
         self._monitors = (*monitors, *([ActivityMonitor(managed)] if can_tell else []))
+        for monitor in self._monitors:
+            check_methods("a monitor", monitor, Monitor)
         self._gate = None if veto is None else VetoGate(kb, veto)
         self._planned_at = -1
 
@@ -110,6 +121,10 @@ class ConfigurationManager:
 
         Returns:
             The plan that was made in this turn, if any; a vetoed one has ended already.
+
+        Raises:
+            ProtocolError: the planner or the managed system returned what means nothing.
+            InvalidValue, UnknownName: the planner selects what is unfeasible, or is not there; nothing is selected.
         """
         kb, gate = self._kb, self._gate
         for monitor in self._monitors:
@@ -119,10 +134,22 @@ class ConfigurationManager:
         plan = None
         revision = kb.revision
         if revision != self._planned_at and kb.pending_plan is None:
-            plan = self._planner.plan(kb)
+            plan = self._planned(revision)
             is_vetoed = gate is not None and gate.check()
             self._planned_at = kb.revision if is_vetoed else revision
             if getattr(self._planner, "is_waiting", False):
                 self._planned_at = -1
         self._executor.execute(kb)
         return plan
+
+    def _planned(self, revision: int) -> ReconfigurationPlan | None:
+        """Have the planner plan; what it chose may have become unfeasible meanwhile, which is no slip of its own."""
+        try:
+            plan = self._planner.plan(self._kb)
+        except Unselectable:
+            if self._kb.revision == revision:
+                raise
+            return None
+        if plan is None or isinstance(plan, ReconfigurationPlan):
+            return plan
+        raise wrong_answer("plan(kb)", self._planner, plan, "what kb.select returned, or None")

@@ -6,10 +6,10 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from kb.elements import Component, ComponentKind, Configuration, choice
-from kb.exceptions import InvalidValue
+from kb.exceptions import InvalidValue, ProtocolError
 from kb.execution.safeguards import Budgets, Quarantine, Quarantined, is_number, words_of
 from kb.knowledge_base import KnowledgeBase
-from kb.managed_system import ManagedSystem, Operation, is_active
+from kb.managed_system import ManagedSystem, Operation, check_methods, is_active, operation_of, wrong_answer
 from kb.network import Node
 from kb.records import Attempt, ReconfigurationPlan
 from kb.state import State
@@ -45,6 +45,9 @@ class StagedExecutor:
     parameters cannot be set is put in quarantine, a component that cannot be switched is reported failed. What the plan
     started for a function that cannot be had any more is stopped again.
 
+    After an interrupt, such as Ctrl-C within a call, the next turn puts on record that the commands whose answer
+    nobody knows were abandoned, and begins the plan's stages again: a command may be given once more.
+
     Args:
         managed: what is commanded; plain components are never switched, only booked.
         attempts: how often a command is given before it counts as failed.
@@ -70,6 +73,7 @@ class StagedExecutor:
         hold: float = 300.0,
         budgets: Mapping[str, float] | None = None,
     ) -> None:
+        check_methods("a managed system", managed, ManagedSystem, ("is_active(component)",))
         self._managed = managed
         self._policy = RetryPolicy(attempts, timeout, back_off)
         by_kind = {choice("kind of component", ComponentKind, one): s for one, s in (timeout_by_kind or {}).items()}
@@ -84,6 +88,8 @@ class StagedExecutor:
         self._stage: list[_Command] = []
         self._failed: set[str] = set()
         self._commanded: set[str] = set()
+        self._paused: list[str] = []
+        self._is_under_way = False
 
     @property
     def quarantined(self) -> tuple[Quarantined, ...]:
@@ -96,10 +102,27 @@ class StagedExecutor:
         Raises:
             UnknownName: a time-out was given for a component, or a budget for an attribute, that the model does not
                 have; at the first turn only.
+            ProtocolError: a method of the managed system or of an operation returned what means nothing; the command
+                is abandoned, and given again at the next turn.
         """
+        if self._is_under_way and self._plan is not None:
+            self._begin_again(kb)
+        self._is_under_way = True
+        self._go_on(kb)
+        self._is_under_way = False
+
+    def _begin_again(self, kb: KnowledgeBase) -> None:
+        """Settle what was interrupted: what nobody knows the answer of, and the stages, which may have been cut off."""
+        known = [command.attempt for command in self._stage if command.is_answered]
+        for attempt in kb.history.attempts:
+            if attempt.end is None and attempt not in known and self._plan in (attempt.plan, None):
+                kb.finish_attempt(attempt, "abandoned", "it was interrupted before its answer was known")
+        self._stages = self._staged(kb, kb.open_plans) if self._plan in kb.open_plans else iter(())
+
+    def _go_on(self, kb: KnowledgeBase) -> None:
         if kb is not self._known:
-            self._known = kb
             self._quarantine.adopt(kb)
+            self._known = kb
             for name in self._of_component:
                 kb.components[name]
             for name in self._budgets.most:
@@ -110,9 +133,9 @@ class StagedExecutor:
             open_plans = kb.open_plans
             if not open_plans:
                 return
-            self._plan = open_plans[-1]
             self._stages, self._stage = self._staged(kb, open_plans), []
-            self._failed, self._commanded = set(), set()
+            self._failed, self._commanded, self._paused = set(), set(), []
+            self._plan = open_plans[-1]
         self._drop_removed(kb)
         now = kb.now
         while True:
@@ -162,6 +185,8 @@ class StagedExecutor:
     def _look(self, component: str) -> bool | None:
         try:
             return is_active(self._managed, component)
+        except ProtocolError:
+            raise
         except Exception:
             return None
 
@@ -172,10 +197,10 @@ class StagedExecutor:
             activated, deactivated, parameters = _steps(state, open_plans)
             running = _running(state, parameters).items()
             stops = [name for name, one in running if _component(one).stops_to_configure]
-            paused = [name for name in stops if name not in deactivated]
-            stopping = self._commands(kb, state, plan, "deactivate", [*deactivated, *paused])
+            self._paused += [name for name in stops if name not in (*deactivated, *self._paused)]
+            stopping = self._commands(kb, state, plan, "deactivate", [*deactivated, *self._paused])
         yield stopping
-        started = [*activated, *paused]
+        started = [*activated, *self._paused]
         if self._budgets.most:
             yield from self._configured_within_budgets(kb, plan, parameters, started)
             parameters = []
@@ -253,36 +278,44 @@ class _Command:
     component: str
     operation: str  # activate, deactivate or configure
     configuration: Configuration | None  # None for a switch
+    attempt: Attempt | None = None
+    is_answered: bool = False  # the managed system has taken or refused the attempt
     _count: int = 0
     _due: float = -math.inf
-    _attempt: Attempt | None = None
     _under_way: Operation | None = None
     _refusal: Exception | None = None
 
     @property
     def reason(self) -> str:
         """How often it was tried, and what came of the last attempt."""
-        assert self._attempt is not None
+        assert self.attempt is not None
         tried = {1: "once", 2: "twice"}.get(self._count, f"{self._count} times")
-        return f"tried {tried}: {self._attempt.reason}"
+        return f"tried {tried}: {self.attempt.reason}"
 
     def begin(self, now: float) -> None:
         """Give the command if it is time for that and it is not under way."""
-        if self.managed is None or now < self._due or (self._attempt is not None and self._attempt.end is None):
+        if self.managed is None or now < self._due or (self.attempt is not None and self.attempt.end is None):
             return
-        self._count += 1
-        chosen = self.configuration
+        chosen, number = self.configuration, self._count + 1
         name, values = (None, None) if chosen is None else (chosen.name, chosen.parameters)
-        self._attempt = self.kb.record_attempt(self.plan, self.component, self.operation, name, values, self._count)
         self._under_way = self._refusal = None
+        self.is_answered = False
+        self.attempt = self.kb.record_attempt(self.plan, self.component, self.operation, name, values, number)
         try:
-            if chosen is not None:
-                self._under_way = self.managed.set_parameters(self.component, chosen.parameters)
-            else:
-                switch = self.managed.activate if self.operation == "activate" else self.managed.deactivate
-                self._under_way = switch(self.component)
+            self._under_way = self._given(self.managed)
+        except ProtocolError as slip:
+            self.abandon(str(slip))
+            raise
         except Exception as error:
             self._refusal = error
+        self._count, self.is_answered = number, True
+
+    def _given(self, managed: ManagedSystem) -> Operation | None:
+        if self.configuration is not None:
+            answer = managed.set_parameters(self.component, self.configuration.parameters)
+            return operation_of(answer, f"set_parameters({self.component!r}, ...)", managed)
+        switch = managed.activate if self.operation == "activate" else managed.deactivate
+        return operation_of(switch(self.component), f"{self.operation}({self.component!r})", managed)
 
     def advance(self, now: float) -> str | None:
         """Return how it has ended, "completed" or "failed", or None as long as it has not."""
@@ -290,21 +323,25 @@ class _Command:
             return "completed"
         while True:
             self.begin(now)
-            if self._attempt is None or self._attempt.end is not None:
+            if self.attempt is None or self.attempt.end is not None:
                 return None
-            outcome = self._outcome(self.managed, now - self._attempt.start)
+            try:
+                outcome = self._outcome(self.managed, now - self.attempt.start)
+            except ProtocolError as slip:
+                self.abandon(str(slip))
+                raise
             if outcome is None:
                 return None
             result, reason = outcome
-            self.kb.finish_attempt(self._attempt, result, reason)
+            self.kb.finish_attempt(self.attempt, result, reason)
             if result == "completed" or self._count >= self.policy.attempts:
                 return result
             self._due = now + self.policy.back_off * 2.0 ** min(self._count - 1, 60)
 
     def abandon(self, reason: str) -> None:
-        if self._attempt is not None and self._attempt.end is None:
+        if self.attempt is not None and self.attempt.end is None:
             self._cancel()
-            self.kb.finish_attempt(self._attempt, "abandoned", reason)
+            self.kb.finish_attempt(self.attempt, "abandoned", reason)
 
     def _outcome(self, managed: ManagedSystem, lasts: float) -> tuple[str, str] | None:
         """Return result and reason of the attempt under way, None while there is neither."""
@@ -332,9 +369,15 @@ class _Command:
         try:
             if operation is None:
                 return True, self._refusal
-            return (True, operation.exception()) if operation.done() else (False, None)
+            ended = operation.done()
+            error = operation.exception() if ended is True else None
         except Exception as error:
             return True, error
+        if not isinstance(ended, bool):
+            raise wrong_answer("done()", operation, ended, "True or False")
+        if error is None or isinstance(error, BaseException):
+            return ended, error
+        raise wrong_answer("exception()", operation, error, "what went wrong, as an exception, or None")
 
     def _look(self, managed: ManagedSystem) -> tuple[bool | None, str]:
         """Return whether the component is as it was to be, None if nobody can tell, and what speaks against it."""
@@ -342,6 +385,8 @@ class _Command:
             return None, ""
         try:
             active = is_active(managed, self.component)
+        except ProtocolError:
+            raise
         except Exception as error:
             return False, f"nobody could tell ({words_of(error)})"
         is_reached = None if active is None else active is (self.operation == "activate")

@@ -42,8 +42,8 @@ class VetoGate:
                 self._passed.append(plan)
                 break
             _log.info("vetoed: %s, because %s", plan, objection)
-            kb.finish_plan(plan, "abandoned")
             self._take_back(plan, f"vetoed: {objection}")
+            kb.finish_plan(plan, "abandoned")
             is_vetoed = True
         return is_vetoed
 
@@ -167,10 +167,10 @@ class Quarantine:
             self.held = {name: one for name, one in self.held.items() if _stands(state, name)}
             concerned = {one.component for one in self.held.values()}
             failed = {name for name in concerned if state.status[components[name].index] is Status.FAILURE}
-        recovered, self._failed = self._failed - failed, failed
-        for one in [one for one in self.held.values() if one.component in recovered]:
+        for one in [one for one in self.held.values() if one.component in self._failed - failed]:
             kb.retract_status(kb.configurations[one.configuration])
             del self.held[one.configuration]
+        self._failed = failed
 
 
 def words_of(error: BaseException) -> str:

@@ -91,7 +91,7 @@ class OptimalPlanner:
         if kb not in self._last:  # a name that is wrong is found at the first update
             with kb.reading() as state:
                 check_names(state.network, self._given)
-        found, self.is_waiting = None, False
+        found, self.is_waiting, weights = None, False, self.criterion(kb).weights
         if self._is_due(kb):
             problem = self._encoded(kb)
             if not problem.is_by_priority:
@@ -100,9 +100,11 @@ class OptimalPlanner:
                     self.is_waiting = True
                     return None
             self.latest = found
-        self._remember(kb, found)
+        nothing = self._note(kb, found)
         choice = _choice(kb, found)
-        return None if choice is None else kb.select(*choice)
+        plan = None if choice is None else kb.select(*choice)
+        self._last[kb] = _Last(weights, nothing)  # last: what was interrupted is chosen again
+        return plan
 
     def catch_up(self, kb: KnowledgeBase) -> None:
         """Wait for an answer that is due by now.
@@ -151,17 +153,16 @@ class OptimalPlanner:
     def _solve(self, problem: Problem) -> Optimum:
         return self._solver.solve(problem, self._effort)
 
-    def _remember(self, kb: KnowledgeBase, found: Optimum | None) -> None:
-        """Remember what was decided, and let the knowledge base explain it if nothing can be chosen."""
+    def _note(self, kb: KnowledgeBase, found: Optimum | None) -> str:
+        """Let the knowledge base explain it if nothing can be chosen; return why, empty if something can."""
         if self._background is not None:
             self._background.forget()
         nothing = found.reason if found is not None and found.choice is None else ""
-        before = self._last.get(kb, _Last({})).nothing
-        self._last[kb] = _Last(self.criterion(kb).weights, nothing)
-        if nothing != before:
+        if nothing != self._last.get(kb, _Last({})).nothing:
             kb.note_no_choice(nothing)
             if nothing:
                 _log.warning("nothing can be selected: %s", nothing)
+        return nothing
 
 
 class BackgroundSolver:

@@ -2,10 +2,11 @@
 
 import math
 
+import pytest
 from hypothesis import strategies as st
 from naive import Naive
 
-from kb import KnowledgeBase, Model, Status
+from kb import InvalidValue, KnowledgeBase, Model, Status
 
 OPERATORS = (">=", ">", "<=", "<")
 NUMBERS = st.sampled_from((0.0, 0.5, 1.0))
@@ -277,7 +278,22 @@ class Twins:
         self.kb.cancel_action(name)
         self.naive.open_actions.discard(name)
 
+    def possible(self, chosen):
+        """What of a choice is feasible; the base refuses the whole as long as something is not."""
+        kinds = ("design", "configuration")
+        possible = tuple(
+            {whole: part for whole, part in parts.items() if self.naive.status(kind, part) != "unfeasible"}
+            for kind, parts in zip(kinds, chosen, strict=True)
+        )
+        if possible != tuple(chosen):
+            revision = self.kb.revision
+            with pytest.raises(InvalidValue, match=r"cannot be selected: .* unfeasible"):
+                self.kb.select(*chosen)
+            assert self.kb.revision == revision
+        return possible
+
     def _select(self, chosen):
+        chosen = self.possible(chosen)
         plan = self.kb.select(*chosen)
         expected = self.naive.select(*chosen)
         if expected is None:

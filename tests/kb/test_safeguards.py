@@ -215,6 +215,9 @@ def test_a_dry_run_tells_the_plan_and_does_nothing():
 
 def test_a_dry_run_can_be_asked_of_any_planner_that_has_a_choice():
     class Choosy:
+        def plan(self, kb):
+            return kb.select(*self.choose(kb))
+
         def choose(self, kb):
             assert kb.required_actions[0].action == "explore"
             return Choice({"see": "by lidar"}, {}, "to spare the camera")

@@ -1,0 +1,185 @@
+"""What is handed to a manager is looked at where it is handed in, and what it answers is: a slip is no broken robot."""
+
+import pytest
+from managed_stand_ins import Scripted, base, rover
+
+from kb import (
+    Choice,
+    ConfigurationManager,
+    InvalidValue,
+    KnowledgeBaseError,
+    ManagedObjects,
+    PriorityPlanner,
+    ProtocolError,
+    Status,
+    UnknownName,
+)
+
+
+class Does:
+    def activate(self, component):
+        return None
+
+    def deactivate(self, component):
+        return None
+
+    def set_parameters(self, component, parameters):
+        return None
+
+
+class TooFew(Does):
+    def activate(self):
+        return None
+
+
+class Slow(Does):
+    async def activate(self, component):
+        return None
+
+
+class Lacking(Does):
+    deactivate = None
+
+
+class Puzzling(Does):
+    async def is_active(self, component):
+        return True
+
+
+def manager_of(**given):
+    kb, clock = base(rover())
+    return kb, ConfigurationManager(kb, **{"managed": Scripted(clock), **given})
+
+
+def of(name, method):
+    return type("Handed", (), {name: method})()
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"managed": object()}, r"a managed system has a method activate\(component\)"),
+        ({"managed": Does}, r"Does is a class: write Does\("),
+        ({"managed": TooFew()}, r"is called as activate\(component\); TooFew.activate: too many"),
+        ({"managed": Slow()}, r"activate\(component\) of Slow is async"),
+        ({"managed": Lacking()}, r"a managed system has a method deactivate\(component\)"),
+        ({"managed": Puzzling()}, r"is_active\(component\) of Puzzling is async"),
+        ({"planner": "by priority"}, r"a planner has a method plan\(kb\); 'by priority' has none"),
+        ({"planner": PriorityPlanner}, "PriorityPlanner is a class"),
+        ({"planner": of("plan", lambda self: None)}, r"a planner is called as plan\(kb\)"),
+        ({"executor": of("run", lambda self, kb: None)}, r"an executor has a method execute\(kb\)"),
+        ({"monitors": [of("observe", lambda self: None)]}, r"a monitor is called as observe\(kb\)"),
+    ],
+)
+def test_what_cannot_be_called_is_refused_where_it_is_handed_in(given, said):
+    with pytest.raises(ProtocolError, match=said) as refused:
+        manager_of(**given)
+    assert isinstance(refused.value, TypeError | KnowledgeBaseError)
+
+
+def test_a_managed_object_is_looked_at_too():
+    with pytest.raises(ProtocolError, match=r"the object of component 'camera' has a method activate\(\)"):
+        ManagedObjects({"camera": object()})
+
+
+async def later():
+    return None
+
+
+class Answers(Scripted):
+    """Answers the activation of a component with whatever it was given."""
+
+    answer = None
+
+    def activate(self, component):
+        super().activate(component)
+        return self.answer() if callable(self.answer) else self.answer
+
+
+class Done:
+    def __init__(self, done, error=None):
+        self.done, self.exception = (lambda: done), (lambda: error)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    ("answer", "said"),
+    [
+        (True, r"activate\('camera'\) of Answers returned True; it is to return None"),
+        (later, r"activate\('camera'\) of Answers returned <coroutine"),
+        (Done("yes"), r"done\(\) of Done returned 'yes'"),
+        (Done(True, "a text"), r"exception\(\) of Done returned 'a text'"),
+    ],
+)
+def test_an_answer_that_means_nothing_is_told_and_no_component_has_failed_by_it(answer, said):
+    kb, clock = base(rover())
+    managed = Answers(clock)
+    managed.answer = answer
+    manager = ConfigurationManager(kb, managed)
+    kb.request_action("explore")
+    for _ in range(4):
+        with pytest.raises(ProtocolError, match=said):
+            manager.update()
+        clock.now += 10.0
+    assert kb.components["camera"].status is not Status.FAILURE
+    assert {one.result for one in kb.history.attempts if one.operation == "activate"} == {"abandoned"}
+    assert all(one.end is not None for one in kb.history.attempts)
+    managed.answer = None
+    manager.update()
+    assert kb.components["camera"].status is Status.SOLVED
+    assert [plan.result for plan in kb.plans] == ["completed"]
+
+
+def test_a_look_that_answers_anything_else_is_told():
+    kb, clock = base(rover())
+    managed = Scripted(clock)
+    managed.is_active = lambda component: "perhaps"
+    manager = ConfigurationManager(kb, managed)
+    kb.request_action("explore")
+    with pytest.raises(ProtocolError, match=r"is_active\('camera'\) of Scripted returned 'perhaps'"):
+        manager.update()
+    assert kb.components["camera"].status is not Status.FAILURE
+
+
+def facts(kb):
+    return [(one.name, one.is_selected) for table in (kb.designs, kb.configurations) for one in table.values()]
+
+
+@pytest.mark.parametrize(
+    ("plan", "error", "said"),
+    [
+        (lambda kb: kb.select({"see": "by camera"}), InvalidValue, "by camera cannot be selected: .* has failed"),
+        (lambda kb: kb.select({}, {"camera": "day"}), InvalidValue, "day cannot be selected: .* violates >= 0.5"),
+        (lambda kb: kb.select({"see": "by radar"}), UnknownName, "by radar"),
+        (lambda kb: kb.select({"see": "day"}), UnknownName, "unknown function design 'day'"),
+        (lambda kb: Choice({"see": "by lidar"}, {}), ProtocolError, "returned Choice.* what kb.select returned"),
+        (lambda kb: later(), ProtocolError, "returned <coroutine"),
+    ],
+)
+def test_what_a_planner_chooses_wrongly_is_told_and_nothing_is_selected(plan, error, said):
+    kb, manager = manager_of(planner=of("plan", lambda self, kb: plan(kb)))
+    kb.measure("light", 0.1)
+    kb.component_failed("camera")
+    kb.request_action("explore")
+    before, plans = facts(kb), kb.plans
+    for _ in range(2):
+        with pytest.raises(error, match=said):
+            manager.update()
+    assert (facts(kb), kb.plans) == (before, plans)
+
+
+def test_a_choice_that_has_become_unfeasible_meanwhile_is_no_slip_and_is_made_again():
+    class Overtaken:
+        is_first = True
+
+        def plan(self, kb):
+            chosen = kb.selectable_designs("see")[0] if kb.adaptable_functions() else None
+            if self.is_first:
+                kb.component_failed("camera")  # as another thread may tell it, between the question and the choice
+                self.is_first = False
+            return kb.select({"see": chosen}) if chosen else None
+
+    kb, manager = manager_of(planner=Overtaken())
+    kb.request_action("explore")
+    assert manager.update() is None
+    assert manager.update().activate == ("lidar",)
