@@ -4,7 +4,19 @@ import sys
 
 import typer
 
-from missions.commands import FAILED, WRONG_USE, campaign, check, complain, effort, listing, plan, report, run
+from missions.commands import (
+    FAILED,
+    WRONG_USE,
+    campaign,
+    check,
+    complain,
+    effort,
+    listing,
+    plan,
+    recordings,
+    report,
+    run,
+)
 
 __all__ = ["app", "main"]
 
@@ -17,6 +29,8 @@ app = typer.Typer(
 app.command("list")(listing.list_missions)
 app.command("settings")(listing.list_settings)
 app.command("run")(run.run)
+app.command("replay")(recordings.replay)
+app.add_typer(recordings.record, name="record")
 app.command("check")(check.check)
 app.command("plan")(plan.plan)
 app.command("campaign")(campaign.campaign)

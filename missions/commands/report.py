@@ -1,9 +1,12 @@
 """`rosa report`: what came of a campaign, or pages of runs to click through."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from missions.views.rows import Recorded
 
 
 def report(
@@ -34,8 +37,18 @@ def report(
             if path.suffix in (".md", ".html"):
                 typer.echo(path)
         return
-    from missions.views.report import read_page, write_report
+    from missions.views.report import write_report
 
     target = out or sources[0].with_name(f"{'-'.join(one.stem for one in sources)}.report.html")
-    write_report(target, *map(read_page, sources))
+    write_report(target, *map(_page_of, sources))
     typer.echo(target)
+
+
+def _page_of(path: Path) -> "Recorded":
+    from missions.views import report
+
+    if path.suffix != ".mcap":
+        return report.read_page(path)
+    from missions.wires.bags import read_page
+
+    return read_page(path)

@@ -34,7 +34,9 @@ def run(
     plot: Annotated[Path | None, typer.Option(help="Draw the run as a PNG picture.")] = None,
     report: Annotated[Path | None, typer.Option(help="Write the run as a page to click through, as HTML.")] = None,
     timing: Annotated[Path | None, typer.Option(help="Write the compute times as JSON.")] = None,
-    record: Annotated[Path | None, typer.Option(help="Write the diagnostics, one message per line.")] = None,
+    record: Annotated[
+        Path | None, typer.Option(help="Record the run: FILE.mcap, or its diagnostics as lines of JSON.")
+    ] = None,
     settings: Annotated[list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Change a setting.")] = None,
     groot2: Annotated[
         int | None,
@@ -74,10 +76,12 @@ def run(
     run_settings, _ = split_settings(found, of_mission)
     console = open_console()
     with ExitStack() as stack:
-        files = open_files({"json": json, "plot": plot, "report": report, "timing": timing, "record": record}, stack)
+        mcap = record if record is not None and record.suffix == ".mcap" else None
+        lines = None if mcap else record
+        files = open_files({"json": json, "plot": plot, "report": report, "timing": timing, "record": lines}, stack)
         narrator = Narrator(console, run_settings.duration_s)
         recorder = Recorder(files["record"]) if "record" in files else Listener()
-        page, is_paced = _page(files, live), realtime or live is not None
+        page, is_paced = _page(files, live, mcap), realtime or live is not None
         steering = Steering((1.0 if is_paced else 0.0) if speed is None else speed)
         listeners: list[Listener] = [*([narrator] if progress else []), recorder, *([page] if page else []), steering]
         opened = open_run(found, manager=manager, task=task, seed=seed, settings=changed, listeners=tuple(listeners))
@@ -91,6 +95,10 @@ def run(
             view = _show(opened, page, steering if allow_control else None, live, host, token)
             stack.callback(view.close)
             console.print(f"live: {view.url}", highlight=False, soft_wrap=True)
+        if page and mcap:
+            from missions.wires.mcap import record_run
+
+            opened.listen(stack.enter_context(record_run(mcap, opened, seed, page.recorder)))
         with narrator if progress else nullcontext():
             doing = f"task layer: {task}" if manager == "ours" else f"manager: {manager}"
             console.print(f"[bold]{found.name}[/] ({doing}, seed {seed})")
@@ -119,13 +127,13 @@ def run(
         raise typer.Exit(FAILED)
 
 
-def _page(files: "Mapping[str, OutputFile]", live: int | None) -> "RunRecorder | None":
+def _page(files: "Mapping[str, OutputFile]", live: int | None, mcap: Path | None) -> "RunRecorder | None":
     """Return what writes down what there is to see, if anybody will look."""
-    if live is None and "report" not in files:
+    if live is None and mcap is None and "report" not in files:
         return None
     from missions.views.run_recorder import RunRecorder
 
-    return RunRecorder() if "report" in files else RunRecorder(LIVE_ROWS, what_if=False)
+    return RunRecorder() if "report" in files else RunRecorder(LIVE_ROWS if live is not None else None, what_if=False)
 
 
 def _show(

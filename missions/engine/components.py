@@ -44,7 +44,7 @@ class Components(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class _Script:
+class Script:
     """How a component takes one kind of command; `takes` None is as the system's other components."""
 
     takes: float | None = None
@@ -54,7 +54,7 @@ class _Script:
     crash_after: float = math.inf
 
 
-_OBEDIENT: Final = _Script()
+_OBEDIENT: Final = Script()
 
 
 class Operation:
@@ -107,7 +107,7 @@ class SimulatedComponents:
         self._busy_until: dict[str, float] = {}
         self._under_way: list[tuple[float, int, Operation]] = []
         self._entered = 0
-        self._scripts: dict[tuple[str, str], _Script] = {}
+        self._scripts: dict[tuple[str, str], Script] = {}
         self._given: Counter[tuple[str, str]] = Counter()
         self.commands: list[Command] = []
         self._crash: dict[str, Operation] = {}
@@ -151,7 +151,7 @@ class SimulatedComponents:
         for verb in verbs or VERBS:
             _check_verb(verb)
             self._given[verb, component] = 0
-            self._scripts[verb, component] = _Script(takes, fail_first, hangs, lies, crash_after)
+            self._scripts[verb, component] = Script(takes, fail_first, hangs, lies, crash_after)
         return self
 
     def activate(self, component: str, /) -> Operation:
@@ -227,7 +227,7 @@ class SimulatedComponents:
         self._entered += 1
         return operation
 
-    def _script(self, verb: str, component: str) -> _Script:
+    def _script(self, verb: str, component: str) -> Script:
         return self._scripts.get((verb, component), _OBEDIENT)
 
 

@@ -165,6 +165,10 @@ class MissionRun:
         self._moved_s, self._turns = world.now, 0
         controller.listeners = listeners
 
+    def listen(self, listener: Listener) -> None:
+        """Have one more hear of the run from now on."""
+        self._listeners = self.controller.listeners = (*self._listeners, listener)
+
     @property
     def manager(self) -> str:
         """Whose run it is, as `rosa run --manager` takes it."""

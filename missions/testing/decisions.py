@@ -61,6 +61,7 @@ class Decisions:
         problems: (time, what) of every part of a message that could not be used; failures show them.
         timeline: what was heard and decided, for people.
         trace: every tick of the task layer, as data.
+        events: everything that became known, as data.
         kb: the knowledge base as it is at the end, for anything else that a test wants to know.
     """
 
@@ -71,6 +72,7 @@ class Decisions:
     problems: tuple[tuple[float, DiagnosticProblem], ...]
     timeline: tuple[Moment, ...] = field(repr=False)
     trace: "Trace" = field(repr=False)
+    events: tuple[Event, ...] = field(repr=False)
     kb: KnowledgeBase = field(repr=False)
 
     def __str__(self) -> str:

@@ -48,11 +48,14 @@ def replay(
     settings: RunSettings | None = None,
     switching_s: float | None = None,
     managed: ScriptedManaged | None = None,
+    strict: bool | None = None,
+    watch: Callable[[MissionRun], object] | None = None,
 ) -> Decisions:
     """Decide once more what was recorded.
 
     Args:
-        source: a recording, as `rosa run MISSION --record FILE` writes it, or written by hand; or its messages.
+        source: a recording, as `rosa run MISSION --record FILE` writes it, or written by hand; a rosbag2 with
+            diagnostics (MCAP or sqlite3); or the messages themselves.
         mission: whose model and task layer decide, or its name; or a model alone, or a function that makes one, for a
             behaviour that is handed in.
         behaviour: makes what decides instead of the mission's task layer, given the knowledge base and the percepts.
@@ -60,24 +63,28 @@ def replay(
         settings: how it is run, by default as it was recorded; it ends a second after the recording at the latest.
         switching_s: how long a command to a component takes [s], by default as it was recorded, or 0.05.
         managed: what takes the commands, with its clock at 0; by default a system that does what it is told.
+        strict: whether messages that say what the model does not know are an error; by default those are that are
+            handed in, not those of a file.
+        watch: called with the run of the replay before it begins, e.g. to `listen` to it.
 
     Raises:
         MissionError: the recording cannot be read, or there is no such mission, task layer or behaviour; or messages
             that are handed in say what the model does not know (those of a file are in `problems`).
         kb.UnknownName: there is a script for a component that the model does not have.
     """
-    messages = list(read_recording(source))
+    messages = _messages_of(source)
     recorded = messages[0].get("run", {}) if messages else {}
     takes_s = recorded.get("switching_s", {}) if switching_s is None else {}
     default_s = SWITCHING_S if switching_s is None else switching_s
     world = Recording(messages, managed or ScriptedManaged(FakeClock()))
+    world.managed.follow(recorded.get("commands", ()) if switching_s is None else ())
     world.managed.take({verb: takes_s.get(verb, default_s) for verb in VERBS})
     end_s = max((message["time"] for message in messages), default=0.0) + AFTERMATH_S
     as_recorded = {"duration_s": end_s, **recorded.get("settings", {})}
     limits = settings or RunSettings.read({name: str(value) for name, value in as_recorded.items()})
     limits = replace(limits, duration_s=min(limits.duration_s, end_s))
-    decisions = _decide(_asked(mission, behaviour), "bt" if behaviour else task, world, limits)
-    if not isinstance(source, str | Path):
+    decisions = _decide(_asked(mission, behaviour), "bt" if behaviour else task, world, limits, watch)
+    if not isinstance(source, str | Path) if strict is None else strict:
         _refuse_slips(messages, decisions)
     return decisions
 
@@ -143,9 +150,22 @@ def _made(make: Callable[[], object]) -> Model:
     return model
 
 
-def _decide(mission: Mission, task: str, world: Recording, limits: RunSettings) -> Decisions:
+def _messages_of(source: str | Path | Iterable[Message]) -> list[Message]:
+    from missions.wires.bags import is_bag, read_bag
+
+    if isinstance(source, str | Path) and is_bag(source):
+        bag = read_bag(source)
+        return [bag.header(), *bag.messages]
+    return list(read_recording(source))
+
+
+def _decide(
+    mission: Mission, task: str, world: Recording, limits: RunSettings, watch: Callable[[MissionRun], object] | None
+) -> Decisions:
     controller = RosaController(mission, task, world, limits)
     run = MissionRun(mission, controller, world, limits)
+    if watch is not None:
+        watch(run)
     for component in world.managed.scripted:
         _ = run.kb.components[component]  # a script for nobody is a slip
     events: list[Event] = []
@@ -168,6 +188,7 @@ def _decide(mission: Mission, task: str, world: Recording, limits: RunSettings) 
         problems=tuple(run.problems),
         timeline=tuple(moments),
         trace=trace,
+        events=tuple(events),
         kb=run.kb,
     )
 

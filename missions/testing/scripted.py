@@ -1,5 +1,6 @@
 """Robots and leaves of trees that do as they are scripted, and the clock that a test moves."""
 
+import math
 from collections.abc import Iterable, Mapping
 from typing import Final
 
@@ -8,7 +9,7 @@ from py_trees.common import Status
 
 from kb import UnknownName
 from kb.elements import Parameters
-from missions.engine.components import VERBS, SimulatedComponents, checked_times
+from missions.engine.components import VERBS, Script, SimulatedComponents, checked_times
 from rosa_bt import RosaAction
 
 LETTERS: Final = {"R": Status.RUNNING, "S": Status.SUCCESS, "F": Status.FAILURE}
@@ -141,11 +142,27 @@ class ScriptedManaged(SimulatedComponents):
         super().__init__(clock, self._names, by_verb)
         self.clock = clock
         self._is_timed = takes is not None
+        self._recorded: dict[tuple[str, str], list[Script]] = {}
+
+    def follow(self, commands: Iterable[tuple[str, str, float, bool]]) -> None:
+        """Have commands that no script is about go as they did: what, to which component, how long [s], if well.
+
+        One that was not given then goes as the last one of its kind.
+        """
+        for verb, component, takes, is_well in commands:
+            script = Script(takes, 0 if is_well else math.inf)
+            self._recorded.setdefault((verb, component), []).append(script)
 
     def take(self, takes: Mapping[str, float]) -> None:
         """Say how long commands take [s] that no script is about, unless that was said before."""
         if not self._is_timed:
             self.takes, self._is_timed = checked_times(takes), True
+
+    def _script(self, verb: str, component: str) -> Script:
+        recorded = self._recorded.get((verb, component))
+        if not recorded or (verb, component) in self._scripts:
+            return super()._script(verb, component)
+        return recorded[min(self._given[verb, component], len(recorded) - 1)]
 
     @property
     def active(self) -> frozenset[str]:

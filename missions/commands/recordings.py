@@ -1,0 +1,164 @@
+"""`rosa replay` and `rosa record`: what was recorded, decided once more, looked at, and put in another form."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final
+
+import typer
+
+from missions.commands import FAILED, open_console
+
+if TYPE_CHECKING:
+    from kb import Event
+    from missions.engine.runner import MissionRun
+    from missions.wires.bags import Bag, Reader
+
+record = typer.Typer(help="Look at a recording, or put it in another form.", no_args_is_help=True)
+
+_DECISIVE: Final = ("request_action", "cancel_action", "select", "finish_plan")
+"""The verbs of what was decided, and of how it ended."""
+_SLACK_S: Final = 1e-6
+_SHOWN: Final = 6
+"""How many differences are shown at most."""
+
+
+def replay(
+    recording: Path,
+    mission: Annotated[str | None, typer.Option(help="Who decides: a mission, or module:NAME; as recorded.")] = None,
+    task: Annotated[str | None, typer.Option(help="Its task layer, bt or pddl; by default as recorded.")] = None,
+    report: Annotated[Path | None, typer.Option(help="Write what is decided now as a page, as HTML.")] = None,
+) -> None:
+    """Decide once more what was recorded; exit with 1 if that differs from what was decided then.
+
+    A recording is a file of `rosa run --record`, or any rosbag2 with diagnostics, with MCAP or sqlite3.
+    """
+    from missions.engine.mission import MissionError
+    from missions.engine.recording import read_recording
+    from missions.testing.recorded import replay as decide
+    from missions.wires.bags import Bag, is_bag, read_bag
+
+    bag = read_bag(recording) if is_bag(recording) else Bag(messages=list(read_recording(recording)))
+    run = bag.run or (bag.messages[0].get("run", {}) if bag.messages else {})
+    asked = mission or run.get("mission")
+    if not asked:
+        raise MissionError(f"{recording} does not say which mission it is of; name one with --mission")
+    messages = [bag.header(), *bag.messages] if bag.run else bag.messages
+    page = _Page(run.get("seed"))
+    watch = None if report is None else page.begin
+    decisions = decide(messages, asked, task=task or run.get("task", "bt"), strict=False, watch=watch)
+    if report is not None:
+        page.write(report, recording)
+    console = open_console()
+    console.print(str(decisions), markup=False, highlight=False, soft_wrap=True)
+    for note in _notes(bag):
+        console.print(note, style="yellow", markup=False, highlight=False)
+    if decisions.problems:
+        console.print(f"{len(decisions.problems)} parts of messages could not be used, e.g. {decisions.problems[0][1]}")
+    if not bag.events:
+        return
+    differences = _differences(bag, decisions.events)
+    if not differences:
+        console.print("decided as recorded")
+        return
+    console.print(f"[bold]decided otherwise from {differences[0][0]:.2f} s on[/] (-: recorded, +: now)")
+    for _, text in differences[:_SHOWN]:
+        console.print(text, markup=False, highlight=False)
+    if len(differences) > _SHOWN:
+        console.print(f"... and {len(differences) - _SHOWN} more")
+    raise typer.Exit(FAILED)
+
+
+class _Page:
+    """The page of a replay."""
+
+    def __init__(self, seed: int | None) -> None:
+        self._seed = seed
+
+    def begin(self, run: "MissionRun") -> None:
+        from missions.views.run_recorder import RunRecorder
+
+        self._run, self._recorder = run, RunRecorder()
+        self._recorder.begin(run, self._seed or 0, {})
+        run.listen(self._recorder)
+
+    def write(self, report: Path, recording: Path) -> None:
+        from missions.engine.mission import Verdict
+        from missions.views.report import write_report
+
+        self._recorder.end(self._run, Verdict("replayed", f"decided once more from {recording.name}"))
+        write_report(report, self._recorder.recorder.recorded)
+
+
+@record.command("info")
+def info(recording: Path) -> None:
+    """Say what a recording holds, and whether it is whole."""
+    from rich.table import Table
+
+    from missions.wires.bags import read_bag
+
+    bag, console = read_bag(recording), open_console()
+    run = ", ".join(
+        f"{key} {bag.run[key]}" for key in ("mission", "task", "seed", "model") if bag.run.get(key) is not None
+    )
+    console.print(f"{recording}: {run or 'no recording of ours'}; {bag.duration_s:.1f} s", highlight=False)
+    table = Table("topic", "type", "messages")
+    for topic, (kind, count) in sorted(bag.topics.items()):
+        table.add_row(topic, kind, str(count))
+    console.print(table)
+    for note in _notes(bag):
+        console.print(note, style="yellow", markup=False, highlight=False)
+    if bag.cut:
+        raise typer.Exit(FAILED)
+
+
+@record.command("convert")
+def convert(recording: Path, output: Path) -> None:
+    """Write a recording as MCAP (whole again if it was cut off), or what was heard as lines of JSON, by the suffix."""
+    from missions.engine.mission import MissionError
+    from missions.wires.bags import Bag, Reader, read_bag
+    from missions.wires.mcap import McapFile
+
+    bag: Bag | Reader
+    if output.suffix == ".jsonl":
+        from missions.engine.recording import line_of
+
+        bag = read_bag(recording)
+        output.write_text("".join(map(line_of, [bag.header(), *bag.messages])))
+    elif output.suffix == ".mcap":
+        bag = Reader(recording)
+        with McapFile(output) as file:
+            for raw in bag:
+                file.copy(*raw)
+    else:
+        raise MissionError(f"{output} ends in neither .mcap nor .jsonl, which are what a recording is converted to")
+    console = open_console()
+    for note in _notes(bag):
+        console.print(note, style="yellow", markup=False, highlight=False)
+
+
+def _notes(bag: "Bag | Reader") -> Iterator[str]:
+    if bag.cut:
+        yield f"{bag.cut}; all before that is read"
+    for problem, count in bag.problems.items():
+        yield f"not read, {count} times: {problem}"
+
+
+def _differences(bag: "Bag", events: "Sequence[Event]") -> list[tuple[float, str]]:
+    """Return when and how it was decided otherwise; what comes after the recording's end is no difference."""
+    from difflib import SequenceMatcher
+
+    end_s = max(one.time for one in bag.events) + (-_SLACK_S if bag.cut else _SLACK_S)
+    then, now = ([one for one in some if one.verb in _DECISIVE and one.time <= end_s] for some in (bag.events, events))
+    lines = list(map(_line, then)), list(map(_line, now))
+    found = []
+    for same, start, end, now_start, now_end in SequenceMatcher(None, *lines, autojunk=False).get_opcodes():
+        if same != "equal":
+            found += [(one.time, f"- {_line(one)}") for one in then[start:end]]
+            found += [(one.time, f"+ {_line(one)}") for one in now[now_start:now_end]]
+    return found
+
+
+def _line(event: "Event") -> str:
+    decided = event.arguments[:2] if event.verb in ("cancel_action", "select") else event.arguments  # without why
+    values = ", ".join(str(one) for one in decided if one not in (None, "", (), {}))
+    return f"{event.time:9.3f} s  {event.verb.replace('_', ' ')}: {values}"

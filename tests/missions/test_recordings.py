@@ -1,0 +1,304 @@
+"""Recordings as MCAP: what others read in them, what is decided from them once more, and files that are not sound."""
+
+import json
+import random
+import sqlite3
+
+import pytest
+from mcap.reader import make_reader
+from py_trees.behaviours import Running
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from typer.testing import CliRunner
+
+from kb import KnowledgeBase, Model
+from missions import cli
+from missions.engine.mission import MissionError
+from missions.engine.recording import measured, read_recording
+from missions.testing.recorded import replay
+from missions.wires import ros
+from missions.wires.bags import read_bag, read_page
+from missions.wires.mcap import McapRecorder
+from rosa_bt import ForAction, TreeRunner, first_feasible
+
+TOPICS = {
+    "/attributes/battery_level",
+    "/attributes/water_visibility",
+    "/behavior_tree",
+    "/behavior_tree_log",
+    "/diagnostics",
+    "/pose",
+    "/rosa/events",
+    "/rosa/log",
+    "/rosa/rows",
+    "/rosa/run",
+    "/tf",
+}
+
+
+def rosa(*arguments, code=0):
+    done = CliRunner().invoke(cli.app, list(map(str, arguments)))
+    assert done.exit_code == code, f"{done.output}\n{done.exception!r}"
+    return done.output
+
+
+@pytest.fixture(scope="module")
+def drop(tmp_path_factory):
+    """The battery drop, recorded while it ran, with the page that was made beside it."""
+    path = tmp_path_factory.mktemp("recorded") / "drop.mcap"
+    rosa("run", "suave_extended", "--no-progress", "--record", path, "--set", "duration_s=200")
+    return path
+
+
+def as_rosbag2(drop, folder, *, storage=StoragePlugin.MCAP, mode=None, strange=False):
+    """Write what was heard as anybody's rosbag2."""
+    store, bag = get_typestore(Stores.ROS2_HUMBLE), read_bag(drop)
+    if strange:
+        store.register(get_types_from_msg("uint8 left", "somebody_msgs/msg/Secret"))
+    writer = Writer(folder, version=8, storage_plugin=storage)
+    if mode is not None:
+        writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer:
+        diagnostics = writer.add_connection("/diagnostics", ros.DIAGNOSTICS, typestore=store)
+        for message in bag.messages:
+            stamp = 10**18 + ros.nanoseconds(message["time"])
+            data = ros.types().encode(ros.DIAGNOSTICS, ros.types().diagnostics(message["time"], message["status"]))
+            writer.write(diagnostics, stamp, data)
+        if strange:
+            secret = writer.add_connection("/secret", "somebody_msgs/msg/Secret", typestore=store)
+            kind = store.types["somebody_msgs/msg/Secret"]
+            writer.write(secret, 10**18, store.serialize_cdr(kind(7), "somebody_msgs/msg/Secret"))
+    return folder
+
+
+def decided(decisions, began=0.0):
+    return [(name, round(start - began, 6)) for name, start, *_ in decisions.actions[1:]]
+
+
+def test_others_read_what_was_recorded(drop):
+    with drop.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert {channel.topic for channel in summary.channels.values()} == TOPICS
+    assert {channel.message_encoding for channel in summary.channels.values()} == {"cdr"}
+    assert len(summary.chunk_indexes) > 1, "what tools seek in"
+    with drop.open("rb") as file:
+        messages = list(make_reader(file).iter_messages(topics=["/attributes/battery_level"]))
+    assert len(messages) > 100
+    last = ros.types().decode(ros.FLOAT, messages[-1][2].data).data
+    assert last == [one for one in read_bag(drop).events if one.subject == "battery_level"][-1].arguments[1]
+
+
+def test_rosbags_reads_it_as_a_bag(drop, tmp_path):
+    (tmp_path / "bag").mkdir()
+    copy = tmp_path / "bag" / "bag_0.mcap"
+    copy.write_bytes(drop.read_bytes())
+    with AnyReader([copy]) as reader:
+        assert {one.topic for one in reader.connections} == TOPICS
+        logged = [
+            reader.deserialize(data, one.msgtype) for one, _, data in reader.messages() if one.topic == "/rosa/log"
+        ]
+    assert any(one.msg.startswith("inspect_pipeline is requested") for one in logged)
+
+
+def test_tree_log_names_nodes_of_the_recorded_tree(drop):
+    with drop.open("rb") as file:
+        found = [(c.topic, m.data) for _, c, m in make_reader(file).iter_messages(topics=["/behavior_tree_log"])]
+    with drop.open("rb") as file:
+        (tree,) = [m.data for _, _, m in make_reader(file).iter_messages(topics=["/behavior_tree"])]
+    xml = ros.types().decode(ros.STRING, tree).data
+    changes = [one for _, data in found for one in ros.types().decode(ros.TREE_LOG, data).event_log]
+    assert {one.current_status for one in changes} >= {"RUNNING", "SUCCESS"}
+    for one in changes:
+        assert f'name="{one.node_name}" _uid="{one.uid}"' in xml
+
+
+@pytest.mark.parametrize(
+    ("mission", "task"), [("suave_extended", "pddl"), ("agv", "bt"), ("uav", "bt"), ("uav", "pddl")]
+)
+def test_replay_decides_as_recorded(mission, task, tmp_path):
+    path = tmp_path / "run.mcap"
+    rosa("run", mission, "--task", task, "--no-progress", "--seed", 3, "--record", path)
+    assert "decided as recorded" in rosa("replay", path)
+
+
+def test_recording_of_the_same_run_is_the_same_bytes(drop, tmp_path):
+    again = tmp_path / "again.mcap"
+    rosa("run", "suave_extended", "--no-progress", "--record", again, "--set", "duration_s=200")
+    assert again.read_bytes() == drop.read_bytes()
+
+
+def test_report_of_a_recording_is_that_of_the_run(tmp_path):
+    path, page = tmp_path / "run.mcap", tmp_path / "run.html"
+    rosa("run", "uav", "--no-progress", "--record", path, "--report", page)
+    from missions.views.report import read_page as read_report
+
+    ran, recorded = read_report(page), read_page(path)
+    assert recorded.header == ran.header
+    told = [tuple(row) for row in json.loads(json.dumps(recorded.rows)) if row[1] != "whatif"]
+    assert sorted(map(repr, told)) == sorted(repr(row) for row in ran.rows if row[1] != "whatif")
+
+
+def test_replay_says_from_when_it_decides_otherwise(drop, tmp_path):
+    other = tmp_path / "eager.py"
+    other.write_text(
+        "from dataclasses import replace\n"
+        "from missions.suave_extended import MISSION as ours\n"
+        "def model():\n"
+        "    model = ours.model()\n"
+        "    model.actions['inspect_pipeline'].constrain(model.attributes['battery_level'] >= 0.4)\n"
+        "    return model\n"
+        "MISSION = replace(ours, model=model)\n"
+    )
+    said = rosa("replay", drop, "--mission", "suave_extended", "--task", "pddl", code=1)
+    assert "decided otherwise from" in said
+
+
+@pytest.mark.parametrize("storage", StoragePlugin)
+@pytest.mark.parametrize("mode", [None, CompressionMode.MESSAGE, CompressionMode.FILE])
+def test_rosbag2_of_anybody_is_decided_alike(drop, tmp_path, storage, mode):
+    if storage is StoragePlugin.MCAP and mode is CompressionMode.FILE:
+        mode = None
+    folder = as_rosbag2(drop, tmp_path / "bag", storage=storage, mode=mode)
+    began = read_bag(drop).messages[0]["time"]  # the time of somebody else's begins with its first message
+    now, then = decided(replay(folder, "suave_extended")), decided(replay(drop, "suave_extended"), began)
+    assert [name for name, _ in now] == ["inspect_pipeline", "recharge", "inspect_pipeline"]
+    assert [name for name, _ in then] == [name for name, _ in now]
+    assert [time for _, time in now] == pytest.approx([time for _, time in then], abs=0.11), "but for a tick"
+
+
+def test_unknown_types_are_listed_and_not_fatal(drop, tmp_path):
+    folder = as_rosbag2(drop, tmp_path / "bag", strange=True)
+    assert "somebody_msgs/msg/Secret" in rosa("record", "info", folder)
+    rosa("replay", folder, "--mission", "suave_extended")
+
+
+def test_recording_without_a_mission_asks_for_one(drop, tmp_path):
+    folder = as_rosbag2(drop, tmp_path / "bag")
+    done = CliRunner().invoke(cli.app, ["replay", str(folder)])
+    assert isinstance(done.exception, MissionError)
+    assert "--mission" in str(done.exception)
+
+
+def test_every_prefix_is_read_up_to_there_and_decided_alike(drop, tmp_path):
+    whole, data, rng = read_bag(drop), drop.read_bytes(), random.Random(7)
+    cut = tmp_path / "cut.mcap"
+    for size in [*(rng.randrange(20_000, len(data)) for _ in range(12)), len(data) - 1]:
+        cut.write_bytes(data[:size])
+        bag = read_bag(cut)
+        assert bag.cut
+        assert bag.messages == whole.messages[: len(bag.messages)]
+        assert bag.events == whole.events[: len(bag.events)]
+        if bag.run:
+            assert "decided as recorded" in rosa("replay", cut) or not bag.events
+
+
+def test_file_that_was_never_completed_holds_every_message(drop, tmp_path):
+    kb = KnowledgeBase(robot(), clock=lambda: 1.0)
+    path = tmp_path / "killed.mcap"
+    recorder = McapRecorder(path, kb)
+    for value in range(100):
+        kb.measure("energy", 0.5 + value / 1000)
+    while (size := path.stat().st_size) == 0 or len(read_bag(path).events) < len(list(kb.log)):
+        pass  # the thread that writes is at it
+    killed = path.read_bytes()
+    recorder.close()
+    (tmp_path / "copy.mcap").write_bytes(killed[:size])
+    found = read_bag(tmp_path / "copy.mcap")
+    assert found.cut
+    assert [one.number for one in found.events][-1] <= kb.log.last
+    rosa("record", "convert", tmp_path / "copy.mcap", tmp_path / "whole.mcap")
+    assert read_bag(tmp_path / "whole.mcap").events == found.events
+    assert not read_bag(tmp_path / "whole.mcap").cut
+
+
+def robot():
+    model = Model("rover")
+    energy = model.quality_attribute("energy")
+    drive = model.function("drive")
+    drive.design("wheels", [model.component("base")], priority=1)
+    model.action("explore", requires=[drive], constraints=[energy >= 0.2])
+    model.action("charge")
+    return model
+
+
+def test_own_robot_is_recorded_and_shown(tmp_path):
+    now = [0.0]
+    kb = KnowledgeBase(robot(), clock=lambda: now[0])
+    root = first_feasible("what to do", [ForAction(name, kb, name, Running(name)) for name in ("explore", "charge")])
+    runner = TreeRunner(root, clock=lambda: now[0])
+    with McapRecorder(tmp_path / "rover.mcap", kb, runner.tree) as recorder:
+        for time, energy in enumerate((0.9, 0.3, 0.1)):
+            now[0] = float(time)
+            message = measured(now[0], energy=energy)
+            recorder.message(message)
+            kb.receive(message)
+            runner.tick()
+    bag, page = read_bag(tmp_path / "rover.mcap"), read_page(tmp_path / "rover.mcap")
+    assert [one["time"] for one in bag.messages] == [0.0, 1.0, 2.0]
+    assert page.title == "rover"
+    assert [value["action"] for value in page.last("action").values()]
+
+
+def test_what_was_heard_is_converted_to_lines(drop, tmp_path):
+    rosa("record", "convert", drop, tmp_path / "drop.jsonl")
+    assert [one["time"] for one in read_recording(tmp_path / "drop.jsonl")][1:] == [
+        one["time"] for one in read_bag(drop).messages
+    ]
+    done = CliRunner().invoke(cli.app, ["record", "convert", str(drop), str(tmp_path / "drop.bag")])
+    assert "neither .mcap nor .jsonl" in str(done.exception)
+
+
+def malformed(drop, folder):
+    data = drop.read_bytes()
+    (folder / "empty.mcap").write_bytes(b"")
+    (folder / "text.mcap").write_text("no recording at all\n")
+    (folder / "magic.mcap").write_bytes(data[:8])
+    (folder / "zeros.mcap").write_bytes(data[:8] + bytes(5000))
+    (folder / "long.mcap").write_bytes(data[:8] + b"\x01" + b"\xff" * 8)
+    (folder / "noise.mcap").write_bytes(data[:8] + random.Random(3).randbytes(5000))
+    (folder / "empty.db3").write_bytes(b"")
+    (folder / "text.db3").write_text("no database")
+    sqlite3.connect(folder / "other.db3").execute("create table cakes (name)").connection.close()
+    (folder / "nothing").mkdir()
+    (folder / "wrong").mkdir()
+    (folder / "wrong" / "metadata.yaml").write_text("rosbag2_bagfile_information: [1, 2")
+    (folder / "missing").mkdir()
+    (folder / "missing" / "metadata.yaml").write_text("rosbag2_bagfile_information: {version: 5}")
+    return sorted(folder.iterdir())
+
+
+def test_malformed_recordings_get_a_clear_word(drop, tmp_path):
+    paths = malformed(drop, tmp_path)
+    assert len(paths) >= 10
+    for path in [*paths, tmp_path / "nowhere.mcap"]:
+        with pytest.raises(MissionError) as error:
+            read_bag(path)
+        assert path.name in str(error.value)
+        assert "\n" not in str(error.value)
+
+
+def test_flipped_bytes_lose_no_more_than_what_follows(drop, tmp_path):
+    whole, rng = read_bag(drop), random.Random(5)
+    for _ in range(20):
+        data = bytearray(drop.read_bytes())
+        data[rng.randrange(100, len(data))] ^= 1 << rng.randrange(8)
+        (tmp_path / "flipped.mcap").write_bytes(data)
+        try:
+            bag = read_bag(tmp_path / "flipped.mcap")
+        except MissionError:
+            continue
+        if not bag.cut and not bag.problems:
+            assert bag.events == whole.events
+
+
+def test_recording_of_another_version_is_refused(tmp_path, monkeypatch):
+    kb = KnowledgeBase(robot(), clock=lambda: 0.0)
+    McapRecorder(tmp_path / "new.mcap", kb, run={"rosa": 99}).close()
+    with pytest.raises(MissionError, match="version 99; this program reads version 1"):
+        read_bag(tmp_path / "new.mcap")
+
+
+def test_file_that_cannot_be_written_is_told(tmp_path):
+    with pytest.raises(MissionError, match="cannot write"):
+        McapRecorder(tmp_path / "no" / "folder.mcap", KnowledgeBase(robot(), clock=lambda: 0.0))
