@@ -202,11 +202,13 @@ class Log:
     Attributes:
         last: number of the last event; 0 before the first.
         heard: called with nothing when there is a new event.
+        witnesses: called with each event when it is in, by the thread that tells it, which holds the base; they may ask.
     """
 
     def __init__(self) -> None:
         self.last = 0
         self.heard: Callable[[], None] | None = None
+        self.witnesses: tuple[Callable[[Event], None], ...] = ()
         self._measured: deque[Event] = deque(maxlen=_MOST)
         self._others: deque[Event] = deque(maxlen=_MOST)
 

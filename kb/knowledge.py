@@ -179,6 +179,8 @@ class Knowledge:
             self.revision = event.number
         self.log.append(event)
         self.pending = None
+        for witness in self.log.witnesses:
+            witness(event)
 
     def _put(self, event: Event, outcome: Outcome) -> Event:
         touched, puts, changes, effects, plan, words, matters = outcome

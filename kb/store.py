@@ -112,6 +112,7 @@ class Store:
         is_new: there is nothing in it yet.
         saved: number of the last event in the file.
         error: why nothing is saved at present, or any more; None while all is well.
+        left: actions that were required when it was opened, by a program that has ended; a task layer settles them.
 
     Raises:
         InvalidValue: the path is none.
@@ -124,6 +125,7 @@ class Store:
         self.path, self.keep = Path(path), keep
         self.saved = 0
         self.error: str | None = None
+        self.left: tuple[str, ...] = ()
         declared = json.dumps(plain_json(individuals(model)))
         self.is_new = not _has_content(self.path) and _make(self.path, declared)
         self._guard = _guarded(self.path)
@@ -170,6 +172,7 @@ class Store:
             known.apply(now, "finish_plan", (plan.number, "abandoned"))
         for serial in [serial for serial, one in known.records.attempts.items() if one.end is None]:
             known.apply(now, "finish_attempt", (serial, "abandoned", "nobody saw what came of it"))
+        self.left = tuple(known.records.required)
 
     def events(self, after: int = 0, *, measurements: bool = True) -> list[Event]:
         """Return the events in the file after one, with the measurements that are kept or without.

@@ -6,11 +6,10 @@ and go: a tree switches between two behaviours of one action, and a plan makes a
 
 import logging
 import math
-from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
-from weakref import WeakKeyDictionary
+from weakref import WeakKeyDictionary, finalize, ref
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
@@ -37,38 +36,72 @@ _KINDS: Final[Mapping[type, str]] = {
 
 
 def halt(root: Behaviour) -> None:
-    """Stop every running behaviour of a subtree, children first; what one raises is its feedback and stops no other."""
-    for behaviour in list(root.iterate()):
-        if behaviour.status is not Status.RUNNING:
-            continue
+    """Stop every running behaviour of a subtree, children first; what one raises is its feedback and stops no other.
+
+    Raises:
+        BaseException: the last that interrupted this, such as KeyboardInterrupt, when all are stopped.
+    """
+    running = [one for one in root.iterate() if one.status is Status.RUNNING]
+    interrupt: BaseException | None = None
+    for behaviour in (*running, *running):  # the second time those of which the stop was interrupted
         try:
-            behaviour.stop(Status.INVALID)
+            if behaviour.status is Status.RUNNING:
+                behaviour.stop(Status.INVALID)
         except Exception as error:
             behaviour.feedback_message = f"in terminate: {in_words(error)}"
+        except BaseException as error:
+            interrupt = error
+            continue
         behaviour.status = Status.INVALID
+    for behaviour in running:
+        behaviour.status = Status.INVALID
+    if interrupt is not None:
+        raise interrupt
 
 
 _RESULTS: Final = {Status.SUCCESS: "completed", Status.FAILURE: "failed", Status.INVALID: "abandoned"}
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, weakref_slot=True)
 class _Ledger:
     """What is kept for one knowledge base."""
 
-    holders: Counter[str] = field(default_factory=Counter)
-    """How many running behaviours hold the request of an action: when a tree switches between two of them, the new one
-    starts before the old one is stopped, and the request has to outlive the switch."""
-    progress: dict[tuple[str, str], object] = field(default_factory=dict)
-    """What interrupted behaviours saved, by action and name of the behaviour."""
+    holders: dict[str, dict[object, str | None]] = field(default_factory=dict)
+    """Which running behaviours hold the request of an action, with what each prefers: when a tree switches between two
+    of them, the new one starts before the old one is stopped, and the request has to outlive the switch."""
+    progress: dict[tuple[object, str, str], object] = field(default_factory=dict)
+    """What interrupted behaviours saved, by mission, action and name of the behaviour."""
     reasons: dict[str, tuple[int, str]] = field(default_factory=dict)
     """Why an action has its status: the revision of the knowledge base, and the sentence."""
 
 
 _ledgers: WeakKeyDictionary[KnowledgeBase, _Ledger] = WeakKeyDictionary()
+_missions: WeakKeyDictionary[Behaviour, object] = WeakKeyDictionary()
+"""The mission that a tree is, by its root: what is saved in one is nothing to another."""
 
 
 def _ledger(kb: KnowledgeBase) -> _Ledger:
-    return _ledgers.setdefault(kb, _Ledger())
+    found = _ledgers.get(kb)
+    if found is None:
+        found = _ledgers.setdefault(kb, _Ledger())
+        finalize(found, _release_all, ref(kb), found.holders)
+        for action in kb.store.left if kb.store is not None else ():
+            if action in kb.actions:
+                kb.cancel_action(action, "abandoned", "the program that requested it has ended")
+    return found
+
+
+def _release_all(kb: "ref[KnowledgeBase]", holders: dict[str, dict[object, str | None]]) -> None:
+    """Release what is held when the program ends: before the store of the knowledge base is closed."""
+    alive = kb()
+    for action in [action for action, held in holders.items() if held] if alive is not None else ():
+        if alive is not None and action in alive.actions:
+            alive.cancel_action(action, "abandoned", "the program has ended")
+
+
+def begin_mission(root: Behaviour) -> None:
+    """Keep what the behaviours of a tree save apart from what those of other trees do."""
+    _missions.setdefault(root, object())
 
 
 def forget_progress(kb: KnowledgeBase) -> None:
@@ -100,15 +133,31 @@ class ActionRequest:
         self._kb = kb
         self._since = math.nan
         self._held: str | None = None
+        self._token = object()
+        _ledger(kb)
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the action is held."""
+        return self._held is not None
 
     def open(self, action: str, preference: str | None) -> Reply:
-        """Request an action, or join those who hold it."""
+        """Request an action, or join those who hold it; what is requested is held before it is."""
         self.begin()
+        self._held = action
+        _ledger(self._kb).holders.setdefault(action, {})[self._token] = preference
         reply = self._kb.request_action(action, preference)
-        if reply:
-            self._held = action
-            _ledger(self._kb).holders[action] += 1
+        if not reply:
+            self._let_go(action)
         return reply
+
+    def objection(self) -> str:
+        """Return why the action that is held cannot be done any more; empty if it can."""
+        action, kb = self._held, self._kb
+        try:
+            return "" if action is None or kb.is_feasible(action) else why(kb, action)
+        except UnknownName:
+            return f"{action} is no longer in the model"
 
     def begin(self) -> None:
         """Count the time from now."""
@@ -133,17 +182,26 @@ class ActionRequest:
         return Status.RUNNING, f"waiting: {lacking}"
 
     def close(self, status: Status, reason: str) -> None:
-        """Let go of the action; the last one who holds it tells the knowledge base how it ended."""
-        action, self._held = self._held, None
+        """Let go of the action; the last one who holds it tells the knowledge base how it ended.
+
+        An interrupt leaves it as it is, or not yet closed: closed again, it is closed, and told once.
+        """
+        action, kb = self._held, self._kb
         if action is None:
             return
-        kb, holders = self._kb, _ledger(self._kb).holders
-        holders[action] -= 1
-        if holders[action] or action not in kb.actions:  # one that left the model was cancelled with it
-            return
-        if status is Status.INVALID:
-            reason = "" if kb.is_feasible(action) else kb.why(kb.actions[action])
-        kb.cancel_action(action, _RESULTS[status], "" if status is Status.SUCCESS else reason)
+        others = _ledger(kb).holders.setdefault(action, {})
+        others.pop(self._token, None)
+        if not others and action in kb.actions:  # one that left the model was cancelled with it
+            if status is Status.INVALID:
+                reason = "" if kb.is_feasible(action) else kb.why(kb.actions[action])
+            kb.cancel_action(action, _RESULTS[status], "" if status is Status.SUCCESS else reason)
+            for preference in list(others.values()):  # of a thread that has joined meanwhile
+                kb.request_action(action, preference)
+        self._held = None
+
+    def _let_go(self, action: str) -> None:
+        _ledger(self._kb).holders[action].pop(self._token, None)
+        self._held = None
 
 
 class KbBehaviour(PortsMixin, Behaviour):
@@ -154,6 +212,9 @@ class KbBehaviour(PortsMixin, Behaviour):
     Args:
         port_arguments: what the constructor was given of the ports; None where the port carries the value.
         behaviour_class_name: as in py_trees.
+
+    Attributes:
+        known: number of the last event that it knew of when it was ticked; None of an action, which takes its time.
     """
 
     INPUT_PORTS: dict[str, PortInformation] = {}  # noqa: RUF012  # py_trees declares it so
@@ -173,6 +234,7 @@ class KbBehaviour(PortsMixin, Behaviour):
     ) -> None:
         super().__init__(name, behaviour_class_name=behaviour_class_name)
         self.kb = kb
+        self.known: int | None = None
         self.port_arguments = dict(port_arguments or {})
         self.check_ports({port: value for port, value in self.port_arguments.items() if value is not None})
 
@@ -186,31 +248,40 @@ class KbBehaviour(PortsMixin, Behaviour):
 
     def tick(self) -> Iterator[Behaviour]:
         try:
-            new_status = self._advance()
-        except Exception as error:
-            self.feedback_message = in_words(error)
-            _log.debug("%s failed", self.name, exc_info=True)
-            new_status = Status.FAILURE
-        if new_status is Status.RUNNING:
-            self.status = new_status
-        else:
-            self.stop(new_status)
+            try:
+                new_status = self._advance()
+            except Exception as error:
+                self.feedback_message = in_words(error)
+                _log.debug("%s failed", self.name, exc_info=True)
+                new_status = Status.FAILURE
+            if new_status is Status.RUNNING:
+                self.status = new_status
+            else:
+                self.stop(new_status)
+        except BaseException:
+            self.stop(Status.INVALID)
+            raise
         yield self
 
     def stop(self, new_status: Status) -> None:
         """Terminate the round; an exception in that turns success into failure, an interruption stays one."""
+        self.status = self._terminated(new_status)
+        self.iterator = self.tick()
+
+    def _terminated(self, new_status: Status) -> Status:
         try:
             self.terminate(new_status)
         except Exception as error:
             self.feedback_message = f"{in_words(error)} (at the end)"
-            new_status = Status.FAILURE if new_status is Status.SUCCESS else new_status
-        self.status = new_status
-        self.iterator = self.tick()
+            return Status.FAILURE if new_status is Status.SUCCESS else new_status
+        return new_status
 
     def _advance(self) -> Status:
-        if self.status is not Status.RUNNING:
-            self.initialise()
-        return self._updated()
+        with self.kb.reading():  # what it is asked belongs to one moment, which a trace can name
+            self.known = self.kb.log.last
+            if self.status is not Status.RUNNING:
+                self.initialise()
+            return self._updated()
 
     def _updated(self) -> Status:
         status = self.update()
@@ -427,6 +498,9 @@ class RosaAction(ActionBehaviour):
     shutdown "abandoned". An exception in the subclass is FAILURE, with its text as feedback. A refused request is
     FAILURE with the reason, and the subclass is not called at all.
 
+    An action that becomes unfeasible while it runs is given up: it is interrupted, its request is "abandoned", and it
+    is FAILURE with the reason, wherever it stands in the tree.
+
     An action that can be continued says where it is, in `save_progress`, and goes on from there in `restore_progress`.
 
     Args:
@@ -435,6 +509,7 @@ class RosaAction(ActionBehaviour):
         wait: start working only when the robot is configured for the action; RUNNING before that, with what is lacking
             as feedback. By default it starts in the tick in which it requests.
         timeout: how long to wait [s], by the clock of the knowledge base; then FAILURE with what is lacking.
+        even_if_unfeasible: go on also when the action becomes unfeasible meanwhile.
 
     Raises:
         kb.UnknownName: no such action; the message lists the nearest ones.
@@ -454,9 +529,11 @@ class RosaAction(ActionBehaviour):
         *,
         wait: bool = False,
         timeout: float = math.inf,
+        even_if_unfeasible: bool = False,
         behaviour_class_name: str | None = None,
     ) -> None:
         super().__init__(name, kb, action, behaviour_class_name=behaviour_class_name)
+        self.even_if_unfeasible = even_if_unfeasible
         self._preference = preference
         self._request = ActionRequest(kb, timeout if wait else None)
         self._has_begun = False
@@ -480,8 +557,9 @@ class RosaAction(ActionBehaviour):
         """Return where the action is, or None (the default) if it starts afresh next time.
 
         Called before `terminate` when the action is interrupted or has failed. What is returned is kept by action and
-        name of the behaviour until the action succeeds or the mission begins anew: when a `TreeRunner` takes the tree
-        over or shuts it down, when its root has succeeded, or at `forget_progress(kb)`.
+        name of the behaviour, apart for each tree that a `TreeRunner` has, until the action succeeds or the mission
+        begins anew: when a runner takes the tree over or shuts it down, when its root has succeeded, or at
+        `forget_progress(kb)`.
         """
         return None
 
@@ -490,19 +568,29 @@ class RosaAction(ActionBehaviour):
 
     def forget_progress(self) -> None:
         """Drop what was saved, of whichever action: the next start is at the beginning."""
-        saved = _ledger(self.kb).progress
-        for key in [key for key in saved if key[1] == self.name]:
+        saved, mission = _ledger(self.kb).progress, self._mission
+        for key in [key for key in saved if key[0] is mission and key[2] == self.name]:
             del saved[key]
 
     def stop(self, new_status: Status) -> None:
-        """Save progress, terminate the round and release the request, also when the subclass raises."""
-        has_begun, self._has_begun = self._has_begun, False
-        if has_begun:
-            self._save(new_status)
-            super().stop(new_status)
-        else:
-            self.status = new_status
-        self._request.close(self.status, self.feedback_message)
+        """Save progress, terminate the round and release the request, also when the subclass raises.
+
+        It is stopped only when all that is done: whoever stops it again after an interrupt goes on with what is left.
+        """
+        ended = Status.INVALID
+        try:
+            if self._has_begun:
+                try:
+                    self._save(new_status)
+                finally:
+                    ended = self._terminated(new_status)
+                    self._has_begun = False
+            else:
+                ended = new_status
+        finally:
+            self._request.close(ended, self.feedback_message)
+        self.status = ended
+        self.iterator = self.tick()
 
     def shutdown(self) -> None:
         """Stop if still running; called when the tree is shut down."""
@@ -510,11 +598,15 @@ class RosaAction(ActionBehaviour):
             self.stop(Status.INVALID)
 
     def _advance(self) -> Status:
-        if self.status is not Status.RUNNING:
+        if not self._request.is_open:
             reply = self._request.open(self.action, self.preference)
             if not reply:
                 self.feedback_message = reply.reason
                 return Status.FAILURE
+        elif not self.even_if_unfeasible and (objection := self._request.objection()):
+            self.stop(Status.INVALID)  # it has not failed, it cannot be done any more
+            self.feedback_message = objection
+            return Status.FAILURE
         if not self._has_begun:
             status, self.feedback_message = self._request.look(self.action)
             if status is not Status.SUCCESS:
@@ -525,14 +617,21 @@ class RosaAction(ActionBehaviour):
     def _begin(self) -> None:
         self._has_begun = True
         self.initialise()
-        saved = _ledger(self.kb).progress.get((self.action, self.name))
+        saved = _ledger(self.kb).progress.get((self._mission, self.action, self.name))
         if saved is not None:
             self.restore_progress(saved)
+
+    @property
+    def _mission(self) -> object:
+        root: Behaviour = self
+        while root.parent is not None:
+            root = root.parent
+        return _missions.get(root)
 
     def _save(self, new_status: Status) -> None:
         saved = _ledger(self.kb).progress
         try:
-            key = (self.action, self.name)
+            key = (self._mission, self.action, self.name)
             progress = None if new_status is Status.SUCCESS else self.save_progress()
             saved.pop(key, None)
             if progress is not None:

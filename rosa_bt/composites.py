@@ -2,20 +2,31 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from typing import Final
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
-from py_trees.composites import Composite
+from py_trees.composites import Composite, Parallel
 
 from rosa_bt.behaviours import ActionBehaviour
 from rosa_bt.decorators import ForAction
+from rosa_bt.xml.controls import Together
+
+_SIDE_BY_SIDE: Final = (Parallel, Together)
 
 
 def gave_way(task: Behaviour) -> bool:
-    """Tell whether a task that failed did so because an action in it is unfeasible, or no longer in the model."""
-    failed = [one for one in task.iterate() if one.status is Status.FAILURE]
-    asking = [one for one in failed if isinstance(one, ActionBehaviour | ForAction)]
-    return any(one.action not in one.kb.actions or not one.kb.is_feasible(one.action) for one in asking)
+    """Tell whether a task that failed did so because an action in it is unfeasible, or no longer in the model.
+
+    What decides is what failed last: the step of a sequence, the last resort of a choice, all that failed side by side.
+    """
+    failed = [child for child in task.children if child.status is Status.FAILURE]
+    if isinstance(task, ActionBehaviour | ForAction):
+        is_unfeasible = task.action not in task.kb.actions or not task.kb.is_feasible(task.action)
+        if is_unfeasible or not failed:
+            return is_unfeasible
+    deciding = failed if isinstance(task, _SIDE_BY_SIDE) else failed[-1:]
+    return bool(deciding) and all(map(gave_way, deciding))
 
 
 class _Parts(Composite):

@@ -52,16 +52,21 @@ class ForAction(Decorator):
 
     def tick(self) -> Iterator[Behaviour]:
         try:
-            new_status = self._admit()
-            if new_status is Status.SUCCESS:
-                yield from self.decorated.tick()
-                new_status = self.update()
-        except Exception as error:
-            self.feedback_message = in_words(error)
-            new_status = Status.FAILURE
-        if new_status is not Status.RUNNING:
-            self.stop(new_status)
-        self.status = new_status
+            try:
+                new_status = self._admit()
+                if new_status is Status.SUCCESS:
+                    yield from self.decorated.tick()
+                    new_status = self.update()
+            except Exception as error:
+                self.feedback_message = in_words(error)
+                new_status = Status.FAILURE
+            if new_status is Status.RUNNING:
+                self.status = new_status
+            else:
+                self.stop(new_status)
+        except BaseException:
+            self.stop(Status.INVALID)
+            raise
         yield self
 
     def update(self) -> Status:
@@ -69,15 +74,20 @@ class ForAction(Decorator):
         return self.decorated.status
 
     def stop(self, new_status: Status) -> None:
-        """Stop the child if it is running, and release the request, also when the child raises."""
+        """Stop the child if it is running, and release the request, also when the child raises.
+
+        It is stopped only when that is done: whoever stops it again after an interrupt goes on with what is left.
+        """
         try:
-            super().stop(new_status)
+            self.terminate(new_status)
+            if new_status is Status.INVALID or self.decorated.status is Status.RUNNING:
+                self.decorated.stop(Status.INVALID)
         except Exception as error:
             self.feedback_message = f"{in_words(error)} (at the end)"
-            halt(self.decorated)
-            self.status = new_status
         finally:
+            halt(self.decorated)
             self._request.close(new_status, self.feedback_message)
+        self.status = new_status
 
     def shutdown(self) -> None:
         if self.status is Status.RUNNING:
@@ -90,7 +100,7 @@ class ForAction(Decorator):
             halt(self.decorated)
             self._request.close(Status.INVALID, "")  # it has not failed, it cannot be done now
             return Status.FAILURE
-        if self.status is not Status.RUNNING:
+        if not self._request.is_open:
             self._is_ready = False
             self._request.open(self.action, self.preference)
         if not self._is_ready:

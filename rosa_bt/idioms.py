@@ -11,6 +11,7 @@ from rosa_bt.behaviours import IsActionFeasible, RosaAction
 from rosa_bt.composites import DoUntilUnfeasible, Posture, SafeSwitch
 from rosa_bt.decorators import ForAction
 from rosa_bt.exceptions import TreeChangeError
+from rosa_bt.xml.controls import ReactiveSequence
 
 
 def feasible_then_act(task: Behaviour) -> Behaviour:
@@ -24,6 +25,29 @@ def feasible_then_act(task: Behaviour) -> Behaviour:
         return task
     condition = IsActionFeasible(f"{task.name} feasible?", task.kb, task.action)
     return composites.Sequence(f"{task.name} if feasible", memory=False, children=[condition, task])
+
+
+def unguarded(root: Behaviour) -> list[RosaAction]:
+    """Return the actions of a tree that go on when they become unfeasible, and that nothing above them stops then.
+
+    Guards are a `ForAction` around it, and an `IsActionFeasible` before it in a sequence without memory.
+    """
+    actions = [one for one in root.iterate() if isinstance(one, RosaAction) and one.even_if_unfeasible]
+    return [one for one in actions if not _is_guarded(one)]
+
+
+def _is_guarded(action: RosaAction) -> bool:
+    node: Behaviour = action
+    while (parent := node.parent) is not None:
+        before: Sequence[Behaviour] = ()
+        if isinstance(parent, ReactiveSequence) or (isinstance(parent, composites.Sequence) and not parent.memory):
+            before = parent.children[: parent.children.index(node)]
+        asked = [one for child in before for one in child.iterate() if isinstance(one, IsActionFeasible)]
+        around = [parent] if isinstance(parent, ForAction) else []
+        if any(one.action == action.action for one in (*asked, *around)):
+            return True
+        node = parent
+    return False
 
 
 def first_feasible(name: str, tasks: Sequence[Behaviour], *, memory: bool = False) -> Behaviour:

@@ -1,8 +1,9 @@
 """A trace: the log of events beside the ticks of a tree; written and read as lines of JSON, and replayed.
 
 The first line says what it is a trace of. Each event that came between two ticks is a line, each tick is a line with
-the events that the tree itself caused, and a line with the tree comes before the first tick and whenever the tree has
-changed. What a tick does not mention is as in the tick before.
+the events that came within it, and a line with the tree comes before the first tick and whenever the tree has changed.
+What a tick does not mention is as in the tick before. Each line is on disk as soon as its tick is over, so a program
+that is killed leaves all but the tick that it was in.
 """
 
 import json
@@ -10,7 +11,9 @@ import re
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
+from threading import get_ident
 from typing import Any, Final, NamedTuple, Self, TextIO
 
 from py_trees.behaviour import Behaviour
@@ -19,6 +22,7 @@ from py_trees.visitors import VisitorBase
 
 from kb import Event, KnowledgeBase, Model, StatusChange
 from kb import Status as ElementStatus
+from rosa_bt.behaviours import KbBehaviour, halt
 from rosa_bt.exceptions import TraceError
 from rosa_bt.trees import TreeRunner
 
@@ -27,6 +31,7 @@ _KEPT: Final = 10_000
 _ENCODER: Final = json.JSONEncoder(separators=(",", ":"), ensure_ascii=False)
 _ESCAPED: Final = re.compile("[\x85\u2028\u2029\ud800-\udfff]")
 """What ends a line, or has no place in a file; text may hold it all the same."""
+_NUMBER: Final = attrgetter("number")
 _NO_LINE: Final = (AttributeError, LookupError, OverflowError, RecursionError, TypeError, ValueError)
 """What reading raises if a line is JSON, but not what it should be."""
 
@@ -69,15 +74,20 @@ class Tick(NamedTuple):
     events: tuple[Event, ...] = ()
     """What the knowledge base came to know since the tick before; a replay tells it again."""
     own_events: tuple[Event, ...] = ()
-    """What it came to know in this tick, from the tree."""
+    """What it came to know in this tick, from the tree: from the thread that ticked."""
     reasons: tuple[str, ...] = ()
     """Why an action became unfeasible, for each time that one did in these events."""
+    within: tuple[tuple[int, Event], ...] = ()
+    """What others told within this tick, each with how many behaviours had been visited before one could know it."""
+    is_interrupted: bool = False
+    """Whether it was cut short, by Ctrl-C for instance, and the tree was halted; all that came to know is `events`."""
 
     @property
     def decisions(self) -> tuple[Decision, ...]:
         """What became of actions since the end of the tick before."""
         found, reasons = [], iter(self.reasons)
-        for event in (*self.events, *self.own_events):
+        within = [event for _, event in self.within]
+        for event in sorted((*self.events, *self.own_events, *within), key=_NUMBER):
             if event.verb == "request_action":
                 found.append(Decision(event.subject, "requested", ""))
             elif event.verb == "cancel_action":
@@ -123,21 +133,21 @@ class TraceVisitor(VisitorBase):
         if keep < 1:
             raise ValueError(f"keep is a number of ticks from 1, not {keep!r}")
         self._kb = kb
-        self._file: TextIO | None = None if path is None else Path(path).open("w", encoding="utf-8")  # noqa: SIM115  # closed by close()
+        self._file: TextIO | None = None
+        if path is not None:
+            self._file = Path(path).open("w", buffering=1, encoding="utf-8")  # noqa: SIM115  # closed by close()
         self._ticks: deque[Tick] = deque(maxlen=keep)
-        self._count = 0
+        self._count = self._done = self._begun = 0
         self._tree: tuple[Node, ...] = ()
         self._numbers: dict[Behaviour, int] = {}
         self._seen: list[tuple[Behaviour, Status, str]] = []
         self._seen_before: list[tuple[Behaviour, Status, str]] = []
         self._visited: tuple[Visit, ...] = ()
-        self._before: list[Event] = []
-        self._own: list[Event] = []
-        self._reasons: list[str] = []
-        self._is_ticking = False
-        for event in kb.log:
-            self._keep(event)
-        self._stop = kb.subscribe(lambda event: self._keep(event, lambda action: kb.why(kb.actions[action])))
+        self._known: list[int] = []
+        self._own: set[int] = set()
+        self._reasons: dict[int, list[str]] = {}
+        self._thread: int | None = None
+        kb.log.witnesses += (self._witness,)
 
     @property
     def trace(self) -> Trace:
@@ -145,30 +155,72 @@ class TraceVisitor(VisitorBase):
         return Trace(self._kb.model.name, tuple(self._ticks))
 
     def initialise(self) -> None:
-        """Begin a tick; from now on it is the tree that tells."""
-        self._seen = []
-        self._is_ticking = True
+        """Begin a tick; from now on it is the tree that tells, in this thread."""
+        if self._thread is not None:
+            self.interrupt()
+        self._seen, self._known = [], []
+        self._begun, self._thread = self._kb.log.last, get_ident()
 
     def run(self, behaviour: Behaviour) -> None:
         self._seen.append((behaviour, behaviour.status, behaviour.feedback_message))
+        known = behaviour.known if isinstance(behaviour, KbBehaviour) else None
+        self._known.append(self._kb.log.last if known is None else known)
 
     def finalise(self) -> None:
-        self._is_ticking = False
         if self._seen != self._seen_before:
             self._number()
             self._visited = tuple(Visit(self._numbers[node], status.name, text) for node, status, text in self._seen)
             self._seen_before = self._seen
-        events = tuple(self._before), tuple(self._own), tuple(self._reasons)
-        self._before, self._own, self._reasons = [], [], []
-        tick = Tick(self._count, float(self._kb.now), self._tree, self._visited, *events)
+        self._write(is_interrupted=False)
+
+    def interrupt(self) -> None:
+        """End a tick that was cut short, when the tree is halted; a runner calls this instead of `finalise`."""
+        self._visited, self._seen_before = (), []
+        self._write(is_interrupted=True)
+
+    def _write(self, *, is_interrupted: bool) -> None:
+        with self._kb.reading():
+            events = [Event(*one[:7]) for one in self._kb.log.since(self._done)]  # as they are read again
+            time = float(self._kb.now)
+        if not is_interrupted:  # what came when all had been visited is the next tick's
+            last = max([self._begun, *self._known, *self._own])
+            events = [one for one in events if one.number <= last]
+        self._done = events[-1].number if events else self._done
+        inside = [] if is_interrupted else [one for one in events if one.number > self._begun]
+        tick = Tick(
+            *(self._count, time, self._tree, self._visited, tuple(events[: len(events) - len(inside)])),
+            tuple(one for one in inside if one.number in self._own),
+            tuple(reason for one in events for reason in self._why(one)),
+            tuple((self._place(one.number), one) for one in inside if one.number not in self._own),
+            is_interrupted,
+        )
         if self._file is not None:
-            self._file.writelines(_written(self._kb.model.name, [tick], self._ticks[-1] if self._ticks else None))
+            self._file.write("".join(_written(self._kb.model.name, [tick], self._ticks[-1] if self._ticks else None)))
         self._ticks.append(tick)
         self._count += 1
+        self._thread = None
+        self._own.clear()
+
+    def _place(self, number: int) -> int:
+        return next((place for place, known in enumerate(self._known) if known >= number), len(self._known))
+
+    def _why(self, event: Event) -> list[str]:
+        """Return why actions became unfeasible by an event, in the words of when it was heard of."""
+        return self._reasons.pop(event.number, [""] * len(_unfeasible(event)))
+
+    def _witness(self, event: Event) -> None:
+        if self._thread == get_ident():
+            self._own.add(event.number)
+        names = _unfeasible(event)
+        if names:
+            self._reasons[event.number] = [self._kb.why(self._kb.actions[name]) for name in names]
 
     def close(self) -> None:
         """Hear no more of the knowledge base, and close the file."""
-        self._stop()
+        if self._thread is not None:
+            self.interrupt()
+        log = self._kb.log
+        log.witnesses = tuple(one for one in log.witnesses if one != self._witness)
         if self._file is not None:
             self._file.close()
 
@@ -177,15 +229,6 @@ class TraceVisitor(VisitorBase):
 
     def __exit__(self, *error: object) -> None:
         self.close()
-
-    def _keep(self, event: Event, why: Callable[[str], str] = lambda action: "") -> None:
-        if not event.number:  # said of the store, not of the robot
-            return
-        plain = event.number, event.time, event.verb, event.arguments, event.changes, event.cause, event.effects
-        (self._own if self._is_ticking else self._before).append(Event(*plain))  # as it is read again
-        for change in filter(_turns, event.changes):
-            if change.new is ElementStatus.UNFEASIBLE:
-                self._reasons.append(why(change.name))
 
     def _number(self) -> None:
         if all(node in self._numbers for node, _, _ in self._seen):
@@ -200,6 +243,10 @@ class TraceVisitor(VisitorBase):
             depths.setdefault(behaviour, 1)
         self._numbers = {behaviour: number for number, behaviour in enumerate(depths)}
         self._tree = tuple(Node(depth, type(one).__name__, one.name) for one, depth in depths.items())
+
+
+def _unfeasible(event: Event) -> list[str]:
+    return [one.name for one in event.changes if _turns(one) and one.new is ElementStatus.UNFEASIBLE]
 
 
 def _turns(change: StatusChange) -> bool:
@@ -224,6 +271,10 @@ def _written(model: str, ticks: Iterable[Tick], before: Tick | None = None) -> I
             line["events"] = [event.to_json() for event in tick.own_events]
         if tick.reasons:
             line["reasons"] = tick.reasons
+        if tick.within:
+            line["within"] = [(place, event.to_json()) for place, event in tick.within]
+        if tick.is_interrupted:
+            line["interrupted"] = True
         yield _line(line)
         before = tick
 
@@ -239,8 +290,10 @@ def read_trace(path: str | Path) -> Trace:
         TraceError: the file cannot be read, or is no trace; names the line.
     """
     try:
-        lines = Path(path).read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
+        found = Path(path).read_bytes()
+        whole = found.rpartition(b"\n")[0] or found  # what the last line lacks, a program lacked that was killed
+        lines = whole.decode().splitlines()
+    except (OSError, ValueError) as error:
         raise TraceError(f"cannot read the trace {path}: {error}") from error
     if not lines:
         raise TraceError(f"{path} is empty; a trace begins with a line that says what it is")
@@ -274,7 +327,9 @@ def _tick_of(
         visited = tuple(Visit(*visit) for visit in line["visited"])
     own = tuple(map(Event.from_json, line.get("events", ())))
     reasons = tuple(map(str, line.get("reasons", ())))
-    return Tick(int(line["tick"]), float(line["time"]), tree, visited, events, own, reasons)
+    within = tuple((int(place), Event.from_json(event)) for place, event in line.get("within", ()))
+    is_interrupted = line.get("interrupted", False) is True
+    return Tick(int(line["tick"]), float(line["time"]), tree, visited, events, own, reasons, within, is_interrupted)
 
 
 def replay_trace(trace: Trace, model: Model, build: Callable[[KnowledgeBase], Behaviour]) -> Trace:
@@ -293,22 +348,76 @@ def replay_trace(trace: Trace, model: Model, build: Callable[[KnowledgeBase], Be
     """
     if trace.ticks and trace.ticks[0].number:
         raise TraceError(f"the trace begins at tick {trace.ticks[0].number}; keep all ticks, or write them to a file")
-    events = [event for tick in trace.ticks for event in (*tick.events, *tick.own_events)]
-    if events and events[0].number != 1:
-        raise TraceError(f"the trace begins at event {events[0].number}; the log no longer held those before")
-    now = trace.ticks[0].time if trace.ticks else 0.0
-    kb = KnowledgeBase(model, clock=lambda: now)
-    runner = TreeRunner(build(kb), clock=lambda: now)
-    with TraceVisitor(kb, keep=len(trace.ticks) or 1) as visitor:
+    within = [event for tick in trace.ticks for _, event in tick.within]
+    events = [*within, *(event for tick in trace.ticks for event in tick.events + tick.own_events)]
+    first = min((event.number for event in events), default=1)
+    if first != 1:
+        raise TraceError(f"the trace begins at event {first}; the log no longer held those before")
+    now = [trace.ticks[0].time if trace.ticks else 0.0]
+    kb = KnowledgeBase(model, clock=lambda: now[0])
+    runner = TreeRunner(build(kb), clock=lambda: now[0])
+    with _Replay(kb, now, len(trace.ticks) or 1) as visitor:
         runner.tree.add_visitor(visitor)
         for tick in trace.ticks:
-            for event in tick.events:
-                now = event.time
-                try:
-                    kb.tell(event)
-                except (AttributeError, IndexError, TypeError) as error:
-                    raise TraceError(f"{event.verb}{event.arguments!r} cannot be told again: {error}") from error
-            now = tick.time
-            runner.tick()
+            visitor.tell(tick.events)
+            if tick.is_interrupted:
+                now[0] = tick.time
+                halt(runner.tree.root)
+                visitor.interrupt()
+            else:
+                visitor.expect(tick)
+                runner.tick()
         runner.shutdown()
         return visitor.trace
+
+
+class _Replay(TraceVisitor):
+    """Tells within a tick what others told within it, where they did.
+
+    Args:
+        now: the time that the clock shows [s], in a list.
+        keep: how many ticks there are.
+    """
+
+    def __init__(self, kb: KnowledgeBase, now: list[float], keep: int) -> None:
+        super().__init__(kb, keep=keep)
+        self._now, self._tick = now, Tick(0, now[0], (), ())
+        self._within: deque[tuple[int, Event]] = deque()
+        self._stop_following = kb.subscribe(lambda event: self._follow())
+
+    def tell(self, events: Iterable[Event]) -> None:
+        thread, self._thread = self._thread, None  # these are not of the tree
+        for event in events:
+            self._now[0] = event.time
+            try:
+                self._kb.tell(event)
+            except (AttributeError, IndexError, TypeError) as error:
+                raise TraceError(f"{event.verb}{event.arguments!r} cannot be told again: {error}") from error
+        self._thread = thread
+
+    def expect(self, tick: Tick) -> None:
+        self._tick, self._within = tick, deque(tick.within)
+        self._now[0] = tick.own_events[0].time if tick.own_events else tick.time
+
+    def initialise(self) -> None:
+        super().initialise()
+        self._follow()
+
+    def run(self, behaviour: Behaviour) -> None:
+        super().run(behaviour)
+        self._follow()
+
+    def finalise(self) -> None:
+        self._now[0] = self._tick.time
+        self.tell(event for _, event in self._within)
+        super().finalise()
+
+    def _follow(self) -> None:
+        """Tell what is due, and have the clock show what it showed when the tree told next."""
+        if self._thread is None:
+            return
+        last = self._kb.log.last
+        while self._within and self._within[0][0] <= len(self._seen) and self._within[0][1].number == last + 1:
+            self.tell([self._within.popleft()[1]])
+            last = self._kb.log.last
+        self._now[0] = next((one.time for one in self._tick.own_events if one.number > last), self._tick.time)

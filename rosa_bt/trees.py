@@ -9,7 +9,7 @@ from py_trees.common import Status
 from py_trees.composites import Selector, Sequence
 from py_trees.trees import BehaviourTree
 
-from rosa_bt.behaviours import KbBehaviour, RosaAction, halt
+from rosa_bt.behaviours import KbBehaviour, RosaAction, begin_mission, halt
 from rosa_bt.decorators import ForAction
 from rosa_bt.exceptions import in_words
 
@@ -40,13 +40,21 @@ class GuardedTree(BehaviourTree):
             if handler is not None:
                 handler(self)
         self._guard_all()
-        for visitor in self.visitors:
-            visitor.initialise()
-        passing = [visitor for visitor in self.visitors if not visitor.full]
-        full = [visitor for visitor in self.visitors if visitor.full]
-        for node in self.root.tick():
-            for visitor in passing:
-                node.visit(visitor)
+        try:
+            for visitor in self.visitors:
+                visitor.initialise()
+            passing = [visitor for visitor in self.visitors if not visitor.full]
+            full = [visitor for visitor in self.visitors if visitor.full]
+            for node in self.root.tick():
+                for visitor in passing:
+                    node.visit(visitor)
+        except BaseException:
+            try:
+                halt(self.root)
+            finally:
+                for visitor in self.visitors:
+                    getattr(visitor, "interrupt", visitor.finalise)()
+            raise
         for node in self.root.iterate() if full else ():
             for visitor in full:
                 node.visit(visitor)
@@ -185,6 +193,7 @@ class TreeRunner:
         self._period = period
         self._start = clock()
         self._ticks = 0
+        begin_mission(root)
         self._forget_progress()
 
     @property

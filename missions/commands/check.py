@@ -68,23 +68,28 @@ def judge(files: Sequence[Path], mission: "Mission | None", trees: Sequence[str]
     Raises:
         MissionError, KnowledgeBaseError, RosaPddlError: something cannot be read or built; the message says where.
     """
-    from missions.views.names import names_in_pddl, names_in_tree, planned_names, tree_builder
+    from kb.checks.findings import found
+    from missions.views.names import names_in_pddl, names_in_tree, planned_names, tree_builder, unguarded_in_tree
 
     model = _model(files, mission)
     if not (trees or pddl or mission):
         return Judgement(model.name, model.check())
-    uses = [use for tree in trees for use in names_in_tree(tree_builder(tree), model, f"tree {tree}")]
-    if pddl:
-        uses += names_in_pddl(pddl)
-    if mission is not None:
-        uses += names_in_tree(mission.tree, model, f"the tree of {mission.name}")
-        uses += planned_names(mission)
+    built = [(tree_builder(tree), f"tree {tree}") for tree in trees]
+    built += [] if mission is None else [(mission.tree, f"the tree of {mission.name}")]
+    uses = [use for tree, title in built for use in names_in_tree(tree, model, title)]
+    uses += names_in_pddl(pddl) if pddl else []
+    uses += [] if mission is None else planned_names(mission)
+    unguarded = [
+        found("unguarded-action", f"action {name}", f"{place} goes on with {name} when that is unfeasible")
+        for tree, title in built
+        for name, place in unguarded_in_tree(tree, model, title)
+    ]
     places: dict[str, list[str]] = {}
     for name, place in uses:
         places.setdefault(name, []).append(place)
     is_complete = "" not in places  # what a tree is given later may be any action
     places.pop("", None)
-    return Judgement(model.name, tuple(_placed(model.check(places), places, is_complete)))
+    return Judgement(model.name, (*_placed(model.check(places), places, is_complete), *unguarded))
 
 
 def _model(files: Sequence[Path], mission: "Mission | None") -> "Model":

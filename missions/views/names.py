@@ -13,6 +13,7 @@ from kb import KnowledgeBase, KnowledgeBaseError, Model
 from missions.engine.declared import declarations_of
 from missions.engine.mission import Mission, MissionError, Percepts
 from rosa_bt import IsActionFeasible, RosaAction
+from rosa_bt.idioms import unguarded
 from rosa_pddl.domain import ACTION_TYPE
 from rosa_pddl.syntax import Node, Source, read_source, section, typed
 
@@ -49,13 +50,23 @@ def names_in_tree(build: Callable[..., object], model: Model, title: str) -> Use
 
     It is built with a knowledge base and percepts, or with as many of these as it needs.
     """
+    root = _root(build, model, title)
+    asking = [one for one in root.iterate() if isinstance(one, IsActionFeasible | RosaAction)]
+    return [(_action(one), f"behaviour {one.name!r} of {title}") for one in asking]
+
+
+def unguarded_in_tree(build: Callable[..., object], model: Model, title: str) -> Uses:
+    """Return the actions that go on in a tree when they become unfeasible, with the behaviours that do them."""
+    return [(_action(one), f"behaviour {one.name!r} of {title}") for one in unguarded(_root(build, model, title))]
+
+
+def _root(build: Callable[..., object], model: Model, title: str) -> Behaviour:
     root = _built(build, (_Tolerant(model), Percepts()), title)
     if isinstance(root, BehaviourTree):
         root = root.root
     if not isinstance(root, Behaviour):
         raise MissionError(f"{title} is {root!r}, not a py_trees behaviour")
-    asking = [one for one in root.iterate() if isinstance(one, IsActionFeasible | RosaAction)]
-    return [(_action(one), f"behaviour {one.name!r} of {title}") for one in asking]
+    return root
 
 
 def _built(build: Callable[..., object], given: tuple[object, ...], title: str) -> object:

@@ -15,10 +15,10 @@ class _InOrder(Control):
 
     goes_on: ClassVar[Status]
     is_async: ClassVar = False
-    _all_skipped = True
+    _skipped = 0
 
     def initialise(self) -> None:
-        self._all_skipped = True
+        self._skipped = 0
 
     def forget(self) -> None:
         self.current_child = None
@@ -30,7 +30,7 @@ class _InOrder(Control):
             slot = slots[index]
             was_idle = slot.status is SKIPPED
             verdict = yield from slot.tick()
-            self._all_skipped &= verdict is SKIPPED
+            self._skipped += verdict is SKIPPED
             if verdict is RUNNING:
                 self.current_child = slot.node
                 return RUNNING
@@ -44,7 +44,8 @@ class _InOrder(Control):
                     return RUNNING
         self.reset_children()
         self.current_child = None
-        return SKIPPED if self._all_skipped else self.goes_on
+        skipped, self._skipped = self._skipped, 0
+        return SKIPPED if skipped == len(slots) else self.goes_on
 
     def _give_up(self, index: int) -> None:
         self.reset_children()
@@ -126,7 +127,7 @@ class ReactiveFallback(_Reactive):
     goes_on = FAILURE
 
 
-class _Together(Control):
+class Together(Control):
     """All children at each tick, but those that have finished."""
 
     FORGETS = ("_ended",)
@@ -152,7 +153,7 @@ class _Together(Control):
         return sum(self._ended.get(slot) is verdict for slot in self.slots)
 
 
-class Parallel(_Together):
+class Parallel(Together):
     """SUCCESS or FAILURE as soon as enough children have succeeded or failed; the rest are halted, or not ticked."""
 
     PORTS: ClassVar = {
@@ -174,7 +175,7 @@ class Parallel(_Together):
         return SKIPPED if skipped == len(self.children) else RUNNING
 
 
-class ParallelAll(_Together):
+class ParallelAll(Together):
     """Until all children have finished; FAILURE if too many failed."""
 
     PORTS: ClassVar = {"max_failures": PortInformation(int, default_value=1)}

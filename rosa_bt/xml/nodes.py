@@ -42,6 +42,7 @@ class Rules:
 
     blackboard: Blackboard
     scripts: Mapping[str, Script]
+    written: Mapping[str, str]
 
     INSTEAD: ClassVar = {"_failureIf": FAILURE, "_successIf": SUCCESS, "_skipIf": SKIPPED}
     NAMES: ClassVar = (*INSTEAD, "_while", "_onHalted", "_onFailure", "_onSuccess", "_post")
@@ -134,10 +135,15 @@ class XmlNode(Behaviour):
 
     @property
     def slots(self) -> list[Slot]:
-        """The places of the children; a behaviour that came later gets one of its own."""
+        """The places of the children; one that came later has the rules of the one whose place it took, if any."""
         if self._seen != self.children:
             known = {slot.node: slot for slot in self._slots}
-            self._slots = [known.get(child) or Slot(child, is_condition=is_plain(child)) for child in self.children]
+            is_same = len(self._slots) == len(self.children)
+            left = [slot.rules if is_same and slot.node not in self.children else None for slot in self._slots]
+            self._slots = [
+                known.get(child) or Slot(child, is_plain(child), None, left[place] if is_same else None)
+                for place, child in enumerate(self.children)
+            ]
             self._seen = list(self.children)
         return self._slots
 

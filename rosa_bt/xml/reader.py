@@ -1,5 +1,6 @@
 """From XML text to elements that know their file and line, and from elements to behaviours."""
 
+import os
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -20,6 +21,8 @@ from rosa_bt.xml.scripts import parse_script
 
 MAX_SIZE: Final = 1_000_000
 """Of one file or text [bytes]."""
+_MOST_SHOWN: Final = 200
+"""Letters of what is no path, in a message."""
 MAX_DEPTH: Final = 100
 """Levels of elements in a file, and of nodes in a tree with all its subtrees."""
 
@@ -71,6 +74,8 @@ class Document:
         self.trees: dict[str, Element] = {}
         self.models: dict[str, Element] = {}
         self._seen: set[Path] = set()
+        if not isinstance(text_or_path, str | Path):
+            raise XmlError("<text>", f"a tree is given as XML text or as the path of a file, not as {text_or_path!r}")
         text = text_or_path.lstrip("\ufeff \t\r\n") if isinstance(text_or_path, str) else "a path"
         if not text:
             raise XmlError("<text>", "the text is empty; give the XML itself, or the path of a file")
@@ -80,8 +85,8 @@ class Document:
         else:
             path = Path(text_or_path)
             self.root = _read(path, str(path))
-            self._seen.add(path.resolve())
-            self._collect(self.root, path.parent, [path.resolve()])
+            self._seen.add(_real(path))
+            self._collect(self.root, path.parent, [_real(path)])
 
     def main(self, wanted: str | None) -> str:
         """Return the ID of the tree to make: the one that is asked for, the file's main tree, or the only one."""
@@ -121,7 +126,7 @@ class Document:
     def _include(self, element: Element, folder: Path, chain: list[Path]) -> None:
         if "ros_pkg" in element.attributes:
             raise element.error("ros_pkg needs a ROS installation, which is not asked for; write the path alone")
-        path = (folder / element.get("path")).resolve()
+        path = _real(folder / element.get("path"))
         if path in chain:
             circle = " -> ".join(one.name for one in [*chain[chain.index(path) :], path])
             raise element.error(f"files include each other: {circle}")
@@ -150,12 +155,25 @@ def _check_root(root: Element) -> None:
         raise root.error(f'BTCPP_format={version!r} is not known; this reads BTCPP_format="4"')
 
 
+def _real(path: Path) -> Path:
+    return Path(os.path.realpath(path))  # Path.resolve raises of links in a circle
+
+
 def _read(path: Path, where: str) -> Element:
-    if not path.is_file():
-        raise XmlError(where, f"there is no file {str(path)!r}; give the path of one, or the XML itself as text")
-    if path.stat().st_size > MAX_SIZE:
-        raise XmlError(where, f"{path} has more than {MAX_SIZE} bytes; divide it and include the parts")
-    return _parse(path.read_bytes(), str(path))
+    shown = str(path) if len(str(path)) <= _MOST_SHOWN else f"{str(path)[:_MOST_SHOWN]}..."
+    where = where if where.isprintable() and len(where) <= _MOST_SHOWN else "<text>"
+    try:
+        if not path.is_file():
+            raise XmlError(where, f"there is no file {shown!r}; give the path of one, or the XML itself as text")
+        if path.stat().st_size > MAX_SIZE:
+            raise XmlError(where, f"{path} has more than {MAX_SIZE} bytes; divide it and include the parts")
+        content = path.read_bytes()
+    except (OSError, ValueError) as error:
+        if isinstance(error, XmlError):
+            raise
+        problem = getattr(error, "strerror", None) or error
+        raise XmlError(where, f"{shown!r} is no XML, and no file that can be read: {problem}") from None
+    return _parse(content, str(path))
 
 
 def _parse(text: str | bytes, file: str) -> Element:
@@ -363,17 +381,17 @@ class _Builder:
 
 
 def _rules(element: Element, board: Blackboard) -> Rules | None:
-    scripts = {}
+    scripts, written = {}, {}
     for name, text in element.attributes.items():
         if name in Rules.NAMES:
-            scripts[name] = parse_script(text)
+            scripts[name], written[name] = parse_script(text), text
         elif name == "__shared_blackboard":
             raise element.error(f"{name} is of version 3; write _autoremap in the SubTree")
         elif name.startswith("_") and name not in _ELSEWHERE:
             guess = hint(name, (*Rules.NAMES, *_ELSEWHERE), "known")
             if guess.startswith("did you mean"):
                 raise element.error(f"<{element.tag}> has an attribute {name!r}; {guess}")
-    return Rules(board, scripts) if scripts else None
+    return Rules(board, scripts, written) if scripts else None
 
 
 def _check_children(element: Element, least: int, most: int) -> None:

@@ -91,7 +91,9 @@ class _Writer:
         if type(node) is Branch:
             return self.element(node.child)
         if source is None:
-            return self._of_py_trees(node)
+            element = self._of_py_trees(node)
+            element.attrib.update(slot.rules.written if slot.rules else {})
+            return element
         element = Element(source[0], dict(source[1]))
         if isinstance(node, SubTree):
             if element.tag == "SubTree":
@@ -139,8 +141,9 @@ class _Writer:
         bound = {"kb"} if self._registry is None else set(self._registry.bound)
         known = {"name", "self", "behaviour_class_name", *bound}
         if isinstance(leaf, ActionBehaviour):
-            waits = isinstance(leaf, RosaAction) and leaf.waits
-            known |= {"action", "preference"} if waits else {"action", "preference", "wait", "timeout"}
+            known |= {"action", "preference"}
+            known |= set() if isinstance(leaf, RosaAction) and leaf.waits else {"wait", "timeout"}
+            known |= set() if isinstance(leaf, RosaAction) and leaf.even_if_unfeasible else {"even_if_unfeasible"}
         elif isinstance(leaf, PortsMixin) and {**leaf.input_ports(), **leaf.output_ports()}:
             raise ExportError(f"{leaf.name!r} has ports on py_trees' own blackboard, which cannot be written")
         parameters = inspect.signature(type(leaf)).parameters.values()

@@ -316,7 +316,8 @@ def test_broken_specimen_shows_its_fault_and_no_other(name):
 
 
 def test_there_is_a_specimen_of_every_code():
-    assert {code for code, *_ in SPECIMENS.values()} == set(rules())
+    of_trees = {"unguarded-action"}  # has its test beside `rosa check`
+    assert {code for code, *_ in SPECIMENS.values()} == set(rules()) - of_trees
 
 
 LEGAL = {

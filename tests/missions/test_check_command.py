@@ -48,6 +48,9 @@ def of_both(kb, percepts):
 def of_kb(kb, period=1.0):
     return BehaviourTree(IsActionFeasible("can it?", kb, "explore"))
 
+def of_the_stubborn(kb):
+    return Explore("on and on", kb, "explore", even_if_unfeasible=True)
+
 def of_nothing():
     return Sequence("empty", memory=False)
 
@@ -256,3 +259,13 @@ def test_pddl_error_points_at_its_place(tmp_path):
     (tmp_path / "open.pddl").write_text("(define (domain cave)")
     with pytest.raises(PddlError, match=r"open\.pddl:1:1"):
         names_in_pddl([tmp_path / "open.pddl"])
+
+
+def test_action_that_goes_on_unfeasible_with_nothing_to_stop_it_is_named(rosa):
+    code, out, _ = rosa("explorer.tql", "--tree", "trees:of_the_stubborn")
+    assert code == 0
+    assert out.splitlines()[:2] == [
+        "warning unguarded-action",
+        "  behaviour 'on and on' of tree trees:of_the_stubborn goes on with explore when that is unfeasible",
+    ]
+    assert rosa("explorer.tql", "--tree", "trees:of_the_stubborn", "--strict")[0] == 1

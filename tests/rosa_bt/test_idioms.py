@@ -6,13 +6,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from py_trees.behaviours import Failure, Running, StatusQueue, Success
-from py_trees.common import Status
-from py_trees.composites import Sequence
+from py_trees.common import ParallelPolicy, Status
+from py_trees.composites import Parallel, Selector, Sequence
 
 from kb import AmbiguousName, ConfigurationManager, InvalidValue, KnowledgeBase, Model, UnknownName
 from rosa_bt import (
     ForAction,
     HasStatus,
+    IsActionFeasible,
     Measurement,
     RosaAction,
     TreeChangeError,
@@ -24,6 +25,7 @@ from rosa_bt import (
     forget_progress,
     switch_safely,
 )
+from rosa_bt.idioms import unguarded
 
 
 class Clock:
@@ -504,3 +506,94 @@ def test_what_was_saved_survives_a_start_that_was_refused_or_only_waited(kb):
     kb.measure("light", 1.0)
     task.tick_once()
     assert task.done == [0, 1]
+
+
+def test_progress_is_kept_apart_for_two_runners_with_behaviours_of_one_name(kb):
+    one, other = Counting(kb, "search"), Counting(kb, "search")
+    first = TreeRunner(Sequence("one", memory=True, children=[one]), clock=lambda: 0.0)
+    first.tick()
+    first.tree.root.stop(Status.INVALID)
+    second = TreeRunner(Sequence("other", memory=True, children=[other]), clock=lambda: 0.0)
+    second.tick()
+    second.shutdown()
+    first.tick()
+    assert (one.done, other.done) == ([0, 1], [0])
+
+
+# ---------------------------------------------------------------- what becomes unfeasible is given up
+
+
+@pytest.mark.parametrize("around", [lambda task: task, lambda task: Sequence("all", memory=True, children=[task])])
+def test_action_that_becomes_unfeasible_is_given_up_with_the_reason_wherever_it_stands(kb, around):
+    task = Counting(kb, "search")
+    root = around(task)
+    root.tick_once()
+    kb.measure("light", 0.0)
+    root.tick_once()
+    assert (root.status, task.status, task.done) == (Status.FAILURE, Status.FAILURE, [0])
+    assert task.feedback_message == "search is unfeasible because light 0 violates >= 0.1 (measured 0.0 s ago)"
+    assert history(kb) == [("search", "abandoned")]
+    kb.measure("light", 1.0)
+    root.tick_once()
+    assert task.done == [0, 1], "it goes on where it was"
+
+
+def test_action_goes_on_when_it_is_told_to_although_it_is_unfeasible(kb):
+    task = Act(kb, "search", even_if_unfeasible=True)
+    task.tick_once()
+    kb.measure("light", 0.0)
+    task.tick_once()
+    assert (task.status, required(kb)) == (Status.RUNNING, ["search"])
+    task.stop(Status.INVALID)
+
+
+def test_bare_actions_of_a_task_give_way_too(kb):
+    both = Sequence("both", memory=True, children=[Act(kb, "search"), Act(kb, "inspect")])
+    root = do_until_unfeasible(both, Act(kb, "charge"))
+    root.tick_once()
+    kb.measure("energy", 0.1)
+    root.tick_once()
+    assert (root.status, required(kb)) == (Status.RUNNING, ["charge"])
+    root.stop(Status.INVALID)
+
+
+@pytest.mark.parametrize(
+    ("compose", "expected"),
+    [
+        (lambda bad, real: Selector("choice", memory=False, children=[bad, real]), Status.FAILURE),
+        (lambda bad, real: Selector("choice", memory=True, children=[real, bad]), Status.RUNNING),
+        (
+            lambda bad, real: Sequence(
+                "steps", memory=True, children=[Selector("s", memory=False, children=[bad, Success("ok")]), real]
+            ),
+            Status.FAILURE,
+        ),
+        (lambda bad, real: Parallel("p", policy=ParallelPolicy.SuccessOnAll(), children=[bad, real]), Status.FAILURE),
+        (lambda bad, real: ForAction("f", real_kb(bad), "charge", real), Status.FAILURE),
+    ],
+    ids=["choice", "condition first", "steps", "parallel", "for"],
+)
+def test_failure_for_a_real_reason_surfaces_although_another_action_in_the_task_is_unfeasible(kb, compose, expected):
+    kb.measure("light", 0.0)
+    task = compose(feasible_then_act(Act(kb, "search")), Failure("broken"))
+    root = do_until_unfeasible(task, Act(kb, "inspect"))
+    root.tick_once()
+    assert root.status is expected
+    root.stop(Status.INVALID)
+
+
+def real_kb(guarded):
+    return guarded.children[0].kb
+
+
+def test_actions_that_nothing_stops_when_they_become_unfeasible_are_named(kb):
+    def stubborn(action="search"):
+        return Act(kb, action, even_if_unfeasible=True)
+
+    asked = [feasible_then_act(stubborn()), ForAction("for", kb, "search", stubborn()), Act(kb, "inspect")]
+    assert unguarded(Sequence("all", memory=True, children=asked)) == []
+    bare, for_another = stubborn(), stubborn()
+    too_late = Sequence("s", memory=True, children=[IsActionFeasible("?", kb, "search"), stubborn()])
+    others = [bare, ForAction("for", kb, "inspect", for_another), too_late]
+    found = unguarded(Sequence("all", memory=True, children=others))
+    assert found == [bare, for_another, too_late.children[1]]

@@ -1,16 +1,21 @@
 """A trace holds every tick as data, is the same for the same run, and can be decided once more."""
 
 import json
+import subprocess
+import sys
+import threading
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from py_trees.behaviours import Running, StatusQueue
-from py_trees.common import Status
-from py_trees.composites import Sequence
+from py_trees.common import ParallelPolicy, Status
+from py_trees.composites import Parallel, Selector, Sequence
+from py_trees.decorators import FailureIsSuccess, RunningIsSuccess
 
 from kb import ConfigurationManager, KnowledgeBase, Model
 from rosa_bt import (
+    IsActionFeasible,
     RosaAction,
     Trace,
     TraceError,
@@ -43,9 +48,12 @@ class Act(RosaAction):
         return Status.RUNNING
 
 
+def act(kb):
+    return do_until_unfeasible(Act("explore", kb, "explore", wait=True), Act("charge", kb, "charge"), name="mission")
+
+
 def tree(kb):
-    act = do_until_unfeasible(Act("explore", kb, "explore", wait=True), Act("charge", kb, "charge"), name="mission")
-    return Sequence("root", memory=True, children=[act, Running("never")])
+    return Sequence("root", memory=True, children=[act(kb), Running("never")])
 
 
 class Robot:
@@ -242,3 +250,161 @@ def test_guarded_leaf_is_in_the_trace_as_it_ended():
     runner.tick()
     assert [visit.status for visit in visitor.trace.ticks[0].visited] == ["SUCCESS", "RUNNING", "RUNNING"]
     visitor.close()
+
+
+# ---------------------------------------------------------------- facts of other threads, interrupts and kills
+
+
+class Between(Running):
+    """Has another thread tell something, now and then, while it is ticked; of the replay nothing."""
+
+    def __init__(self, name, kb, told):
+        super().__init__(name)
+        self.kb, self.told = kb, list(told)
+
+    def update(self):
+        what = self.told.pop(0) if self.told else None
+        if what is not None:
+            thread = threading.Thread(target=TOLD[what[0]], args=(self.kb, what[1]))
+            thread.start()
+            thread.join()
+        return Status.SUCCESS
+
+
+def tree_between(kb, told):
+    """A tree in which facts arrive before, in the midst of and after what asks for them."""
+    can = [IsActionFeasible(f"can {number}?", kb, "explore") for number in (1, 2)]
+    asked = Sequence("asked", memory=False, children=[can[0], Between("meanwhile", kb, told[::2]), can[1]])
+    either = Selector("either", memory=False, children=[asked, Act("charge", kb, "charge")])
+    mission = FailureIsSuccess("go on", RunningIsSuccess("go on", act(kb)))
+    return Sequence("root", memory=False, children=[mission, either, Between("late", kb, told[1::2])])
+
+
+TOLD_WITHIN = st.sampled_from(["light", "energy", "fail", "recover", "assert", "condemn", "acquit"])
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.none() | st.tuples(TOLD_WITHIN, st.integers(0, 9)), max_size=16))
+def test_facts_that_another_thread_tells_within_a_tick_are_replayed_in_their_place(tmp_path_factory, told):
+    path = tmp_path_factory.getbasetemp() / "within.jsonl"
+    now = 0.0
+    kb = KnowledgeBase(rover(), clock=lambda: now)
+    kb.measure("energy", 1.0)
+    runner = TreeRunner(tree_between(kb, told), clock=lambda: now)
+    with TraceVisitor(kb, path) as visitor:
+        runner.tree.add_visitor(visitor)
+        for _ in range(10):
+            now += 0.25
+            runner.tick()
+        runner.shutdown()
+        trace = visitor.trace
+    assert sum(len(tick.within) + len(tick.events) for tick in trace.ticks) >= 1
+    assert read_trace(path) == trace
+    assert replay_trace(read_trace(path), rover(), lambda kb: tree_between(kb, [])) == trace
+
+
+def test_facts_that_threads_tell_as_fast_as_they_can_are_replayed_as_they_were_known():
+    kb = KnowledgeBase(rover(), clock=lambda: 0.0)
+    is_over = threading.Event()
+
+    def hammer():
+        level = 0
+        while not is_over.is_set():
+            level = (level + 3) % 10
+            kb.measure("energy", level / 10)
+
+    can = [IsActionFeasible(f"can {number}?", kb, "explore") for number in range(5)]
+    root = Parallel("all", policy=ParallelPolicy.SuccessOnAll(synchronise=False), children=can)
+    runner = TreeRunner(root, clock=lambda: 0.0)
+    thread = threading.Thread(target=hammer)
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(1e-5)
+    try:
+        with TraceVisitor(kb) as visitor:
+            runner.tree.add_visitor(visitor)
+            thread.start()
+            for _ in range(100):
+                runner.tick()
+            trace = visitor.trace
+    finally:
+        is_over.set()
+        thread.join()
+        sys.setswitchinterval(interval)
+
+    def again(kb):
+        can = [IsActionFeasible(f"can {number}?", kb, "explore") for number in range(5)]
+        return Parallel("all", policy=ParallelPolicy.SuccessOnAll(synchronise=False), children=can)
+
+    assert any(tick.within for tick in trace.ticks)
+    assert replay_trace(trace, rover(), again) == trace
+
+
+class Rude(Running):
+    """Is interrupted in some of its ticks."""
+
+    def __init__(self, name, when):
+        super().__init__(name)
+        self.when, self.count = when, 0
+
+    def update(self):
+        self.count += 1
+        if self.count in self.when:
+            raise KeyboardInterrupt
+        return Status.RUNNING
+
+
+@pytest.mark.parametrize("by_runner", [True, False])
+def test_trace_goes_on_after_an_interrupted_tick_and_is_replayed(tmp_path, by_runner):
+    kb = KnowledgeBase(rover(), clock=lambda: 0.0)
+    kb.measure("energy", 1.0)
+
+    def build(kb, when=()):
+        policy = ParallelPolicy.SuccessOnAll(synchronise=False)
+        return Parallel("all", policy=policy, children=[tree(kb), Rude("rude", when)])
+
+    runner = TreeRunner(build(kb, (3, 5)), clock=lambda: 0.0)
+    ticked = runner if by_runner else runner.tree
+    with TraceVisitor(kb, tmp_path / "run.jsonl") as visitor:
+        runner.tree.add_visitor(visitor)
+        for number in range(6):
+            kb.measure("light", number / 10)
+            if number in (2, 4):
+                with pytest.raises(KeyboardInterrupt):
+                    ticked.tick()
+            else:
+                ticked.tick()
+        trace = visitor.trace
+    assert [tick.is_interrupted for tick in trace.ticks] == [False, False, True, False, True, False]
+    assert [one.what for one in trace.ticks[2].decisions] == ["abandoned"]
+    assert [one.what for one in trace.ticks[3].decisions] == ["requested"]
+    assert [one.verb for one in trace.ticks[3].events] == ["measure"]
+    assert read_trace(tmp_path / "run.jsonl") == trace
+    assert replay_trace(trace, rover(), build) == trace
+
+
+KILLED = """
+import os, signal, sys
+from py_trees.behaviours import Running
+from kb import KnowledgeBase, Model
+from rosa_bt import TraceVisitor, TreeRunner
+model = Model("rover")
+model.environmental_attribute("light")
+kb = KnowledgeBase(model, clock=lambda: 0.0)
+runner = TreeRunner(Running("on"), clock=lambda: 0.0)
+runner.tree.add_visitor(TraceVisitor(kb, sys.argv[1]))
+for number in range(3):
+    kb.measure("light", number)
+    runner.tick()
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_program_that_is_killed_leaves_a_trace_of_every_tick(tmp_path):
+    path = tmp_path / "run.jsonl"
+    subprocess.run([sys.executable, "-c", KILLED, str(path)], timeout=60, check=False)
+    trace = read_trace(path)
+    assert [tick.events[0].arguments for tick in trace.ticks] == [("light", number) for number in (0.0, 1.0, 2.0)]
+    whole = path.read_bytes()
+    for cut in range(whole.rindex(b"\n", 0, -1) + 1, len(whole)):
+        path.write_bytes(whole[:cut])
+        assert read_trace(path).ticks == trace.ticks[:2]

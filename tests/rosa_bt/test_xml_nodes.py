@@ -6,10 +6,11 @@ from pathlib import Path
 
 import pytest
 from py_trees import common, composites, decorators
+from py_trees.behaviours import Running
 from py_trees.common import Status
 from xml_leaves import Action, Condition, registry_of, trace, wrapped
 
-from rosa_bt import RosaBtError, TreeRunner, load_xml
+from rosa_bt import BehaviourRegistry, RosaBtError, TreeRunner, export_xml, load_xml
 from rosa_bt.xml.controls import CONTROLS
 from rosa_bt.xml.decorators import DECORATORS
 from rosa_bt.xml.leaves import LEAVES
@@ -368,3 +369,39 @@ def test_namesake_in_py_trees_differs_where_the_page_says_so(tag, leaves, namesa
     row = next(line for line in PAGE.read_text().splitlines() if re.match(rf"\| `.*\b{tag.split()[0]}\b.*` \|", line))
     says_same = row.split("|")[-2].strip().startswith("the same")
     assert (trace(theirs.tick_once, theirs, said, 6) == ours) == says_same
+
+
+@pytest.mark.parametrize("tag", ["Sequence", "Fallback", "SequenceWithMemory"])
+def test_child_that_ran_and_is_then_skipped_counts_as_skipped(tag):
+    said = []
+    content = f'<Sequence><Script code="n := 0"/><{tag}><a _while="n == 0"/></{tag}></Sequence>'
+    tree = load_xml(wrapped(content), registry_of({"a": ("A", "R")}, said))
+    tree.tick_once()
+    tree.blackboard["n"] = 1
+    tree.children[0].tick_once()
+    assert said[-1] == "a:halt"
+    (inner,) = (one for one in tree.iterate() if type(one).__name__ == tag and one.children[0].name == "a")
+    assert inner.status is Status.INVALID
+
+
+def test_what_takes_the_place_of_a_child_keeps_the_rules_of_the_place():
+    said = []
+    registry = registry_of({"a": ("A", "R"), "b": ("A", "R")}, said)
+    tree = load_xml(wrapped('<Sequence><a _skipIf="n == 1"/></Sequence>'), registry)
+    tree.blackboard["n"] = 1
+    runner = TreeRunner(tree, clock=lambda: 0.0)
+    runner.tick()
+    (leaf,) = (one for one in tree.iterate() if one.name == "a")
+    runner.tree.replace_subtree(leaf.id, Running("c"))
+    runner.tick()
+    assert tree.status is Status.INVALID, "it is skipped as the one before was"
+    assert '<keep_on name="c" _skipIf="n == 1" />' in export_xml(tree, knowing_running())
+    tree.blackboard["n"] = 0
+    runner.tick()
+    assert tree.status is Status.RUNNING
+
+
+def knowing_running():
+    registry = BehaviourRegistry()
+    registry.register("keep_on", Running)
+    return registry

@@ -1,12 +1,13 @@
 """What is read, and what is refused: each refusal says where, what, and what to do."""
 
 import re
+from pathlib import Path
 
 import pytest
 from py_trees.common import Status
 from xml_leaves import registry_of, trace, wrapped
 
-from rosa_bt import RosaBtError, TreeRunner, XmlError, export_xml, load_xml
+from rosa_bt import BehaviourRegistry, RosaBtError, TreeRunner, XmlError, export_xml, load_xml
 from rosa_bt.xml.nodes import MAX_NODES
 from rosa_bt.xml.reader import MAX_DEPTH, MAX_SIZE
 
@@ -207,3 +208,23 @@ def test_script_reads_the_text_that_a_subtree_is_given_as_what_it_says(code, is_
     tree = load(wrapped('<SubTree ID="Other" flag="true" count="3" word="tru"/>', Other=inner))
     tree.tick_once()
     assert (tree.status is Status.SUCCESS) == is_so
+
+
+@pytest.mark.parametrize(
+    "given",
+    ["no XML at all, but long " * 300, "x\0y", "n\no", "\ud800", "<root/>\0", b"<root/>", 3, Path("x" * 5000)],
+    ids=range(8),
+)
+def test_what_is_neither_xml_nor_a_file_is_refused_in_one_clear_line(given):
+    with pytest.raises(XmlError) as refused:
+        load_xml(given, BehaviourRegistry())
+    assert len(str(refused.value)) < 600
+    assert str(refused.value).isprintable()
+
+
+def test_links_in_a_circle_and_paths_too_long_are_refused_where_they_are_included(tmp_path):
+    link = tmp_path / "loop.xml"
+    link.symlink_to(link)
+    for path in (link, "y" * 5000):
+        with pytest.raises(XmlError, match="<text>:1: "):
+            load_xml(f'<root BTCPP_format="4"><include path="{path}"/></root>', BehaviourRegistry())
