@@ -202,7 +202,7 @@ class Log:
     Attributes:
         last: number of the last event; 0 before the first.
         heard: called with nothing when there is a new event.
-        witnesses: called with each event when it is in, by the thread that tells it, which holds the base; they may ask.
+        witnesses: called with each event when it is in by the thread that tells it, which holds the base; they may ask.
     """
 
     def __init__(self) -> None:
