@@ -42,9 +42,8 @@ def _is_guarded(action: RosaAction) -> bool:
         before: Sequence[Behaviour] = ()
         if isinstance(parent, ReactiveSequence) or (isinstance(parent, composites.Sequence) and not parent.memory):
             before = parent.children[: parent.children.index(node)]
-        asked = [one for child in before for one in child.iterate() if isinstance(one, IsActionFeasible)]
-        around = [parent] if isinstance(parent, ForAction) else []
-        if any(one.action == action.action for one in (*asked, *around)):
+        asked = [one.action for child in before for one in child.iterate() if isinstance(one, IsActionFeasible)]
+        if action.action in asked or (isinstance(parent, ForAction) and parent.action == action.action):
             return True
         node = parent
     return False
