@@ -210,7 +210,7 @@ class AdaptationLog:
             self._lost.pop(event.subject, None)
         elif event.verb == "cancel_action":
             self._hear_end(event, *event.arguments)
-        elif event.kind is EventKind.MONITORING_DATA:
+        elif event.kind is EventKind.MONITORING_DATA and (self._stamp != inf or is_news(self._kb, event)):
             self._hear_news(event)
 
     def _hear_news(self, event: Event) -> None:
@@ -370,6 +370,11 @@ class AdaptationLog:
             values = ", ".join(f"{key} = {value}" for key, value in configuration.parameters.items())
             steps.append(f"set {configuration.component} to {name} ({values})")
         return "; ".join(steps) or str(plan)
+
+
+def is_news(kb: KnowledgeBase, event: Event) -> bool:
+    """Tell whether an event is news from the robot, and not what a plan that is being executed has brought about."""
+    return event.kind is EventKind.MONITORING_DATA and not (event.verb == "component_active" and kb.open_plans)
 
 
 def _together(news: Sequence[_News]) -> _News | None:

@@ -9,6 +9,7 @@ from kb import KnowledgeBase, Situation
 from kb.elements import Action, Attribute, Component, Configuration, Constraint, Function, FunctionDesign
 from kb.measurements import turning_point
 from kb.network import Node
+from kb.planners.choice import Choice, choice_by_priority, ranked
 from kb.state import Overlay, State
 
 CHOSEN = ("function", "component")
@@ -68,19 +69,24 @@ def choice_of(kb: KnowledgeBase, node: Node) -> dict[str, Any]:
     }
 
 
-def supposed(situation: Situation | KnowledgeBase, state: State) -> dict[str, Any]:
-    """Return what would be feasible and chosen in a situation."""
-    network = state.network
-    actions = situation.selectable_actions()
-    chosen: dict[str, int | None] = {}
-    for node in network.present():
-        if node.kind in CHOSEN and node.parts:
-            name = situation.explain_choice(node.element).chosen
-            chosen[str(node.index)] = next((part.index for part in node.parts if part.name == name), None)
-    status = {}
-    if isinstance(state, Overlay):
+def supposed(situation: Situation) -> dict[str, Any]:
+    """Return what would be feasible in a situation, and what would be selected then, by priority."""
+    with situation.reading() as state:
+        assert isinstance(state, Overlay)
+        network, choice = state.network, choice_by_priority(state) or Choice({}, {})
+        chosen: dict[str, int | None] = {}
+        for kind, following in (("function", choice.designs), ("component", choice.configurations)):
+            for node in network.of_kind(kind).values():
+                possible = ranked(state, node)  # the first is what would be selected if nothing is
+                name = following.get(node.name)
+                kept = [
+                    part for part in possible if (state.selected[part.index] if name is None else part.name == name)
+                ]
+                if node.parts:
+                    chosen[str(node.index)] = next((part.index for part in kept or possible), None)
         status = {str(index): str(state.status[index]) for index in sorted(state.changed())}
-    return {"feasible": [network.actions[name].index for name in actions], "status": status, "chosen": chosen}
+        feasible = [network.actions[name].index for name in situation.selectable_actions()]
+    return {"feasible": feasible, "status": status, "chosen": chosen}
 
 
 def cases(kb: KnowledgeBase, most: int = 60) -> list[dict[str, Any]]:
@@ -101,10 +107,8 @@ def cases(kb: KnowledgeBase, most: int = 60) -> list[dict[str, Any]]:
         if not is_now:
             span = high - low if -inf < low and high < inf else max(abs(low if high == inf else high), 1.0) * 0.2
             value = low + span / 2 if low > -inf else high - span / 2
-        situation = kb.situation({node.name: value})
-        with situation.reading() as state:
-            case = {"attribute": node.index, "low": plain(low), "high": plain(high), "value": value, "now": is_now}
-            found.append(case | supposed(situation, state))
+        case = {"attribute": node.index, "low": plain(low), "high": plain(high), "value": value, "now": is_now}
+        found.append(case | supposed(kb.situation({node.name: value})))
     return found
 
 

@@ -7,6 +7,7 @@ present instead of all that it has missed, and is told how much that was.
 import asyncio
 import hmac
 import json
+import os
 import socket
 from collections.abc import Mapping
 from contextlib import suppress
@@ -117,6 +118,7 @@ class LiveView:
                 self._application(),
                 ws="websockets-sansio",
                 ws_max_size=_LONGEST,
+                ws_per_message_deflate=False,
                 lifespan="on",
                 log_level="critical",
                 server_header=False,
@@ -183,9 +185,8 @@ class LiveView:
                 waiting, self._beat = self._beat, asyncio.Event()
                 waiting.set()
             if self._is_closing:
-                behind = [page for page in self._pages if page.next < self._rows.next]
                 closing_s += BEAT_S
-                if not behind or closing_s > _PATIENCE_S:
+                if not self._pages or closing_s > _PATIENCE_S:
                     self._server.should_exit = True
             await asyncio.sleep(BEAT_S)
 
@@ -259,9 +260,11 @@ class LiveView:
                 page.dropped += first - page.next
                 await page.send(self._framed(first, rows))
                 page.next = first + len(rows)
+            elif self._is_closing:
+                await page.websocket.close(1000, "the view is closed")
+                return
             elif self._beat is not None:
-                beat = self._beat
-                await beat.wait()
+                await self._beat.wait()
                 if self._frame[0] == self._frame[1]:
                     await page.send(self._frame[2])
             else:
@@ -284,11 +287,11 @@ class LiveView:
             try:
                 asked = json.loads(text)
                 answer = self._answer(asked)
+            except (KnowledgeBaseError, MissionError) as error:
+                answer = {"error": str(error)}
             except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
                 mistakes += 1
                 answer = {"error": f"that is nothing a page says: {type(error).__name__}"}
-            except (KnowledgeBaseError, MissionError) as error:
-                answer = {"error": str(error)}
             if answer is not None:
                 number = asked.get("id") if isinstance(asked, dict) else None
                 await page.send(encoded(answer if number is None else {"id": number, **answer}))
@@ -303,8 +306,7 @@ class LiveView:
             return {"past": rows, "from": start}
         if asked.get("ask") == "whatif":
             situation = self._kb.situation(dict(asked.get("measured", {})), failed=list(asked.get("failed", ())))
-            with situation.reading() as state:
-                return {"whatif": {"t": self._now, **supposed(situation, state)}}
+            return {"whatif": {"t": self._now, **supposed(situation)}}
         if self._steering is None:
             raise MissionError("this page may look, and do nothing; in a simulation, --allow-control lets it")
         self._steering.do(asked)
@@ -332,9 +334,11 @@ def _is_this_machine(host: str) -> bool:
 
 
 def _listening(host: str, port: int) -> socket.socket:
+    if not 0 <= port <= 65535:
+        raise MissionError(f"a port is a number from 0 (any that is free) to 65535, not {port}")
     try:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         return socket.create_server((host, port), family=family)
-    except (OSError, OverflowError) as error:
-        said = getattr(error, "strerror", None) or error
+    except OSError as error:
+        said = os.strerror(error.errno) if error.errno else error
         raise MissionError(f"the live page cannot listen on {host}:{port}: {said}; give another port, or 0") from None

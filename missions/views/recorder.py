@@ -16,7 +16,7 @@ from py_trees.visitors import VisitorBase
 
 from kb import Event, KnowledgeBase, RequiredAction
 from kb.network import Network, Node
-from missions.engine.adaptations import Adaptation, AdaptationLog
+from missions.engine.adaptations import Adaptation, AdaptationLog, is_news
 from missions.views.chain import chain_of
 from missions.views.facts import CHOSEN, cases, choice_of, described, plain
 from missions.views.rows import VERSION, Recorded, Rows
@@ -118,6 +118,8 @@ class Recorder:
 
     def close(self) -> None:
         """Hear no more of the robot; what there was to see stays."""
+        if self._own is not None:
+            self._own.settle()
         self._stop()
         if self._tree is not None:
             self._tree.let_go()
@@ -146,7 +148,7 @@ class Recorder:
         rows.put(time, "event", event.number, shown)
         self._look(time)
         self._note_records(event)
-        if self._what_if and event.kind == "monitoring data" and any(one.kind != "constraint" for one in event.changes):
+        if self._what_if and any(one.kind != "constraint" for one in event.changes) and is_news(self.kb, event):
             self.suppose(time)
         if self._own is not None and self._tree is None:
             self._own.ticking(time)
@@ -246,8 +248,9 @@ class Recorder:
     # ---------------------------------------------------------------- what the task layer does
 
     def ticking(self) -> None:
-        """Begin a tick."""
+        """Begin a tick: the manager has had its turn since the one before."""
         if self._own is not None:
+            self._own.settle()
             self._own.ticking(self.kb.now)
 
     def ticked(self, planning: Iterable[Any]) -> None:
@@ -260,8 +263,6 @@ class Recorder:
                     shown |= {"engine": plan.engine, "steps": [str(step) for step in plan.steps]}
                     shown |= {"reason": plan.reason, "message": plan.message}
                     self.put("taskplan", len(self._task_plans), shown)
-        if self._own is not None:
-            self._own.settle()
         if self._pose is not None and self.kb.now >= self._posed_at + POSE_PERIOD_S - 1e-9:
             self._posed_at = self.kb.now
             self.posed(self.kb.now, self._pose())

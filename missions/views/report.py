@@ -97,9 +97,7 @@ def _built(name: str) -> str:
     try:
         return files("missions.views").joinpath("page", "dist", name).read_text(encoding="utf-8")
     except OSError:
-        raise MissionError(
-            f"the page's {name} is not built: run `npm ci && npm run build` in missions/views/page"
-        ) from None
+        raise MissionError(f"the page's {name} is not built: run `make page`") from None
 
 
 class _Moment(NamedTuple):

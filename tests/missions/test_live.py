@@ -1,0 +1,317 @@
+"""The live page's server: who may look, what each page gets, and that nobody can hold up the robot."""
+
+import asyncio
+import json
+import socket
+import threading
+import time
+import urllib.error
+import urllib.request
+from contextlib import contextmanager
+
+import pytest
+import websockets
+from test_page import Rover
+
+from missions.baselines import open_run
+from missions.engine.mission import MissionError
+from missions.engine.registry import find_mission
+from missions.views.live import LiveView
+from missions.views.run_recorder import RunRecorder
+from missions.views.steering import Steering
+
+SOON_S = 10.0
+
+
+def fold(rows):
+    return {(track, key): value for _, track, key, value in rows}
+
+
+def address(view, path="ws"):
+    base, _, query = view.url.partition("?")
+    return base.replace("http", "ws") + path + (f"?{query}" if query else "")
+
+
+def status_of(url, **headers):
+    try:
+        with urllib.request.urlopen(urllib.request.Request(url, headers=headers), timeout=SOON_S) as answer:
+            return answer.status, answer.read().decode()
+    except urllib.error.HTTPError as error:
+        return error.code, error.read().decode()
+
+
+def talk(view, *said, until, **options):
+    """Say things to a view by its socket and return what it answers, up to the first message of which `until` holds."""
+
+    async def conversation():
+        heard = []
+        async with websockets.connect(address(view), max_size=None, **options) as page:
+            for one in said:
+                await page.send(one if isinstance(one, str) else json.dumps(one))
+            while not (heard and until(heard[-1])):
+                heard.append(json.loads(await asyncio.wait_for(page.recv(), SOON_S)))
+        return heard
+
+    return asyncio.run(conversation())
+
+
+@pytest.fixture
+def rover():
+    return Rover()
+
+
+@pytest.fixture
+def view(rover):
+    with LiveView(rover.kb, rover.runner, port=0) as view:
+        yield view
+
+
+@contextmanager
+def mission(steering, **settings):
+    """A mission under way in a thread, with a view of it that may steer it."""
+    page = RunRecorder(what_if=False)
+    given = {name: str(value) for name, value in settings.items()}
+    run = open_run(find_mission("suave_extended"), settings=given, listeners=(page, steering))
+    page.begin(run, 0, given)
+    steering.begin(run)
+    done = []
+
+    def fly():
+        verdict = run.run()
+        page.end(run, verdict)
+        done.append(verdict)
+
+    thread = threading.Thread(target=fly)
+    with LiveView(run.kb, port=0, recorder=page.recorder, steering=steering) as view:
+        thread.start()
+        try:
+            yield view, run, done
+        finally:
+            steering.do({"do": "speed", "value": 0})
+            steering.do({"do": "resume"})
+            thread.join()
+
+
+def test_page_comes_from_this_machine_and_gets_the_present_at_once(rover, view):
+    rover.kb.measure("light", 0.9)
+    rover.work(1.0)
+    code, text = status_of(view.url)
+    assert code == 200
+    assert 'id="rosa-data"' in text
+    assert '"live":{"socket":"/ws"}' in text
+    (hello,) = talk(view, until=lambda one: "hello" in one)
+    assert hello["hello"]["live"] is True
+    assert fold(hello["rows"]) == fold(view.recorder.recorded.rows)
+    assert hello["now"] == pytest.approx(1.0)
+    assert hello["may"] == []
+
+
+def test_what_happens_comes_as_the_same_rows_that_a_report_has(rover, view):
+    async def follow():
+        async with websockets.connect(address(view), max_size=None) as page:
+            rows = json.loads(await page.recv())["rows"]
+            await asyncio.to_thread(rover.work, 1.0)
+            rover.kb.measure("energy", 0.1)
+            await asyncio.to_thread(rover.work, 2.0)
+            while fold(rows) != fold(json.loads(json.dumps(view.recorder.recorded.rows))):
+                rows += json.loads(await asyncio.wait_for(page.recv(), SOON_S))["rows"]
+            return rows
+
+    assert ("adaptation", 1) in fold(asyncio.run(follow()))
+
+
+def test_past_is_given_as_it_is_asked_for(rover, view):
+    rover.work(2.0)
+    (*_, past) = talk(view, {"past": [3, 9]}, until=lambda one: "past" in one)
+    assert past["from"] == 3
+    assert past["past"] == json.loads(json.dumps(view.recorder.rows.since(3, 6)[1]))
+
+
+def test_what_if_is_asked_of_the_knowledge_base(rover, view):
+    rover.kb.measure("energy", 0.9)
+    (*_, answer) = talk(view, {"ask": "whatif", "id": 7, "measured": {"energy": 0.1}}, until=lambda one: "id" in one)
+    names = {value["name"]: key for key, value in view.recorder.recorded.last("element").items()}
+    assert answer["id"] == 7
+    assert answer["whatif"]["feasible"] == [names["charge"]]
+    (*_, answer) = talk(view, {"ask": "whatif", "id": 8, "measured": {"engery": 0.1}}, until=lambda one: "id" in one)
+    assert "unknown attribute 'engery'" in answer["error"]
+    assert rover.kb.attributes["energy"].value == 0.9
+
+
+def test_page_without_leave_may_look_and_do_nothing(view):
+    for said in ({"do": "pause"}, {"do": "inject", "measure": {"energy": 0.1}}):
+        (*_, answer) = talk(view, said, until=lambda one: "error" in one)
+        assert "may look, and do nothing" in answer["error"]
+
+
+def test_nobody_else_s_page_may_look(view):
+    base = view.url.rstrip("/")
+    code, said = status_of(base, Origin="http://elsewhere.example")
+    assert (code, "may not look at this robot" in said) == (403, True)
+    code, said = status_of(base, Host="elsewhere.example")
+    assert (code, "this is not elsewhere.example" in said) == (403, True)
+    with pytest.raises(websockets.InvalidStatus, match="403"):
+        talk(view, until=lambda one: True, additional_headers={"Origin": "http://elsewhere.example"})
+
+
+def test_elsewhere_a_token_is_asked_for_at_every_door(rover):
+    with LiveView(rover.kb, rover.runner, port=0, host="0.0.0.0") as view:
+        port = view.url.split(":")[2].split("/")[0]
+        token = view.url.partition("?token=")[2]
+        assert len(token) > 15
+        door = f"http://127.0.0.1:{port}/"
+        assert status_of(door) == (403, "the token is missing; open the address that was printed when the view began\n")
+        assert status_of(f"{door}?token=guess")[1].startswith("the token is wrong")
+        assert status_of(f"{door}?token=%C3%A9")[0] == 403
+        assert status_of(f"{door}?token={token}")[0] == 200
+        for query in ("", "?token=guess"):
+
+            async def knock(query=query):
+                async with websockets.connect(f"ws://127.0.0.1:{port}/ws{query}"):
+                    pass
+
+            with pytest.raises(websockets.InvalidStatus, match="403"):
+                asyncio.run(knock())
+
+    with LiveView(rover.kb, rover.runner, port=0, token="mine") as view:
+        assert status_of(view.url.partition("?")[0])[0] == 403
+        assert status_of(view.url)[0] == 200
+
+
+def test_port_in_use_is_told_in_a_sentence(rover, view):
+    port = int(view.url.split(":")[2].rstrip("/"))
+    with pytest.raises(MissionError, match=rf"cannot listen on 127\.0\.0\.1:{port}: Address already in use; give ano"):
+        LiveView(rover.kb, rover.runner, port=port)
+    with pytest.raises(MissionError, match="a port is a number from 0"):
+        LiveView(rover.kb, rover.runner, port=70000)
+
+
+def test_nonsense_is_answered_in_a_word_and_ten_megabytes_of_it_close_the_door(rover, view):
+    for said in (
+        "nonsense",
+        "[]",
+        "3",
+        '{"past": "x"}',
+        '{"past": [1]}',
+        '{"ask": "whatif", "measured": 3}',
+        "[" * 5000,
+    ):
+        (*_, answer) = talk(view, said, until=lambda one: "error" in one)
+        assert "nothing a page says" in answer["error"] or "may look" in answer["error"], said
+
+    with pytest.raises(websockets.ConnectionClosed) as closed:
+        talk(view, "x" * 10_000_000, until=lambda one: False)
+    assert closed.value.rcvd is None or closed.value.rcvd.code == 1009
+    with pytest.raises(websockets.ConnectionClosed) as closed:
+        talk(view, *["nonsense"] * 30, until=lambda one: False)
+    assert closed.value.rcvd.code == 1008
+    assert "mean nothing" in closed.value.rcvd.reason
+    rover.work(1.0)
+    (hello,) = talk(view, until=lambda one: "hello" in one)
+    assert hello["now"] == pytest.approx(1.0)
+
+
+def test_frozen_page_holds_up_nobody_and_hears_how_much_it_has_missed(rover, view):
+    """One page stops reading; another gets every row; the frozen one is given the present when it reads again."""
+    host, port = view.url.removeprefix("http://").rstrip("/").split(":")
+
+    async def follow():
+        frozen = socket.create_connection((host, int(port)))
+        frozen.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 65536)
+        slow = await websockets.connect(address(view), sock=frozen, max_size=None, max_queue=1)
+        async with websockets.connect(address(view), max_size=None) as page:
+            hello = json.loads(await page.recv())
+            number = hello["next"]
+            text = "x" * 1000
+            for step in range(200):  # what 20,000 rows of a busy robot are
+                for key in range(100):
+                    view.recorder.put("signal", f"s{key}", f"{text}{step}")
+                await asyncio.sleep(0.005)
+            while number < view.recorder.rows.next:
+                frame = json.loads(await asyncio.wait_for(page.recv(), SOON_S))
+                assert frame["from"] == number
+                number += len(frame["rows"])
+            behind = view.dropped
+            last = None
+            while last is None or "hello" not in last or not last["dropped"]:
+                last = json.loads(await asyncio.wait_for(slow.recv(), SOON_S))
+            assert fold(last["rows"])["signal", "s99"] == f"{text}199"
+            await slow.close()
+            return behind, last["dropped"]
+
+    _, dropped = asyncio.run(follow())
+    assert dropped > 5000
+
+
+def test_battery_fault_from_a_page_is_answered_with_its_chain():
+    with mission(Steering(speed=1.0), duration=60) as (view, run, _):
+        answers = talk(
+            view,
+            {"do": "inject", "measure": {"battery_level": 0.2}},
+            until=lambda one: ("adaptation", 1) in fold(one.get("rows", ())),
+        )
+        chain = fold(answers[-1]["rows"])["adaptation", 1]["chain"]
+        assert chain[0]["words"] == "battery_level 0.2 < 0.25"
+        assert [link["what"] for link in chain] == ["news", "status", "end", "request", "plan", "force"]
+        assert run.kb.attributes["battery_level"].value == 0.2
+        assert answers[-1]["state"]["held"] == {"battery_level": 0.2}
+
+
+def test_held_run_stands_still_goes_by_ticks_and_takes_no_tick_more():
+    steering = Steering(speed=20)
+    with mission(steering, duration=100) as (view, run, done):
+        talk(view, {"do": "pause"}, until=lambda one: one.get("state", {}).get("paused"))
+        before = run.world.now
+        for _ in range(20):
+            time.sleep(0.01)
+            before, last = run.world.now, before
+        assert before == last
+        talk(view, {"do": "step"}, until=lambda one: one.get("now", 0) > before)
+        assert run.world.now == pytest.approx(before + 0.1)
+        assert not done
+
+
+def test_injected_failure_and_recovery_are_heard_and_what_is_held_is_released():
+    steering = Steering(speed=20)
+    with mission(steering, duration=100) as (view, _, _):
+
+        def until(track, text):
+            return lambda one: any(row[1] == track and text in json.dumps(row[3]) for row in one.get("rows", ()))
+
+        talk(view, {"do": "inject", "fail": "c_thruster_2"}, until=until("event", "c_thruster_2 has failed"))
+        talk(view, {"do": "inject", "recover": "c_thruster_2"}, until=until("event", "c_thruster_2 is recovered"))
+        said = {"do": "inject", "measure": {"water_visibility": 0.5}}
+        talk(view, said, until=lambda one: one.get("state", {}).get("held") == {"water_visibility": 0.5})
+        talk(view, {"do": "inject", "release": ["water_visibility"]}, until=lambda one: one["state"]["held"] == {})
+        for wrong, words in (
+            ({"do": "inject", "fail": "thruster"}, "unknown component 'thruster'"),
+            ({"do": "inject", "measure": {"battery": 1}}, "unknown attribute 'battery'"),
+            ({"do": "inject", "measure": {"battery_level": "low"}}, "low"),
+            ({"do": "speed", "value": -1}, "a speed is a number from 0"),
+            ({"do": "jump"}, "there are pause, resume, step, speed and inject"),
+        ):
+            (*_, answer) = talk(view, wrong, until=lambda one: "error" in one)
+            assert words in answer["error"]
+
+
+def test_view_that_is_closed_has_given_every_page_the_last_rows(rover):
+    view = LiveView(rover.kb, rover.runner, port=0)
+
+    async def follow():
+        async with websockets.connect(address(view), max_size=None) as page:
+            rows = json.loads(await page.recv())["rows"]
+            rover.work(1.0)
+            closing = asyncio.create_task(asyncio.to_thread(view.close))
+            async for frame in page:
+                rows += json.loads(frame).get("rows", [])
+            await closing
+            return rows
+
+    assert fold(asyncio.run(follow()))["now", 0] == "end"
+    view.close()
+
+
+def test_missing_extra_is_told_with_what_brings_it(rover, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "uvicorn", None)
+    with pytest.raises(MissionError, match=r"the live page needs uvicorn.*pip install 'rosa-taca\[live\]'"):
+        LiveView(rover.kb, rover.runner, port=0)

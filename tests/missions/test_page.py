@@ -1,0 +1,309 @@
+"""What a page is made of: rows that say all there is to see, the chain of each adaptation, one file with it all."""
+
+import html
+import json
+import re
+from functools import cache
+
+import pytest
+from small_rover import rover_model, rover_tree
+
+from kb import ConfigurationManager, KnowledgeBase
+from missions.baselines import open_run
+from missions.engine.mission import MissionError, Percepts
+from missions.engine.recording import sensed
+from missions.engine.registry import find_mission
+from missions.testing.managed import FakeClock, ScriptedManaged
+from missions.views.recorder import Recorder
+from missions.views.report import differences, read_page, report, write_report
+from missions.views.rows import Rows
+from missions.views.run_recorder import RunRecorder
+from rosa_bt import TreeRunner
+
+
+@cache
+def recorded(mission="suave_extended", task="bt", manager="ours", seed=0, **settings):
+    recorder, given = RunRecorder(), {name: str(value) for name, value in settings.items()}
+    run = open_run(find_mission(mission), manager=manager, task=task, seed=seed, settings=given, listeners=(recorder,))
+    recorder.begin(run, seed, given)
+    recorder.end(run, run.run())
+    return recorder.recorder.recorded, run
+
+
+def at(run, time):
+    """Return what there is to see at a time [s]: the last value of each track and key."""
+    return {(track, key): value for when, track, key, value in run.rows if when <= time}
+
+
+def names(run):
+    return {value["name"]: key for key, value in run.last("element").items() if value["kind"] != "constraint"}
+
+
+def test_rows_say_at_each_instant_what_the_knowledge_base_says():
+    """The fold of the rows is compared with the knowledge base itself, at every tick of a run."""
+    compared = []
+
+    class Compare(RunRecorder):
+        def tick(self, run):
+            super().tick(run)
+            seen = {(track, key): value for track, key, value in (row[1:] for row in self.recorder.rows.snapshot()[0])}
+            with run.kb.reading() as state:
+                for node in state.network.present():
+                    index = node.index
+                    assert seen.get(("status", index)) == (None if node.kind == "attribute" else state.status[index])
+                    assert seen.get(("value", index)) == state.value[index]
+                    for track in ("required", "selected", "active", "stale"):
+                        assert bool(seen.get((track, index))) == bool(getattr(state, track)[index])
+                    compared.append(index)
+            for number, one in enumerate(run.adaptations, start=1):
+                assert ("adaptation", number) in seen or one.reaction_s is None
+
+    recorder = Compare(what_if=False)
+    run = open_run(find_mission("suave_extended"), seed=3, settings={"duration": "200"}, listeners=(recorder,))
+    recorder.begin(run, 3, {})
+    run.run()
+    assert len(compared) > 50_000
+
+
+def test_tree_is_shown_as_it_was_after_each_tick():
+    run, _ = recorded()
+    before, after = at(run, 150.9), at(run, 151.05)
+    nodes = {node[3]: node[0] for node in before["tree", 0]["nodes"]}
+    assert len(nodes) == len(before["tree", 0]["nodes"]) == 14
+    assert before["node", nodes["inspect"]][0] == "R"
+    assert after["node", nodes["inspect"]][0] == ""
+    assert after["node", nodes["inspect feasible?"]][0] == "F"
+    assert "unfeasible" in after["node", nodes["inspect feasible?"]][1]
+    assert after["node", nodes["recharge"]][0] == "R"
+    about = {node[3]: node[5] for node in after["tree", 0]["nodes"]}
+    assert about["recharge"] == [names(run)["recharge"]]
+
+
+def test_adaptations_are_those_of_the_run_each_with_its_chain():
+    run, made = recorded()
+    shown = list(run.last("adaptation").values())
+    assert [(one["t"], one["cause"], one["changed"]) for one in shown] == [
+        (one.at_s, one.trigger, one.change) for one in made.adaptations
+    ]
+    battery = next(one for one in shown if one["kind"] == "task")
+    found = names(run)
+    assert [(link["what"], link["words"]) for link in battery["chain"]] == [
+        ("news", "battery_level is just below 0.25"),
+        ("status", "search_pipeline unfeasible, inspect_pipeline unfeasible"),
+        ("end", "inspect_pipeline stopped"),
+        ("request", "recharge requested"),
+        ("plan", "stop follow_pipeline; start recharge"),
+        ("force", "in force 0.12 s after the news"),
+    ]
+    assert battery["chain"][0]["elements"][0] == found["battery_level"]
+    events = run.last("event")
+    for link in battery["chain"][:-1]:
+        assert link["event"] in events
+        assert link["elements"]
+    assert all(one["chain"] == sorted(one["chain"], key=lambda link: link["t"]) for one in shown)
+
+
+def test_chain_of_a_planned_mission_says_that_it_was_planned_anew():
+    run, _ = recorded(task="pddl")
+    words = [link["words"] for one in run.last("adaptation").values() for link in one["chain"]]
+    assert "replanned: recharge, then inspect_pipeline" in words
+    assert run.last("taskplan")
+
+
+def test_what_if_cases_are_what_the_knowledge_base_would_have_answered():
+    run, made = recorded()
+    found = names(run)
+    first = next(whatif for whatif in run.last("whatif").values() if whatif["t"] > 12)
+    cases = [one for one in first["cases"] if one["attribute"] == found["water_visibility"]]
+    assert [(one["low"], one["high"], one["now"]) for one in cases] == [
+        *((None, 1.25, False), (1.25, 2.25, False), (2.25, 3.25, True), (3.25, None, False))
+    ]
+    chosen = [one["chosen"][str(found["spiral_search"])] for one in cases]
+    assert chosen == [None, *(found[name] for name in ("low_altitude", "medium_altitude", "high_altitude"))]
+    low = made.kb.situation(battery_level=0.2)
+    last = list(run.last("whatif").values())[-1]
+    cases = [one for one in last["cases"] if one["attribute"] == found["battery_level"]]
+    assert len(cases) == 2
+    assert cases[0]["feasible"] == [found[name] for name in low.selectable_actions()]
+
+
+@pytest.mark.parametrize("mission", ["agv", "uav"])
+def test_page_of_every_mission_is_small_and_ends_as_the_run_did(mission):
+    run, _ = recorded(mission)
+    page = report(run)
+    assert len(page) < 1_500_000
+    assert run.last("now") == {0: "end"}
+    assert run.last("adaptation")
+    assert run.last("pose")
+    assert run.last("scene")
+    times = [row[0] for row in run.rows]
+    assert times == sorted(times)
+
+
+def test_manager_without_a_knowledge_base_has_a_page_too():
+    run, _ = recorded("suave", manager="none", duration=60)
+    assert run.last("status")
+    assert run.last("action")
+    assert not run.last("adaptation")
+
+
+def test_same_run_gives_the_same_page_to_the_byte():
+    first, _ = recorded(duration=40)
+    recorded.cache_clear()
+    again, _ = recorded(duration=40)
+    assert report(first) == report(again)
+
+
+def test_recording_a_run_changes_nothing_of_it():
+    bare = open_run(find_mission("suave_extended"), seed=1, settings={"duration": "200"})
+    bare.run()
+    _, made = recorded(seed=1, duration=200)
+    assert str(bare.adaptations) == str(made.adaptations)
+    assert [one.to_json() for one in bare.kb.log] == [one.to_json() for one in made.kb.log]
+
+
+class Rover:
+    """A robot of a user's own: a knowledge base, a manager and a tree, in its own program."""
+
+    def __init__(self):
+        self.clock = FakeClock()
+        self.kb = KnowledgeBase(rover_model(), clock=lambda: self.clock.now)
+        self.percepts = Percepts()
+        self.manager = ConfigurationManager(self.kb, ScriptedManaged(self.clock))
+        self.runner = TreeRunner(rover_tree(self.kb, self.percepts), clock=lambda: self.clock.now)
+
+    def work(self, until):
+        while self.clock.now < until - 1e-9:
+            self.clock.advance(0.1)
+            self.manager.update()
+            self.runner.update()
+
+
+def test_robot_of_ones_own_is_recorded_in_three_lines(tmp_path):
+    rover = Rover()
+    recorder = Recorder(rover.kb, rover.runner, units={"light": "lx"}, pose=lambda: (rover.clock.now, 0.0, 0.0))
+    rover.kb.measure("light", 0.9)
+    rover.kb.measure("energy", 0.9)
+    rover.work(2.0)
+    rover.kb.measure("light", 0.2)
+    rover.work(4.0)
+    rover.kb.measure("energy", 0.1)
+    rover.work(6.0)
+    recorder.report(tmp_path / "run.html")
+    run = read_page(tmp_path / "run.html")
+    shown = list(run.last("adaptation").values())
+    assert [one["kind"] for one in shown] == ["parameter", "task"]
+    assert [link["what"] for link in shown[1]["chain"]] == ["news", "status", "end", "request", "plan", "force"]
+    assert shown[1]["chain"][0]["words"] == "energy 0.1 < 0.2"
+    assert run.last("element")[names(run)["light"]]["unit"] == "lx"
+    assert run.last("pose")[0][0] >= 5.0
+    recorder.close()
+    rover.percepts.receive(sensed(7.0, charged=True))
+    count = recorder.rows.next
+    rover.work(8.0)
+    assert recorder.rows.next == count
+
+
+def test_model_that_is_amended_is_followed():
+    rover = Rover()
+    recorder = Recorder(rover.kb, rover.runner)
+    rover.kb.measure("light", 0.4)
+    rover.kb.model.components["camera"].configuration("dusk", {"exposure_s": 0.1}, priority=0)
+    rover.kb.measure("energy", 0.9)
+    run = recorder.recorded
+    assert run.last("element")[names(run)["dusk"]]["parameters"] == {"exposure_s": 0.1}
+    assert run.last("status")[names(run)["dusk"]] == "feasible"
+
+
+def test_tree_that_changes_is_followed_and_what_is_gone_is_gone():
+    rover = Rover()
+    recorder = Recorder(rover.kb, rover.runner)
+    rover.work(0.5)
+    first = recorder.recorded.last("tree")[0]["nodes"]
+    root = rover.runner.tree.root
+    removed = root.children[-1]
+    uids = {node[3]: node[0] for node in first}
+    root.remove_child(removed)
+    rover.work(1.0)
+    after = recorder.recorded
+    assert len(after.last("tree")[0]["nodes"]) < len(first)
+    assert after.last("node")[uids[removed.name]] is None
+
+
+def test_text_that_would_end_the_page_is_shown_and_ends_nothing(tmp_path):
+    evil = "</script><script>alert(1)</script><!-- \u2028 & ' \""
+    rover = Rover()
+    recorder = Recorder(rover.kb, rover.runner, title=evil)
+    rover.kb.component_failed("camera", evil)
+    write_report(tmp_path / "run.html", recorder.recorded)
+    page = (tmp_path / "run.html").read_text()
+    assert evil not in page
+    assert html.escape(evil) in page
+    again = read_page(tmp_path / "run.html")
+    assert again.title == evil
+    assert any(evil in one["words"] for one in again.last("event").values())
+    _, data = page.split('<script type="application/json" id="rosa-data">')
+    assert json.loads(data.partition("</script>")[0])["version"] == 1
+
+
+def test_page_asks_nothing_of_any_network():
+    page = report(recorded(duration=40)[0])
+    assert re.search(r"default-src 'none'", page)
+    for kind in ("src=", "@import", "url(http", "fetch("):
+        assert kind not in page.split('id="rosa-data"')[0], kind
+
+
+def test_rows_beyond_what_is_kept_are_let_go_and_the_present_stays():
+    rows = Rows(keep=100)
+    rows.put(0.0, "status", 1, "solved")
+    for number in range(1000):
+        rows.put(number, "value", 2, float(number))
+        rows.put(number, "event", number, {"words": str(number)})
+    assert len(rows.since(0)[1]) <= 125
+    assert rows.since(0)[0] == rows.first == rows.next - len(rows.since(0)[1])
+    latest, following = rows.snapshot()
+    assert following == rows.next
+    assert (0.0, "status", 1, "solved") in latest
+    assert len(latest) <= 125
+
+
+def test_two_runs_are_told_apart_from_the_first_difference_on(tmp_path):
+    one, other = recorded()[0], recorded(discharge_time=100)[0]
+    told = differences(one, other)
+    assert told[0]["words"] == "setting discharge_time: as it is in A, 100 in B"
+    first = told[1]
+    assert first["words"].startswith("the same up to here; then ")
+    assert first["t"] > 50
+    assert any("only in B: recharge is requested" in each["words"] for each in told) or any(
+        "recharge is requested" in each["words"] and "in B" in each["words"] for each in told
+    )
+    assert [each["t"] for each in told] == sorted(each["t"] for each in told)
+    page = report(one, other)
+    assert len(page) < 3_000_000
+    assert differences(one, one) == []
+    with pytest.raises(MissionError, match="runs of one model can be compared, not of suave_extended and agv"):
+        differences(one, recorded("agv")[0])
+
+
+def test_what_is_no_run_is_refused_in_a_sentence(tmp_path):
+    page = tmp_path / "a.html"
+    run = recorded(duration=40)[0]
+    for text, words in (
+        ("<html></html>", "holds no run"),
+        ('<script type="application/json" id="rosa-data">{"vers</script>', "cannot read the report"),
+        ('<script type="application/json" id="rosa-data">[1]</script>', "cannot read the report"),
+        (report(run).replace('"version":1', '"version":7', 1), "is of version 7; this program reads version 1"),
+        (report(run, run), "holds two runs already"),
+    ):
+        page.write_text(text)
+        with pytest.raises(MissionError, match=words):
+            read_page(page)
+    with pytest.raises(MissionError, match="No such file"):
+        read_page(tmp_path / "none.html")
+
+
+def test_notebook_shows_the_page_in_a_frame():
+    rover = Rover()
+    shown = Recorder(rover.kb, rover.runner)._repr_html_()
+    assert shown.startswith("<iframe srcdoc=")
+    assert "<script" not in shown
