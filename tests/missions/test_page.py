@@ -13,7 +13,7 @@ from missions.baselines import open_run
 from missions.engine.mission import MissionError, Percepts
 from missions.engine.recording import sensed
 from missions.engine.registry import find_mission
-from missions.testing.managed import FakeClock, ScriptedManaged
+from missions.testing.scripted import FakeClock, ScriptedManaged
 from missions.views.recorder import Recorder
 from missions.views.report import differences, read_page, report, write_report
 from missions.views.rows import Rows
