@@ -86,6 +86,13 @@ def span(field: str, name: str, value: object) -> float:
     raise ModelError(f"the {field} of {name!r} is a number from 0, not {value!r}")
 
 
+def bound(field: str, name: str, value: object) -> float:
+    """Return an end of a range, infinity for none."""
+    if _is_number(value) and (abs(value) <= sys.float_info.max or abs(value) == math.inf):
+        return float(value)
+    raise ModelError(f"the {field} end of the range of {name!r} is a number, not {value!r}")
+
+
 def _is_number(value: object) -> TypeGuard[int | float]:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
@@ -192,6 +199,7 @@ _NUMBER: Final = Field(lambda _, __, value: finite_number(value))
 _PRIORITY: Final = Field(priority)
 _SPAN: Final = Field(span)
 _AGE: Final = Field(age)
+_BOUND: Final = Field(bound, can_change=False)
 _AGREEMENT: Final = Field(agreement)
 _PARAMETERS: Final = Field(lambda _, name, value: parameters(name, value))
 
@@ -316,6 +324,8 @@ class Attribute(Element):
         max_age: how long a measurement holds [s]; for ever by default.
         when_stale: what its constraints are once the latest measurement is older than that.
         agreement: n of the last k measurements have to say so before a constraint on it changes, as (n, k).
+        unit: of its values, as it is shown; may be empty.
+        low, high: no value lies outside; a measurement that does is refused.
     """
 
     kind: Annotated[AttributeKind, _one_of("attribute kind", AttributeKind, can_change=False)] = AttributeKind.QUALITY
@@ -324,6 +334,31 @@ class Attribute(Element):
         StalePolicy.NOT_EVALUATED
     )
     agreement: Annotated[tuple[int, int], _AGREEMENT] = (1, 1)
+    unit: Annotated[str, _TEXT] = ""
+    low: Annotated[float, _BOUND] = -math.inf
+    high: Annotated[float, _BOUND] = math.inf
+
+    def __post_init__(self) -> None:
+        if not self.low <= self.high or self.low == math.inf or self.high == -math.inf:
+            raise ModelError(f"the range of {self.name!r} holds no number: from {self.low!r} to {self.high!r}")
+
+    def checked(self, value: object) -> float:
+        """Return a value of this attribute as a float; what is no finite number, or out of range, is refused."""
+        number = finite_number(value)
+        if self.low <= number <= self.high:
+            return number
+        raise InvalidValue(f"{self.name} is {self.range}")
+
+    @property
+    def range(self) -> str:
+        """Where its values lie, in words, e.g. "from 0 to 17 V"."""
+        words = [f"from {exact(self.low)}"] if self.low > -math.inf else []
+        words += [f"to {exact(self.high)}"] if self.high < math.inf else []
+        return self.amount(" ".join(words) or "any number")
+
+    def amount(self, number: str) -> str:
+        """Write a number with the unit."""
+        return f"{number} {self.unit}" if self.unit else number
 
     def __ge__(self, value: float) -> Expression:
         return Expression(self.name, ">=", finite_number(value), self.model)

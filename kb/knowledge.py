@@ -15,7 +15,7 @@ from kb.amendments import amendment
 from kb.elements import Action, Attribute, Changeable, Component, Element, Estimation
 from kb.events import RECORDS, Event, Log, StatusChange
 from kb.explanation.choice import note_nothing
-from kb.explanation.reasons import shortest, why_selected
+from kb.explanation.reasons import reading, why_selected
 from kb.facts import (
     ActiveFact,
     Contents,
@@ -130,7 +130,7 @@ class Knowledge:
             touched = node.constraints
         elif value != before:
             touched = thresholds.crossed(before, value)
-        words = f"{node.name} is {shortest(value, thresholds.around(value))}" if self.in_words else ""
+        words = f"{node.name} is {reading(value, thresholds.around(value), node)}" if self.in_words else ""
         event = Event(self.log.last + 1, time, "measure", (node.name, value), (), None, (), None, words)
         if not touched and not thresholds.steady:
             self.pending = event, (put,), False, False

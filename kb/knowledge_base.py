@@ -220,11 +220,12 @@ class KnowledgeBase:
 
         Raises:
             UnknownName: no such attribute.
-            InvalidValue: not a finite number; the facts are as they were.
+            InvalidValue: not a finite number, or outside the attribute's range; the facts are as they were.
         """
         node = _found(self._knowledge.network.attributes, "attribute", attribute)
-        is_plain = type(value) is float and math.isfinite(value)
-        number = value if is_plain else questions.number(f"{attribute} cannot be measured as", value)
+        of: Any = node.element
+        is_plain = type(value) is float and math.isfinite(value) and of.low <= value <= of.high
+        number = value if is_plain else questions.number(f"{attribute} cannot be measured as", value, node)
         with self._lock:
             self._check_open()
             known, now = self._knowledge, self._clock()

@@ -155,6 +155,9 @@ class Model:
         max_age: float = math.inf,
         when_stale: StalePolicy | str = StalePolicy.NOT_EVALUATED,
         agreement: tuple[int, int] = (1, 1),
+        unit: str = "",
+        low: float = -math.inf,
+        high: float = math.inf,
     ) -> Attribute:
         """Declare a measured property of the robot itself, e.g. its energy.
 
@@ -163,9 +166,12 @@ class Model:
             max_age: how long a measurement holds [s].
             when_stale: what its constraints are after that: "not evaluated" or "violated".
             agreement: (n, k): n of the last k measurements have to say so before a constraint on it changes.
+            unit: of its values, as it is shown, e.g. "V".
+            low: the least value that it can have; a measurement below is refused.
+            high: the greatest value that it can have.
         """
-        given = {"max_age": max_age, "when_stale": when_stale, "agreement": agreement}
-        return self.declare(Attribute, name, kind=AttributeKind.QUALITY, **given)
+        steady = {"max_age": max_age, "when_stale": when_stale, "agreement": agreement}
+        return self.declare(Attribute, name, kind=AttributeKind.QUALITY, **steady, unit=unit, low=low, high=high)
 
     def environmental_attribute(
         self,
@@ -174,10 +180,13 @@ class Model:
         max_age: float = math.inf,
         when_stale: StalePolicy | str = StalePolicy.NOT_EVALUATED,
         agreement: tuple[int, int] = (1, 1),
+        unit: str = "",
+        low: float = -math.inf,
+        high: float = math.inf,
     ) -> Attribute:
         """Declare a measured property of the surroundings, e.g. the light; see `quality_attribute`."""
-        given = {"max_age": max_age, "when_stale": when_stale, "agreement": agreement}
-        return self.declare(Attribute, name, kind=AttributeKind.ENVIRONMENTAL, **given)
+        steady = {"max_age": max_age, "when_stale": when_stale, "agreement": agreement}
+        return self.declare(Attribute, name, kind=AttributeKind.ENVIRONMENTAL, **steady, unit=unit, low=low, high=high)
 
     def component(
         self,
@@ -515,7 +524,7 @@ def _checked_fact(model: Contents, fact: object) -> Fact:
             raise UnknownName(KINDS[cls], name, tables[cls])
     if isinstance(fact, facts.MeasurementFact):
         flag(f"latest of the measurement of {fact.attribute!r}", fact.latest)
-        return replace(fact, value=finite_number(fact.value), time=_time(fact.time))
+        return replace(fact, value=model.attributes[fact.attribute].checked(fact.value), time=_time(fact.time))
     if isinstance(fact, facts.ActiveFact):
         return fact
     if isinstance(fact, facts.ProcessFact):

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Final, NamedTuple
 
-from kb.elements import Constraint, Element, exact, finite_number, listed
+from kb.elements import Attribute, Constraint, Element, exact, listed
 from kb.exceptions import AmbiguousName, InvalidValue, UnknownName
 from kb.explanation.choice import ChoiceExplanation
 from kb.explanation.choice import explain_choice as explained_choice
@@ -186,7 +186,9 @@ class _Assumption(NamedTuple):
     def __str__(self) -> str:
         if self.what != "measured":
             return f"{self.node.name} {self.what}"
-        return f"{self.node.name} {'not measured' if self.value is None else exact(self.value)}"
+        assert isinstance(self.node.element, Attribute)
+        value = "not measured" if self.value is None else self.node.element.amount(exact(self.value))
+        return f"{self.node.name} {value}"
 
 
 def suppose(
@@ -214,14 +216,11 @@ def suppose(
     values = {**(measured or {}), **attributes}
     with base.reading() as state:
         network = state.network
-        supposed = [
-            _Assumption(
-                "measured",
-                named(network.attributes, "attribute", name),
-                None if value is None else number(f"{name} cannot be supposed to be", value),
-            )
-            for name, value in values.items()
-        ]
+        supposed = []
+        for name, value in values.items():
+            node = named(network.attributes, "attribute", name)
+            given = None if value is None else number(f"{name} cannot be supposed to be", value, node)
+            supposed.append(_Assumption("measured", node, given))
         for what, names, kind in (
             ("failed", failed, "component"),
             ("recovered", recovered, "component"),
@@ -313,9 +312,10 @@ def _suppose_measured(state: State, attribute: Node, value: float | None) -> lis
     return [*thresholds.steady, *thresholds.crossed(before, value)]
 
 
-def number(refusal: str, value: object) -> float:
-    """Return a finite number; the refusal of anything else begins with what cannot be so."""
+def number(refusal: str, value: object, attribute: Node) -> float:
+    """Return a number that an attribute can be; the refusal of anything else begins with what cannot be so."""
+    assert isinstance(attribute.element, Attribute)
     try:
-        return finite_number(value)
+        return attribute.element.checked(value)
     except InvalidValue as error:
-        raise InvalidValue(f"{refusal} {value!r}: {error}") from None
+        raise InvalidValue(f"{refusal} {value!r:.60}: {error}") from None

@@ -251,12 +251,17 @@ class AttributeView(ElementView):
         value: the latest measurement, or None before the first.
         time: when that was measured [s], or None.
         is_stale: that is longer ago than `max_age`.
+        unit: of its values; may be empty.
+        low, high: what a measurement must lie between.
     """
 
     __slots__ = ()
 
     kind = Declared[AttributeKind]()
     max_age = Declared[float]()
+    unit = Declared[str]()
+    low = Declared[float]()
+    high = Declared[float]()
     value = Known[float | None]("value")
     time = Known[float | None]("time")
     is_stale = Known[bool]("stale")

@@ -10,7 +10,9 @@ from kb.checks.contradictions import contradictions
 from kb.checks.findings import Finding, Severity, found, listing
 from kb.elements import KINDS, Action, Component, Constraint, Element, Function, FunctionDesign, listed, text
 from kb.exceptions import UnknownName
+from kb.explanation.requirements import Interval
 from kb.facts import Contents, RequiredActionFact, tables_of
+from kb.measurements import turning_point
 from kb.network import Network
 from kb.status import Status
 
@@ -23,6 +25,7 @@ def check_model(model: Contents, names: Iterable[str] | None = None) -> tuple[Fi
         *contradictions(network),
         *_incomplete(network),
         *_unused(model, network),
+        *_out_of_range(model),
         *doubtful_choices(model, network),
         *_hidden_statuses(model),
         *_measured_twice(model),
@@ -70,6 +73,21 @@ def _unused(model: Contents, network: Network) -> Iterator[Finding]:
     for what, nodes in whats:
         for node in nodes:
             yield found(f"unused-{node.kind}", f"{node.kind} {node.name}", f"{what} {node.kind} {node.name}")
+
+
+def _out_of_range(model: Contents) -> Iterator[Finding]:
+    """Yield the constraints that the range of their attribute decides, whatever is measured."""
+    for one in model.constraints:
+        attribute = model.attributes[one.attribute]
+        possible, wanted = Interval(attribute.low, attribute.high), Interval.of(one)
+        is_never = wanted.meet(possible).is_empty
+        is_final = not is_never and Interval.of(one, turning_point(one, Status.VIOLATED)).meet(possible).is_empty
+        if is_never or is_final or wanted.covers(possible):
+            how = "is never satisfied" if is_never else "stays violated once it is" if is_final else "is never violated"
+            message = f"{_described(one)} {how}: {one.attribute} is {attribute.range}"
+            yield found(
+                "out-of-range", _described(one), f"{message} (on {listing(each.name for each in one.constrained)})"
+            )
 
 
 def _similar(table: Mapping[str, Element]) -> Iterator[Finding]:

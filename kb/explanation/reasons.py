@@ -38,6 +38,7 @@ class Comparison:
         value: the latest measurement, None before the first.
         time: when that was measured [s]; None before, and where the value is only supposed.
         is_stale: it is older than it may be, and so not compared.
+        unit: of threshold and value; may be empty.
     """
 
     attribute: str
@@ -46,6 +47,7 @@ class Comparison:
     value: float | None
     time: float | None
     is_stale: bool
+    unit: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -260,14 +262,15 @@ def _comparison(state: State, node: Node) -> Comparison:
     constraint, attribute = node.element, node.parts[0]
     assert isinstance(constraint, Constraint)
     value, time, is_stale = state.value[attribute.index], state.time[attribute.index], state.stale[attribute.index]
-    return Comparison(constraint.attribute, constraint.operator, constraint.value, value, time, is_stale)
+    unit = _attribute(attribute).unit
+    return Comparison(constraint.attribute, constraint.operator, constraint.value, value, time, is_stale, unit)
 
 
 def _compared(one: Comparison, node: Node, now: float, verdict: Status | None) -> str:
-    bound = f"{one.operator} {exact(one.threshold)}"
+    bound = f"{one.operator} {_attribute(node.parts[0]).amount(exact(one.threshold))}"
     if one.value is None:
         return f"{one.attribute} is not measured (wanted {bound})"
-    shown = f"{one.attribute} {shortest(one.value, [one.threshold])}"
+    shown = f"{one.attribute} {reading(one.value, [one.threshold], node.parts[0])}"
     if one.is_stale:
         return f"{shown} {_stale(one.time, node.parts[0], now)}"
     if verdict is Status.NOT_EVALUATED:
@@ -284,7 +287,7 @@ def _hold(value: float, node: Node, verdict: Status) -> str:
     constraint, attribute = node.element, _attribute(node.parts[0])
     assert isinstance(constraint, Constraint)
     turn = turning_point(constraint, verdict)
-    beyond = f"{constraint.operator} {exact(turn)}"
+    beyond = f"{constraint.operator} {attribute.amount(exact(turn))}"
     is_beyond = verdict is Status.SATISFIED or OPERATORS[constraint.operator](value, turn)
     held = [f"for {exact(constraint.dwell)} s at least"] if constraint.dwell else []
     if attribute.agreement != (1, 1):
@@ -298,10 +301,15 @@ def _reading(state: State, attribute: Node, now: float) -> str:
     value, time = state.value[attribute.index], state.time[attribute.index]
     if value is None:
         return f"{attribute.name} is not measured"
-    shown = shortest(value, state.network.thresholds(attribute).around(value))
+    shown = reading(value, state.network.thresholds(attribute).around(value), attribute)
     if state.stale[attribute.index]:
         return f"{attribute.name} {shown} {_stale(time, attribute, now)}"
     return f"{attribute.name} is {shown} ({_age(time, now)})"
+
+
+def reading(value: float, thresholds: Iterable[float], attribute: Node) -> str:
+    """Write a value with its unit, with as few digits as `shortest` does."""
+    return _attribute(attribute).amount(shortest(value, thresholds))
 
 
 def shortest(value: float, thresholds: Iterable[float]) -> str:

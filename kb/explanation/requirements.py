@@ -71,11 +71,11 @@ class Interval:
         high, high_closed = max((self.high, not self.high_open), (other.high, not other.high_open))
         return Interval(low, high, low_open, not high_closed)
 
-    def text(self, attribute: str) -> str:
+    def text(self, attribute: str, unit: str = "") -> str:
         """Write it as comparisons of an attribute, e.g. "light >= 0.2 and light <= 0.8"."""
-        low = [f"{attribute} {'>' if self.low_open else '>='} {exact(self.low)}"] if self.low > -math.inf else []
-        high = [f"{attribute} {'<' if self.high_open else '<='} {exact(self.high)}"] if self.high < math.inf else []
-        return " and ".join(low + high)
+        ends = (self.low, ">" if self.low_open else ">="), (self.high, "<" if self.high_open else "<=")
+        shown = [f"{attribute} {sign} {exact(end)} {unit}".rstrip() for end, sign in ends if abs(end) < math.inf]
+        return " and ".join(shown)
 
 
 def constraints_on(node: Node) -> list[Constraint]:
@@ -340,15 +340,17 @@ class Measured:
         interval: in its unit.
         again: what is known of it is too old.
         longer: it was measured so already, but not for as long or as often as a steady constraint asks for.
+        unit: of the attribute; may be empty.
     """
 
     attribute: str
     interval: Interval
     again: bool = False
     longer: bool = False
+    unit: str = ""
 
     def __str__(self) -> str:
-        bounds = self.interval.text(self.attribute)
+        bounds = self.interval.text(self.attribute, self.unit)
         return f"{bounds} measured anew" if self.again else f"{bounds} for longer" if self.longer else bounds
 
 
@@ -404,7 +406,9 @@ def _remedy(state: State, box: Box) -> Remedy:
         attribute = state.network.attributes[name]
         if _is_outside(state, attribute, interval):
             value, again = state.value[attribute.index], _is_counted_violated(state, attribute)
-            measured.append(Measured(name, interval, again, not again and value is not None and value in interval))
+            longer, element = not again and value is not None and value in interval, attribute.element
+            assert isinstance(element, Attribute)
+            measured.append(Measured(name, interval, again, longer, element.unit))
     return Remedy((*measured, *sorted(box.repairs, key=str)))
 
 

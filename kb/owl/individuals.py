@@ -122,7 +122,7 @@ _PROPERTIES: Final[Mapping[tuple[type, str], str]] = {
 }
 """What a field is called, where that is not its own name."""
 
-_NUMBERS: Final = frozenset({"value", "time", "start", "end", "max_age", "hysteresis", "dwell"})
+_NUMBERS: Final = frozenset({"value", "time", "start", "end", "max_age", "hysteresis", "dwell", "low", "high"})
 _UNSAFE: Final = re.compile(r"[^A-Za-z0-9_-]")
 
 
@@ -230,7 +230,7 @@ def _described(one: Changeable | Fact, own: str, position: int, serials: Serials
 
 
 def _plain(cls: type, field: str, value: object, serials: Serials) -> Iterator[Value]:
-    if value is None or value == "" or value == math.inf:
+    if value is None or value == "" or value in (math.inf, -math.inf):
         return
     if isinstance(value, Constraint):
         yield Ref(element_id(value, serials))

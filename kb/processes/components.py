@@ -15,14 +15,17 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from tempfile import mkdtemp
 from threading import RLock
 from types import MappingProxyType
 from typing import Any, Final
+from urllib.parse import quote
 
 from kb.elements import Parameters
 from kb.exceptions import InvalidValue, KnowledgeBaseError, UnknownName
 from kb.knowledge_base import KnowledgeBase
 from kb.processes import guardian
+from kb.processes.output import Output
 
 _log = logging.getLogger(__name__)
 
@@ -142,15 +145,25 @@ class ProcessComponents:
     this was made. Close it, or use it in a `with` statement; nothing is left behind either way, even if this process is
     killed.
 
+    What a component writes to its standard output and error goes to a file of its own; of each the newest MB is kept.
+    When it ends by itself, the last lines are part of the reason.
+
     Args:
         programs: what to run, by name of the component.
         clock: gives the time [s] of grace and restarts; processes take real time, so that is the default.
+        output: the folder of these files, which stay there; None for a private one that goes when this is closed.
 
     Raises:
         InvalidValue: one of the programs cannot be run on this machine.
     """
 
-    def __init__(self, programs: Mapping[str, Program], *, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self,
+        programs: Mapping[str, Program],
+        *,
+        clock: Callable[[], float] = time.monotonic,
+        output: str | Path | None = None,
+    ) -> None:
         if not Path("/proc/self/environ").exists():
             raise KnowledgeBaseError("components as processes need the /proc of Linux; manage them by objects instead")
         for name, program in programs.items():
@@ -163,7 +176,16 @@ class ProcessComponents:
         self._mark = guardian.new_mark()
         self._grace = max((program.grace for program in programs.values()), default=0.0)
         self._reports: deque[_Report] = deque()
-        self._handles = {name: _Handle(name, one, clock, self._reports) for name, one in programs.items()}
+        self._private = mkdtemp(prefix="kb-output-") if output is None else None
+        folder = Path(self._private or output or ".")
+        try:
+            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        except OSError as error:
+            raise InvalidValue(f"output cannot go to {str(folder)!r}: {error.strerror}; name another folder") from None
+        outputs = {name: Output(folder / f"{quote(name, safe=' ')[:200]}.log") for name in programs}
+        self._handles = {
+            name: _Handle(name, one, clock, self._reports, outputs[name]) for name, one in programs.items()
+        }
         self._lock = RLock()
         self._guardian: subprocess.Popen[bytes] | None = None
         self._tidiers: dict[str, subprocess.Popen[bytes]] = {}
@@ -197,6 +219,10 @@ class ProcessComponents:
         with self._lock:
             handle.look()
             return handle.process is not None
+
+    def output(self, component: str) -> Path:
+        """Return the file that holds what a component writes; what it wrote before that is in FILE.1 beside it."""
+        return self._handle(component).output.path
 
     def observe(self, kb: KnowledgeBase) -> None:
         """Tell the knowledge base what started and ended since the last time.
@@ -234,6 +260,10 @@ class ProcessComponents:
             for one in (self._guardian, *self._tidiers.values()):
                 if one is not None:
                     _dismiss(one, self._grace)
+            for handle in self._handles.values():
+                handle.output.close()
+            if self._private is not None:
+                shutil.rmtree(self._private, ignore_errors=True)
         if self._observed is not None:
             self._tell_the_end(self._observed)
 
@@ -309,6 +339,7 @@ class _Handle:
     program: Program
     clock: Callable[[], float]
     reports: deque[_Report]
+    output: Output
     process: subprocess.Popen[bytes] | None = None
     crash: tuple[int, str] = (-1, "")  # number of the process that ended by itself last, and how, in words
     predecessors: dict[int, int | None] = field(default_factory=dict)  # what has to be gone first, and since when it is
@@ -377,13 +408,24 @@ class _Handle:
         program.check()
         command, variables = program.command(self._parameters), program.variables(self._parameters)
         environment, no_input = {**os.environ, **variables, guardian.MARK: mark}, subprocess.DEVNULL
+        source, sink = os.pipe()
         try:
             self.process = subprocess.Popen(
-                command, cwd=program.directory, env=environment, stdin=no_input, start_new_session=True
+                command,
+                cwd=program.directory,
+                env=environment,
+                stdin=no_input,
+                stdout=sink,
+                stderr=sink,
+                start_new_session=True,
             )
+            self.output.follow(source)
         except OSError as error:
+            os.close(source)
             remedy = "see whether its first line names an interpreter that is there"
             raise KnowledgeBaseError(f"{command[0]!r} cannot be run: {error.strerror}; {remedy}") from None
+        finally:
+            os.close(sink)
         self._started, self._in_force, self.crash = self.clock(), self._parameters, (-1, "")
         self._report("component_started", self.process.pid)
 
@@ -391,6 +433,8 @@ class _Handle:
         _signal_group(process.pid, signal.SIGKILL)  # what it leaves behind
         self._bury(process)
         now, reason = self.clock(), f"the process of {self.name} ended by itself ({_manner(process.returncode)})"
+        if words := self.output.last_lines():
+            reason += f"; it last wrote: {words}"
         self.crash = (process.pid, reason)
         _log.warning("%s", reason)
         self._report("component_active", False, reason)

@@ -58,9 +58,10 @@ def agv_model(name: str = "agv", actions: Iterable[str] = (NAVIGATE,)) -> Model:
         actions: what a mission does with it; each requires to navigate.
     """
     model = Model(name)
-    energy, safety = model.quality_attribute("energy"), model.quality_attribute("safety")
-    accuracy = model.quality_attribute("accuracy")
-    light, obstacles = model.environmental_attribute("light"), model.environmental_attribute("obstacles")
+    energy, safety = model.quality_attribute("energy", unit="W"), model.quality_attribute("safety")
+    accuracy = model.quality_attribute("accuracy", unit="m", low=0.0)
+    light = model.environmental_attribute("light", low=0.0, high=1.0)
+    obstacles = model.environmental_attribute("obstacles", unit="1/m", low=0.0)
 
     for component in DRAW_W:
         model.component(component, kind="lifecycle")
@@ -93,7 +94,7 @@ def building_model(building: Building) -> Model:
     from, within a corridor [m], and `way` the number of the heading that is to be taken, from 1 in their order.
     """
     model = agv_model("agv", actions=())
-    driven = model.environmental_attribute("driven")
+    driven = model.environmental_attribute("driven", unit="m")
     navigator = model.component(NAVIGATOR, kind="lifecycle")
     way = model.environmental_attribute("way")
     for number, (corridor, origin) in enumerate(headings(building), start=1):

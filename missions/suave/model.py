@@ -10,7 +10,7 @@ from kb import Model
 def suave_model(name: str = "suave") -> Model:
     """Build the model; every call gives a new one, which may be extended."""
     model = Model(name)
-    visibility = model.environmental_attribute("water_visibility")
+    visibility = model.environmental_attribute("water_visibility", unit="m", low=0.0)
 
     # What the vehicle is made of. Thrusters are plain hardware: they fail, but nobody switches them.
     thrusters = [model.component(f"c_thruster_{number}") for number in range(1, 7)]

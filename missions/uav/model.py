@@ -28,7 +28,7 @@ _FUNCTIONS: Final = {
 def uav_model() -> Model:
     """Build the model; every call gives a new one, which may be extended."""
     model = Model("uav")
-    battery = model.quality_attribute("battery_level")
+    battery = model.quality_attribute("battery_level", low=0.0, high=1.0)
     for function, components in _FUNCTIONS.items():
         parts = [model.component(name, kind="lifecycle") for name in components]
         model.function(function).design(f"by_{components[0]}", parts, priority=1)

@@ -26,7 +26,7 @@ def described(node: Node, units: Mapping[str, str]) -> dict[str, Any]:
         return shown | {"dwell": one.dwell, "on": [whole.index for whole in node.wholes]}
     constraints = [each.index for each in node.constraints]
     if isinstance(one, Attribute):
-        shown |= {"of": str(one.kind), "unit": units.get(one.name, ""), "thresholds": constraints}
+        shown |= {"of": str(one.kind), "unit": units.get(one.name, one.unit), "thresholds": constraints}
         return shown | {"max_age": None if one.max_age == inf else one.max_age}
     if isinstance(one, Function):
         return shown | {"designs": parts, "improve": one.always_improve}

@@ -1,0 +1,112 @@
+"""What components write: kept in files of limited size that nobody else can read, and never on the console."""
+
+import os
+import stat
+import subprocess
+import sys
+
+import pytest
+from models import Clock
+from test_processes import python, wait_for
+
+from kb import ConfigurationManager, KnowledgeBase, Model
+from kb.exceptions import InvalidValue
+from kb.processes import ProcessComponents
+from kb.processes.output import MOST, Output
+
+FLOOD = "import os\nwhile True: os.write(1, b'nothing is new\\n' * 4000)"
+LAST_WORDS = """
+import sys
+print("started")
+print("\\x1b[31mno camera at /dev/video0\\x1b[0m", flush=True)
+print("giving up", file=sys.stderr)
+sys.exit(3)
+"""
+
+
+def kb_of(name="camera"):
+    model = Model("rover")
+    model.component(name, kind="process")
+    model.function("see").design("by it", [name])
+    model.action("look", requires=["see"])
+    return KnowledgeBase(model, clock=Clock(0.0))
+
+
+def running(processes, name="camera"):
+    processes.activate(name)
+    return wait_for(lambda: processes.is_active(name))
+
+
+def test_a_flood_stays_within_the_limit_and_off_the_console(capfd, tmp_path):
+    with ProcessComponents({"camera": python(FLOOD)}, output=tmp_path) as processes:
+        running(processes)
+        path = processes.output("camera")
+        wait_for(lambda: path.with_name("camera.log.1").exists())
+        before = path.stat().st_ino
+        wait_for(lambda: path.exists() and path.stat().st_ino != before)  # it went around once more
+        assert sum(one.stat().st_size for one in tmp_path.iterdir()) <= MOST
+    assert sorted(one.name for one in tmp_path.iterdir()) == ["camera.log", "camera.log.1"]
+    assert {stat.S_IMODE(one.stat().st_mode) for one in tmp_path.iterdir()} == {0o600}
+    assert capfd.readouterr() == ("", "")
+
+
+def test_the_last_lines_are_in_the_reason_of_the_failure():
+    kb = kb_of()
+    with ProcessComponents({"camera": python(LAST_WORDS)}) as processes:
+        manager = ConfigurationManager(kb, processes, monitors=[processes])
+        kb.request_action("look")
+        wait_for(lambda: (manager.update(), kb.components["camera"].status == "failure")[1])
+        said = str(kb.explain("camera"))
+    assert "(exit status 3); it last wrote: started | [31mno camera at /dev/video0[0m | giving up" in said
+
+
+def test_without_a_folder_the_output_is_private_and_goes_when_it_is_closed():
+    with ProcessComponents({"camera": python("print('hello'); import time; time.sleep(600)")}) as processes:
+        path = processes.output("camera")
+        assert stat.S_IMODE(path.parent.stat().st_mode) == 0o700
+    assert not path.parent.exists()
+
+
+def test_no_link_is_followed_and_what_was_there_is_kept_beside(tmp_path):
+    stranger = tmp_path / "stranger"
+    stranger.write_text("mine")
+    folder = tmp_path / "output"
+    folder.mkdir()
+    (folder / "camera.log").symlink_to(stranger)
+    output = Output(folder / "camera.log", 100)
+    source, sink = os.pipe()
+    output.follow(source)
+    os.write(sink, b"hello\n")
+    os.close(sink)
+    wait_for(lambda: (folder / "camera.log").is_file() and not (folder / "camera.log").is_symlink())
+    assert output.last_lines() == "hello"
+    output.close()
+    assert stranger.read_text() == "mine"
+    assert (folder / "camera.log.1").readlink() == stranger
+
+
+@pytest.mark.parametrize("name", ["../../x", "a/b", "..", "é" * 300, "two words"])
+def test_any_name_of_a_component_gives_a_file_in_the_folder(name, tmp_path):
+    with ProcessComponents(
+        {name: python("print('hello'); import time; time.sleep(600)")}, output=tmp_path
+    ) as processes:
+        assert processes.output(name).parent == tmp_path
+        running(processes, name)
+        wait_for(processes.output(name).exists)
+
+
+def test_a_folder_that_cannot_be_is_refused(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InvalidValue, match=r"output cannot go to .*name another folder"):
+        ProcessComponents({}, output=tmp_path / "file")
+
+
+def test_what_an_ended_process_left_in_the_pipe_is_in_its_last_lines(tmp_path):
+    for number in range(50):  # the reader's thread may be behind
+        output = Output(tmp_path / f"{number}.log")
+        source, sink = os.pipe()
+        output.follow(source)
+        subprocess.run([sys.executable, "-S", "-c", f"print({number})"], stdout=sink, check=True)
+        os.close(sink)
+        assert output.last_lines() == str(number)
+        output.close()
