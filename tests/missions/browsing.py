@@ -1,0 +1,48 @@
+"""A real browser for tests of the page: headless Chromium, of which every request and word on the console is noted."""
+
+import shutil
+from contextlib import contextmanager
+
+import pytest
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+QUIET = (
+    *("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking"),
+    *("--disable-component-update", "--disable-sync"),
+)
+WAIT_MS = 20_000
+"""How long a page may take for what it is to show; a busy machine is no failure."""
+
+needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed here: apt-get install chromium")
+
+
+class Visit:
+    """A page that is open, with what it asked of the network and said on the console."""
+
+    def __init__(self, page):
+        self.page, self.requests, self.said = page, [], []
+        page.on("request", lambda request: self.requests.append(request.url))
+        page.on("websocket", lambda socket: self.requests.append(socket.url))
+        page.on("console", lambda message: self.said.append(message.text))
+        page.on("pageerror", lambda error: self.said.append(str(error)))
+
+    def elsewhere(self, *own):
+        """Return the requests that went anywhere but to where these begin."""
+        return [one for one in self.requests if not one.startswith(("data:", "blob:", *own))]
+
+
+@contextmanager
+def visiting(url, *, width=1440, height=900, **options):
+    """Open a page in a browser of its own."""
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as player:
+        browser = player.chromium.launch(executable_path=CHROMIUM, args=list(QUIET))
+        page = browser.new_page(viewport={"width": width, "height": height}, **options)
+        page.set_default_timeout(WAIT_MS)
+        visit = Visit(page)
+        page.goto(str(url))
+        try:
+            yield visit
+        finally:
+            browser.close()
