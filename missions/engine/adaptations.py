@@ -152,7 +152,7 @@ class AdaptationLog:
         self._is_switching = False
         self._task: Adaptation | None = None
         self._under_way: list[Adaptation] = []
-        kb.subscribe(self._hear)
+        kb.log.witnesses += (self._hear,)  # at once and in order, whichever thread calls the subscribers, and when
 
     def news(self, stamp: float | None) -> None:
         """Say that what the knowledge base hears next is news of that time [s]; None: it is our own doing.
