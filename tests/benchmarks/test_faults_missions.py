@@ -1,6 +1,6 @@
 """Whole missions interrupted, beset by subscribers and threads, campaigns killed and out of room, for long.
 
-`MISSIONS` says how many missions are interrupted, `KILLS` how many campaigns are killed, and `FULL` how many have no room.
+`MISSIONS` says how many missions are interrupted, `KILLS` how many campaigns are killed, `FULL` how many lack room.
 """
 
 import os
