@@ -16,12 +16,14 @@ from typing import Protocol, runtime_checkable
 from kb.events import Log
 from kb.explanation.reasons import Explanation
 from rosa_pddl.domain import Domain, Feasibility, State, Step, UpThing, head_of
-from rosa_pddl.exceptions import SensingError, UnsupportedPddlError
+from rosa_pddl.exceptions import SensingError, UnknownObjectError, UnsupportedPddlError
 from rosa_pddl.problem import Problem, feasible_atoms, initial_state, lock_of, with_costs, without_feasibility
 from rosa_pddl.resource_usage import ResourceUsage
 from rosa_pddl.validate import affected_atoms, binding_of, changes, ended, started
 
 _MOST_DOMAINS = 8
+# So many things that are sensed and not known are told of.
+_MOST_PASSED_OVER = 100
 
 Sense = Callable[[], Mapping[str, bool | float]]
 """Returns what is sensed now: by text, whether a fact such as `(lit room)` holds, and the value of a number such as
@@ -29,11 +31,23 @@ Sense = Callable[[], Mapping[str, bool | float]]
 
 
 @dataclass(frozen=True)
-class Undo:
+class _Undo:
     """What the start of a step changed."""
 
     taken: State = frozenset()
     given: State = frozenset()
+
+
+@dataclass(frozen=True)
+class _Believed:
+    """The facts, the numbers that are no more what the file says, and what to undo of the steps that run.
+
+    One value, so that whatever interrupts a change leaves all of it done, or nothing.
+    """
+
+    facts: State
+    numbers: Mapping[str, float] = field(default_factory=dict)
+    undos: Mapping[object, _Undo] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -57,7 +71,8 @@ class Belief:
 
     What is sensed stands. Effects of steps are assumed until something else is sensed; those on feasibility never: what
     is feasible is for the knowledge base to say. Numbers stay what they were sensed to be last; what of a resource is
-    used up grows by what steps use, if it is not sensed.
+    used up grows by what steps use, if it is not sensed. What is sensed of objects that the files do not have is passed
+    over, and said in `passed_over`, in sentences.
 
     Args:
         domain: what `load_domain` returned; the facts of its problem file are believed at first.
@@ -67,18 +82,18 @@ class Belief:
 
     def __init__(self, domain: Domain, kb: Feasibility, sense: Sense) -> None:
         self.domain, self._kb, self._sense = domain, kb, sense
-        self._facts = without_feasibility(domain, initial_state(domain))
+        self._now = _Believed(without_feasibility(domain, initial_state(domain)))
         self._numeric = domain.numeric
         self._answer: Mapping[str, bool | float] = {}
         self._sensed = _Sensed()
         self._taken_in: tuple[State, Mapping[str, bool]] | None = None
-        self._numbers: Mapping[str, float] = {}
         self._usage = ResourceUsage(domain)
+        self.passed_over: dict[str, None] = {}
 
     @property
     def numbers(self) -> Mapping[str, float]:
         """The numbers that are no more what the problem file says, by their text."""
-        return self._numbers
+        return self._now.numbers
 
     @property
     def sensed_atoms(self) -> AbstractSet[str]:
@@ -87,40 +102,57 @@ class Belief:
 
     def observe(self) -> State:
         """Take in what is sensed; return what is true then, with what is feasible."""
-        sensed = self._read()
+        sensed, facts = self._read(), self._now.facts
         # large worlds are looked at several times a tick, and mostly nothing has changed
-        if self._taken_in is None or self._taken_in[0] is not self._facts or self._taken_in[1] is not sensed.facts:
-            self._facts = self._facts.difference(sensed.facts) | sensed.true
-            self._taken_in = (self._facts, sensed.facts)
-        return self._facts | feasible_atoms(self.domain, self._kb)
+        if self._taken_in is None or self._taken_in[0] is not facts or self._taken_in[1] is not sensed.facts:
+            facts = facts.difference(sensed.facts) | sensed.true
+            self._now = replace(self._now, facts=facts)
+            self._taken_in = (facts, sensed.facts)
+        return facts | feasible_atoms(self.domain, self._kb)
 
-    def start(self, step: Step, state: State) -> Undo:
-        before = self._facts
-        self._facts = without_feasibility(self.domain, started(self.domain, step, state))
-        return Undo(before - self._facts, self._facts - before)
+    def start(self, key: object, step: Step, state: State) -> None:
+        """Assume what the start of a step brings about, until it ends or is given up by the same key."""
+        before, facts = self._now.facts, without_feasibility(self.domain, started(self.domain, step, state))
+        undo = _Undo(before - facts, facts - before)
+        self._now = replace(self._now, facts=facts, undos={**self._now.undos, key: undo})
 
-    def end(self, step: Step, state: State) -> None:
-        self._facts = without_feasibility(self.domain, ended(self.domain, step, state))
+    def end(self, key: object, step: Step, state: State) -> None:
+        """Assume what a step that ended well brought about, and that it used up what it may."""
+        facts = without_feasibility(self.domain, ended(self.domain, step, state))
+        self._now = _Believed(facts, self._used_up(step), self._undos_but(key))
+
+    def give_up(self, key: object, step: Step) -> None:
+        """Take back what the start of a step brought about, but for what it used up; once only."""
+        if key in self._now.undos:
+            facts = self.unstarted([key], self._now.facts)
+            self._now = _Believed(facts, self._used_up(step), self._undos_but(key))
+
+    def unstarted(self, keys: Iterable[object], state: State) -> State:
+        """Return a state as if the steps with these keys had not started."""
+        for undo in [self._now.undos[key] for key in keys if key in self._now.undos]:
+            state = (state | undo.taken) - undo.given
+        return state
 
     def assume(self, gone: AbstractSet[str], come: AbstractSet[str]) -> None:
         """Assume that atoms became false, and others true; what becomes true wins, as PDDL says."""
-        self._facts = without_feasibility(self.domain, (self._facts - gone) | come)
+        self._now = replace(self._now, facts=without_feasibility(self.domain, (self._now.facts - gone) | come))
 
-    def use_up(self, step: Step) -> None:
-        """Assume that a step, however it ended, used up what it may."""
-        known = Problem(self.domain, frozenset(), costs=self._numbers)
+    def _undos_but(self, key: object) -> Mapping[object, _Undo]:
+        return {other: undo for other, undo in self._now.undos.items() if other is not key}
+
+    def _used_up(self, step: Step) -> Mapping[str, float]:
+        """Return the numbers once a step, however it ended, has used up what it may."""
+        known = self._now.numbers
         try:
-            numbers = self._usage.numbers(known)
+            numbers = self._usage.numbers(Problem(self.domain, frozenset(), costs=known))
             used = [self._usage.value(amount, numbers) for amount in self._usage.uses_of(step)]
         except UnsupportedPddlError:
-            return  # nothing can be planned within limits of which nothing is known
+            return known  # nothing can be planned within limits of which nothing is known
         for resource, amount in zip(self.domain.limited, used, strict=True):
             key = f"({resource.name})"
             if amount and key not in self._sensed.numbers:
-                self._numbers = {**self._numbers, key: float(numbers.get(key, 0) + amount)}
-
-    def take_back(self, undo: Undo) -> None:
-        self._facts = without([undo], self._facts)
+                known = {**known, key: float(numbers.get(key, 0) + amount)}
+        return known
 
     def _read(self) -> _Sensed:
         try:
@@ -129,7 +161,8 @@ class Belief:
                 raise SensingError(f"sense returned {answer!r}, expected a mapping such as {{'(lit room)': True}}")
             if answer != self._answer:
                 self._sensed = self._changed_by(answer)
-                self._answer, self._numbers = dict(answer), {**self._numbers, **self._sensed.numbers}
+                self._now = replace(self._now, numbers={**self._now.numbers, **self._sensed.numbers})
+                self._answer = dict(answer)
         except Exception as error:
             error.add_note("this came of what `sense` returned or raised")
             raise
@@ -149,7 +182,12 @@ class Belief:
         for text, value in answer.items():
             if not isinstance(text, str):
                 raise SensingError(f"sense returned {text!r}: {value!r}, expected a text such as '(lit room)' first")
-            atom = self.domain.atom(text)
+            try:
+                atom = self.domain.atom(text)
+            except UnknownObjectError as error:  # the world may hold more than the files say; a slip is another matter
+                if len(self.passed_over) < _MOST_PASSED_OVER:
+                    self.passed_over[f"what is sensed is passed over: {error}"] = None
+                continue
             is_number = head_of(atom) in self._numeric
             known = value.item() if hasattr(value, "item") else value  # what numpy makes is as good
             if isinstance(known, bool) is is_number or not isinstance(known, bool | int | float):
@@ -162,12 +200,6 @@ class Belief:
             elif not self.domain.is_feasibility(atom):
                 facts[atom] = bool(known)
         return facts, numbers
-
-
-def without(undos: Iterable[Undo], state: State) -> State:
-    for undo in undos:
-        state = (state | undo.taken) - undo.given
-    return state
 
 
 class FeasibilityEvents:

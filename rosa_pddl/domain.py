@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeAlias
 
-from rosa_pddl.exceptions import PddlError, UnknownNameError, nearest
+from rosa_pddl.exceptions import PddlError, UnknownNameError, UnknownObjectError, nearest
 
 ACTION_TYPE = "action"
 FEASIBLE = "action_feasible"
@@ -170,14 +170,14 @@ class Domain:
         unplanned = [name for name in kb.actions if name not in self.rosa_actions]
         findings = [f"the action {name!r} of the knowledge base is never planned: {self.file}" for name in unplanned]
         schemas = self.schema_of.values()
-        idle = [action for action in self.rosa_actions if not any(self._may_do(one, action) for one in schemas)]
+        idle = [action for action in self.rosa_actions if not any(self.may_do(one, action) for one in schemas)]
         return (
             *self.oversights,
             *findings,
             *(f"no PDDL action of {self.file} does the ROSA action {action!r}" for action in idle),
         )
 
-    def _may_do(self, schema: Schema, action: str) -> bool:
+    def may_do(self, schema: Schema, action: str) -> bool:
         """Whether a PDDL action may be doing a ROSA action, as far as the facts of the problem file tell."""
         if schema.action is None or schema.action not in dict(schema.parameters):
             return schema.action == action
@@ -216,6 +216,12 @@ class Domain:
         """The names of the numeric facts, as the files spell them."""
         fluents = self.up_problem.fluents
         return frozenset(self.outside[fluent.name] for fluent in fluents if not fluent.type.is_bool_type())
+
+    def duration_s(self, schema: str) -> float:
+        """Return how long an action is declared to take at least [s]; 0 if it is no number, or it is an instant."""
+        action = self.up_problem.action(self.inside["action", schema.lower()])
+        lower = action.duration.lower if hasattr(action, "duration") else None
+        return float(lower.constant_value()) if lower is not None and lower.is_constant() else 0.0
 
     def is_feasibility(self, atom: str) -> bool:
         """Whether an atom says that a ROSA action is feasible."""
@@ -259,7 +265,8 @@ class Domain:
         """Return a name (of a predicate, object, type or action) as the files spell it; `text` is where it was met."""
         if (kind, word.lower()) not in self.inside:
             known = [self.outside[inner] for (other, _), inner in self.inside.items() if other == kind]
-            raise UnknownNameError(f"{self.file} has no {kind} {word!r} (in {text!r}); {nearest(word, known)}")
+            error = UnknownObjectError if kind == "object" else UnknownNameError
+            raise error(f"{self.file} has no {kind} {word!r} (in {text!r}); {nearest(word, known)}")
         return self.outside[self.inside[kind, word.lower()]]
 
 

@@ -32,6 +32,10 @@ class UnknownNameError(RosaPddlError):
     """A name that the domain does not know; the message lists the nearest known ones."""
 
 
+class UnknownObjectError(UnknownNameError):
+    """The name of an object that the files do not have."""
+
+
 class MissingBehaviourError(RosaPddlError):
     """A PDDL action has no factory that makes its behaviour."""
 

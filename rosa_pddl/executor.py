@@ -6,7 +6,7 @@ from dataclasses import replace
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 
-from rosa_pddl.belief import Belief, ExpectedEffects, FeasibilityEvents, Sense, Undo, UnmetEffect, without
+from rosa_pddl.belief import Belief, ExpectedEffects, FeasibilityEvents, Sense, UnmetEffect
 from rosa_pddl.domain import Domain, Feasibility, State, Step
 from rosa_pddl.exceptions import MissingBehaviourError, UnknownNameError, nearest
 from rosa_pddl.goals import Goals, PlanningTask
@@ -35,67 +35,71 @@ _MOST_ROUNDS = 8
 class _RunningStep:
     """A step that runs, by its number in the plan that is executed; None if it is of an earlier one.
 
-    What the factory or a `setup` raises comes out as it is, with a note that says for which step.
+    It is listed where it is owned before its behaviour is made, so that an interrupt at any instant leaves it to be
+    released; that may be done again when it was interrupted itself.
     """
 
-    def __init__(
-        self, step: Step, factory: Factory, number: int | None, parent: Behaviour, arguments: Mapping[str, object]
-    ) -> None:
-        self.step, self.number, self.undo = step, number, Undo()
+    def __init__(self, step: Step, number: int | None, began_s: float) -> None:
+        self.step, self.number, self.began_s = step, number, began_s
+        self.behaviour: Behaviour | None = None
+        self._is_midway = False
+        self._set_up: list[Behaviour] = []
+
+    def begin(self, factory: Factory, parent: Behaviour, arguments: Mapping[str, object]) -> None:
+        """Make the behaviour; what the factory or a `setup` raises comes out as it is, with a note of the step."""
         try:
-            self.behaviour = factory(step)
-            if not isinstance(self.behaviour, Behaviour):
-                message = f"for {step} what was given for {step.schema!r} made {self.behaviour!r}"
+            made = factory(self.step)
+            if not isinstance(made, Behaviour):
+                message = f"for {self.step} what was given for {self.step.schema!r} made {made!r}"
                 raise MissingBehaviourError(f"{message}, expected a py_trees behaviour")
-            self._set_up(arguments)
+            self.behaviour = made
+            for node in made.iterate():
+                self._set_up.append(node)
+                node.setup(**arguments)
         except Exception as error:
-            error.add_note(f"it was raised when the behaviour of {step} was made")
+            error.add_note(f"it was raised when the behaviour of {self.step} was made")
             raise
-        self.behaviour.parent = parent
+        made.parent = parent
 
     def tick(self) -> tuple[Status, str, list[Behaviour]]:
         """Return the status of the behaviour, what it says, and the nodes that were ticked.
 
         Whatever a step's behaviour raises is that step's failure, not the tree's.
         """
+        assert self.behaviour is not None
         ticked: list[Behaviour] = []
+        self._is_midway = True
         try:
             ticked.extend(self.behaviour.tick())
         except Exception as error:
-            self._stop()
+            self._stop(self.behaviour)
             return Status.FAILURE, f"{type(error).__name__}: {error}", ticked
+        self._is_midway = False
         return self.behaviour.status, self.behaviour.feedback_message, ticked
 
     def release(self) -> None:
-        if self.behaviour.status == Status.RUNNING:
-            self._stop()
-        self._shut_down(self.behaviour.iterate())
-        self.behaviour.parent = None
-
-    def _set_up(self, arguments: Mapping[str, object]) -> None:
-        done: list[Behaviour] = []
-        try:
-            for node in self.behaviour.iterate():
-                done.append(node)
-                node.setup(**arguments)
-        except Exception:
-            self._shut_down(done)
-            raise
-
-    def _shut_down(self, nodes: Iterable[Behaviour]) -> None:
-        for node in nodes:
+        if self.behaviour is not None:
+            if self._is_midway or self.behaviour.status == Status.RUNNING:
+                self._stop(self.behaviour)
+            self.behaviour.parent = None
+        while self._set_up:
+            node = self._set_up[-1]
             try:
                 node.shutdown()
             except Exception as error:  # it must not keep others from being released
                 node.logger.error(f"{type(error).__name__} in shutdown of {self.step}: {error}")
+            self._set_up.pop()
 
-    def _stop(self) -> None:
-        try:
-            self.behaviour.stop(Status.INVALID)
-        except Exception as error:  # it must not keep the executor from going on
-            self.behaviour.logger.error(f"{type(error).__name__} in terminate of {self.step}: {error}")
-            for node in self.behaviour.iterate():
+    def _stop(self, behaviour: Behaviour) -> None:
+        # nodes below may have begun work without being RUNNING yet, if an interrupt came between
+        was_midway, self._is_midway = self._is_midway, True
+        for node in behaviour.iterate() if was_midway else (behaviour,):
+            try:
+                node.stop(Status.INVALID)
+            except Exception as error:  # it must not keep the executor from going on
+                node.logger.error(f"{type(error).__name__} in terminate of {self.step}: {error}")
                 node.status = Status.INVALID
+        self._is_midway = False
 
 
 class _Interlude:
@@ -104,34 +108,35 @@ class _Interlude:
     def __init__(self, factory: Factory | None, parent: Behaviour) -> None:
         self._factory, self._parent = factory, parent
         self._after: Step | None = None
-        self._running: _RunningStep | None = None
+        self._running: list[_RunningStep] = []
 
     @property
     def behaviours(self) -> list[Behaviour]:
-        return [] if self._running is None else [self._running.behaviour]
+        return [running.behaviour for running in self._running if running.behaviour is not None]
 
     def follow(self, step: Step) -> None:
         self._after = step
 
     def tick(self, arguments: Mapping[str, object]) -> list[Behaviour]:
         """Tick it, and begin it if that is due; return the nodes that were ticked. Once it has ended, that is it."""
-        before = None
         if self._factory is not None and self._after is not None:
-            before, after, self._after = self._running, self._after, None
-            self._running = _RunningStep(after, self._factory, None, self._parent, arguments)
-        if self._running is None:
+            self._running.append(_RunningStep(self._after, None, 0.0))
+            self._after = None
+            self._running[-1].begin(self._factory, self._parent, arguments)
+        if not self._running:
             return []
-        status, _, ticked = self._running.tick()
-        if status != Status.RUNNING:
-            self.end()
-        if before is not None:
-            before.release()
+        status, _, ticked = self._running[-1].tick()
+        self._release(1 if status == Status.RUNNING else 0)
         return ticked
 
     def end(self) -> None:
-        running, self._running, self._after = self._running, None, None
-        if running is not None:
-            running.release()
+        self._after = None
+        self._release(0)
+
+    def _release(self, kept: int) -> None:
+        while len(self._running) > kept:
+            self._running[0].release()
+            del self._running[0]
 
 
 def _check_factories(domain: Domain, behaviours: Mapping[str, Factory]) -> None:
@@ -179,7 +184,6 @@ class PlanExecutor(Behaviour):
 
     Attributes:
         goals: what is to be reached; may be changed between ticks.
-        findings: what may be an oversight in the domain, in sentences; see `Domain.check`.
 
     Raises:
         PddlError: the knowledge base does not know a ROSA action of the domain.
@@ -202,7 +206,7 @@ class PlanExecutor(Behaviour):
         meanwhile: Factory | None = None,
     ) -> None:
         super().__init__(name)
-        self.findings = domain.check(kb)
+        self._findings = domain.check(kb)
         _check_factories(domain, behaviours)
         self.goals = Goals(domain)
         self._domain, self._factories = domain, dict(behaviours)
@@ -216,6 +220,7 @@ class PlanExecutor(Behaviour):
         task = PlanningTask(self._effects, lambda: self._belief.numbers)
         self._client = PlannerClient(self._planner, clock, delay_s)
         self._replanning = Replanning(self.goals, self._effects, task, self._monitor, self._client, clock, self._policy)
+        self._setbacks = self._replanning.setbacks
         self._setup_arguments: dict[str, object] = {}
         self._running: list[_RunningStep] = []
         self._interlude = _Interlude(meanwhile, self)
@@ -226,6 +231,15 @@ class PlanExecutor(Behaviour):
         self._expected: PlanningState | None = None
         self._ticked: list[Behaviour] = []
         self._cause: int | None = None
+        self._clock = clock
+        self._took_s: dict[str, float] = {}
+        self._switches = 0
+        self._is_midway = False
+
+    @property
+    def findings(self) -> tuple[str, ...]:
+        """What may be an oversight in the domain, see `Domain.check`, and what is sensed that the domain lacks."""
+        return (*self._findings, *self._belief.passed_over)
 
     @property
     def plans(self) -> tuple[PlanRecord, ...]:
@@ -279,11 +293,16 @@ class PlanExecutor(Behaviour):
     def update(self) -> Status:
         """Take the next decision; called on each tick, never waits."""
         self._ticked = []
+        if self._is_midway:  # an interrupt cut short the tick before, or the end of it
+            self._drop_plan()
+        self._is_midway = True
         try:
-            return self._advance()
-        except Exception:
+            status = self._advance()
+        except BaseException:
             self._drop_plan()
             raise
+        self._is_midway = False
+        return status
 
     def terminate(self, new_status: Status) -> None:
         """Stop the running steps and forget the planning; called when the round ends or is interrupted."""
@@ -339,7 +358,7 @@ class PlanExecutor(Behaviour):
                 self._want(Decision(reason, is_needed=True, cause=cause))
         if self._plan is not None:
             flaw = self._flaw(self._plan, self._belief.observe())
-            news = news_of(self._expected, (state, self._belief.numbers))
+            news = news_of(self._expected, (state, self._belief.numbers), self._replanning.matters)
             decision = decide(self._policy, flaw=flaw, goals_changed=goals_changed, news=news)
             self._want(decision if decision is None or goals_changed else replace(decision, cause=self._cause))
 
@@ -385,8 +404,12 @@ class PlanExecutor(Behaviour):
         if asked is not None:
             self._ended_meanwhile.clear()
             self.feedback_message = asked
-        elif self._running and not self._replanning.is_busy:
-            self.feedback_message = ", ".join(str(step) for step in self.current_steps)
+        elif not self._replanning.is_busy:
+            waiting = [] if self._running or self._plan is None else self._plan.startable
+            steps = [self._plan.steps[number] for number in waiting] if self._plan is not None else []
+            doing = [str(step) for step in self.current_steps]
+            doing += [f"{step} again in {self._setbacks.wait_s(step):.2g} s, as it failed" for step in steps]
+            self.feedback_message = ", ".join(doing)
         return Status.RUNNING
 
     def _bridge(self) -> None:
@@ -399,7 +422,7 @@ class PlanExecutor(Behaviour):
 
     def _unstarted(self, state: State) -> State:
         """Return the state to plan from: as if no step ran, so that the plan may start with what runs."""
-        return without((running.undo for running in self._running), state)
+        return self._belief.unstarted(self._running, state)
 
     def _take_plan(self) -> None:
         if not self._client.has_answer:
@@ -416,10 +439,15 @@ class PlanExecutor(Behaviour):
                 plan = plan.with_event(StepEvent(number, False))
         others = [running for running in self._running if running not in kept.values()]
         state = self._belief.observe()
-        after = without((running.undo for running in others), state)
+        after = self._belief.unstarted(others, state)
         old = None if found.decision.is_needed else self._plan
-        if old is not None and not self._monitor.is_better(plan, after, old, state, self.goals):
-            return
+        self._switches = 0 if old is None else self._switches
+        if old is not None:
+            margin, weights = self._policy.hysteresis * (1 + self._switches), self._setbacks.weights
+            both = (plan, after), (old, state)
+            if not self._monitor.is_better(*both, self.goals, self._shares_left(), weights, margin):
+                return
+            self._switches += 1
         self._release(others)
         for number, running in kept.items():
             running.number = number
@@ -443,15 +471,19 @@ class PlanExecutor(Behaviour):
             if flaw is not None:
                 self._want(Decision(flaw, is_needed=True))
                 break
-            begun.append(self._begin(self._plan, self._plan.startable[0], state))
+            rested = [one for one in self._plan.startable if not self._setbacks.wait_s(self._plan.steps[one])]
+            if not rested:
+                break
+            begun.append(self._begin(self._plan, rested[0], state))
         return tuple(begun)
 
     def _begin(self, plan: PlanExecution, number: int, state: State) -> _RunningStep:
         step = plan.steps[number]
-        running = _RunningStep(step, self._factories[step.schema], number, self, self._setup_arguments)
-        running.undo = self._belief.start(step, state)
+        running = _RunningStep(step, number, self._clock())
         self._running.append(running)
-        self.children = [one.behaviour for one in self._running]
+        running.begin(self._factories[step.schema], self, self._setup_arguments)
+        self._belief.start(running, step, state)
+        self._show_children()
         self._plan = plan.with_event(StepEvent(number, False))
         return running
 
@@ -469,6 +501,7 @@ class PlanExecutor(Behaviour):
             wrong = self._ended(running) if status == Status.SUCCESS else failure
             if wrong is not None:
                 self._release([running])
+                self._setbacks.add(running.step)
                 self._want(Decision(wrong, is_needed=True))
             any_ended |= wrong is None
         return any_ended
@@ -479,8 +512,9 @@ class PlanExecutor(Behaviour):
         missing = missing_at_end(self._domain, step, state)
         if missing is not None:
             return f"{step} ended although {missing} does not hold"
-        self._belief.end(step, state)
-        running.undo = Undo()
+        self._belief.end(running, step, state)
+        self._took_s[step.schema] = self._clock() - running.began_s
+        self._setbacks.forget(step)
         self._release([running])
         if self._plan is not None and running.number is not None:
             self._plan = self._plan.with_event(StepEvent(running.number, True))
@@ -502,16 +536,28 @@ class PlanExecutor(Behaviour):
     def _release(self, steps: Iterable[_RunningStep]) -> None:
         """Stop steps if they still run, take back what was believed because they had started, and release them."""
         for running in tuple(steps):
-            self._running.remove(running)
-            self.children = [one.behaviour for one in self._running]
-            self._belief.take_back(running.undo)
-            self._belief.use_up(running.step)
             running.release()
+            self._belief.give_up(running, running.step)
+            self._running.remove(running)
+            self._show_children()
             self._interlude.follow(running.step)
 
+    def _show_children(self) -> None:
+        self.children = [running.behaviour for running in self._running if running.behaviour is not None]
+
+    def _shares_left(self) -> Mapping[Step, float]:
+        """Return what share of each running step is left: by how long such a step took, or else as it is declared."""
+        now_s, shares = self._clock(), dict[Step, float]()
+        for running in self._running:
+            whole_s = self._took_s.get(running.step.schema, self._domain.duration_s(running.step.schema))
+            shares[running.step] = max(1.0 - (now_s - running.began_s) / whole_s, 0.0) if whole_s else 1.0
+        return shares
+
     def _drop_plan(self) -> None:
+        self._is_midway = True
         self._plan = self._found_valid = self._expected = None
         self._replanning.forget()
         self._release(self._running)
         self._interlude.end()
         self.children = []
+        self._is_midway = False

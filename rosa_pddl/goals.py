@@ -14,7 +14,7 @@ from functools import lru_cache
 from numbers import Real
 
 from rosa_pddl.belief import ExpectedEffects
-from rosa_pddl.domain import Domain, Schema, State, UpThing, conjuncts, head_of
+from rosa_pddl.domain import FEASIBLE, Domain, Schema, State, Step, UpThing, conjuncts, head_of
 from rosa_pddl.exceptions import GoalError, nearest
 from rosa_pddl.formulas import Condition, conditions
 from rosa_pddl.outcomes import PlanningResult
@@ -143,6 +143,57 @@ class Goals:
             return conditions(self._domain, text)
 
 
+class Relevance:
+    """Which atoms a plan or a goal may depend on: what goals ask for, and what actions need that may bring it about.
+
+    Predicates are told apart, and of `action_feasible` the ROSA actions that such actions may do.
+    """
+
+    def __init__(self, domain: Domain, goals: Goals) -> None:
+        self._domain, self._goals = domain, goals
+        self._seen = -1
+        self._names: frozenset[str] = frozenset()
+        self._feasible: frozenset[str] = frozenset()
+
+    def matters(self, atom: str) -> bool:
+        if self._seen != self._goals.version:
+            self._seen = self._goals.version
+            self._look()
+        return atom in self._feasible if self._domain.is_feasibility(atom) else head_of(atom) in self._names
+
+    def _look(self) -> None:
+        domain = self._domain
+        needed = {atom.fluent() for goal in self._goals for atom in _atoms_in(goal.expression)}
+        known, used, looked_at = domain.rosa_actions, set[str](), -1
+        while looked_at != len(needed):
+            looked_at = len(needed)
+            for schema in domain.schema_of.values():
+                effects = schema.start_effects + schema.end_effects
+                if any(effect.fluent.fluent() in needed for effect in effects):
+                    looks = [part for effect in effects for part in (effect.condition, effect.value)]
+                    atoms = [
+                        atom
+                        for formula in (*schema.start, *schema.over_all, *schema.end, *looks)
+                        for atom in _atoms_in(formula)
+                    ]
+                    needed |= {atom.fluent() for atom in atoms}
+                    of_others = any(
+                        domain.outside[atom.fluent().name].lower() == FEASIBLE
+                        and not (atom.arg(0).is_parameter_exp() and atom.arg(0).parameter().name == schema.action)
+                        for atom in atoms
+                    )
+                    used.update(known if of_others else [one for one in known if domain.may_do(schema, one)])
+        self._names = frozenset(domain.outside[fluent.name] for fluent in needed)
+        in_goals = any(domain.is_feasibility(goal.text) or FEASIBLE in goal.text.lower() for goal in self._goals)
+        if domain.tracks_feasibility:
+            self._feasible = frozenset(map(domain.feasible_atom, known if in_goals else used))
+
+
+def _atoms_in(formula: UpThing) -> Iterable[UpThing]:
+    found: Iterable[UpThing] = formula.environment.free_vars_extractor.get(formula)
+    return found
+
+
 class GoalSimplifier:
     """Leaves of goals what actions have to bring about."""
 
@@ -269,9 +320,7 @@ class SoftGoals:
 
     def _number(self, value: float) -> UpThing:
         number = exact(value)
-        return (
-            self._manager.Int(number) if isinstance(number, int) else self._manager.Real(number.limit_denominator(1000))
-        )
+        return self._manager.Int(number) if isinstance(number, int) else self._manager.Real(number)
 
     def _unique(self, name: str) -> str:
         while name in self._outside:
@@ -287,13 +336,13 @@ class PlanningTask:
         self._simplifier = GoalSimplifier(effects.domain)
         self._soft: tuple[Domain, tuple[Goal, ...], SoftGoals] | None = None
 
-    def problem(self, state: State, goals: Goals) -> Problem:
+    def problem(self, state: State, goals: Goals, weights: Mapping[Step, int]) -> Problem:
         """Return what to ask the planner; refuse soft goals if the metric is no action cost."""
         hard = self._simplifier.simplified((goal.expression for goal in goals.hard), state)
         if not goals.soft:
-            return Problem(self._effects.domain, state, hard, self._numbers())
+            return Problem(self._effects.domain, state, hard, self._numbers(), weights)
         soft = self._softened(goals.soft)
-        return Problem(soft.domain, state, (*hard, soft.goal), self._numbers())
+        return Problem(soft.domain, state, (*hard, soft.goal), self._numbers(), weights)
 
     def read(self, result: PlanningResult, goals: Goals) -> tuple[PlanningResult, tuple[Goal, ...]]:
         """Return an answer in the names of the domain, and the goals that its plan reaches."""

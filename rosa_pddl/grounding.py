@@ -4,9 +4,10 @@ import math
 import threading
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
-from itertools import product
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
+from functools import cached_property, lru_cache, partial
+from itertools import count, product
 from typing import TypeAlias
 from weakref import WeakKeyDictionary
 
@@ -23,8 +24,6 @@ from rosa_pddl.validate import literals
 
 # Fast Downward adds up costs in 32 bits; this leaves room for plans of a thousand of the dearest steps.
 _MOST_COST = 2_000_000
-# Costs that are no whole numbers are written in thousandths, as Fast Downward knows whole numbers only.
-_FINENESS = 1000
 # Looking at every state is quicker than estimating while they are this few; beyond, estimates pay.
 _FEW_STATES = 1e6
 # In this process estimates pay earlier.
@@ -124,16 +123,20 @@ class Grounded:
         """Put the state and the goal of a problem in, and the values that its costs and limits are made of."""
         state, goal, frozen = self._fitted(problem)
         mentioned = tuple([numbers.get(text) for text in self._mentioned])
-        graph, task, scales = self._graph(frozen, goal, mentioned, state if self._task.rules else ())
+        weights = frozenset(problem.weights.items())
+        graph, task, scales = self._graph(frozen, goal, mentioned, state if self._task.rules else (), weights)
         left = self._usage.remaining(numbers)
         limits = tuple([one.whole(scale) for one, scale in zip(left, scales, strict=True)])
         return graph, Task(task.sizes, state, goal, task.operations, limits, task.rules), scales
 
-    def written(self, problem: Problem, numbers: Numbers) -> tuple[str, str] | None:
-        """Write the task for Fast Downward, and how to search it optimally; None if the goal holds already."""
+    def written(self, problem: Problem, numbers: Numbers) -> tuple[str, str, Mapping[int, Exact]] | None:
+        """Write the task for Fast Downward, and how to search it optimally; None if the goal holds already.
+
+        Last comes what each step costs more than was written, where costs had to be rounded down.
+        """
         state, goal, frozen = self._fitted(problem)
-        ready = self._possible(frozen)
-        costs = self._whole_costs([one.cost for one in ready], numbers)
+        ready = self._weighed(frozen, frozenset(problem.weights.items()))
+        costs, rounded_off = self._whole_costs([one.cost for one in ready], numbers)
         if not goal:
             return None
         text = [self._head, "begin_state\n", *(f"{value}\n" for value in state), "end_state\nbegin_goal\n"]
@@ -142,14 +145,20 @@ class Grounded:
         text += [f"{one.text}{cost}\nend_operator\n" for one, cost in zip(ready, costs, strict=True)]
         text.append(self._task.axioms)
         is_blind = math.prod(map(float, self._sizes)) <= _FEW_STATES or self._is_conditional or self._task.rules
-        return "".join(text), "blind" if is_blind else "lmcut"
+        lost = {one.number: amount for one, amount in zip(ready, rounded_off, strict=True) if amount}
+        return "".join(text), "blind" if is_blind else "lmcut", lost
 
     def _graph_of(
-        self, frozen: tuple[int, ...], goal: tuple[Fact, ...], mentioned: Sequence[Exact | None], start: tuple[int, ...]
+        self,
+        frozen: tuple[int, ...],
+        goal: tuple[Fact, ...],
+        mentioned: Sequence[Exact | None],
+        start: tuple[int, ...],
+        weights: frozenset[tuple[Step, int]],
     ) -> SearchTask:
         """Return a task without its start (but for axioms) and limits; what its graph has worked out is kept."""
         numbers = {text: value for text, value in zip(self._mentioned, mentioned, strict=True) if value is not None}
-        ready = self._possible(frozen)
+        ready = self._weighed(frozen, weights)
         amounts = [self._values_of([one.cost for one in ready], "costs", numbers)]
         for index, resource in enumerate(self._domain.limited):
             uses = [one.uses[index] for one in ready]
@@ -175,6 +184,13 @@ class Grounded:
     def _possible_with(self, frozen: tuple[int, ...]) -> tuple[_Ready, ...]:
         values = dict(zip(self._frozen, frozen, strict=True))
         return tuple([one for one in self._operators if all(values[fact[0]] == fact[1] for fact in one.needs)])
+
+    def _weighed(self, frozen: tuple[int, ...], weights: frozenset[tuple[Step, int]]) -> tuple[_Ready, ...]:
+        possible, times = self._possible(frozen), dict(weights)
+        if not times:
+            return possible
+        left = [one for one in possible if times.get(one.step, 1)]
+        return tuple([replace(one, cost=one.cost.times(times[one.step])) if one.step in times else one for one in left])
 
     def _fitted(self, problem: Problem) -> tuple[tuple[int, ...], tuple[Fact, ...], tuple[int, ...]]:
         """Put a state and a goal in: the value of each variable, what shall hold, the values of frozen variables."""
@@ -233,15 +249,15 @@ class Grounded:
                 raise NotRepresentableError(f"the goal {goal} leaves several ways open")
             yield from found
 
-    def _whole_costs(self, sums: Sequence[Sum], numbers: Numbers) -> list[int]:
+    def _whole_costs(self, sums: Sequence[Sum], numbers: Numbers) -> tuple[list[int], list[Exact]]:
+        """Return costs as whole numbers for Fast Downward, and what is lost if they must be rounded down for that."""
         costs = self._values_of(sums, "costs", numbers)
-        if any(cost.denominator != 1 for cost in costs):
-            costs = [round(cost * _FINENESS) for cost in costs]
-        if max(costs, default=0) > _MOST_COST:
-            dearest = f"a step costs {float(max(costs)):g} (in thousandths if not all are whole)"
-            message = f"{dearest}, more than {_MOST_COST:g}, which Fast Downward adds up wrongly"
-            raise UnsupportedPddlError(message, self._domain.problem_file)
-        return [int(cost) for cost in costs]
+        written, _ = whole(costs)
+        if max(written, default=0) <= _MOST_COST:
+            return written, [0] * len(costs)
+        scale = Fraction(_MOST_COST) / max(costs)
+        written = [math.floor(cost * scale) for cost in costs]
+        return written, [cost - one / scale for cost, one in zip(costs, written, strict=True)]
 
     @cached_property
     def _head(self) -> str:
@@ -328,7 +344,16 @@ def translated(
 class _Begun:
     base: Problem
     changing: frozenset[str]
+    tries: int = 1
     future: Grounding = field(default_factory=Future)
+    asked: Iterator[int] = field(default_factory=partial(count, 1))
+
+    @property
+    def is_worth_another_try(self) -> bool:
+        """Whether it failed for what may pass; then it is made again after 2, 4, 8, ... questions."""
+        made = self.future.result(0) if self.future.done() else None
+        is_passing = isinstance(made, Trouble) and made.outcome.is_passing
+        return is_passing and next(self.asked) >= 2**self.tries
 
 
 class Groundings:
@@ -353,12 +378,14 @@ class Groundings:
             begun, named = self._begun.get(problem.domain), frozenset(changing)
             if begun is not None:
                 named |= _untouched(problem.domain, (problem.state ^ begun.base.state) - begun.changing)
-                if named <= begun.changing:
+                is_again = begun.is_worth_another_try
+                if named <= begun.changing and not is_again:
                     return begun.future
                 named |= begun.changing
                 problem = begun.base
+            tries = begun.tries + 1 if begun is not None and is_again else 1
             self._begun.pop(problem.domain, None)
-            begun = self._begun[problem.domain] = _Begun(problem, named)
+            begun = self._begun[problem.domain] = _Begun(problem, named, tries)
             if len(self._begun) > _MOST_DOMAINS:
                 del self._begun[next(iter(self._begun))]
             name = f"translator of {problem.domain.name}"

@@ -31,6 +31,11 @@ class Outcome(Enum):
         unsolvable = (Outcome.UNSOLVABLE_PROVEN, Outcome.UNSOLVABLE_AS_FAR_AS_KNOWN)
         return not self.is_solved and self not in unsolvable
 
+    @property
+    def is_passing(self) -> bool:
+        """Whether it may go well when the same is asked again: it is trouble, and none that stays."""
+        return self in (Outcome.OUT_OF_TIME, Outcome.OUT_OF_MEMORY, Outcome.ENGINE_CRASHED)
+
     def __str__(self) -> str:
         return self.value
 
@@ -80,7 +85,8 @@ class PlanningResult:
         outcome: how it ended.
         steps: the plan, in the order of their starts; empty unless solved.
         engine: the engine that answered, or the one that was to answer.
-        message: what was tried and what to do about it; empty when solved.
+        message: what was tried and what to do about it; of a plan, by how much at most another may cost less, if costs
+            that are too far apart had to be rounded, else empty.
         cost: of the plan: the sum of its action costs if the problem has a metric, else the number of its steps.
         schedule: when each step starts and how long it takes, if steps may overlap; empty if they follow one another.
         attempts: what was tried, in order.

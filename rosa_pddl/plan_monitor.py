@@ -292,18 +292,37 @@ class PlanMonitor:
             return True
         return len(self._holding(goals.soft, state)) == len(goals.soft)
 
-    def is_better(self, new: PlanExecution, after: State, old: PlanExecution, now: State, goals: Goals) -> bool:
-        """Whether a plan, begun in a state, works and costs less than the rest of another one, now."""
-        if new.prediction(after).flaw is not None or self.overspent(new) is not None:
-            return False
-        return self._price(new, after, goals) < self._price(old, now, goals) - _SAME_COST
+    def is_better(
+        self,
+        new: tuple[PlanExecution, State],
+        old: tuple[PlanExecution, State],
+        goals: Goals,
+        shares: Mapping[Step, float],
+        weights: Mapping[Step, int],
+        margin: float,
+    ) -> bool:
+        """Whether a plan, begun in a state, works and costs less than the rest of another, by a share of its own cost.
 
-    def _price(self, plan: PlanExecution, state: State, goals: Goals) -> float:
+        Of running steps so much is left, and some steps count several times.
+        """
+        plan, after = new
+        if plan.prediction(after).flaw is not None or self.overspent(plan) is not None:
+            return False
+        mine, others = (self._price(*one, goals, shares, weights) for one in (new, old))
+        return mine * (1.0 + margin) < others - _SAME_COST
+
+    def _price(
+        self, plan: PlanExecution, state: State, goals: Goals, shares: Mapping[Step, float], weights: Mapping[Step, int]
+    ) -> float:
         """Return the cost of what has not ended, and the worth of the goals that are forgone."""
         held = self._holding(goals.soft, plan.prediction(state).facts)
         forgone = sum(goal.worth or 0.0 for goal in goals.soft if goal not in held)
         numbers = self._usage.numbers(Problem(self._effects.domain, frozenset(), costs=self._numbers()))
-        return forgone + self._usage.total_cost(plan.unfinished_steps, numbers)
+        costs = [
+            float(self._usage.value(self._usage.cost_of(step), numbers)) * shares.get(step, 1.0) * weights.get(step, 1)
+            for step in plan.unfinished_steps
+        ]
+        return forgone + sum(costs)
 
     def _holding(self, goals: Iterable[Goal], facts: State) -> tuple[Goal, ...]:
         return tuple(goal for goal in goals if goal_holds(self._effects.domain, facts, [goal.expression]))

@@ -321,7 +321,8 @@ class _Portfolio:
     def _key(self) -> Hashable:
         problem = self._problem
         # of equally good plans another may be found once the task is translated anew
-        return self._grounding, problem.domain, problem.state, problem.wanted, frozenset(problem.costs.items())
+        numbers, weights = frozenset(problem.costs.items()), frozenset(problem.weights.items())
+        return self._grounding, problem.domain, problem.state, problem.wanted, numbers, weights
 
     def _tried_in_order(self) -> PlanningResult:
         attempts: list[Attempt] = []
@@ -450,7 +451,7 @@ class _Portfolio:
         written = grounded.written(self._problem, self._numbers)
         if written is None:
             return PlanningResult(Outcome.SOLVED_OPTIMALLY)
-        text, estimate = written
+        text, estimate, lost = written
         is_optimal = engine == "fast-downward-opt"
         # each line that is written wakes this process up
         how = f"astar({estimate}()" if is_optimal else "lazy_greedy([ff()], preferred=[ff()]"
@@ -462,6 +463,10 @@ class _Portfolio:
             steps = tuple([grounded.step(number) for number in found])
         except IndexError as error:
             raise Trouble(Outcome.ENGINE_CRASHED, "the search named steps that the task does not have") from error
+        # rounded down, no plan looks dearer than it is: what this one seems to cost, no other costs less than that
+        gap = sum([lost.get(number, 0) for number in found])
+        if is_optimal and gap:
+            return PlanningResult(Outcome.SOLVED, steps, message=f"within {float(gap):.3g} of the least cost")
         return PlanningResult(Outcome.SOLVED_OPTIMALLY if is_optimal else Outcome.SOLVED, steps)
 
     def _checked(self, way: str, answer: PlanningResult) -> PlanningResult:
@@ -484,7 +489,7 @@ class _Portfolio:
         engine, domain, outcome = self._engine_of(way), self._problem.domain, answer.outcome
         if outcome.is_solved:
             cost = self._cost(answer.steps)
-            return PlanningResult(outcome, answer.steps, engine, "", cost, answer.schedule, tuple(attempts))
+            return replace(answer, engine=engine, cost=cost, attempts=tuple(attempts))
         message = f"{engine}: {outcome}" + (f": {answer.message}" if answer.message else "")
         if outcome is Outcome.UNSOLVABLE_PROVEN and not self._settings.overlapping and _may_have_to_overlap(domain):
             outcome = Outcome.UNSOLVABLE_AS_FAR_AS_KNOWN

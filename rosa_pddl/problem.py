@@ -7,7 +7,7 @@ from threading import Lock
 from typing import TypeAlias
 from weakref import WeakKeyDictionary
 
-from rosa_pddl.domain import Domain, Feasibility, State, UpThing, head_of
+from rosa_pddl.domain import Domain, Feasibility, State, Step, UpThing, head_of
 from rosa_pddl.exceptions import UnknownNameError, UnsupportedPddlError, nearest
 from rosa_pddl.validate import text_of
 
@@ -30,6 +30,7 @@ class Problem:
         costs: values of numeric facts that costs, uses and limits of resources are made of, such as
             `{"(travel_cost a b)": 3.5}`, and of resources what was used up before, such as `{"(energy_used)": 120.0}`;
             the others are those of the problem file.
+        weights: how many times its cost a step counts, such as one that has failed; 0 leaves it out.
 
     Raises:
         UnknownNameError: the costs name what the domain does not know, or what is no numeric fact.
@@ -39,6 +40,7 @@ class Problem:
     state: State
     goals: tuple[UpThing, ...] | None = None
     costs: Mapping[str, float] = field(default_factory=dict, hash=False)
+    weights: Mapping[Step, int] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
         numeric = self.domain.numeric if self.costs else frozenset()
@@ -61,8 +63,7 @@ class Problem:
         for text, value in sorted(self.costs.items()):
             expression = self.domain.expression(self.domain.atom(text))
             if problem.has_fluent(expression.fluent().name):
-                number = exact(value) if self.domain.limited else Fraction(value).limit_denominator(1000)
-                problem.set_initial_value(expression, number)
+                problem.set_initial_value(expression, exact(value))
         for goal in (*self.wanted, *limits_of(self.domain)):
             problem.add_goal(goal)
         return problem

@@ -4,16 +4,18 @@ import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
+from math import inf
 from typing import Literal, Protocol
 
 from rosa_pddl.belief import ExpectedEffects
 from rosa_pddl.domain import Domain, State, Step
 from rosa_pddl.exceptions import PlannerSettingError, PlanningBudgetError
-from rosa_pddl.goals import Goal, Goals, PlanningTask
+from rosa_pddl.goals import Goal, Goals, PlanningTask, Relevance
 from rosa_pddl.outcomes import Outcome, PlanningResult
 from rosa_pddl.plan_monitor import PlanExecution, PlanMonitor
 from rosa_pddl.planner import awaited
 from rosa_pddl.problem import Problem, unlimited
+from rosa_pddl.validate import missing_at_start
 
 _LOG = logging.getLogger(__name__)
 
@@ -21,6 +23,8 @@ _LOG = logging.getLogger(__name__)
 _CLOCK_RESOLUTION_S = 1e-6
 # A planner keeps its own time limit; this much more is waited before it is given up [s].
 _GRACE_S = 2.0
+# After a first failure this long is waited, after each more in a row twice as long, and never longer than the last [s].
+_FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.2, 60.0
 
 PlanningState = tuple[State, Mapping[str, float]]
 """What is believed: the true atoms, and numbers by their text."""
@@ -35,10 +39,15 @@ class ReplanningPolicy:
 
     Args:
         eager: whether to look for a better plan whenever the world changed by itself though the current plan still
-            works. The better plan replaces the current one if it costs less.
+            works. The better plan replaces the current one if it costs less; of running steps what is left counts.
         at_most_every_s: no planning begins sooner than this after the one before [s].
         while_planning: what becomes of steps that run while a plan is needed: `continue` lets those go on whose own
             conditions hold, and they run on if the new plan starts with them; `hold` stops them all.
+        retries: how often in a row a planner in trouble is asked again, and a step that failed may be planned with,
+            each time after a pause twice as long. After that a planner in trouble is a failure, and the step is left
+            out of plans, until a pause of up to a minute is over.
+        hysteresis: by what share of its own cost a better plan has to be better, once more with each plan that was
+            replaced for being dearer; so it comes to an end however much costs change.
 
     Raises:
         PlannerSettingError: a setting that makes no sense.
@@ -47,10 +56,15 @@ class ReplanningPolicy:
     eager: bool = False
     at_most_every_s: float = 0.2
     while_planning: Literal["continue", "hold"] = "continue"
+    retries: int = 3
+    hysteresis: float = 0.1
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.at_most_every_s < float("inf"):
+        if not 0.0 <= self.at_most_every_s < inf:
             raise PlannerSettingError(f"at_most_every_s is {self.at_most_every_s:g} s, expected 0 or more")
+        if not (self.retries >= 0 and 0.0 <= self.hysteresis < inf):
+            message = f"retries is {self.retries} and hysteresis {self.hysteresis:g}, expected 0 or more"
+            raise PlannerSettingError(message)
         if self.while_planning not in ("continue", "hold"):
             message = f"while_planning is {self.while_planning!r}, expected 'continue' or 'hold'"
             raise PlannerSettingError(message)
@@ -76,19 +90,59 @@ def decide(policy: ReplanningPolicy, *, flaw: str | None, goals_changed: bool, n
     return None
 
 
-def news_of(expected: PlanningState | None, now: PlanningState) -> str | None:
-    """Return what changed by itself since it was last looked, in words; None if nothing did."""
+def news_of(expected: PlanningState | None, now: PlanningState, matters: Callable[[str], bool]) -> str | None:
+    """Return what changed by itself since it was last looked and matters, in words; None if nothing did."""
     if expected is None or expected == now:
         return None
     (before, known), (state, numbers) = expected, now
-    changed = sorted(state - before) + [f"(not {atom})" for atom in sorted(before - state)]
+    atoms = [atom for atom in sorted(state ^ before) if matters(atom)]
+    changed = [atom for atom in atoms if atom in state] + [f"(not {atom})" for atom in atoms if atom in before]
     changed += [f"{text} is {value:g}" for text, value in sorted(numbers.items()) if known.get(text) != value]
-    return ", ".join(changed[:3]) + (", ..." if len(changed) > 3 else "")
+    return ", ".join(changed[:3]) + (", ..." if len(changed) > 3 else "") if changed else None
 
 
 def wait_s(policy: ReplanningPolicy, now_s: float, last_s: float | None) -> float:
     """Return how long the next planning has to wait [s]; 0 if it may begin now."""
     return 0.0 if last_s is None else max(0.0, last_s + policy.at_most_every_s - now_s)
+
+
+class Setbacks:
+    """What has failed, a step or, by None, the planner: how often in a row, and until when it is left alone."""
+
+    def __init__(self, clock: Callable[[], float], policy: ReplanningPolicy) -> None:
+        self._clock, self._policy = clock, policy
+        self._failed: dict[Step | None, tuple[int, float]] = {}
+
+    def add(self, what: Step | None) -> bool:
+        """Note that it failed once more; return whether it is given up for a while."""
+        count = self._failed.get(what, (0, 0.0))[0] + 1
+        # a count beyond the longest pause says nothing more
+        pause_s = min(_FIRST_PAUSE_S * 2.0 ** min(count - 1, 30), _LONGEST_PAUSE_S)
+        self._failed[what] = count, self._clock() + pause_s
+        return count > self._policy.retries
+
+    def forget(self, what: Step | None) -> None:
+        self._failed.pop(what, None)
+
+    def count(self, what: Step | None) -> int:
+        return self._failed.get(what, (0, 0.0))[0]
+
+    def wait_s(self, what: Step | None) -> float:
+        """Return how long it is still left alone [s]."""
+        left_s = self._failed.get(what, (0, -inf))[1] - self._clock()
+        return left_s if left_s > _CLOCK_RESOLUTION_S else 0.0
+
+    @property
+    def left_out(self) -> tuple[Step, ...]:
+        """The steps that no plan may have now."""
+        steps = [step for step in self._failed if step is not None]
+        return tuple(step for step in steps if self.count(step) > self._policy.retries and self.wait_s(step))
+
+    @property
+    def weights(self) -> Mapping[Step, int]:
+        """How many times its cost each step counts: as often as it has to be tried, by the rule of succession."""
+        out, failed = self.left_out, self._failed.items()
+        return {step: 0 if step in out else count + 1 for step, (count, _) in failed if step is not None}
 
 
 class PlansAhead(Protocol):
@@ -272,12 +326,13 @@ class PlanRecord:
 
 @dataclass(frozen=True)
 class _DeadEnd:
-    """What there is no plan from, and why."""
+    """What there is no plan from, and why, until it is tried again whatever is so then [s]."""
 
     state: State
     domain: Domain
     numbers: Mapping[str, float]
     why: str
+    until_s: float
 
 
 @dataclass(frozen=True)
@@ -303,23 +358,31 @@ class Replanning:
     ) -> None:
         self._goals, self._effects, self._task, self._monitor = goals, effects, task, monitor
         self._client, self._clock, self._policy = client, clock, policy
+        self._relevance = Relevance(effects.domain, goals)
         self._last_asked_s: float | None = None
         self._wanted: Decision | None = None
         self._diagnosis: Diagnosis | None = None
         self._asked_in = effects.domain
         self._dead_end: _DeadEnd | None = None
+        self._was_stale = False
+        self.setbacks = Setbacks(clock, policy)
         self.records: list[PlanRecord] = []
 
     @property
     def is_busy(self) -> bool:
         return self._wanted is not None or self._client.is_under_way
 
+    def matters(self, atom: str) -> bool:
+        """Whether a plan or a goal may depend on an atom."""
+        return self._relevance.matters(atom)
+
     def why_no_plan(self, state: State) -> str | None:
         """Return why there is no plan from a state, if that has been found; None if it has to be asked."""
         dead_end = self._dead_end
-        if dead_end is None or (dead_end.state, dead_end.domain) != (state, self._effects.domain):
+        if dead_end is None or dead_end.domain is not self._effects.domain or self._clock() >= dead_end.until_s:
             return None
-        return dead_end.why if self._monitor.is_no_easier(dead_end.numbers) else None
+        is_known = self._is_same(dead_end.state, state) and self._monitor.is_no_easier(dead_end.numbers)
+        return dead_end.why if is_known else None
 
     @property
     def had_no_plan(self) -> bool:
@@ -347,12 +410,12 @@ class Replanning:
         if self._wanted is None:
             return None
         now_s = self._clock()
-        left_s = wait_s(self._policy, now_s, self._last_asked_s)
+        left_s = max(wait_s(self._policy, now_s, self._last_asked_s), self.setbacks.wait_s(None))
         if left_s > 0.0:
             return f"planning in {left_s:.2g} s: {self._wanted.reason}"
         decision, self._wanted = self._wanted, None
         self._asked_in = self._effects.domain
-        self._client.ask(self._task.problem(state, self._goals), decision)
+        self._client.ask(self._task.problem(state, self._goals, self.setbacks.weights), decision)
         self._last_asked_s, self._dead_end = now_s, None
         return f"planning: {decision.reason}"
 
@@ -362,7 +425,7 @@ class Replanning:
         self._wanted = self._diagnosis = None
 
     def take(self, state: State) -> _Found | None:
-        """Return a plan if one has just been found."""
+        """Return a plan if one has just been found, or what to do while there is none."""
         answer = self._client.take()
         if answer is None:
             return None
@@ -374,10 +437,12 @@ class Replanning:
             return None
         decision = question.decision
         result, promised = self._task.read(result, self._goals)
-        outcome, steps, domain = result.outcome, result.steps, self._effects.domain
-        is_fresh = state == question.problem.state and domain is self._asked_in
-        record = (question.at_s, decision.reason, outcome, steps, result.engine, result.message, decision.cause)
+        outcome, domain = result.outcome, self._effects.domain
+        is_fresh = domain is self._asked_in and self._is_same(state, question.problem.state)
+        record = (question.at_s, decision.reason, outcome, result.steps, result.engine, result.message, decision.cause)
         self.records.append(PlanRecord(*record))
+        if not outcome.is_passing:
+            self.setbacks.forget(None)
         if outcome.is_solved:
             plan = PlanExecution.of(domain, result, promised)
             wrong = plan.prediction(state).flaw if is_fresh else None
@@ -387,32 +452,61 @@ class Replanning:
             why = f"no plan: what {result.engine} gave cannot be done event by event: {wrong}"
             self._give_up(state, question.problem.costs, why)
             return None
-        if not decision.is_needed:
-            return None
-        if not is_fresh:
-            self.want(Decision("the state changed during planning", is_needed=True))
-            return None
-        what = result.message or decision.reason
-        why = f"no plan: {what}" if str(outcome) in what else f"no plan, {outcome}: {what}"
-        unsolved = Problem(domain, state, costs=question.problem.costs)
-        self._diagnose(Diagnosis(unsolved, self._goals.hard, why, is_open=not outcome.is_trouble), state)
-        if result.safe_step is None:
-            return None
-        safe = PlanningResult(Outcome.SOLVED, (result.safe_step,))
-        return _Found(PlanExecution.of(domain, safe, ()), Decision("there is no plan", is_needed=True))
+        return self._without_plan(question, result, state, is_fresh=is_fresh) if decision.is_needed else None
 
-    def _give_up(self, state: State, numbers: Mapping[str, float], why: str) -> None:
-        """Note that there is no plan with the numbers that were asked with, which may be others by now."""
-        self._dead_end = _DeadEnd(state, self._effects.domain, numbers, why)
+    def _without_plan(
+        self, question: _Question, result: PlanningResult, state: State, *, is_fresh: bool
+    ) -> _Found | None:
+        """Ask on, or again, if that is of use, and return the safe step if there is one that can start."""
+        outcome, domain, reason = result.outcome, self._effects.domain, getattr(question.decision, "reason", "")
+        why = f"no plan: {result.message or reason}"
+        why = why if str(outcome) in why else f"no plan, {outcome}: {result.message or reason}"
+        was_stale, self._was_stale = self._was_stale, not is_fresh
+        if outcome.is_passing:  # it says nothing of whether there is a plan
+            count, is_over = self.setbacks.count(None) + 1, self.setbacks.add(None)
+            left_s = self.setbacks.wait_s(None)
+            if is_over:
+                why = f"{why}; tried {count} times, again in {left_s:.3g} s at the earliest"
+                self._give_up(state, question.problem.costs, why, self._clock() + left_s)
+            else:
+                self.want(Decision(f"{outcome} after {reason}: retry {count} of {self._policy.retries}", True))
+        elif not is_fresh:
+            self.want(Decision("the state changed during planning", is_needed=True))
+        else:
+            unsolved = Problem(domain, state, costs=question.problem.costs)
+            self._diagnose(Diagnosis(unsolved, self._goals.hard, why, is_open=not outcome.is_trouble), state)
+        safe = result.safe_step
+        # what keeps changing must not keep from what is safe
+        is_due = (is_fresh or was_stale or outcome.is_passing) and safe not in self.setbacks.left_out
+        if safe is None or not is_due or missing_at_start(domain, safe, state) is not None:
+            return None
+        plan = PlanExecution.of(domain, PlanningResult(Outcome.SOLVED, (safe,)), ())
+        return _Found(plan, Decision("there is no plan", is_needed=True))
+
+    def _is_same(self, one: State, other: State) -> bool:
+        """Whether two states differ in nothing that a plan or a goal may depend on."""
+        return not any(map(self.matters, one ^ other))
+
+    def _give_up(self, state: State, numbers: Mapping[str, float], why: str, until_s: float = inf) -> None:
+        """Note that there is no plan with the numbers that were asked with, which may be others by now.
+
+        Steps that are left out for having failed are tried again when their time has come.
+        """
+        out = self.setbacks.left_out
+        for step in out:
+            left_s = self.setbacks.wait_s(step)
+            why += f"; {step} has failed {self.setbacks.count(step)} times and is left out for {left_s:.3g} s"
+            until_s = min(until_s, self._clock() + left_s)
+        self._dead_end = _DeadEnd(state, self._effects.domain, numbers, why, until_s)
 
     def _diagnose(self, diagnosis: Diagnosis, state: State) -> None:
         """Ask on, or conclude that there is no plan; when the state has changed it is better to plan anew."""
-        domain = self._effects.domain
-        if (state, domain) != (diagnosis.problem.state, diagnosis.problem.domain):
+        problem = diagnosis.problem
+        if problem.domain is not self._effects.domain or not self._is_same(problem.state, state):
             self.want(Decision("the state changed", is_needed=True))
         elif diagnosis.next_question is not None:
             self._diagnosis = diagnosis
             self._client.ask(diagnosis.next_question, None)
         else:
             self._diagnosis = None
-            self._give_up(state, diagnosis.problem.costs, "; ".join(map(str, (diagnosis, *self._effects.unmet))))
+            self._give_up(state, problem.costs, "; ".join(map(str, (diagnosis, *self._effects.unmet))))

@@ -42,7 +42,7 @@ def test_what_is_believed_is_what_was_sensed_last_or_what_a_step_left(signals, m
     step = signals.step("wave", ("wave", "red"))
     for moment in moments:
         if moment == "wave":
-            belief.end(step, belief.observe())
+            belief.end("key", step, belief.observe())
             facts = facts - {"(on red)"} | {"(seen red)"}
         elif moment != "same":
             answer = moment
