@@ -132,8 +132,9 @@ class Formulas:
             return self.atom(node, scope)
         try:
             value = Fraction(node.lower)
-        except ValueError:
-            raise self.source.error(node, f"found {node.word!r}, expected a number") from None
+            float(value)
+        except (ValueError, OverflowError, ZeroDivisionError):
+            raise self.source.error(node, f"found {node.word!r}, expected a number of at most 1e308") from None
         return manager.Int(value.numerator) if value.denominator == 1 else manager.Real(value)
 
     def numeric(self, node: Node, place: str, why: str) -> PddlError:

@@ -336,13 +336,14 @@ class PlanningTask:
         self._simplifier = GoalSimplifier(effects.domain)
         self._soft: tuple[Domain, tuple[Goal, ...], SoftGoals] | None = None
 
-    def problem(self, state: State, goals: Goals, weights: Mapping[Step, int]) -> Problem:
+    def problem(self, state: State, goals: Goals, weights: Mapping[Step, int] | None = None) -> Problem:
         """Return what to ask the planner; refuse soft goals if the metric is no action cost."""
+        times = weights or {}
         hard = self._simplifier.simplified((goal.expression for goal in goals.hard), state)
         if not goals.soft:
-            return Problem(self._effects.domain, state, hard, self._numbers(), weights)
+            return Problem(self._effects.domain, state, hard, self._numbers(), times)
         soft = self._softened(goals.soft)
-        return Problem(soft.domain, state, (*hard, soft.goal), self._numbers(), weights)
+        return Problem(soft.domain, state, (*hard, soft.goal), self._numbers(), times)
 
     def read(self, result: PlanningResult, goals: Goals) -> tuple[PlanningResult, tuple[Goal, ...]]:
         """Return an answer in the names of the domain, and the goals that its plan reaches."""

@@ -9,7 +9,7 @@ from dataclasses import replace
 from fractions import Fraction
 from functools import cached_property
 from itertools import product
-from math import isinf
+from math import inf, isinf
 from typing import NamedTuple
 
 from rosa_pddl import search
@@ -113,7 +113,7 @@ class Planner:
         self._settings = _Settings(
             engine, (*own, *fallback), timeout_s, dict(budgets_s or {}), overlapping, safe_step, moves, memory_bytes
         )
-        _check(self._settings)
+        _check(self._settings, translate_s)
         self._groundings = Groundings(translate_s, memory_bytes)
         self._cache = PlanCache(cached)
         self._processes: set[ProcessHandle] = set()
@@ -546,7 +546,7 @@ def _step(domain: Domain, text: str) -> Step:
     return domain.step(schema.name, [domain.spelling("object", word, text) for word in words])
 
 
-def _check(settings: _Settings) -> None:
+def _check(settings: _Settings, translate_s: float) -> None:
     sequential = [name for name in (settings.engine, *settings.ways) if name in TRANSLATED]
     if settings.overlapping and sequential:
         message = f"{sequential[0]} plans one step after the other; for overlapping steps use a temporal engine"
@@ -557,7 +557,8 @@ def _check(settings: _Settings) -> None:
             raise PlannerSettingError(f"a budget is given for {way!r}, which is not among what is tried; {hint}")
         if not budget_s > 0.0:
             raise PlannerSettingError(f"the budget of {way!r} is {budget_s:g} s, expected more than 0")
-    if not settings.timeout_s > 0.0:
-        raise PlannerSettingError(f"timeout_s is {settings.timeout_s:g}, expected more than 0")
+    for name, limit_s in {"timeout_s": settings.timeout_s, "translate_s": translate_s}.items():
+        if not 0.0 < limit_s < inf:
+            raise PlannerSettingError(f"{name} is {limit_s:g}, expected more than 0, and finite")
     if settings.moves < 0:
         raise PlannerSettingError(f"moves is {settings.moves}, expected 0 or more")

@@ -169,6 +169,8 @@ class PlannerClient:
     """Asks a planner beside the ticks, at most one question at a time."""
 
     def __init__(self, planner: PlansAhead, clock: Callable[[], float], delay_s: float | None) -> None:
+        if delay_s is not None and not 0.0 <= delay_s < inf:
+            raise PlannerSettingError(f"delay_s is {delay_s:g} s, expected 0 or more, or None")
         self._planner, self._clock, self._delay_s = planner, clock, delay_s
         self._question: _Question | None = None
         self.was_answered_at_once = False

@@ -302,7 +302,7 @@ def test_without_a_delay_the_answer_is_taken_as_soon_as_it_is_there(extended):
 
 
 def test_a_planner_of_the_users_own_that_raises_is_a_named_outcome(extended):
-    world = World(extended, HeldPlanner())
+    world = World(extended, HeldPlanner(), policy=ReplanningPolicy(retries=0))
     world.tick()
     world.executor._planner.futures[0].set_exception(ValueError("nonsense"))
     assert world.run() is Status.FAILURE

@@ -168,7 +168,7 @@ def test_the_soft_goals_that_are_pursued_have_the_best_net_benefit(survey, worth
         goals.add(f"(photographed {site})", worth=value)
     world = World(survey)
     task = PlanningTask(ExpectedEffects(survey, world.kb), dict)
-    problem = task.problem(world.executor._belief.observe(), goals, {})
+    problem = task.problem(world.executor._belief.observe(), goals)
     result = Planner().plan(problem)
     subsets = [chosen for size in range(len(worth) + 1) for chosen in combinations(sorted(worth), size)]
     assert result.cost == min(benefit(worth, chosen) for chosen in subsets), result.message

@@ -1,0 +1,335 @@
+"""What goes wrong while a plan is made or done passes: it is tried again, ever less often, and never taken as proof."""
+
+from collections import Counter
+from concurrent.futures import Future
+from itertools import count, pairwise
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.random import default_rng
+from pddl_world import World, load_text
+from py_trees.common import Status
+
+from rosa_pddl import (
+    GoalError,
+    Outcome,
+    PddlError,
+    Planner,
+    PlannerSettingError,
+    PlanningResult,
+    Problem,
+    ReplanningPolicy,
+    UnknownNameError,
+    initial_state,
+    parse_domain,
+)
+
+WAYS = """(define (domain ways) (:requirements :typing :action-costs) (:types action place)
+  (:predicates (action_feasible ?a - action) (swim_action ?a - action) (at ?p - place) (there) (key) (damp) (noise)
+               (safe))
+  (:functions (total-cost) - number (near) - number (far) - number)
+  (:action near :parameters () :precondition (not (damp)) :effect (and (there) (increase (total-cost) (near))))
+  (:action far :parameters () :precondition (not (damp)) :effect (and (there) (increase (total-cost) (far))))
+  (:action swim :parameters (?a - action)
+    :precondition (and (damp) (key) (swim_action ?a) (action_feasible ?a)) :effect (there))
+  (:action surface :parameters () :precondition (not (safe)) :effect (safe)))
+"""
+PROBLEM = """(define (problem go) (:domain ways) (:objects swim other - action pool - place)
+  (:init (swim_action swim) (damp) (= (near) 1) (= (far) 4) (= (total-cost) 0)) (:goal (there))
+  (:metric minimize (total-cost)))
+"""
+
+
+@pytest.fixture(scope="module")
+def ways(tmp_path_factory):
+    return load_text(tmp_path_factory.mktemp("ways"), WAYS, PROBLEM)
+
+
+def begun(world):
+    return Counter(name for _, name, what in world.log if what == "begins")
+
+
+def ticks(world, seconds, each=lambda: None):
+    """Tick for so many simulated seconds; return the statuses."""
+    statuses = []
+    for _ in range(round(seconds * 10)):
+        each()
+        statuses.append(world.tick())
+    return statuses
+
+
+# ------------------------------------------------------------------ facts that matter, and facts that do not
+
+
+def test_the_safe_step_is_done_and_the_failure_told_while_irrelevant_facts_change(ways):
+    world, number = World(ways, Planner(safe_step="(surface)")), count()
+
+    def change():
+        world.facts = {"(noise)": next(number) % 2 == 0}
+        world.kb.unfeasible = {"other"} if world.facts["(noise)"] else set()
+
+    statuses = ticks(world, 5.0, change)
+    assert begun(world) == {"surface": 1}
+    assert ("surface", "SUCCESS") in [(name, what) for _, name, what in world.log]
+    assert statuses[-1] is Status.FAILURE
+    assert len(world.executor.plans) == 1
+
+
+def test_the_safe_step_is_done_soon_while_relevant_facts_change_with_every_tick(ways):
+    world, number = World(ways, Planner(safe_step="(surface)")), count()
+    world.ticks = {"surface": 5}
+
+    def change():
+        world.kb.unfeasible = {"swim"} if next(number) % 2 else set()
+
+    ticks(world, 2.0, change)
+    assert ("surface", "SUCCESS") in [(name, what) for _, name, what in world.log]
+
+
+def test_what_cannot_matter_is_no_news_for_an_eager_executor(ways):
+    world, number = World(ways, policy=ReplanningPolicy(eager=True)), count()
+    world.facts = {"(damp)": False}
+    world.ticks = {"near": 30}
+    ticks(world, 2.0, lambda: world.facts.update({"(noise)": next(number) % 2 == 0}))
+    assert len(world.executor.plans) == 1
+
+
+# ------------------------------------------------------------------ trouble is no proof
+
+
+class Troubled:
+    """Has so many troubles before it plans."""
+
+    timeout_s = 5.0
+
+    def __init__(self, troubles, outcome=Outcome.ENGINE_CRASHED, safe=None):
+        self.left, self.outcome, self.safe, self.planner = troubles, outcome, safe, Planner()
+
+    def start(self, problem):
+        future = Future()
+        trouble = PlanningResult(self.outcome, engine="odd", message=f"{self.outcome}", safe_step=self.safe)
+        future.set_result(trouble if self.left else self.planner.plan(problem))
+        self.left -= self.left > 0
+        return future
+
+
+@pytest.mark.parametrize("outcome", [one for one in Outcome if one.is_passing])
+def test_one_trouble_of_a_planner_is_not_remembered_as_no_plan(ways, outcome):
+    world = World(ways, Troubled(1, outcome), delay_s=None)
+    world.facts = {"(damp)": False}
+    assert world.run() is Status.SUCCESS
+    assert [str(record.outcome) for record in world.executor.plans] == [str(outcome), "solved optimally"]
+    assert world.executor.plans[1].reason == f"{outcome} after start: retry 1 of 3"
+
+
+def test_with_trouble_the_safe_step_is_begun_at_once_and_the_plan_made_anew_beside_it(ways):
+    world = World(ways, Troubled(2, safe=ways.step("surface", [])))
+    world.facts = {"(damp)": False}
+    world.ticks = {"surface": 100}
+    assert world.run() is Status.SUCCESS
+    assert world.log[:2] == [(0.2, "surface", "begins"), (1.2, "surface", "INVALID")]
+    assert begun(world) == {"surface": 1, "near": 1}
+
+
+def test_trouble_that_lasts_is_asked_ever_less_often_told_and_never_for_good(ways):
+    world = World(ways, Troubled(6))
+    world.facts = {"(damp)": False}
+    statuses = ticks(world, 40.0)
+    assert statuses.count(Status.SUCCESS) > 1
+    first = statuses.index(Status.FAILURE)
+    assert statuses.index(Status.SUCCESS) > first
+    asked = [record.at_s for record in world.executor.plans[:7]]
+    pauses = [later - sooner for sooner, later in pairwise(asked)]
+    assert pauses == sorted(pauses)
+    assert pauses[0] < 0.6
+    assert 6.0 < pauses[-1] < 7.0
+
+
+def test_the_failure_says_how_often_it_was_tried_and_when_it_is_again(ways):
+    world = World(ways, Troubled(100))
+    assert world.run() is Status.FAILURE
+    assert world.executor.feedback_message == "no plan: engine crashed; tried 4 times, again in 1.6 s at the earliest"
+    assert world.tick() is Status.FAILURE
+    assert len(world.executor.plans) == 4
+
+
+def test_after_one_failed_translation_the_warm_way_comes_back(ways):
+    planner = Planner(cached=0, translate_s=1e-4)
+    problem = Problem(ways, initial_state(ways) - {"(damp)"})
+    tried = [[str(one) for one in planner.plan(problem).attempts] for _ in range(2)]
+    assert all(attempts[0].startswith("warm: out of time") for attempts in tried)
+    planner._groundings._limit_s = 60.0
+    assert ["warm"] in [[one.way for one in planner.plan(problem).attempts] for _ in range(9)]
+
+
+def test_a_translation_that_keeps_failing_is_begun_ever_less_often(ways):
+    planner = Planner(cached=0, translate_s=1e-4)
+    problem, begun_anew = Problem(ways, initial_state(ways) - {"(damp)"}), set()
+    for _ in range(40):
+        planner.plan(problem)
+        begun_anew.add(planner._groundings.ask(problem))
+    assert 3 <= len(begun_anew) <= 7
+
+
+# ------------------------------------------------------------------ steps that fail
+
+
+def test_a_step_that_always_fails_is_planned_a_few_times_a_minute_and_told(ways):
+    world = World(ways)
+    world.facts = {"(damp)": False}
+    world.executor.goals.replace("(safe)")
+    ticks(world, 60.0, lambda: world.events.setdefault("surface", Status.FAILURE))
+    assert 4 <= len(world.executor.plans) <= 15
+    assert 4 <= begun(world)["surface"] <= 12
+    assert world.executor.status is Status.FAILURE
+    assert "surface() has failed" in world.executor.feedback_message
+    world.events.clear()
+    assert Status.SUCCESS in ticks(world, 61.0)
+
+
+def test_a_step_that_keeps_failing_gives_way_to_a_dearer_one(ways):
+    world = World(ways)
+    world.facts = {"(damp)": False}
+
+    def fail():
+        world.events["near"] = Status.FAILURE
+
+    statuses = ticks(world, 10.0, fail)
+    assert Status.SUCCESS in statuses
+    assert begun(world)["far"] >= 1
+    assert 2 <= begun(world)["near"] <= 4
+
+
+def test_a_step_that_failed_once_waits_a_moment_and_is_begun_again(ways):
+    world = World(ways)
+    world.facts, world.events = {"(damp)": False, "(far)": 100.0}, {"near": Status.FAILURE}
+    assert world.run() is Status.SUCCESS
+    assert begun(world) == {"near": 2}
+    assert world.executor._setbacks.weights == {}
+
+
+@settings(max_examples=15, deadline=None)
+@given(tries=st.integers(0, 6))
+def test_a_step_counts_as_often_as_it_has_to_be_tried(tries):
+    domain = parse_domain(WAYS, PROBLEM)
+    problem = Problem(
+        domain, initial_state(domain) - {"(damp)"}, costs={"(far)": 3.5}, weights={domain.step("near", []): tries}
+    )
+    for planner in (Planner(cached=0), Planner(cached=0, moves=0), Planner(cached=0, warm=False)):
+        steps = [step.schema for step in planner.plan(problem).steps]
+        assert steps == (["near"] if 0 < tries < 3.5 else ["far"])
+
+
+# ------------------------------------------------------------------ costs that change
+
+
+def test_an_eager_executor_arrives_although_costs_change_with_every_tick(ways):
+    world, rng = World(ways, policy=ReplanningPolicy(eager=True)), default_rng(0)
+    world.ticks = {"near": 30, "far": 30}
+
+    def change():
+        world.facts = {"(damp)": False, "(near)": rng.uniform(8.0, 12.0), "(far)": rng.uniform(8.0, 12.0)}
+
+    assert Status.SUCCESS in ticks(world, 20.0, change)
+    assert sum(begun(world).values()) <= 6
+
+
+def test_of_a_running_step_only_what_is_left_is_charged(ways):
+    world = World(ways, policy=ReplanningPolicy(eager=True))
+    world.facts, world.ticks = {"(damp)": False, "(near)": 10.0, "(far)": 20.0}, {"near": 30, "far": 30}
+    assert world.run() is Status.SUCCESS  # now it is known how long it takes
+    world.facts = {**world.facts, "(there)": False}
+    world.tick()
+    ticks(world, 2.5)
+    world.facts = {**world.facts, "(far)": 5.0}
+    ticks(world, 0.4)
+    assert len(world.executor.plans) == 3
+    assert begun(world) == {"near": 2}
+
+
+# ------------------------------------------------------------------ costs are exact, or the answer says within what
+
+ROADS = """(define (domain roads) (:requirements :action-costs) (:predicates (a) (b) (there))
+  (:functions (total-cost) - number (one) - number (two) - number (three) - number (dear) - number)
+  (:action one :parameters () :effect (and (a) (increase (total-cost) (one))))
+  (:action two :parameters () :precondition (a) :effect (and (there) (increase (total-cost) (two))))
+  (:action three :parameters () :effect (and (there) (increase (total-cost) (three))))
+  (:action dear :parameters () :effect (and (there) (b) (increase (total-cost) (dear)))))
+"""
+ROADS_PROBLEM = """(define (problem p) (:domain roads) (:init (= (total-cost) 0)) (:goal (there))
+  (:metric minimize (total-cost)))
+"""
+
+
+@pytest.fixture(scope="module")
+def roads():
+    return parse_domain(ROADS, ROADS_PROBLEM)
+
+
+def planned(roads, one, two, three, dear):
+    costs = {"(one)": one, "(two)": two, "(three)": three, "(dear)": dear}
+    return Planner(cached=0, moves=0, warm=False).plan(Problem(roads, frozenset(), costs=costs))
+
+
+def test_costs_less_than_a_thousandth_apart_are_told_apart(roads):
+    result = planned(roads, 0.5001, 0.5001, 1.0004, 9.0)
+    assert result.outcome is Outcome.SOLVED_OPTIMALLY
+    assert [step.schema for step in result.steps] == ["one", "two"]
+
+
+AMOUNTS = st.one_of(
+    st.integers(0, 10**6).map(lambda number: number / 10**6), st.integers(0, 10**12).map(float), st.floats(0.0, 1e9)
+)
+
+
+@settings(max_examples=25, deadline=None)
+@given(amounts=st.tuples(AMOUNTS, AMOUNTS, AMOUNTS, AMOUNTS))
+def test_what_is_called_optimal_is_and_otherwise_the_answer_says_within_what(roads, amounts):
+    one, two, three, dear = amounts
+    result, least = planned(roads, *amounts), min(one + two, three, dear)
+    if result.outcome is Outcome.SOLVED_OPTIMALLY:
+        assert result.cost == pytest.approx(least, rel=1e-15)
+    else:
+        assert result.outcome is Outcome.SOLVED
+        _, gap, *rest = result.message.split()
+        assert rest == ["of", "the", "least", "cost"]
+        assert result.cost - least <= float(gap) * 1.01
+
+
+# ------------------------------------------------------------------ what is sensed and handed in
+
+
+def test_what_is_sensed_of_an_unknown_object_is_passed_over_and_told(ways):
+    world = World(ways)
+    world.facts = {"(at volcano)": True, "(damp)": False}
+    assert world.run() is Status.SUCCESS
+    assert "has no object 'volcano' (in '(at volcano)'); known: other, pool, swim" in world.executor.findings[-1]
+    world.facts = {"(att pool)": True}
+    with pytest.raises(UnknownNameError, match="nearest: at"):
+        world.tick()
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf")])
+def test_what_is_no_finite_number_is_refused_by_its_name(ways, bad):
+    with pytest.raises(PlannerSettingError, match="timeout_s is"):
+        Planner(timeout_s=bad)
+    with pytest.raises(PlannerSettingError, match="translate_s is"):
+        Planner(translate_s=bad)
+    with pytest.raises(PlannerSettingError, match="delay_s is"):
+        World(ways, delay_s=bad)
+    with pytest.raises(PlannerSettingError, match="at_most_every_s is"):
+        ReplanningPolicy(at_most_every_s=bad)
+    with pytest.raises(PlannerSettingError, match="hysteresis"):
+        ReplanningPolicy(hysteresis=bad)
+    with pytest.raises(GoalError, match=r"\(safe\) is worth (nan|inf)"):
+        World(ways).executor.goals.add("(safe)", worth=bad)
+    result = Planner().plan(Problem(ways, initial_state(ways) - {"(damp)"}, costs={"(near)": bad}))
+    assert result.outcome is Outcome.UNSUPPORTED
+    assert "(near) is" in result.message
+
+
+@pytest.mark.parametrize("amount", ["nan", "inf", "1e400"])
+def test_a_file_with_what_is_no_number_to_reckon_with_is_refused_with_its_place(amount):
+    with pytest.raises(PddlError, match=rf"problem\.pddl:2.*{amount}"):
+        parse_domain(WAYS, PROBLEM.replace("(= (far) 4)", f"(= (far) {amount})"))
