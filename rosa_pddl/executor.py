@@ -12,7 +12,7 @@ from rosa_pddl.exceptions import MissingBehaviourError, UnknownNameError, neares
 from rosa_pddl.goals import Goals, PlanningTask
 from rosa_pddl.plan_monitor import PlanExecution, PlanMonitor
 from rosa_pddl.planner import Planner
-from rosa_pddl.problem import Problem
+from rosa_pddl.problem import Problem, unlock
 from rosa_pddl.replanning import (
     Decision,
     PlannerClient,
@@ -294,11 +294,13 @@ class PlanExecutor(Behaviour):
         """Take the next decision; called on each tick, never waits."""
         self._ticked = []
         if self._is_midway:  # an interrupt cut short the tick before, or the end of it
+            unlock(self._domain)
             self._drop_plan()
         self._is_midway = True
         try:
             status = self._advance()
         except BaseException:
+            unlock(self._domain)
             self._drop_plan()
             raise
         self._is_midway = False

@@ -370,34 +370,31 @@ class Groundings:
         self._memory_bytes = memory_bytes
         self._begun: dict[Domain, _Begun] = {}
         self._processes: set[ProcessHandle] = set()
-        self._lock = threading.Lock()
 
     def ask(self, problem: Problem, changing: Iterable[str] = ()) -> Grounding:
         """Begin to translate if that is needed, without waiting; atoms that are sensed, for one, may be changing."""
-        with self._lock:
-            begun, named = self._begun.get(problem.domain), frozenset(changing)
-            if begun is not None:
-                named |= _untouched(problem.domain, (problem.state ^ begun.base.state) - begun.changing)
-                is_again = begun.is_worth_another_try
-                if named <= begun.changing and not is_again:
-                    return begun.future
-                named |= begun.changing
-                problem = begun.base
-            tries = begun.tries + 1 if begun is not None and is_again else 1
-            self._begun.pop(problem.domain, None)
-            begun = self._begun[problem.domain] = _Begun(problem, named, tries)
-            if len(self._begun) > _MOST_DOMAINS:
-                del self._begun[next(iter(self._begun))]
-            name = f"translator of {problem.domain.name}"
-            threading.Thread(target=self._work, args=(begun,), name=name, daemon=True).start()
-            return begun.future
+        begun, named = self._begun.get(problem.domain), frozenset(changing)
+        if begun is not None:
+            named |= _untouched(problem.domain, (problem.state ^ begun.base.state) - begun.changing)
+            is_again = begun.is_worth_another_try
+            if named <= begun.changing and not is_again:
+                return begun.future
+            named |= begun.changing
+            problem = begun.base
+        tries = begun.tries + 1 if begun is not None and is_again else 1
+        self._begun.pop(problem.domain, None)
+        begun = self._begun[problem.domain] = _Begun(problem, named, tries)
+        if len(self._begun) > _MOST_DOMAINS:
+            del self._begun[next(iter(self._begun))]
+        name = f"translator of {problem.domain.name}"
+        threading.Thread(target=self._work, args=(begun,), name=name, daemon=True).start()
+        return begun.future
 
     def close(self) -> None:
         """Stop what is being translated, and forget the rest."""
-        with self._lock:
-            self._begun.clear()
-            for process in self._processes:
-                process.cancel()
+        self._begun.clear()
+        for process in tuple(self._processes):
+            process.cancel()
 
     def _work(self, begun: _Begun) -> None:
         process = ProcessHandle(self._memory_bytes)

@@ -208,34 +208,33 @@ def awaited(future: "Future[PlanningResult]", budget_s: float) -> PlanningResult
 
 
 class PlanCache:
-    """The answers that were last asked for, at most so many. May be used by several threads."""
+    """The answers that were last asked for, at most so many. May be used by several threads.
+
+    It has no lock, which an interrupt could leave locked: at worst an answer is forgotten.
+    """
 
     def __init__(self, size: int) -> None:
         self._size = size
         self._results: dict[Hashable, tuple[PlanningResult, int]] = {}
-        self._weight = 0
-        self._lock = threading.Lock()
 
     def __len__(self) -> int:
         return len(self._results)
 
     def get(self, key: Hashable) -> PlanningResult | None:
-        with self._lock:
-            found = self._results.pop(key, None)
-            if found is None:
-                return None
-            self._results[key] = found
-            return found[0]
+        found = self._results.pop(key, None)
+        if found is None:
+            return None
+        self._results[key] = found
+        return found[0]
 
     def put(self, key: Hashable, result: PlanningResult, weight: int = 1) -> None:
         """Remember an answer that takes so much to hold, and forget what was not asked for the longest."""
-        with self._lock:
-            if key in self._results:
-                return
-            self._results[key] = result, weight
-            self._weight += weight
-            while len(self._results) > self._size or self._weight > _MOST_ATOMS:
-                self._weight -= self._results.pop(next(iter(self._results)))[1]
+        self._results.setdefault(key, (result, weight))
+        for oldest in list(self._results):
+            weights = [one for _, one in list(self._results.values())]
+            if len(weights) <= self._size and sum(weights) <= _MOST_ATOMS:
+                break
+            self._results.pop(oldest, None)
 
 
 # ---------------------------------------------------------------- one planning

@@ -1,9 +1,10 @@
 """From what the knowledge base says and the mission senses to the problem that a planner gets."""
 
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
-from threading import Lock
+from threading import RLock
 from typing import TypeAlias
 from weakref import WeakKeyDictionary
 
@@ -16,7 +17,7 @@ Exact: TypeAlias = int | Fraction
 
 # Below this a float that is whole is the whole number that is written.
 _ALL_WHOLE = 2**53
-_LOCKS: "WeakKeyDictionary[UpThing, Lock]" = WeakKeyDictionary()
+_LOCKS: "WeakKeyDictionary[UpThing, UpThing]" = WeakKeyDictionary()
 
 
 @dataclass(frozen=True)
@@ -79,9 +80,17 @@ def exact(value: float | Fraction) -> Exact:
     return written.numerator if written.denominator == 1 else written
 
 
-def lock_of(domain: Domain) -> Lock:
+def lock_of(domain: Domain) -> UpThing:
     """Return the lock of a domain's environment: unified-planning's are not made for several threads at once."""
-    return _LOCKS.setdefault(domain.up_problem.environment, Lock())
+    return _LOCKS.setdefault(domain.up_problem.environment, RLock())
+
+
+def unlock(domain: Domain) -> None:
+    """Unlock what an interrupt may have left locked by this thread."""
+    lock = lock_of(domain)
+    with suppress(RuntimeError):  # so it is not locked by this one
+        while True:
+            lock.release()
 
 
 def limits_of(domain: Domain) -> Iterator[UpThing]:

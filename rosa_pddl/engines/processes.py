@@ -7,11 +7,10 @@ import select
 import signal
 import subprocess
 import time
-from collections.abc import Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, wait
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, InvalidStateError, wait
 from contextlib import suppress
 from dataclasses import dataclass
-from threading import Lock
 from typing import Any, BinaryIO, TypeVar
 from weakref import WeakSet
 
@@ -64,17 +63,16 @@ class ProcessHandle:
     def __init__(self, memory_bytes: int | None = None) -> None:
         self._memory_bytes = memory_bytes
         _HANDLES.add(self)
-        self._lock = Lock()
-        self._process: subprocess.Popen[bytes] | None = None
+        self.is_running = False
         self._is_cancelled: Future[None] = Future()
 
     def cancel(self) -> None:
-        """End what runs, as its answer is no longer wanted. Returns at once."""
-        with self._lock:
-            if not self._is_cancelled.done():
-                self._is_cancelled.set_result(None)
-            if self._process is not None:
-                _kill_group(self._process)
+        """End what runs, as its answer is no longer wanted. Returns at once.
+
+        Who runs it kills it, soon; so there is no lock that an interrupt could leave locked.
+        """
+        with suppress(InvalidStateError):
+            self._is_cancelled.set_result(None)
 
     def wait(self, future: "Future[T]", limit_s: float) -> T:
         """Wait for something that another thread makes; raises TimeoutError, or Cancelled."""
@@ -112,9 +110,10 @@ class ProcessHandle:
             folder: its working directory; by default that of this process.
         """
         with _in_memory(given) as read, _in_memory() as output, _in_memory() as complaints:
-            with self._lock:
-                self._check()
-                process = self._process = subprocess.Popen(
+            self._check()
+            self.is_running = True
+            try:
+                process = subprocess.Popen(
                     command,
                     stdin=read,
                     stdout=output,
@@ -123,15 +122,15 @@ class ProcessHandle:
                     cwd=folder,
                     env={**os.environ, **_NO_PYTHON_NOISE, **(environment or {})},
                 )
-            try:
-                _limit(process.pid, limit_s, self._memory_bytes)
-                verdict = _verdict(process.pid, limit_s, (output, complaints))
-            finally:
-                # before it is reaped, as until then its number is that of no other group
-                with self._lock:
+                try:
+                    _limit(process.pid, limit_s, self._memory_bytes)
+                    verdict = _verdict(process.pid, limit_s, (output, complaints), self._is_cancelled.done)
+                finally:
+                    # before it is reaped, as until then its number is that of no other group
                     _kill_group(process)
                     process.wait()
-                    self._process = None
+            finally:
+                self.is_running = False
             self._check()
             written = _content(output), _content(complaints)
             return Ended(process.returncode, *written, verdict == "late", verdict == "endless")
@@ -162,8 +161,8 @@ def _limit(pid: int, limit_s: float, memory_bytes: int | None) -> None:
             resource.prlimit(pid, resource.RLIMIT_DATA, (memory_bytes, memory_bytes))
 
 
-def _verdict(pid: int, limit_s: float, written: Sequence[BinaryIO]) -> str:
-    """Wait for a program; return why that is over: `itself`, `late` or `endless`."""
+def _verdict(pid: int, limit_s: float, written: Sequence[BinaryIO], is_cancelled: Callable[[], bool]) -> str:
+    """Wait for a program; return why that is over: `itself`, `late`, `endless` or `cancelled`."""
     deadline, file = time.monotonic() + limit_s, os.pidfd_open(pid)
     try:
         poll = select.poll()
@@ -173,6 +172,8 @@ def _verdict(pid: int, limit_s: float, written: Sequence[BinaryIO]) -> str:
                 return "itself"
             if any(os.fstat(one.fileno()).st_size > _MOST_OUTPUT for one in written):
                 return "endless"
+            if is_cancelled():
+                return "cancelled"
         return "late"
     finally:
         os.close(file)
@@ -188,5 +189,9 @@ _HANDLES: WeakSet[ProcessHandle] = WeakSet()
 
 @atexit.register
 def _cancel_all() -> None:
-    for handle in tuple(_HANDLES):
+    handles = tuple(_HANDLES)
+    for handle in handles:
         handle.cancel()
+    deadline = time.monotonic() + _GRACE_S
+    while any(handle.is_running for handle in handles) and time.monotonic() < deadline:
+        time.sleep(_LOOKS_S / 10)
