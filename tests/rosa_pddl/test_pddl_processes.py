@@ -6,9 +6,11 @@ import threading
 from pathlib import Path
 
 import pytest
-from pddl_world import load_mission
+from pddl_world import World, load_mission
+from py_trees.common import Status
 
 from rosa_pddl import Planner, Problem, initial_state
+from rosa_pddl.engines import fast_downward
 from rosa_pddl.engines.processes import Cancelled, ProcessHandle
 
 
@@ -102,3 +104,44 @@ def test_many_replans_leave_no_process_file_or_thread(monkeypatch, tmp_path):
     assert files() == before
     assert list(tmp_path.iterdir()) == []
     assert [program for program in programs_running() if "downward" in program] == []
+
+
+TROUBLES = {
+    "hangs": "sleep 1000",
+    "crashes": "exit 99",
+    "prints garbage": "head -c 100000 /dev/urandom; exit 0",
+    "eats memory": f"exec {sys.executable} -c 'x = [bytearray(1 << 24) for _ in range(10**6)]'",
+    "is killed": "kill -9 $$",
+    "leaves children": "sleep 1000 & sleep 1000 & exit 1",
+    "promises without end": "yes 'Plan length: 1 step(s).'",
+}
+
+
+@pytest.mark.parametrize("trouble", TROUBLES)
+def test_a_search_that_misbehaves_twice_leaves_nothing_and_the_mission_goes_on(monkeypatch, tmp_path, trouble):
+    count, search = tmp_path / "count", tmp_path / "downward"
+    search.write_text(
+        f"#!/bin/sh\necho x >> {count}\n"
+        f'[ $(wc -l < {count}) -gt 2 ] && exec {fast_downward.program()} "$@"\n{TROUBLES[trouble]}\n'
+    )
+    search.chmod(0o755)
+    extended = load_mission("suave_extended")
+    planner = Planner(cached=0, moves=0, timeout_s=30.0, budgets_s={"warm": 1.0, "cold": 29.0}, memory_mb=512)
+    planner.plan(Problem(extended, initial_state(extended)))
+    before, threads = files(), threading.active_count()
+    monkeypatch.setattr(fast_downward, "program", lambda: search)
+    count.write_text("")
+    world = World(extended, planner, delay_s=None)
+    for _ in range(3000):
+        if world.root.status is Status.SUCCESS:
+            break
+        world.executor.tick_once()
+        world.tick_number += 1
+        threading.Event().wait(0.01)
+    assert world.root.status is Status.SUCCESS
+    assert len(count.read_text().split()) >= 3
+    world.executor.shutdown()
+    while threading.active_count() > threads:
+        threading.Event().wait(0.01)
+    assert files() == before
+    assert [program for program in programs_running() if "sleep" in program or "downward" in program] == []

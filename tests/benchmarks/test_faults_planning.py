@@ -1,0 +1,64 @@
+"""Much that goes wrong while plans are made and done: 10,000 replans in random worlds, and interrupts everywhere.
+
+`pytest -n 0 -m benchmark tests/benchmarks/test_faults_planning.py -s` prints the counts.
+"""
+
+import gc
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+sys.path.append(str(Path(__file__).parents[1] / "rosa_pddl"))  # the worlds are those of the tests there
+
+from faulty_worlds import Ground, episode
+from interrupts import check, instructions, stop, tick, world_of
+from pddl_world import load_mission
+
+from rosa_pddl import Planner, Problem, initial_state
+
+
+def open_files():
+    return len(list(Path("/proc/self/fd").iterdir()))
+
+
+pytestmark = pytest.mark.benchmark
+
+REPLANS = 10_000
+EVERY = 4  # of so many instructions one is interrupted before
+
+
+def test_ten_thousand_replans_reach_exactly_what_can_be_reached_and_leave_nothing():
+    plans, episodes, reached, seed = 0, 0, 0, 0
+    ground = Ground(0)
+    episode(ground, 10**6)
+    gc.collect()
+    before = threading.active_count(), open_files()
+    while plans < REPLANS:
+        if seed % 40 == 0:
+            ground.planner.close()
+            ground = Ground(seed // 40)
+        made, can = episode(ground, seed)
+        plans, episodes, reached, seed = plans + made, episodes + 1, reached + can, seed + 1
+    gc.collect()
+    print(
+        f"\n{plans} replans in {episodes} episodes; the goal in reach in {reached} and reached, else never said to be"
+    )
+    assert 0 < reached < episodes
+    assert (threading.active_count(), open_files()) == before
+
+
+def test_interrupts_before_every_few_instructions_leave_nothing_owned():
+    extended, planner, tried = load_mission("suave_extended"), Planner(), 0
+    planner.plan(Problem(extended, initial_state(extended)))
+
+    def make():
+        return world_of(extended, planner)
+
+    for act, ticks in [*((tick, number) for number in range(6)), (stop, 1), (stop, 3)]:
+        for instruction in range(1, instructions(make, ticks, act) + 1, EVERY):
+            check(make, ticks, act, instruction)
+            tried += 2
+    print(f"\n{tried} interrupts, each followed by an end or by going on to the goal")
+    assert tried > 10_000
