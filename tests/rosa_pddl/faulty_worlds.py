@@ -165,13 +165,13 @@ def episode(ground, seed):
         )
         world.seen = set() if forgotten else world.seen
         world.facts = {text: value for text, value in world.facts.items() if not text.startswith("(seen")} | forgotten
-    world.facts = {text: value for text, value in world.facts.items() if not text.startswith("(seen")}
     world.mishaps = world.troubles = 0.0
     world.kb.unfeasible = {action for action in ACTIONS if rng.random() < 0.15}
     can = reachable(ground, world)
     ends, before = Counter(), len(world.executor.plans)
     for _ in range(round(QUIET_S * 10)):
         status = tick(world)
+        world.facts = {text: value for text, value in world.facts.items() if not text.startswith("(seen")}
         ends[status] += 1
         if status is Status.SUCCESS or (ends[Status.FAILURE] > 700 and not can):
             break
