@@ -1,86 +1,78 @@
 // Adaptations: what caused each, what was decided, what was changed, and how soon; and the chain of the one that is chosen.
 import { useEffect, useRef } from "preact/hooks";
-import { adaptation, adaptations, chain, choose, chosen, run, runs, seek, shown, time } from "./state.js";
 import { pretty, seconds } from "./format.js";
-import { Name, Panel, reveal } from "./parts.jsx";
+import { Panel, reveal } from "./parts.jsx";
+import { adaptation, adaptations, chain, choose, chosen, runs, seek, selected, shown, time } from "./state.js";
 
-const reaction = (one) => (one.reaction === null ? "never in force" : `in force after ${one.reaction.toFixed(2)} s`);
+const Item = ({ id, one }) => (
+  <li class={one.t > time.value ? "later" : ""}>
+    <button class={`adaptation plain ${one.kind}`} aria-pressed={chosen.value === id} onClick={() => choose(id)}>
+      <span><b>{seconds(one.t)}</b> <span class="kind">{one.kind}</span></span>
+      <span>{pretty(one.cause)}</span>
+      <span class="changed">{pretty(one.changed)}</span>
+      <small>{one.reaction === null ? "never in force" : `in force after ${one.reaction.toFixed(2)} s`}</small>
+    </button>
+  </li>
+);
 
-function Item({ id, one }) {
-  const isChosen = chosen.value === id;
+/** What two runs differ in; choosing it shows the run whose adaptation it is. */
+function Differences({ all }) {
+  const go = ({ t, a, b }) => {
+    if ((a ?? b) !== null) {
+      shown.value = a === null ? 1 : 0;
+      chosen.value = String(a ?? b);
+    }
+    seek(t);
+  };
   return (
-    <li class={one.t > time.value ? "later" : ""}>
-      <button class={`adaptation plain ${one.kind}`} aria-pressed={isChosen} onClick={() => choose(id)}>
-        <span class="when">
-          <b>{seconds(one.t)}</b> <span class="kind">{one.kind}</span>
-        </span>
-        <span class="cause">{pretty(one.cause)}</span>
-        <span class="changed">→ {pretty(one.changed)}</span>
-        <small>{reaction(one)}</small>
-      </button>
-    </li>
+    <details open class="differences">
+      <summary>What differs ({all.length})</summary>
+      {all.map((one, index) => (
+        <button key={index} class="plain" onClick={() => go(one)}><b>{seconds(one.t)}</b> {pretty(one.words)}</button>
+      ))}
+    </details>
   );
 }
 
 export function Adaptations({ differences }) {
   const list = useRef(null);
   useEffect(() => reveal(list.current, list.current.querySelector("[aria-pressed=true]")), [chosen.value]);
-  const known = adaptations.value;
+  const all = adaptations.value;
   return (
-    <Panel id="adaptations" title="Adaptations" aside={<small>{known.length}</small>}>
-      <div class="body" ref={list} tabIndex={-1}>
+    <Panel id="adaptations" title="Adaptations" aside={<small>{all.length}</small>}>
+      <div class="body" ref={list} tabIndex={0} role="group" aria-label="list of adaptations">
         {runs.value.length > 1 && <Differences all={differences} />}
-        <ol>{known.map(([key, one]) => <Item key={key} id={key} one={one} />)}</ol>
-        {known.length === 0 && <p class="muted">Nothing had to be adapted.</p>}
+        <ol>{all.map(([key, one]) => <Item key={key} id={key} one={one} />)}</ol>
+        {all.length === 0 && <p class="muted">Nothing had to be adapted.</p>}
       </div>
     </Panel>
   );
 }
 
-function Differences({ all }) {
-  const go = (one) => {
-    const side = one.a === null ? "b" : "a";
-    shown.value = side === "a" ? 0 : 1;
-    if (one[side] !== null && chosen.value !== String(one[side])) choose(String(one[side]));
-    seek(one.t);
+function Step({ number, t, what, words, elements }) {
+  const go = () => {
+    seek(t);
+    if (elements.length) selected.value = String(elements[0]);
   };
   return (
-    <details open class="differences">
-      <summary>What differs ({all.length})</summary>
-      <ol>
-        {all.map((one, index) => (
-          <li key={index}>
-            <button class="plain" onClick={() => go(one)}>
-              <b>{seconds(one.t)}</b> {pretty(one.words)}
-            </button>
-          </li>
-        ))}
-      </ol>
-    </details>
+    <li class={t > time.value ? "later" : ""}>
+      <button class="plain" onClick={go}>
+        <span class="badge">{number}</span> <small>{seconds(t)} · {what}</small>
+        <span class="words">{pretty(words)}</span>
+      </button>
+    </li>
   );
 }
 
-/** The chain from the cause to what was in force, a step after the other; each leads to its instant. */
+/** The chain from the cause to what was in force, a step after the other; each leads to its instant and its element. */
 export function Chain() {
   if (!adaptation.value) return null;
+  const { t, decided } = adaptation.value;
   return (
-    <section class="chain" aria-label={`adaptation at ${seconds(adaptation.value.t)}: from its cause to its effect`}>
-      <p>
-        <b>{seconds(adaptation.value.t)}</b> {pretty(adaptation.value.decided)}
-      </p>
-      <ol>
-        {chain.value.map((one, index) => (
-          <li key={index} class={one.t > time.value ? "later" : ""}>
-            <button class="plain" onClick={() => seek(one.t)}>
-              <span class="badge">{index + 1}</span> <small>{seconds(one.t)} · {one.what}</small>
-              <span class="words">{pretty(one.words)}</span>
-            </button>
-            {one.elements.length > 0 && (
-              <span class="about">{one.elements.map((element) => <Name key={element} of={element}>{run.value.name(element)}</Name>)}</span>
-            )}
-          </li>
-        ))}
-      </ol>
+    <section class="chain" aria-label={`adaptation at ${seconds(t)}, from its cause to its effect`}>
+      <button class="close" aria-label="let go of this adaptation" title="Esc" onClick={() => (chosen.value = null)}>✕</button>
+      <p><b>{seconds(t)}</b> {pretty(decided)}</p>
+      <ol>{chain.value.map((one, index) => <Step key={index} number={index + 1} {...one} />)}</ol>
     </section>
   );
 }

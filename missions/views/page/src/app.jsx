@@ -2,7 +2,7 @@
 import { useComputed } from "@preact/signals";
 import { useRef } from "preact/hooks";
 import { Adaptations, Chain } from "./adaptations.jsx";
-import { seconds } from "./format.js";
+import { seconds, withUnit } from "./format.js";
 import { KEYS } from "./keys.js";
 import { Knowledge } from "./knowledge.jsx";
 import { complaint, connection, dropped, may, order, state } from "./live.js";
@@ -20,8 +20,8 @@ function Live() {
   const { paused, speed, over, pages } = state.value;
   const can = (what) => may.value.includes(what);
   return (
-    <div class="live" role="group" aria-label="mission">
-      <span class={`connection ${connection.value}`} role="status">{over ? "over" : connection.value}{paused ? ", paused" : ""}</span>
+    <div class="tools" role="group" aria-label="mission">
+      <span class={`connection ${connection.value}`} role="status">{over ? "over" : connection.value}{paused && ", paused"}</span>
       {dropped.value > 0 && <span class="bad">{dropped.value} updates dropped</span>}
       {pages > 1 && <small>{pages} pages</small>}
       {can("pause") && <button onClick={() => order(paused ? "resume" : "pause")}>{paused ? "Resume" : "Pause"} mission</button>}
@@ -35,20 +35,22 @@ function Live() {
   );
 }
 
+const Row = ({ title, children }) => <tr><th scope="row">{title}</th><td>{children}</td></tr>;
+
 function Results() {
   const result = run.value.of("result").last;
   if (!result) return null;
   return (
     <details class="results">
-      <summary>
-        {result.success ? "✓" : "✕"} {result.outcome.replaceAll("_", " ")}
-      </summary>
+      <summary>{result.success ? "✓" : "✕"} {result.outcome.replaceAll("_", " ")}</summary>
       <div>
         <p>{result.reason}</p>
         <table>
-          <tbody>{result.figures.map(([words, unit, text]) => <tr key={words + unit}><th scope="row">{words}</th><td>{text} {unit}</td></tr>)}</tbody>
+          <tbody>
+            {result.figures.map(([words, unit, text]) => <Row key={words + unit} title={words}>{withUnit(text, unit)}</Row>)}
+            {Object.entries(run.value.header.settings).map(([name, text]) => <Row key={name} title={name}>{text}</Row>)}
+          </tbody>
         </table>
-        {Object.entries(run.value.header.settings).map(([name, text]) => <p key={name}><code>{name} = {text}</code></p>)}
         {run.value.last("problem").map(([key, words]) => <p key={key} class="bad">{words}</p>)}
       </div>
     </details>
@@ -61,48 +63,63 @@ function Help() {
     <>
       <button aria-label="keys" title="keys" onClick={() => dialog.current.showModal()}>?</button>
       <dialog ref={dialog} aria-label="keys">
-        <table>
-          <tbody>{Object.values(KEYS).map(([name, what]) => <tr key={name}><th scope="row"><kbd>{name}</kbd></th><td>{what}</td></tr>)}</tbody>
-        </table>
+        <table><tbody>{Object.values(KEYS).map(([name, what]) => <Row key={name} title={<kbd>{name}</kbd>}>{what}</Row>)}</tbody></table>
         <form method="dialog"><button>Close</button></form>
       </dialog>
     </>
   );
 }
 
+/** Which of two runs is shown. */
+function Sides() {
+  const show = (side) => {
+    shown.value = side;
+    chosen.value = null;
+  };
+  return (
+    <div class="tools" role="group" aria-label="run">
+      {runs.value.map((one, side) => (
+        <button key={side} aria-pressed={shown.value === side} onClick={() => show(side)}>{"AB"[side]}: {one.header.title}</button>
+      ))}
+    </div>
+  );
+}
+
 function Head({ note }) {
   const { title, words, task, manager, seed } = run.value.header;
-  const facts = [task && `task layer: ${task}`, manager && manager !== "ours" && `manager: ${manager}`, seed !== null && `seed ${seed}`].filter(Boolean);
+  const facts = [words, task && `task layer: ${task}`, manager !== "ours" && `manager: ${manager}`, seed !== null && `seed ${seed}`];
+  const isDark = theme.value === "dark";
   return (
     <header class="head">
       <h1>{title}</h1>
-      <small class="words">{words}{words && " · "}{facts.join(" · ")}</small>
-      {runs.value.length > 1 && (
-        <div class="tools" role="group" aria-label="run">
-          {runs.value.map((one, side) => <button key={side} aria-pressed={shown.value === side} onClick={() => (shown.value = side, chosen.value = null)}>{"AB"[side]}: {one.header.title}</button>)}
-        </div>
-      )}
+      <small class="words">{facts.filter(Boolean).join(" · ")}</small>
+      {runs.value.length > 1 && <Sides />}
       <Results />
       {connection.value !== "none" && <Live />}
-      <button aria-label={`to ${theme.value === "dark" ? "light" : "dark"}`} title="light or dark (d)" onClick={toggleTheme}>{theme.value === "dark" ? "☀︎" : "☾"}</button>
+      <button aria-label={isDark ? "light" : "dark"} title="light or dark (d)" onClick={toggleTheme}>{isDark ? "☀︎" : "☾"}</button>
       <Help />
       {[note, complaint.value].filter(Boolean).map((one) => <p key={one} class="note" role="alert">{one}</p>)}
     </header>
   );
 }
 
-/** What a screen reader is told: the adaptation that came last, and what is done. */
+/** What a screen reader is told: the adaptation that came last. */
 function Told() {
   const latest = useComputed(() => adaptations.value.findLast(([, one]) => one.t <= time.value)?.[1]).value;
-  return <p class="unseen" aria-live="polite">{latest ? `Adaptation at ${seconds(latest.t)}: ${latest.cause}; ${latest.changed}` : ""}</p>;
+  return <p class="unseen" aria-live="polite">{latest && `Adaptation at ${seconds(latest.t)}: ${latest.cause}; ${latest.changed}`}</p>;
+}
+
+function skip(event) {
+  event.preventDefault();
+  document.querySelector("#adaptations li button, #adaptations .body").focus();
 }
 
 export function App({ differences, note }) {
   revision.value;
-  if (!run.value) return <main class="waiting"><p role="status">{complaint.value || `The mission is being asked: ${connection.value}.`}</p></main>;
+  if (!run.value) return <main class="waiting" role="status">{complaint.value || `The mission is asked for: ${connection.value}.`}</main>;
   return (
     <>
-      <a class="skip" href="#adaptations" onClick={(event) => (event.preventDefault(), document.querySelector("#adaptations button, #adaptations .body").focus())}>to the adaptations</a>
+      <a class="skip" href="#adaptations" onClick={skip}>to the adaptations</a>
       <Head note={note} />
       <main>
         <Chain />

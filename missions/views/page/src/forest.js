@@ -57,7 +57,8 @@ export const rows = computed(() => nodes.value.filter((node) => !node.above).fla
 /** The nodes in sight as a drawing has them: {node, x, y, from: the place of its parent} and how large it is. */
 export const drawing = computed(() => {
   const sight = new Set(rows.value);
-  const root = hierarchy({ children: rows.value.filter((node) => !node.above) }, ({ children }) => children.filter((one) => sight.has(one)));
+  const forest = { children: rows.value.filter((node) => !node.above) };
+  const root = hierarchy(forest, ({ children }) => children.filter((one) => sight.has(one)));
   layered().nodeSize([BOX.down, BOX.across])(root);
   const placed = root.descendants().filter((one) => one.parent);
   const top = Math.min(...placed.map((one) => one.x));

@@ -74,18 +74,15 @@ export function Graph() {
     const context = canvas.current.getContext("2d");
     context.setTransform(ratio * scale, 0, 0, ratio * scale, ratio * x, ratio * y);
     context.font = "12px ui-monospace, 'DejaVu Sans Mono', monospace";
-    const isSeen = (place) =>
-      (place.x + BOX.across) * scale + x > 0 && (place.x - BOX.across) * scale + x < wide && (place.y + BOX.down) * scale + y > 0 && (place.y - BOX.down) * scale + y < high;
+    const isNear = (at, room, offset, most) => (at + room) * scale + offset > 0 && (at - room) * scale + offset < most;
+    const isSeen = (place) => place && isNear(place.x, BOX.across, x, wide) && isNear(place.y, BOX.down, y, high);
     const { places } = drawing.value;
     context.strokeStyle = colour("--edge");
-    for (const place of places) if (isSeen(place) || (place.from && isSeen(place.from))) drawLink(context, place);
+    for (const place of places) if (isSeen(place) || isSeen(place.from)) drawLink(context, place);
     for (const place of places) if (isSeen(place)) drawBox(context, place, scale >= SMALLEST_TEXT);
   });
 
-  useEffect(() => {
-    const stop = size.subscribe(([wide]) => wide && fit());
-    return stop;
-  }, []);
+  useEffect(() => size.subscribe(([wide]) => wide && fit()), []);
   useEffect(() => {
     const wanted = chosen.value !== null && drawing.value.places.find(({ node }) => stepsOf("nodes", node.uid).length);
     if (wanted) view.value = { scale: 1, x: size.value[0] / 2 - wanted.x - BOX.width / 2, y: size.value[1] / 2 - wanted.y };
@@ -102,12 +99,14 @@ export function Graph() {
   const onClick = ({ offsetX, offsetY }) => {
     const { scale, x, y } = view.value;
     const [left, top] = [(offsetX - x) / scale, (offsetY - y) / scale];
-    const hit = drawing.value.places.find((one) => left >= one.x && left <= one.x + BOX.width && top >= one.y && top <= one.y + BOX.height);
+    const isIn = (one) => left >= one.x && left <= one.x + BOX.width && top >= one.y && top <= one.y + BOX.height;
+    const hit = drawing.value.places.find(isIn);
     if (hit) pick(hit.node);
   };
   return (
     <div class="graph" ref={frame}>
-      <canvas ref={canvas} role="img" aria-label={`tree of ${nodes.value.length} nodes, drawn; the outline has the same nodes by name`} onWheel={onWheel} onPointerMove={onPointerMove} onClick={onClick} />
+      <canvas ref={canvas} role="img" aria-label={`the tree of ${nodes.value.length} nodes; its outline has the same nodes by name`}
+        onWheel={onWheel} onPointerMove={onPointerMove} onClick={onClick} />
       <div class="tools">
         <button aria-label="larger" onClick={() => zoom(1.4)}>+</button>
         <button aria-label="smaller" onClick={() => zoom(1 / 1.4)}>−</button>

@@ -1,77 +1,76 @@
 // Actions, functions with their designs, components with their configurations: how each stands at the instant shown, and why.
-import { useEffect, useRef } from "preact/hooks";
 import { useSignal } from "@preact/signals";
-import { at, chosen, elements, run, selected, time, useAt } from "./state.js";
+import { useEffect, useRef } from "preact/hooks";
 import { plainly, pretty, seconds } from "./format.js";
-import { Mark, Name, Panel, reveal, Standing } from "./parts.jsx";
+import { Mark, Name, Panel, reveal, Search, Standing } from "./parts.jsx";
+import { at, chosen, elements, run, selected, time, useAt } from "./state.js";
 
 const GROUPS = { action: "Actions", function: "Functions", component: "Components" };
 
-/** A design or configuration beside what it is for. */
+/** A design or configuration beside what it is for, or what another element needs. */
 function Part({ of }) {
   const isSelected = useAt("selected", of);
   return (
     <span class={`part ${isSelected ? "is-selected" : ""}`}>
-      <Standing of={of} quiet />
-      <Name of={of} />
+      <Standing of={of} quiet /><Name of={of} />
       {isSelected ? <span class="tag">selected</span> : null}
     </span>
   );
 }
 
-function Item({ of, element }) {
-  const isOpen = selected.value === of || [...(element.designs ?? []), ...(element.configurations ?? [])].map(String).includes(selected.value);
+function Item({ of, element: { designs = [], configurations = [] } }) {
+  const parts = [...designs, ...configurations];
+  const open = [of, ...parts].map(String).filter((one) => one === selected.value);
   const isRequired = useAt("required", of);
   const isActive = useAt("active", of);
-  const parts = element.designs ?? element.configurations ?? [];
   return (
-    <li class={`item ${isOpen ? "open" : ""}`}>
-      <span class="head">
-        <Standing of={of} />
-        <Name of={of} />
+    <li class={`item ${open.length ? "open" : ""}`}>
+      <span class="top">
+        <Standing of={of} /><Name of={of} />
         {isRequired ? <span class="tag">required</span> : null}
         {isActive ? <span class="tag runs">▶ runs</span> : null}
       </span>
       {parts.length > 0 && <span class="parts">{parts.map((part) => <Part key={part} of={part} />)}</span>}
-      {isOpen && <Details of={of} />}
-      {isOpen && selected.value !== of && <Details of={selected.value} />}
+      {open.map((one) => <Details key={one} of={one} />)}
     </li>
   );
 }
 
-const Fact = ({ title, children }) => (
+const Fact = ({ title, children }) => <><dt>{title}</dt><dd>{children}</dd></>;
+
+const Condition = ({ of }) => <span class="part"><Standing of={of} quiet /> <span class="name">{pretty(run.value.name(of))}</span></span>;
+
+/** Why a design or configuration is chosen, and why each other one is not. */
+const Choice = ({ chosen: part, reason, alternatives }) => (
   <>
-    <dt>{title}</dt>
-    <dd>{children}</dd>
+    <Fact title="choice"><span class="name">{part === null ? "nothing" : run.value.name(part)}</span>: {pretty(reason)}</Fact>
+    {alternatives.map((one) => (
+      <Fact key={one.element} title={`not ${run.value.name(one.element)}`}>
+        <Mark status={one.status} /> {one.priority !== null && <small>priority {one.priority}</small>} {pretty(one.reason)}
+      </Fact>
+    ))}
   </>
 );
 
 function Details({ of }) {
-  const element = run.value.element(of);
-  const [status, why, help, choice, parameters] = ["status", "why", "help", "choice", "parameters"].map((track) => at(track, of));
+  const { kind, name, constraints = [], ...element } = run.value.element(of);
+  const [why, help, choice, inForce] = ["why", "help", "choice", "parameters"].map((track) => at(track, of));
   const since = run.value.of("status", of).since(time.value);
-  const inForce = Object.entries(parameters ?? element.parameters ?? {});
+  const parameters = Object.entries(inForce ?? element.parameters ?? {});
+  const needs = element.functions ?? element.components ?? [];
   return (
-    <dl class="details" aria-label={`${element.kind} ${element.name}`}>
-      <Fact title={element.name}>
-        {element.kind}, <Mark status={status ?? ""} /> {since !== undefined && <small>since {seconds(since)}</small>}
-      </Fact>
+    <dl class="details" aria-label={`${kind} ${name}`}>
+      <Fact title={kind}><Standing of={of} /> {since !== undefined && <small>since {seconds(since)}</small>}</Fact>
       {why && <Fact title="why">{pretty(why)}</Fact>}
       {help?.length > 0 && <Fact title="what would help"><ul>{help.map((one) => <li key={one}>{pretty(one)}</li>)}</ul></Fact>}
-      {element.functions?.length > 0 && <Fact title="needs">{element.functions.map((one) => <Part key={one} of={one} />)}</Fact>}
-      {element.components?.length > 0 && <Fact title="uses">{element.components.map((one) => <Part key={one} of={one} />)}</Fact>}
-      {element.constraints?.length > 0 && (
-        <Fact title="as long as">
-          {element.constraints.map((one) => <span class="part" key={one}><Standing of={one} quiet /> <span class="name">{pretty(run.value.name(one))}</span></span>)}
+      {needs.length > 0 && <Fact title="needs">{needs.map((one) => <Part key={one} of={one} />)}</Fact>}
+      {constraints.length > 0 && <Fact title="as long as">{constraints.map((one) => <Condition key={one} of={one} />)}</Fact>}
+      {parameters.length > 0 && (
+        <Fact title={inForce ? "parameters in force" : "parameters"}>
+          <code>{parameters.map(([key, value]) => `${key} = ${plainly(value)}`).join(", ")}</code>
         </Fact>
       )}
-      {inForce.length > 0 && <Fact title={parameters ? "parameters in force" : "parameters"}><code>{inForce.map(([name, value]) => `${name} = ${plainly(value)}`).join(", ")}</code></Fact>}
-      {choice && <Fact title="choice">{choice.chosen === null ? "nothing: " : `${run.value.name(choice.chosen)}: `}{pretty(choice.reason)}</Fact>}
-      {choice?.alternatives.map((one) => (
-        <Fact key={one.element} title={`not ${run.value.name(one.element)}`}>
-          <Mark status={one.status} /> {one.priority !== null && <small>priority {one.priority}</small>} {pretty(one.reason)}
-        </Fact>
-      ))}
+      {choice && <Choice {...choice} />}
     </dl>
   );
 }
@@ -80,20 +79,21 @@ export function Knowledge() {
   const body = useRef(null);
   const words = useSignal("");
   useEffect(() => reveal(body.current, body.current.querySelector(".badge")), [chosen.value]);
-  const fits = ({ name }) => name.toLowerCase().includes(words.value.toLowerCase());
-  const search = <input type="search" aria-label="search what is known" placeholder="search" value={words.value} onInput={({ target }) => (words.value = target.value)} />;
+  useEffect(() => reveal(body.current, body.current.querySelector(".details")), [selected.value]);
+  const isFound = ([, { name }]) => name.toLowerCase().includes(words.value.toLowerCase());
+  const group = ([kind, title]) => {
+    const found = elements.value.filter(([, one]) => one.kind === kind).filter(isFound);
+    return found.length > 0 && (
+      <div key={kind}>
+        <h3>{title}</h3>
+        <ul>{found.map(([key, one]) => <Item key={key} of={key} element={one} />)}</ul>
+      </div>
+    );
+  };
   return (
-    <Panel id="knowledge" title="What is known" aside={search}>
-      <div class="body" ref={body} tabIndex={-1}>
-        {Object.entries(GROUPS).map(([kind, title]) => {
-          const all = elements.value.filter(([, one]) => one.kind === kind && fits(one));
-          return all.length > 0 && (
-            <div key={kind}>
-              <h3>{title}</h3>
-              <ul>{all.map(([key, one]) => <Item key={key} of={key} element={one} />)}</ul>
-            </div>
-          );
-        })}
+    <Panel id="knowledge" title="What is known" aside={<Search of="what is known" words={words} />}>
+      <div class="body" ref={body} tabIndex={0} role="group" aria-label="actions, functions and components">
+        {Object.entries(GROUPS).map(group)}
       </div>
     </Panel>
   );

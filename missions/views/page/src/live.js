@@ -1,5 +1,6 @@
 // A mission that still runs: rows come over a socket and are appended; the present first, then the past as it is asked for.
 import { batch, signal } from "@preact/signals";
+import { readLink } from "./link.js";
 import { Run } from "./run.js";
 import { isFollowing, revision, run, runs, time } from "./state.js";
 
@@ -50,12 +51,10 @@ function hear(message) {
 
 function greet({ hello, rows, now, first, next, may: allowed, state: is }) {
   const isSameRun = JSON.stringify(run.value?.header) === JSON.stringify(hello) && run.value.next <= next;
-  if (isSameRun) run.value.add(rows);
-  else {
-    runs.value = [new Run({ header: hello, rows })];
-    isFollowing.value = !location.hash.includes("t=");
-  }
   const known = isSameRun ? run.value.next : first;
+  if (isSameRun) run.value.add(rows);
+  else runs.value = [new Run({ header: hello, rows })];
+  if (!isSameRun) isFollowing.value = !readLink();
   run.value.next = next;
   may.value = allowed;
   failures = 0;

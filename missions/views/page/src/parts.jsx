@@ -1,7 +1,7 @@
 // The small parts that every view is made of: panels, marks of status, references to elements, sizes.
 import { useSignal } from "@preact/signals";
 import { useEffect, useRef } from "preact/hooks";
-import { run, select, selected, stepsOf, useAt } from "./state.js";
+import { chain, run, select, selected, stepsOf, useAt } from "./state.js";
 
 /** Each status as [shape, tone]; the shapes differ, so that nobody needs the colours. */
 const MARKS = {
@@ -20,48 +20,46 @@ export function markOf(status = "") {
 
 export function Mark({ status, quiet }) {
   const [shape, tone, words] = markOf(status);
-  return (
-    <span class={`mark ${tone}`} title={words}>
-      <span class="shape" aria-hidden="true">{shape}</span>
-      <span class={quiet ? "unseen" : ""}>{words}</span>
-    </span>
-  );
+  return <span class={`mark ${tone}`} title={words}><i aria-hidden="true">{shape}</i><span class={quiet && "unseen"}>{words}</span></span>;
 }
 
 /** The status of an element at the instant shown. */
 export const Standing = ({ of, quiet }) => <Mark status={useAt("status", of) ?? ""} quiet={quiet} />;
 
-export function Panel({ id, title, aside, children }) {
-  return (
-    <section class="panel" id={id} aria-labelledby={`${id}-title`}>
-      <header>
-        <h2 id={`${id}-title`}>{title}</h2>
-        {aside}
-      </header>
-      {children}
-    </section>
-  );
-}
+export const Panel = ({ id, title, aside, children }) => (
+  <section class="panel" id={id} aria-labelledby={`${id}-title`}>
+    <header><h2 id={`${id}-title`}>{title}</h2>{aside}</header>
+    {children}
+  </section>
+);
 
 /** The numbers of the steps of the chosen chain that are about an element, or a node of the tree. */
 export function Badges({ list = "elements", one }) {
-  return stepsOf(list, one).map((step) => (
-    <span class="badge" key={step}>
-      <span class="unseen">step </span>
-      {step}
-    </span>
-  ));
+  return stepsOf(list, one).map((step) => <span class="badge" key={step}><span class="unseen">step </span>{step}</span>);
 }
 
-/** The name of an element; pressing it chooses the element wherever it is shown. */
-export function Name({ of, children }) {
-  return (
-    <button class="plain name" aria-pressed={selected.value === String(of)} onClick={() => select(of)}>
-      {children ?? run.value.name(of)}
-      <Badges one={of} />
-    </button>
-  );
+/** The steps of the chosen chain put together by where they are drawn, as [place, first step, "3–6"]; no place, no mark. */
+export function stepsBy(placeOf) {
+  const found = new Map();
+  chain.value.forEach((step, index) => {
+    const place = placeOf(step);
+    if (place !== null) found.set(place, [...(found.get(place) ?? []), [step, index + 1]]);
+  });
+  return [...found].map(([place, steps]) => [place, steps[0][0], [...new Set([steps[0][1], steps.at(-1)[1]])].join("–")]);
 }
+
+/** A field to search in. */
+export const Search = ({ of, words }) => (
+  <input type="search" aria-label={`search ${of}`} placeholder="search" value={words.value}
+    onInput={({ target }) => (words.value = target.value)} />
+);
+
+/** The name of an element; pressing it chooses the element wherever it is shown. */
+export const Name = ({ of }) => (
+  <button class="plain name" aria-pressed={selected.value === String(of)} onClick={() => select(of)}>
+    {run.value.name(of)}<Badges one={of} />
+  </button>
+);
 
 /** A ref for an element, and its size [CSS px] as a signal. */
 export function useSize() {

@@ -1,19 +1,19 @@
 // A measurement over time, with its thresholds, where it was stale, and the other run's beside it where there are two.
+import { effect } from "@preact/signals";
 import { useEffect, useRef } from "preact/hooks";
 import uPlot from "uplot";
-import { effect } from "@preact/signals";
 import { end, revision, run, runs, shown, start, stepsOf, useAt } from "./state.js";
 import { figure, pretty, withUnit } from "./format.js";
 import { Name, Standing } from "./parts.jsx";
 import { colour, theme } from "./theme.js";
 
 const HEIGHT = 84; // [px]
-export const AXIS = 44; // room for the numbers at the left [px]
+const AXIS = 44; // room for the numbers at the left [px]
 const FAR = "1500px 0px"; // a plot farther out of sight than this is not made yet
 
 /** What a key of a track was in each run, as columns that uPlot takes; the last value holds to the end. */
 function columns(tracks) {
-  const tables = tracks.map(({ times, values }) => [[...times, end.value], [...values, values.at(-1)].map((one) => one ?? null)]);
+  const tables = tracks.map(({ times, values }) => [[...times, end.value], [...values, values.at(-1) ?? null]]);
   return tables.length > 1 ? uPlot.join(tables) : tables[0];
 }
 
@@ -42,21 +42,31 @@ function rule(plot, limits) {
   ctx.setLineDash([]);
 }
 
-function options(width, limits, staleSpans, count) {
-  const axis = { stroke: () => colour("--muted"), grid: { stroke: () => colour("--line"), width: 1 }, ticks: { show: false }, font: "11px system-ui" };
-  const path = uPlot.paths.stepped({ align: 1 });
-  const line = (index) => ({
-    stroke: () => colour(index === shown.peek() ? "--ink" : "--hue-3"), dash: index === shown.peek() ? [] : [4, 3], width: 1.5, paths: path, points: { show: false }, spanGaps: true,
-  });
+const STEPPED = uPlot.paths.stepped({ align: 1 });
+
+/** The line of a run; the one shown is drawn through. */
+function line(_, side) {
+  const isShown = () => side === shown.peek();
+  const stroke = () => colour(isShown() ? "--ink" : "--hue-3");
+  return { stroke, dash: isShown() ? [] : [4, 3], width: 1.5, paths: STEPPED, points: { show: false }, spanGaps: true };
+}
+
+/** From where to where the numbers go: over all that was measured and its thresholds, and a tenth more at each end. */
+const spread = (limits) => (_, low, high) => {
+  const [least, most] = [Math.min(low ?? 0, ...limits), Math.max(high ?? 1, ...limits)];
+  const more = (most - least || 1) / 10;
+  return [least - more, most + more];
+};
+
+function options(width, limits, stale, count) {
+  const grid = { stroke: () => colour("--line"), width: 1 };
+  const numbers = { stroke: () => colour("--muted"), grid, ticks: { show: false }, font: "11px system-ui", size: AXIS, space: 26 };
   return {
     width, height: HEIGHT, legend: { show: false }, cursor: { show: false }, padding: [6, 0, 4, 0],
-    scales: {
-      x: { time: false, range: () => [start.peek(), end.peek()] },
-      y: { range: (_, low, high) => [Math.min(low ?? 0, ...limits), Math.max(high ?? 1, ...limits)].map((one, side, [a, b]) => one + (side - 0.5) * 0.2 * (b - a || 1)) },
-    },
-    axes: [{ ...axis, show: false }, { ...axis, size: AXIS, space: 26, values: (_, ticks) => ticks.map((tick) => figure(tick)) }],
-    series: [{}, ...Array.from({ length: count }, (_, index) => line(index))],
-    hooks: { drawClear: [(plot) => shade(plot, staleSpans())], draw: [(plot) => rule(plot, limits)] },
+    scales: { x: { time: false, range: () => [start.peek(), end.peek()] }, y: { range: spread(limits) } },
+    axes: [{ show: false }, { ...numbers, values: (_, ticks) => ticks.map((tick) => figure(tick)) }],
+    series: [{}, ...Array.from({ length: count }, line)],
+    hooks: { drawClear: [(plot) => shade(plot, stale())], draw: [(plot) => rule(plot, limits)] },
   };
 }
 
@@ -66,7 +76,7 @@ function Canvas({ label, tracks, stale, limits }) {
   useEffect(() => {
     let plot, stop;
     const make = () => {
-      plot = new uPlot(options(frame.current.clientWidth, limits, stale, runs.value.length), columns(tracks()), frame.current);
+      plot = new uPlot(options(frame.current.clientWidth, limits, stale, runs.value.length), null, frame.current);
       stop = effect(() => {
         theme.value;
         shown.value;
@@ -100,33 +110,31 @@ function Threshold({ of }) {
   );
 }
 
-export function AttributePlot({ of, element }) {
-  const limits = element.thresholds.map((one) => run.value.element(one)?.value).filter(Number.isFinite);
-  const value = useAt("value", of);
+export function AttributePlot({ of, element: { name, unit, max_age, thresholds, ...element } }) {
+  const limits = thresholds.map((one) => run.value.element(one)?.value).filter(Number.isFinite);
+  const words = withUnit(figure(useAt("value", of), limits), unit);
   const isStale = useAt("stale", of);
-  const tracks = () => runs.value.map((one) => one.of("value", one.find(element)));
-  const words = withUnit(figure(value, limits), element.unit);
+  const tracks = () => runs.value.map((one) => one.of("value", one.find({ name, ...element })));
+  const stale = () => run.peek().of("stale", of).spans(end.peek());
   return (
     <div class={`measured ${stepsOf("elements", of).length ? "in-chain" : ""}`}>
       <p>
         <Name of={of} /> <b>{words}</b> {isStale ? <span class="tag bad">stale</span> : null}
-        {element.max_age !== null && <small>stale after {figure(element.max_age)} s</small>}
+        {max_age !== null && <small>stale after {figure(max_age)} s</small>}
       </p>
-      {element.thresholds.length > 0 && <ul>{element.thresholds.map((one) => <Threshold key={one} of={one} />)}</ul>}
-      <Canvas label={`${element.name} over time, ${words} now`} tracks={tracks} stale={() => run.peek().of("stale", of).spans(end.peek())} limits={limits} />
+      <ul>{thresholds.map((one) => <Threshold key={one} of={one} />)}</ul>
+      <Canvas label={`${name} over time, ${words} now`} tracks={tracks} stale={stale} limits={limits} />
     </div>
   );
 }
 
 export function SignalPlot({ name }) {
-  const value = useAt("signal", name);
+  const value = figure(useAt("signal", name));
   const tracks = () => runs.value.map((one) => one.of("signal", name));
   return (
     <div class="measured">
-      <p>
-        <span class="name">{name}</span> <b>{figure(value)}</b>
-      </p>
-      <Canvas label={`${name} over time, ${figure(value)} now`} tracks={tracks} stale={() => []} limits={[]} />
+      <p><span class="name">{name}</span> <b>{value}</b></p>
+      <Canvas label={`${name} over time, ${value} now`} tracks={tracks} stale={() => []} limits={[]} />
     </div>
   );
 }

@@ -45,9 +45,7 @@ export class Run {
 
   /** The last words on each key of a track, as [key, value], but for what is gone. */
   last(track) {
-    return this.keys(track)
-      .map((key) => [key, this.of(track, key).last])
-      .filter(([, value]) => value !== null);
+    return this.keys(track).map((key) => [key, this.of(track, key).last]).filter(([, value]) => value !== null);
   }
 
   /** What is known of an element, whenever. */

@@ -25,7 +25,10 @@ export const adaptation = computed(() => adaptations.value.find(([key]) => key =
 export const chain = computed(() => adaptation.value?.chain ?? []);
 
 /** The places in the chosen chain (from 1) of the steps that are about an element, or a node of the tree. */
-export const stepsOf = (list, one) => chain.value.flatMap((step, index) => (step[list].map(String).includes(String(one)) ? [index + 1] : []));
+export function stepsOf(list, one) {
+  const isAbout = (step) => step[list].some((each) => String(each) === String(one));
+  return chain.value.flatMap((step, index) => (isAbout(step) ? [index + 1] : []));
+}
 
 const amendments = computed(() => (revision.value, countUntil(run.value.amended.times, time.value)));
 
@@ -43,23 +46,26 @@ export function seek(t) {
   });
 }
 
-export function choose(key) {
+function go(key) {
   batch(() => {
-    chosen.value = key === chosen.value ? null : key;
-    if (adaptation.value) seek(adaptation.value.t);
+    chosen.value = key;
+    seek(adaptation.value.t);
   });
+}
+
+/** Choose an adaptation and go to its instant; the one chosen, at its instant, is let go of. */
+export function choose(key) {
+  if (key === chosen.value && adaptation.value.t === time.value) chosen.value = null;
+  else go(key);
 }
 
 /** Go to the next (1) or the previous (-1) adaptation. */
 export function leap(direction) {
   const list = adaptations.value;
-  const here = list.findIndex(([key]) => key === chosen.value && list.some(([, one]) => one.t === time.value));
-  const later = list.findIndex(([, one]) => one.t > time.value);
-  const before = list.findLastIndex(([, one]) => one.t < time.value);
-  const next = here >= 0 ? here + direction : direction > 0 ? later : before;
-  const found = list[next];
-  if (found && found[0] !== chosen.value) choose(found[0]);
-  else if (found) seek(found[1].t);
+  const here = adaptation.value?.t === time.value ? list.findIndex(([key]) => key === chosen.value) + direction : null;
+  const near = direction > 0 ? list.findIndex(([, { t }]) => t > time.value) : list.findLastIndex(([, { t }]) => t < time.value);
+  const next = list[here ?? near];
+  if (next) go(next[0]);
 }
 
 /** Go to the next (1) or the previous (-1) moment at which anything changed. */
@@ -70,6 +76,4 @@ export function step(direction) {
   seek(times[place] ?? (direction > 0 ? end.value : start.value));
 }
 
-export function select(index) {
-  selected.value = index === null || String(index) === selected.value ? null : String(index);
-}
+export const select = (index) => (selected.value = String(index) === selected.value ? null : String(index));

@@ -14,73 +14,39 @@ export function doing() {
 
 function Ticks() {
   return (
-    <div class="ticks">
-      {run.value.last("disturbance").map(([key, { t, words }]) => (
-        <i key={key} class="disturbance" style={{ left: part(t) }} title={words} />
-      ))}
+    <div class="ticks" aria-hidden="true">
+      {run.value.last("disturbance").map(([key, { t, words }]) => <i key={key} style={{ left: part(t) }} title={words} />)}
       {adaptations.value.map(([key, one]) => (
-        <button
-          key={key}
-          class={`tick ${one.kind}`}
-          style={{ left: part(one.t) }}
-          tabIndex={-1}
-          aria-hidden="true"
-          aria-pressed={chosen.value === key}
-          title={`${seconds(one.t)}: ${one.cause}`}
-          onClick={() => choose(key)}
-        />
+        <button key={key} class={`tick ${one.kind} ${chosen.value === key ? "is-chosen" : ""}`} tabIndex={-1}
+          style={{ left: part(one.t) }} title={`${seconds(one.t)}: ${one.cause}`} onClick={() => choose(key)} />
       ))}
     </div>
   );
 }
 
-function Slider() {
-  return (
-    <div class="slider">
-      <Ticks />
-      <input
-        id="instant"
-        type="range"
-        aria-label="instant shown"
-        aria-valuetext={`${seconds(time.value)}, ${doing()}`}
-        min={start.value}
-        max={end.value}
-        step="any"
-        value={time.value}
-        onInput={({ target }) => seek(target.valueAsNumber)}
-      />
-    </div>
-  );
-}
-
-const Button = ({ words, press, children, ...more }) => (
-  <button aria-label={words} title={words} onClick={press} {...more}>
-    {children}
-  </button>
-);
+const Button = ({ words, press, children }) => <button aria-label={words} title={words} onClick={press}>{children}</button>;
 
 export function Transport() {
+  const [playing, words] = isPlaying.value ? ["❚❚", "pause (Space)"] : ["▶︎", "play (Space)"];
   return (
     <footer class="transport" role="group" aria-label="instant">
       <div class="buttons">
         <Button words="previous adaptation (p)" press={() => leap(-1)}>«</Button>
         <Button words="previous change (←)" press={() => step(-1)}>‹</Button>
-        <Button words={isPlaying.value ? "pause (Space)" : "play (Space)"} press={togglePlay} class="play">
-          {isPlaying.value ? "❚❚" : "▶︎"}
-        </Button>
+        <Button words={words} press={togglePlay}>{playing}</Button>
         <Button words="next change (→)" press={() => step(1)}>›</Button>
         <Button words="next adaptation (n)" press={() => leap(1)}>»</Button>
         <select aria-label="speed of playing" value={speed.value} onChange={({ target }) => (speed.value = Number(target.value))}>
           {SPEEDS.map((one) => <option key={one} value={one}>{one}×</option>)}
         </select>
-        {connection.value !== "none" && (
-          <button aria-pressed={isFollowing.value} onClick={() => (isFollowing.value = true)}>Now</button>
-        )}
+        {connection.value !== "none" && <button aria-pressed={isFollowing.value} onClick={() => (isFollowing.value = true)}>Now</button>}
       </div>
-      <Slider />
-      <output class="clock">
-        {seconds(time.value)} <small>of {seconds(end.value)}</small>
-      </output>
+      <div class="slider">
+        <Ticks />
+        <input id="instant" type="range" aria-label="instant shown" aria-valuetext={`${seconds(time.value)}, ${doing()}`}
+          min={start.value} max={end.value} step="any" value={time.value} onInput={({ target }) => seek(target.valueAsNumber)} />
+      </div>
+      <output class="clock">{seconds(time.value)} <small>of {seconds(end.value)}</small></output>
     </footer>
   );
 }
