@@ -11,6 +11,7 @@ import pytest
 
 PAGE = Path(__file__).parents[2] / "missions" / "views" / "page"
 BUILT = ("page.css", "page.js")
+MOST_LINES, LONGEST_LINE = 2_000, 140
 
 
 def sources():
@@ -57,6 +58,14 @@ def test_bundle_carries_the_licences_of_what_is_in_it():
     for name in json.loads((PAGE / "package.json").read_text())["dependencies"]:
         assert f"{name}: " in text
     assert text.count("Copyright") >= len(BUILT)
+
+
+def test_front_end_keeps_within_its_budget():
+    files = {path: path.read_text(encoding="utf-8").splitlines() for path in (PAGE / "src").iterdir()}
+    assert 0 < sum(map(len, files.values())) <= MOST_LINES, "before you add, look what it makes superfluous"
+    for path, lines in files.items():
+        if path.suffix in (".js", ".jsx", ".mjs"):
+            assert max(map(len, lines)) <= LONGEST_LINE, path
 
 
 def test_bundle_can_stand_inside_a_script_element():

@@ -1,5 +1,5 @@
 // The page: its head, its panels, and what a screen reader is told.
-import { useComputed } from "@preact/signals";
+import { batch, useComputed } from "@preact/signals";
 import { useRef } from "preact/hooks";
 import { Adaptations, Chain } from "./adaptations.jsx";
 import { seconds, withUnit } from "./format.js";
@@ -19,6 +19,7 @@ const PACES = [0, 0.5, 1, 2, 5, 10];
 function Live() {
   const { paused, speed, over, pages } = state.value;
   const can = (what) => may.value.includes(what);
+  const paces = [...new Set([...PACES, speed])];
   return (
     <div class="tools" role="group" aria-label="mission">
       <span class={`connection ${connection.value}`} role="status">{over ? "over" : connection.value}{paused && ", paused"}</span>
@@ -28,7 +29,7 @@ function Live() {
       {can("pause") && paused && <button onClick={() => order("step")}>One tick</button>}
       {can("speed") && (
         <select aria-label="speed of the mission" value={speed} onChange={({ target }) => order("speed", { value: Number(target.value) })}>
-          {PACES.map((one) => <option key={one} value={one}>{one ? `${one}× real time` : "as fast as it can"}</option>)}
+          {paces.map((one) => <option key={one} value={one}>{one ? `${one}× real time` : "no limit"}</option>)}
         </select>
       )}
     </div>
@@ -72,14 +73,11 @@ function Help() {
 
 /** Which of two runs is shown. */
 function Sides() {
-  const show = (side) => {
-    shown.value = side;
-    chosen.value = null;
-  };
+  const show = (side) => batch(() => ([shown.value, chosen.value] = [side, null]));
   return (
     <div class="tools" role="group" aria-label="run">
-      {runs.value.map((one, side) => (
-        <button key={side} aria-pressed={shown.value === side} onClick={() => show(side)}>{"AB"[side]}: {one.header.title}</button>
+      {runs.value.map(({ header: { title, task, seed } }, side) => (
+        <button key={side} aria-pressed={shown.value === side} onClick={() => show(side)}>{"AB"[side]}: {title} {task}, seed {seed}</button>
       ))}
     </div>
   );
@@ -109,17 +107,11 @@ function Told() {
   return <p class="unseen" aria-live="polite">{latest && `Adaptation at ${seconds(latest.t)}: ${latest.cause}; ${latest.changed}`}</p>;
 }
 
-function skip(event) {
-  event.preventDefault();
-  document.querySelector("#adaptations li button, #adaptations .body").focus();
-}
-
 export function App({ differences, note }) {
   revision.value;
   if (!run.value) return <main class="waiting" role="status">{complaint.value || `The mission is asked for: ${connection.value}.`}</main>;
   return (
     <>
-      <a class="skip" href="#adaptations" onClick={skip}>to the adaptations</a>
       <Head note={note} />
       <main>
         <Chain />

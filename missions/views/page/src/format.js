@@ -10,14 +10,13 @@ export function figure(value, limits = []) {
   return `just ${rounded(6) > value ? "below" : "above"} ${signed(rounded(6))}`;
 }
 
+/** The least and the most of some numbers, however many. */
+export const extent = (all) => all.reduce(([low, high], one) => [Math.min(low, one), Math.max(high, one)], [Infinity, -Infinity]);
+
 const signed = (value) => String(value).replace("-", "−");
 
-export const seconds = (t) => `${t.toFixed(1)} s`;
-
-export const withUnit = (text, unit) => (unit ? `${text} ${unit}` : text);
-
 const SIGNS = { ">=": "≥", "<=": "≤", "->": "→" };
-
 export const pretty = (text) => text.replace(/>=|<=|->/g, (sign) => SIGNS[sign]);
-
+export const seconds = (t) => `${t.toFixed(1)} s`;
+export const withUnit = (text, unit) => (unit ? `${text} ${unit}` : text);
 export const plainly = (value) => (typeof value === "number" ? figure(value) : String(value));

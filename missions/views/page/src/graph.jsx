@@ -6,7 +6,7 @@ import { at, chosen, stepsOf } from "./state.js";
 import { markOf, useSize } from "./parts.jsx";
 import { colour, theme } from "./theme.js";
 
-const SMALLEST_TEXT = 0.4; // of its size; a box that is smaller has no words
+const LEGIBLE = 0.5; // of its size; a box that is smaller has no words
 const TONES = { good: "--good", bad: "--bad", active: "--accent", warn: "--warn", idle: "--edge" };
 const brief = (text, most = 21) => (text.length > most ? `${text.slice(0, most - 1)}…` : text);
 
@@ -25,12 +25,12 @@ function drawBox(context, { node, x, y }, isWorded) {
   const isOn = status === "R";
   context.fillStyle = colour(isOn ? "--accent-soft" : "--panel");
   context.strokeStyle = colour(TONES[tone]);
-  context.lineWidth = selectedNode.value === node.uid ? 3 : 1.25;
   context.globalAlpha = status === "" ? 0.75 : 1;
   context.beginPath();
   context.roundRect(x, y, BOX.width, BOX.height, 4);
   context.fill();
   context.stroke();
+  if (selectedNode.value === node.uid) context.strokeRect(x - 3, y - 3, BOX.width + 6, BOX.height + 6);
   if (isWorded) {
     context.fillStyle = colour(TONES[tone]);
     context.fillText(shape, x + 7, y + 16);
@@ -55,10 +55,10 @@ export function Graph() {
   const canvas = useRef(null);
   const view = useSignal({ scale: 1, x: 12, y: 12 });
 
-  const fit = () => {
-    const [{ width, height }, [wide, high]] = [drawing.peek(), size.peek()];
-    const scale = Math.min(1, (wide - 24) / width, (high - 24) / height);
-    view.value = { scale, x: 12, y: Math.max(12, (high - height * scale) / 2) };
+  const fit = (least = 0) => {
+    const [{ places, width, height }, [wide, high]] = [drawing.peek(), size.peek()];
+    const scale = Math.max(least, Math.min(1, (wide - 24) / width, (high - 24) / height));
+    view.value = { scale, x: 12, y: least === scale ? high / 2 - places[0].y * scale : Math.max(12, (high - height * scale) / 2) };
   };
   const zoom = (factor, [x, y] = [size.value[0] / 2, size.value[1] / 2]) => {
     const scale = Math.min(2.5, Math.max(0.03, view.value.scale * factor));
@@ -78,11 +78,12 @@ export function Graph() {
     const isSeen = (place) => place && isNear(place.x, BOX.across, x, wide) && isNear(place.y, BOX.down, y, high);
     const { places } = drawing.value;
     context.strokeStyle = colour("--edge");
+    context.lineWidth = Math.max(1.25, 0.7 / scale);
     for (const place of places) if (isSeen(place) || isSeen(place.from)) drawLink(context, place);
-    for (const place of places) if (isSeen(place)) drawBox(context, place, scale >= SMALLEST_TEXT);
+    for (const place of places) if (isSeen(place)) drawBox(context, place, scale >= LEGIBLE);
   });
 
-  useEffect(() => size.subscribe(([wide]) => wide && fit()), []);
+  useEffect(() => size.subscribe(([wide]) => wide && fit(LEGIBLE)), []);
   useEffect(() => {
     const wanted = chosen.value !== null && drawing.value.places.find(({ node }) => stepsOf("nodes", node.uid).length);
     if (wanted) view.value = { scale: 1, x: size.value[0] / 2 - wanted.x - BOX.width / 2, y: size.value[1] / 2 - wanted.y };
@@ -99,9 +100,8 @@ export function Graph() {
   const onClick = ({ offsetX, offsetY }) => {
     const { scale, x, y } = view.value;
     const [left, top] = [(offsetX - x) / scale, (offsetY - y) / scale];
-    const isIn = (one) => left >= one.x && left <= one.x + BOX.width && top >= one.y && top <= one.y + BOX.height;
-    const hit = drawing.value.places.find(isIn);
-    if (hit) pick(hit.node);
+    const isHit = (one) => left >= one.x && left <= one.x + BOX.width && top >= one.y && top <= one.y + BOX.height;
+    drawing.value.places.filter(isHit).forEach(({ node }) => pick(node));
   };
   return (
     <div class="graph" ref={frame}>
@@ -110,7 +110,7 @@ export function Graph() {
       <div class="tools">
         <button aria-label="larger" onClick={() => zoom(1.4)}>+</button>
         <button aria-label="smaller" onClick={() => zoom(1 / 1.4)}>−</button>
-        <button onClick={fit}>Fit</button>
+        <button onClick={() => fit()}>Fit</button>
       </div>
     </div>
   );

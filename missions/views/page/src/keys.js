@@ -3,12 +3,6 @@ import { chosen, end, leap, seek, selected, start, step, time } from "./state.js
 import { togglePlay } from "./player.js";
 import { toggleTheme } from "./theme.js";
 
-const find = () => document.querySelector("#tree input[type=search]")?.focus();
-const clear = () => {
-  chosen.value = null;
-  selected.value = null;
-};
-
 /** Each key as [its name, what it does, and how]. */
 export const KEYS = {
   " ": ["Space", "play or pause", togglePlay],
@@ -20,8 +14,8 @@ export const KEYS = {
   End: ["End", "end", () => seek(end.value)],
   n: ["n", "next adaptation", () => leap(1)],
   p: ["p", "previous adaptation", () => leap(-1)],
-  "/": ["/", "search the tree", find],
-  Escape: ["Esc", "nothing chosen", clear],
+  "/": ["/", "search the tree", () => document.querySelector("#tree input[type=search]").focus()],
+  Escape: ["Esc", "nothing chosen", () => (chosen.value = selected.value = null)],
   d: ["d", "light or dark", toggleTheme],
 };
 

@@ -23,7 +23,7 @@ export function keepLink() {
   let timer;
   addEventListener("hashchange", readLink);
   effect(() => {
-    if (!run.value) return;
+    if (!run.value || location.protocol === "about:") return; // nothing to link to yet, or ever: inside a notebook
     const said = new URLSearchParams();
     if (!isFollowing.value) said.set("t", String(Math.round(time.value * 1000) / 1000));
     if (chosen.value !== null) said.set("a", chosen.value);

@@ -15,18 +15,11 @@ export const complaint = signal("");
 export const answer = signal(null); // of what was asked last
 
 let socket;
-let failures = 0;
-let asked = 0;
-let wanted = 0; // number of the row up to which the past is asked for
+let [failures, asked, wanted] = [0, 0, 0]; // wanted: number of the row up to which the past is asked for
 
-const send = (message) => socket?.readyState === WebSocket.OPEN && socket.send(JSON.stringify(message));
-
+const send = (message) => socket.readyState === WebSocket.OPEN && socket.send(JSON.stringify(message));
 export const order = (what, more = {}) => send({ do: what, ...more });
-
-export function ask(measured, failed) {
-  asked += 1;
-  send({ ask: "whatif", id: asked, measured, failed });
-}
+export const ask = (measured) => send({ ask: "whatif", id: (asked += 1), measured, failed: [] });
 
 export function connect(path) {
   const url = new URL(path, location.href);
@@ -43,8 +36,8 @@ export function connect(path) {
 
 function hear(message) {
   if (message.hello) greet(message);
-  else if (message.past) learnPast(message);
-  else if (message.rows) follow(message);
+  else if (message.past) learn(message);
+  else if (message.rows) extend(message);
   else if (message.id === asked) answer.value = message;
   else if (message.error) complaint.value = message.error;
 }
@@ -65,14 +58,14 @@ function greet({ hello, rows, now, first, next, may: allowed, state: is }) {
   askForPast(known);
 }
 
-function follow({ rows, from, now, dropped: lost, state: is }) {
+function extend({ rows, from, now, dropped: lost, state: is }) {
   run.value.add(rows);
   run.value.next = from + rows.length;
   dropped.value = lost;
   arrive(now, is);
 }
 
-function learnPast({ past, from }) {
+function learn({ past, from }) {
   run.value.add(past);
   revision.value += 1;
   if (past.length) askForPast(from + past.length);

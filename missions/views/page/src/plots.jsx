@@ -75,14 +75,10 @@ function Canvas({ label, tracks, stale, limits }) {
   const frame = useRef(null);
   useEffect(() => {
     let plot, stop;
+    const draw = () => (theme.value, shown.value, revision.value, plot.setData(columns(tracks())));
     const make = () => {
       plot = new uPlot(options(frame.current.clientWidth, limits, stale, runs.value.length), null, frame.current);
-      stop = effect(() => {
-        theme.value;
-        shown.value;
-        revision.value;
-        plot.setData(columns(tracks()));
-      });
+      stop = effect(() => void draw());
     };
     const near = new IntersectionObserver(([{ isIntersecting }]) => isIntersecting && !plot && make(), { rootMargin: FAR });
     const watch = new ResizeObserver(() => plot?.setSize({ width: frame.current.clientWidth, height: HEIGHT }));

@@ -18,11 +18,10 @@ export class Run {
 
   add(rows) {
     for (const [t, track, key, value] of rows) {
-      let keys = this.#tracks.get(track);
-      if (!keys) this.#tracks.set(track, (keys = new Map()));
-      let one = keys.get(String(key));
-      if (!one) keys.set(String(key), (one = new Track()));
-      one.set(t, value);
+      if (!this.#tracks.has(track)) this.#tracks.set(track, new Map());
+      const keys = this.#tracks.get(track);
+      if (!keys.has(String(key))) keys.set(String(key), new Track());
+      keys.get(String(key)).set(t, value);
       if (track === "tick" || track === "event") this.moments.set(t, true);
       if (track === "element") this.amended.set(t, true);
       this.reach(t);
@@ -50,8 +49,7 @@ export class Run {
 
   /** What is known of an element, whenever. */
   element(index) {
-    const { values } = this.of("element", index);
-    return values.findLast((value) => value !== null);
+    return this.of("element", index).values.findLast((value) => value !== null);
   }
 
   name(index) {

@@ -3,7 +3,7 @@ import { useComputed } from "@preact/signals";
 import { useMemo } from "preact/hooks";
 import { adaptations, choose, chosen, end, revision, run, runs, shown, time, useAt } from "./state.js";
 import { countUntil } from "./track.js";
-import { figure, seconds } from "./format.js";
+import { extent, figure, seconds } from "./format.js";
 import { Panel, stepsBy, useSize } from "./parts.jsx";
 
 const MARGIN = 28; // [px]
@@ -22,11 +22,9 @@ const isPlace = (pose) => Number.isFinite(pose?.[0]) && Number.isFinite(pose?.[1
 
 /** Metres to pixels, y up, with the same scale in both directions. */
 function fitted(points, [width, height]) {
-  const [xs, ys] = [points.map(([x]) => x), points.map(([, y]) => y)];
-  const [left, right, low, high] = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
+  const [[left, right], [low, high]] = [extent(points.map(([x]) => x)), extent(points.map(([, y]) => y))];
   const scale = Math.min((width - 2 * MARGIN) / Math.max(right - left, 1), (height - 2 * MARGIN) / Math.max(high - low, 1));
-  const [middle, centre] = [(left + right) / 2, (low + high) / 2];
-  const place = ([x, y]) => [width / 2 + (x - middle) * scale, height / 2 - (y - centre) * scale];
+  const place = ([x, y]) => [width / 2 + (x - (left + right) / 2) * scale, height / 2 - (y - (low + high) / 2) * scale];
   return { scale, place };
 }
 
@@ -80,7 +78,8 @@ function placeAt(one, place, t) {
 
 function Robot({ one, place, other }) {
   const spot = placeAt(one, place, time.value);
-  return spot && <g class={`robot ${other ? "other" : ""}`} transform={`translate(${spot})`}><circle r="7" /><circle r="2" class="core" /></g>;
+  const look = `robot ${other ? "other" : ""}`;
+  return spot && <g class={look} transform={`translate(${spot})`}><circle r="7" /><circle r="2" class="core" /></g>;
 }
 
 function Thing({ name, shape, spots }) {
@@ -115,7 +114,7 @@ function Above({ size }) {
   if (!drawn) return <p class="body muted">Where the robot is, is not known.</p>;
   const { place, seen, labels, legs, bar, wide } = drawn;
   return (
-    <svg width={size[0]} height={size[1]} role="img" aria-label={`the scene from above at ${seconds(time.value)}`}>
+    <svg width={size[0]} height={size[1]} role="img" aria-label="the scene from above">
       {seen.map((thing) => <Thing key={thing.name} {...thing} />)}
       {legs.map((list, side) => (
         <g key={side} class={side === shown.value ? "" : "other"}>

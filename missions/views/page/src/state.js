@@ -19,8 +19,15 @@ export const end = computed(() => (revision.value, Math.max(...runs.value.map((o
 export const at = (track, key) => (revision.value, run.value.of(track, key).at(time.value));
 export const useAt = (track, key) => useComputed(() => at(track, key)).value;
 
+/** The first instant at which the rows of a time count; they are told to the millisecond. */
+const counted = (t) => Math.ceil(t * 1000 - 1e-6) / 1000;
+const timely = (one) => ({ ...one, t: counted(one.t), chain: one.chain.map((step) => ({ ...step, t: counted(step.t) })) });
+
 /** The adaptations in order of time, as [key, adaptation], those still to come among them. */
-export const adaptations = computed(() => (revision.value, run.value.last("adaptation").sort(([, a], [, b]) => a.t - b.t)));
+export const adaptations = computed(() => {
+  revision.value;
+  return run.value.last("adaptation").map(([key, one]) => [key, timely(one)]).sort(([, a], [, b]) => a.t - b.t);
+});
 export const adaptation = computed(() => adaptations.value.find(([key]) => key === chosen.value)?.[1]);
 export const chain = computed(() => adaptation.value?.chain ?? []);
 
@@ -34,17 +41,15 @@ const amendments = computed(() => (revision.value, countUntil(run.value.amended.
 
 /** What there is at the instant shown, as [index, element]. */
 export const elements = computed(() => {
-  const { times } = run.value.amended;
-  const since = times[Math.max(amendments.value, 1) - 1];
+  const since = run.value.amended.times[Math.max(amendments.value, 1) - 1];
   return run.value.keys("element").map((key) => [key, run.value.of("element", key).at(since)]).filter(([, one]) => one);
 });
 
 export function seek(t) {
-  batch(() => {
-    isFollowing.value = false;
-    time.value = Math.min(Math.max(t, start.value), end.value);
-  });
+  batch(() => ([isFollowing.value, time.value] = [false, Math.min(Math.max(t, start.value), end.value)]));
 }
+
+export const follow = () => batch(() => ([isFollowing.value, time.value] = [true, end.value]));
 
 function go(key) {
   batch(() => {

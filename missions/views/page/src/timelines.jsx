@@ -6,7 +6,7 @@ import { AttributePlot, SignalPlot } from "./plots.jsx";
 import { actionNames, hueOf } from "./scene.jsx";
 import { chosen, elements, end, revision, run, runs, seek, start, time } from "./state.js";
 
-const PLACES = 80; // on the axis; marks at the same one are drawn as one
+const SAME = 0.05; // part of the axis on which the marks of a chain are one
 
 const part = (t) => (t - start.value) / (end.value - start.value);
 const percent = (t) => `${(100 * part(t)).toFixed(3)}%`;
@@ -68,14 +68,16 @@ function Lanes() {
 }
 
 /** The line of the instant, and those of the chosen chain, over all that has the axis. */
-const Lines = () => (
-  <div class="lines" aria-hidden="true">
-    {stepsBy(({ t }) => Math.round(PLACES * part(t))).map(([place, { t }, words]) => (
-      <i key={place} class="step-line" style={{ left: percent(t) }}><b>{words}</b></i>
-    ))}
-    <i class="instant-line" style={{ left: percent(time.value) }} />
-  </div>
-);
+function Lines() {
+  let last = -1;
+  const near = ({ t }) => (last = part(t) - last > SAME ? part(t) : last);
+  return (
+    <div class="lines" aria-hidden="true">
+      {stepsBy(near).map(([place, { t }, words]) => <i key={place} class="step-line" style={{ left: percent(t) }}><b>{words}</b></i>)}
+      <i class="instant-line" style={{ left: percent(time.value) }} />
+    </div>
+  );
+}
 
 export function Timelines() {
   const [axis, body] = [useRef(null), useRef(null)];
@@ -88,7 +90,7 @@ export function Timelines() {
     if (event.buttons && place >= 0 && place <= 1 && !event.target.closest("button")) seek(start.value + place * (end.value - start.value));
   };
   return (
-    <Panel id="timelines" title="Over time" aside={<small>press to go there</small>}>
+    <Panel id="timelines" title="Over time" aside={<small>{runs.value.length > 1 ? "the other run dashed" : "press to go there"}</small>}>
       <div class="body stack" ref={body} tabIndex={0} role="group" aria-label="time lines" onPointerDown={go} onPointerMove={go}>
         <div class="over" ref={axis}><Lines /></div>
         {attributes.map(([key, one]) => <AttributePlot key={key} of={key} element={one} />)}

@@ -1,6 +1,6 @@
 // The instant: the slider over the whole run with its adaptations, and the buttons that move it.
 import { isPlaying, speed, SPEEDS, togglePlay } from "./player.js";
-import { at, adaptations, chosen, choose, end, isFollowing, leap, run, seek, start, step, time } from "./state.js";
+import { at, adaptations, chosen, choose, end, follow, isFollowing, leap, run, seek, start, step, time } from "./state.js";
 import { seconds } from "./format.js";
 import { connection } from "./live.js";
 
@@ -39,14 +39,14 @@ export function Transport() {
         <select aria-label="speed of playing" value={speed.value} onChange={({ target }) => (speed.value = Number(target.value))}>
           {SPEEDS.map((one) => <option key={one} value={one}>{one}×</option>)}
         </select>
-        {connection.value !== "none" && <button aria-pressed={isFollowing.value} onClick={() => (isFollowing.value = true)}>Now</button>}
+        {connection.value !== "none" && <button aria-pressed={isFollowing.value} onClick={follow}>Now</button>}
       </div>
       <div class="slider">
         <Ticks />
         <input id="instant" type="range" aria-label="instant shown" aria-valuetext={`${seconds(time.value)}, ${doing()}`}
           min={start.value} max={end.value} step="any" value={time.value} onInput={({ target }) => seek(target.valueAsNumber)} />
       </div>
-      <output class="clock">{seconds(time.value)} <small>of {seconds(end.value)}</small></output>
+      <output class="clock">{seconds(time.value)} <small>/ {seconds(end.value)}</small></output>
     </footer>
   );
 }

@@ -40,8 +40,8 @@ const MOVES = {
   ArrowUp: (list, node) => list[list.indexOf(node) - 1],
   Home: (list) => list[0],
   End: (list) => list.at(-1),
-  ArrowRight: (_, node) => (isOpen(node) ? node.children[0] : toggle(node, true)),
-  ArrowLeft: (_, node) => (isOpen(node) && node.children.length ? toggle(node, false) : node.above),
+  ArrowRight: (_, node) => node && (isOpen(node) ? node.children[0] : toggle(node, true)),
+  ArrowLeft: (_, node) => node && (isOpen(node) && node.children.length ? toggle(node, false) : node.above),
 };
 
 function Outline() {
@@ -60,8 +60,7 @@ function Outline() {
   const onKeyDown = (event) => {
     if (!MOVES[event.key]) return;
     event.preventDefault();
-    const node = all.find(({ uid }) => uid === selectedNode.value);
-    const next = node ? MOVES[event.key](all, node) : all[0];
+    const next = MOVES[event.key](all, all.find(({ uid }) => uid === selectedNode.value));
     if (!next) return;
     pick(next);
     bring(next);

@@ -1,7 +1,7 @@
 // What if a measurement were another: of the cases stored with a report for an instant, or asked of the base while it runs.
 import { signal } from "@preact/signals";
 import { useEffect } from "preact/hooks";
-import { figure, seconds, withUnit } from "./format.js";
+import { extent, figure, seconds, withUnit } from "./format.js";
 import { answer, ask, may, order } from "./live.js";
 import { Mark, Panel } from "./parts.jsx";
 import { at, elements, revision, run, time } from "./state.js";
@@ -23,7 +23,7 @@ function stored() {
 /** From where to where a measurement may be moved: over what it ever was, and its thresholds, and a fifth more. */
 function rangeOf(key, element) {
   const values = [...run.value.of("value", key).values, ...limitsOf(element)].filter(Number.isFinite);
-  const [low, high] = [Math.min(...values), Math.max(...values)];
+  const [low, high] = extent(values);
   const more = (high - low || 1) / 5;
   return [low >= 0 ? Math.max(0, low - more) : low - more, high + more];
 }
@@ -109,7 +109,7 @@ function Asked() {
   const measured = Object.fromEntries(Object.entries(moved.value).map(([key, value]) => [nameOf(key), value]));
   const attributes = of("attribute").filter(([key]) => at("value", key) !== undefined);
   const isMoved = Object.keys(measured).length > 0;
-  useEffect(() => void (isMoved && ask(measured, [])), [JSON.stringify(measured), Math.floor(revision.value / 10)]);
+  useEffect(() => void (isMoved && ask(measured)), [JSON.stringify(measured), Math.floor(revision.value / 10)]);
   return (
     <>
       {attributes.map(([key, one]) => <Measurement key={key} of={key} element={one} />)}

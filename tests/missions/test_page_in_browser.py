@@ -1,0 +1,358 @@
+"""The page in a real browser: a report of a real run, clicked through; and a mission watched while it runs."""
+
+import re
+import shutil
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from missions.baselines import open_run
+from missions.engine.registry import find_mission
+from missions.views.report import page_of, report
+from missions.views.run_recorder import RunRecorder
+
+sync_api = pytest.importorskip("playwright.sync_api")
+CHROMIUM = shutil.which("chromium")
+AXE = Path(__file__).parents[2] / "missions" / "views" / "page" / "node_modules" / "axe-core" / "axe.min.js"
+FLAGS = [
+    *("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),
+    *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
+]
+WIDTHS = (375, 768, 1440)
+VIEWS = ("#scene", "#timelines", "#tree", "#knowledge")
+MISSIONS = (("suave_extended", "bt"), ("uav", "bt"), ("agv", "pddl"))
+
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium on this machine: apt-get install chromium")
+
+
+@cache
+def recorded(mission, task="bt", seed=0):
+    page = RunRecorder()
+    run = open_run(find_mission(mission), manager="ours", task=task, seed=seed, settings={}, listeners=(page,))
+    page.begin(run, seed, {})
+    page.end(run, run.run())
+    return page.recorder.recorded
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with sync_api.sync_playwright() as playwright:
+        opened = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        yield opened
+        opened.close()
+
+
+class Visits:
+    """Opens pages, and keeps what went wrong in them and what they asked for."""
+
+    def __init__(self, browser, folder):
+        self._browser, self._folder, self._contexts = browser, folder, []
+        self.wrong, self.requests = [], []
+
+    def file(self, text):
+        path = self._folder / f"page_{len(list(self._folder.iterdir()))}.html"
+        path.write_text(text, encoding="utf-8")
+        return path.as_uri()
+
+    def show(self, url, width=1440, height=900, scheme="light"):
+        context = self._browser.new_context(viewport={"width": width, "height": height}, color_scheme=scheme)
+        self._contexts.append(context)
+        page = context.new_page()
+        page.on("console", lambda said: self.wrong.append(said.text) if said.type in ("error", "warning") else None)
+        page.on("pageerror", lambda error: self.wrong.append(str(error)))
+        page.on("request", lambda request: self.requests.append(request.url))
+        page.on("websocket", lambda opened: self.requests.append(opened.url))
+        page.goto(url)
+        page.wait_for_selector(".transport")
+        return page
+
+    def close(self):
+        for context in self._contexts:
+            context.close()
+
+
+@pytest.fixture
+def visits(browser, tmp_path):
+    """Whatever a test does, nothing leaves the machine, and nothing goes wrong unseen."""
+    opened = Visits(browser, tmp_path)
+    yield opened
+    opened.close()
+    assert opened.wrong == []
+    assert [url for url in opened.requests if not re.match(r"(file|data|(http|ws)://127\.0\.0\.1)", url)] == []
+
+
+@pytest.fixture
+def shown(visits):
+    """A report of the extended mission."""
+    return visits.show(visits.file(report(recorded("suave_extended"))))
+
+
+def slide(page, time):
+    page.locator("#instant").evaluate(
+        "(slider, t) => { slider.value = t; slider.dispatchEvent(new Event('input', {bubbles: true})) }", time
+    )
+    settle(page)
+
+
+def settle(page):
+    page.evaluate("() => new Promise(done => requestAnimationFrame(() => setTimeout(done)))")
+
+
+def seen(page):
+    """Return what each view shows, in words or as it is drawn."""
+    return {
+        "#scene": page.locator("#scene .robot").get_attribute("transform"),
+        "#timelines": page.locator("#timelines .instant-line").get_attribute("style"),
+        **{view: page.locator(view).inner_text() for view in ("#tree", "#knowledge", "#whatif")},
+        "measured": page.locator("#timelines .measured").first.inner_text(),
+        "clock": page.locator(".clock").inner_text(),
+    }
+
+
+def test_slider_moves_every_view(shown):
+    slide(shown, 20)
+    before = seen(shown)
+    slide(shown, 160)
+    after = seen(shown)
+    assert {view for view in before if before[view] == after[view]} == set()
+    slide(shown, 20)
+    assert seen(shown) == before
+
+
+def test_views_show_what_the_run_knew_at_the_instant(shown):
+    rows = recorded("suave_extended").rows
+    battery = next(key for _, track, key, one in rows if track == "element" and one["name"] == "battery_level")
+    for time in (50, 120, 200):
+        slide(shown, time)
+        value = [one for t, track, key, one in rows if (track, key) == ("value", battery) and t <= time][-1]
+        told = shown.locator("#timelines .measured", has_text="battery_level").locator("b").first.inner_text()
+        assert float(told) == pytest.approx(value, rel=1e-3)
+
+
+def test_link_opens_the_same_instant_and_choice_again(shown, visits):
+    shown.get_by_role("button", name=re.compile("battery_level is just below")).click()
+    shown.locator("#knowledge").get_by_role("button", name="recharge", exact=False).first.click()
+    sync_api.expect(shown).to_have_url(re.compile(r"#t=151(\.\d+)?&a=7&e=\d+$"))
+    assert seen(visits.show(shown.url)) == seen(shown)
+
+
+def test_choosing_an_adaptation_moves_everything_and_draws_its_chain_through_all_views(shown):
+    before = seen(shown)
+    shown.get_by_role("button", name=re.compile("battery_level is just below")).click()
+    settle(shown)
+    after = seen(shown)
+    assert {view for view in before if before[view] == after[view]} == set()
+    assert after["clock"].startswith("151.0 s")
+    chain = shown.locator(".chain").inner_text()
+    expected = ("battery_level is just below 0.25", "inspect_pipeline unfeasible", "inspect_pipeline stopped")
+    places = [chain.index(words) for words in (*expected, "recharge requested", "stop follow_pipeline")]
+    assert places == sorted(places)
+    assert shown.locator(".chain li").count() >= len(places)
+    for marks in ("#tree .badge", "#knowledge .badge", "#timelines .badge", "#timelines .step-line", "#scene .steps"):
+        assert shown.locator(marks).count() > 0, marks
+
+
+def test_steps_lead_to_the_next_change_and_the_next_adaptation(shown):
+    slide(shown, 0)
+    times = []
+    for _ in range(3):
+        shown.keyboard.press("n")
+        times.append(shown.locator(".clock").inner_text().split(" s")[0])
+    assert times == ["12.6", "23.6", "35.7"]
+    shown.keyboard.press("p")
+    assert shown.locator(".clock").inner_text().startswith("23.6 s")
+    shown.keyboard.press("ArrowRight")
+    assert float(shown.locator("#instant").input_value()) > 23.607
+
+
+def test_playing_goes_on_to_the_end_and_stops(shown):
+    slide(shown, 299)
+    shown.keyboard.press("Space")
+    sync_api.expect(shown.locator(".clock")).to_have_text(re.compile("^300.0 s"))
+    shown.get_by_role("button", name="play").wait_for()
+
+
+def test_moving_a_measurement_tells_what_would_be_chosen_and_of_which_instant_that_is(shown):
+    slide(shown, 120)
+    slider = shown.locator("#whatif label", has_text="battery_level").locator("input")
+    slider.evaluate("one => { one.value = 0.1; one.dispatchEvent(new Event('input', {bubbles: true})) }")
+    told = shown.locator("#whatif").inner_text()
+    assert "If battery_level were below 0.25:" in told
+    feasible = told.split("feasible then")[1].split("other statuses")[0]
+    assert "recharge" in feasible
+    assert "inspect_pipeline" not in feasible
+    stored = float(re.search(r"stored for ([\d.]+) s", told)[1])
+    assert 0 < stored <= 120
+
+
+def test_element_says_why_what_would_help_and_what_the_alternatives_were(shown):
+    slide(shown, 152)
+    shown.locator("#knowledge").get_by_role("button", name="inspect_pipeline").click()
+    details = shown.locator("#knowledge .details").inner_text()
+    assert "inspect_pipeline is unfeasible because battery_level" in details
+    assert "what would help" in details
+    slide(shown, 30)
+    shown.locator("#knowledge").get_by_role("button", name="spiral_search").click()
+    details = shown.locator("#knowledge .details").inner_text()
+    assert "not high_altitude" in details
+    assert "spiral_altitude = 1" in details
+
+
+def test_two_runs_stand_side_by_side_and_say_what_differs(visits):
+    page = visits.show(visits.file(report(recorded("suave_extended"), recorded("suave_extended", seed=1))))
+    assert page.locator("#scene .robot").count() == len("AB")
+    assert page.locator("#timelines .lane", has_text="actions").locator("ol").count() == len("AB")
+    first = page.locator(".differences button").first
+    first.click()
+    assert page.locator(".clock").inner_text().startswith(first.inner_text().split(" s")[0])
+    page.get_by_role("button", name="B: ").click()
+    assert page.get_by_role("button", name="B: ").get_attribute("aria-pressed") == "true"
+
+
+CUT = """() => [...document.querySelectorAll("html, body *:not(.unseen, svg *, [role=tree] *, .lane li)")]
+  .filter(one => one.scrollWidth > one.clientWidth + 1 && one.clientWidth > 0)
+  .filter(one => one.tagName === "HTML" || getComputedStyle(one).overflowX !== "visible")
+  .map(one => `${one.tagName}.${one.className} ${one.scrollWidth} > ${one.clientWidth}: ${one.textContent}`)"""
+
+
+@pytest.mark.parametrize(("mission", "task"), MISSIONS)
+@pytest.mark.parametrize("width", WIDTHS)
+def test_nothing_is_cut_at_any_width(visits, width, mission, task):
+    page = visits.show(visits.file(report(recorded(mission, task))), width)
+    page.keyboard.press("p")
+    for kind in ("Actions", "Functions", "Components"):
+        group = page.locator("#knowledge h3", has_text=kind).locator("xpath=following-sibling::ul")
+        group.get_by_role("button").first.click()
+        settle(page)
+        assert page.evaluate(CUT) == []
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", WIDTHS)
+def test_no_serious_violation_of_accessibility(visits, scheme, width):
+    if not AXE.exists():
+        pytest.skip("axe-core is not here: `npm ci` in missions/views/page installs it")
+    page = visits.show(visits.file(report(recorded("suave_extended"))), width, scheme=scheme)
+    page.evaluate(AXE.read_text(encoding="utf-8"))
+    for keys in ((), ("p", "p"), ("p",)):
+        for key in keys:
+            page.keyboard.press(key)
+        page.locator("#knowledge li button").first.click()
+        found = page.evaluate("() => axe.run().then(found => found.violations)")
+        serious = [one for one in found if one["impact"] in ("serious", "critical")]
+        told = [(one["id"], one["nodes"][0]["html"][:200], one["nodes"][0]["failureSummary"]) for one in serious]
+        assert told == []
+
+
+def test_keyboard_alone_reaches_and_works_everything(shown):
+    def focused(of="e.getAttribute('aria-label') || e.textContent"):
+        return shown.evaluate(f"() => {{ const e = document.activeElement; return {of} }}")
+
+    reached = []
+    for _ in range(200):
+        shown.keyboard.press("Tab")
+        if focused("e.tagName") == "BODY":
+            break
+        reached.append(focused())
+    words = " | ".join(reached)
+    for name in ("time limit", "dark", "keys", "battery_level is 1", "search the tree", "nodes of the tree"):
+        assert name in words, name
+    for name in ("search what is known", "inspect_pipeline", "play", "next adaptation", "instant shown"):
+        assert name in words, name
+    shown.keyboard.press("/")
+    assert focused() == "search the tree"
+    shown.keyboard.type("feasible?")
+    assert shown.get_by_role("treeitem").filter(has_text="recharge feasible?").count() == 1
+    for _ in range(4):
+        shown.keyboard.press("Tab")
+    assert focused() == "nodes of the tree"
+    shown.keyboard.press("End")
+    assert "recharge feasible?" in shown.locator("[role=treeitem][aria-selected=true]").inner_text()
+    shown.keyboard.press("Escape")
+    shown.keyboard.press("d")
+    assert shown.evaluate("() => document.documentElement.dataset.theme") == "dark"
+
+
+def test_adaptations_are_told_to_screen_readers(shown):
+    slide(shown, 152)
+    told = shown.locator("p[aria-live]").inner_text()
+    assert told.startswith("Adaptation at 151.0 s: battery_level is just below 0.25; inspect_pipeline -> recharge")
+
+
+def tree_of(count):
+    """Return a report whose tree has that many nodes, all of which change at the second instant."""
+    nodes = [[0, None, "Sequence", "root", "sequence", []]]
+    nodes += [[uid, (uid - 1) // 5, "Action", f"node {uid}", "action", []] for uid in range(1, count)]
+    rows = [[0.0, "tree", 0, {"name": "large", "nodes": nodes}], [0.0, "tick", 0, 0]]
+    rows += [[t, "node", uid, ["RSF"[(uid + int(t)) % 3], ""]] for t in (0.0, 1.0, 2.0) for uid in range(count)]
+    header = recorded("suave_extended").header
+    document = {"version": 1, "runs": [{"header": header, "rows": [*rows, [3.0, "now", 0, "end"]]}]}
+    return page_of({**document, "differences": [], "live": None, "note": ""}, "large")
+
+
+def test_tree_of_a_thousand_nodes_makes_only_what_is_in_sight(visits):
+    page = visits.show(visits.file(tree_of(1000)))
+    assert page.locator("#tree h2").inner_text().endswith("1000 NODES")
+    assert 0 < page.get_by_role("treeitem").count() < 100
+    page.locator(".outline").focus()
+    page.keyboard.press("End")
+    assert page.locator("[role=treeitem][aria-selected=true]").get_attribute("aria-posinset") == "1000"
+    page.get_by_label("search the tree").fill("node 777")
+    assert page.get_by_role("treeitem").last.inner_text().strip().endswith("node 777")
+    page.get_by_role("button", name="Drawn").click()
+    assert page.get_by_role("img", name=re.compile("1000 nodes")).bounding_box()["height"] > 100
+
+
+def test_what_was_printed_has_every_node_and_is_light(visits):
+    page = visits.show(visits.file(tree_of(300)), scheme="dark")
+    page.evaluate("() => dispatchEvent(new Event('beforeprint'))")
+    page.emulate_media(media="print")
+    settle(page)
+    assert page.get_by_role("treeitem").count() == 300
+    assert page.evaluate("() => getComputedStyle(document.body).backgroundColor") != "rgb(13, 17, 20)"
+
+
+@pytest.fixture
+def running(tmp_path):
+    """The extended mission, while it runs."""
+    command = ["run", "suave_extended", "--live", "0", "--allow-control", "--speed", "2", "--no-progress"]
+    program = [sys.executable, "-m", "missions", *command]
+    process = subprocess.Popen(program, stdout=subprocess.PIPE, text=True, cwd=tmp_path)
+    yield process
+    process.kill()
+    process.communicate()
+
+
+@pytest.fixture
+def address(running):
+    return re.search(r"http://\S+", running.stdout.readline())[0]
+
+
+def test_fault_is_injected_and_the_adaptation_and_its_chain_stand_there(visits, address):
+    page = visits.show(address)
+    page.locator(".connection", has_text="connected").wait_for()
+    slider = page.locator("#whatif label", has_text="battery_level").locator("input")
+    slider.wait_for()
+    slider.evaluate("one => { one.value = 0.1; one.dispatchEvent(new Event('input', {bubbles: true})) }")
+    page.locator("#whatif", has_text="feasible then").wait_for()
+    page.get_by_role("button", name="Measure this from now on").click()
+    adapted = page.locator("#adaptations li button", has_text="search_pipeline → recharge")
+    adapted.click()
+    assert "search_pipeline unfeasible" in page.locator(".chain").inner_text()
+    page.get_by_role("button", name="Pause mission").click()
+    page.locator(".connection", has_text="paused").wait_for()
+    page.get_by_role("button", name="Resume mission").click()
+    page.get_by_role("button", name="Now", exact=True).click()
+    sync_api.expect(page.get_by_role("button", name="Now", exact=True)).to_have_attribute("aria-pressed", "true")
+    assert page.locator("#instant").evaluate("one => one.value === one.max")
+
+
+def test_page_says_that_the_mission_is_gone(visits, running, address):
+    page = visits.show(address)
+    page.locator(".connection", has_text="connected").wait_for()
+    running.kill()
+    page.locator(".connection", has_text="lost").wait_for()
+    visits.wrong = [words for words in visits.wrong if "WebSocket connection" not in words]
