@@ -109,7 +109,7 @@ function Told() {
 
 export function App({ differences, note }) {
   revision.value;
-  if (!run.value) return <main class="waiting" role="status">{complaint.value || `The mission is asked for: ${connection.value}.`}</main>;
+  if (!run.value) return <main role="status">{complaint.value || `The mission is asked for: ${connection.value}.`}</main>;
   return (
     <>
       <Head note={note} />
