@@ -29,7 +29,7 @@ from kb.questions import Situation
 from kb.reconfiguration import Obsolete
 from kb.records import Attempt, Process, ReconfigurationPlan, Reply, RequiredAction, VetoAnswer
 from kb.status import Status
-from kb.store import StoreError
+from kb.store_file import StoreError
 
 __all__ = [
     "AmbiguousName",

@@ -1,6 +1,6 @@
 """Amendments of a model as they are written in events, and how a model is amended again as it was before."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import MISSING, fields
 from typing import Any, NamedTuple
 
@@ -8,7 +8,19 @@ from kb.elements import Changeable, Constraint, Estimation
 from kb.facts import tables_of
 from kb.model import Model
 from kb.owl.declaring import Declarer
-from kb.owl.individuals import Serials, element_id, from_json, individual, individuals, plain_json
+from kb.owl.individuals import (
+    MODEL,
+    PARAMETER,
+    PREFERENCE,
+    Ref,
+    Serials,
+    element_id,
+    from_json,
+    individual,
+    individuals,
+    parameter_values,
+    plain_json,
+)
 
 
 class Amendment(NamedTuple):
@@ -53,13 +65,20 @@ def amend(model: Model, serials: Serials, how: str, written: Any) -> None:  # no
     )
 
 
-def amended_alike(declared: Sequence[Any], amendments: Iterable[Amendment], model: Model) -> Serials | None:
-    """Return the numbers for a model that is as one declared so (in `plain_json`) and amended so; None if it is not."""
-    then = Model(model.name)
-    Declarer(then).declare(from_json(declared))
+def rebuilt(declared: Sequence[Any], amendments: Iterable[Amendment]) -> tuple[Model, Serials]:
+    """Return a model that was declared so (in `plain_json`) and then amended so, and the numbers in it."""
+    given = from_json(declared)
+    names = [str(value) for one in given if one.kind == MODEL for value in one.values["name"]]
+    then = Model(names[0])
+    Declarer(then).declare(given)
     numbers = Serials(then)
     for one in amendments:
         amend(then, numbers, *one)
+    return then, numbers
+
+
+def amended_alike(then: Model, numbers: Serials, model: Model) -> Serials | None:
+    """Return the numbers of one model for another that is as it; None if it is not."""
     if plain_json(individuals(then)) != plain_json(individuals(model)):
         return None
     serials = Serials(Model(model.name))
@@ -70,26 +89,48 @@ def amended_alike(declared: Sequence[Any], amendments: Iterable[Amendment], mode
     return serials
 
 
-def differences(stored: Iterable[Any], given: Iterable[Any]) -> Iterator[str]:
-    """Say how a model differs from another one, both as `plain_json` writes them."""
-    before = {own: (kind, values) for kind, own, values in stored}
-    now = {own: (kind, values) for kind, own, values in given}
-    for own in {**before, **now}:
-        if own not in now:
-            yield f"{own} is in the store only"
-        elif own not in before:
-            yield f"{own} is not in the store"
-        elif before[own] != now[own]:
-            (was, old), (kind, new) = before[own], now[own]
-            names = [name for name in {**old, **new} if old.get(name) != new.get(name)]
-            words = [f"{name} {_shown(new.get(name))}, in the store {_shown(old.get(name))}" for name in names]
-            yield f"{own} has {', '.join(words)}" if words else f"{own} is a {kind}, in the store a {was}"
+def differences(then: Model, now: Model) -> list[str]:
+    """Say what came, went and changed from one model to another; nothing if they are the same."""
+    if plain_json(individuals(then)) == plain_json(individuals(now)):
+        return []
+    before, after = _described(then), _described(now)
+    changed = [
+        f"{own} has {name} {_shown(after[own].get(name))}, in the store {_shown(before[own].get(name))}"
+        for own in before
+        if own in after
+        for name in {**before[own], **after[own]}
+        if before[own].get(name) != after[own].get(name)
+    ]
+    return [
+        *(f"{own} is not in the store" for own in after if own not in before),
+        *(f"{own} is in the store only" for own in before if own not in after),
+        *changed,
+    ] or ["the order of its elements is another"]
+
+
+def _described(model: Model) -> dict[str, dict[str, object]]:
+    """Return what a model says, by the ids of what has a name; anything else, which is what it says, by that."""
+    found: dict[str, dict[str, object]] = {}
+    inner = {one.id: one for one in individuals(model)}
+    for one in inner.values():
+        values = {name: value for name, value in one.values.items() if name != "position"}
+        if one.kind in (PARAMETER, PREFERENCE):
+            continue
+        if "name" in values:
+            if "hasParameter" in values:
+                given = parameter_values(inner[ref.id] for ref in values["hasParameter"] if isinstance(ref, Ref))
+                values["hasParameter"] = (str(given),)
+            found[one.id] = {"kind": (one.kind,), **values}
+        else:
+            said = ", ".join(f"{name} {_shown(value)}" for name, value in values.items())
+            found[f"{one.kind} ({said})"] = {}
+    return found
 
 
 def _plain(value: object) -> object:
     return repr(dict(value)) if isinstance(value, Mapping) else value
 
 
-def _shown(values: Sequence[Any] | None) -> str:
-    shown = [one["ref"] if isinstance(one, dict) else repr(one) for one in values or ()]
-    return " and ".join(shown) or "none"
+def _shown(values: object) -> str:
+    listed = values if isinstance(values, tuple) else ()
+    return " and ".join(one.id if isinstance(one, Ref) else repr(one) for one in listed) or "none"

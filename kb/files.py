@@ -4,6 +4,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from secrets import token_hex
 from typing import Final, NamedTuple
 
 from kb.exceptions import DuplicateName, KnowledgeBaseError, ModelError, UnknownName
@@ -79,15 +80,56 @@ def read_text(file: Path) -> str:
         raise _undecodable(file, content, error.start) from None
 
 
-def write_text(file: Path, text: str) -> None:
-    """Replace a file in one step, so that nothing half-written is ever found there."""
-    part = file.with_name(f".{file.name}.{os.getpid()}.part")
+@contextmanager
+def draft(path: Path) -> Iterator[Path]:
+    """Give a new file beside a place, which nobody else can know or have made; it is gone afterwards, if not put there.
+
+    Raises:
+        OSError: it cannot be made.
+    """
+    part = path.with_name(f".{path.name[:100]}.{token_hex(8)}.part")
+    os.close(os.open(part, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
     try:
-        part.write_text(text, encoding="utf-8", newline="\n")
-        part.replace(file)
+        yield part
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def put(part: Path, path: Path) -> None:
+    """Put a file that is complete in the place of another one, in one step; both are on disk then."""
+    with part.open("rb") as file:
+        os.fsync(file.fileno())
+    with suppress(FileNotFoundError):
+        part.chmod(path.stat().st_mode & 0o777)
+    part.replace(path)
+    sync_folder(path.parent)
+
+
+def sync_folder(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def write_file(path: Path, content: bytes) -> None:
+    """Replace a file in one step, so that nothing half-written is ever found there; a link is followed.
+
+    Raises:
+        OSError: it cannot be written; what was there is there.
+    """
+    target = path.resolve()
+    with draft(target) as part:
+        part.write_bytes(content)
+        put(part, target)
+
+
+def write_text(file: Path, text: str) -> None:
+    """Replace the file of a model; see `write_file`."""
+    try:
+        write_file(file, text.encode())
     except OSError as error:
-        with suppress(OSError):
-            part.unlink(missing_ok=True)
         why = "there is no such folder" if isinstance(error, FileNotFoundError) else error.strerror
         raise ModelFileError(f"the file cannot be written: {why}", str(file)) from None
 

@@ -59,8 +59,7 @@ def _telling(method: Callable[Concatenate["KnowledgeBase", P], T]) -> Callable[C
     @wraps(method)
     def held(self: "KnowledgeBase", *args: P.args, **kwargs: P.kwargs) -> T:
         with self._lock:
-            if self._is_closed:
-                self._check_open()
+            self._check_open()
             result = method(self, *args, **kwargs)
         if self._publisher.is_heard:
             self._publisher.deliver()
@@ -598,6 +597,8 @@ class KnowledgeBase:
         return now
 
     def _check_open(self) -> None:
+        if self._store is not None and self._store.is_orphan:
+            self._store.check_owner()
         if self._is_closed:
             raise KnowledgeBaseError(
                 "this knowledge base is closed: its store is given back, so nothing more can be told. "

@@ -1,11 +1,10 @@
 """The store: the log of a knowledge base in one SQLite file, with what was known at some of its events.
 
-One thread writes it, in order, and each commit is on disk before it is acknowledged. Each record carries a check of
-itself and of the one before it. To open a store costs what was written after the last snapshot, not the history.
-A file that is not ours, or not well, is left as it is.
+One thread writes it, in order, and each commit is on disk before it is acknowledged. To open a store costs what was
+written after the last snapshot, not the history. A file that is not ours, or not well, is left as it is.
 """
 
-import fcntl
+import ctypes
 import json
 import logging
 import os
@@ -14,35 +13,39 @@ import threading
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
-from hashlib import blake2b
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final
+from weakref import WeakSet
 
-from kb.amendments import Amendment, amend, amended_alike, differences
+from kb.amendments import Amendment, amend, amended_alike, differences, rebuilt
 from kb.events import Event
-from kb.exceptions import InvalidValue, KnowledgeBaseError
+from kb.exceptions import InvalidValue
+from kb.files import sync_folder
 from kb.knowledge import Knowledge
 from kb.model import Model
 from kb.owl.individuals import Serials, individuals, plain_json
-
-FORMAT: Final = 2
-"""Of files that this version writes and reads."""
+from kb.store_file import (
+    WHOLE_CHECK,
+    Mark,
+    Row,
+    Snapshot,
+    StoreError,
+    check_format,
+    damaged,
+    guarded,
+    has_content,
+    history,
+    make,
+    mark_path,
+    opened,
+    survey,
+    write_about,
+    write_life,
+)
 
 KEPT: Final = 10_000
 """How many measurements of each attribute are kept; the newest."""
 
-_MAGIC: Final = b"SQLite format 3\0"
-_OWNER: Final = 0x524F5341
-"""ROSA in ASCII: the application id in the header of the file."""
-
-_TABLES: Final = (
-    "CREATE TABLE about (declared TEXT NOT NULL, digest BLOB NOT NULL)",
-    "CREATE TABLE events (number INTEGER PRIMARY KEY, time REAL NOT NULL, verb TEXT NOT NULL, subject TEXT NOT NULL, "
-    "data TEXT NOT NULL, before BLOB NOT NULL, digest BLOB NOT NULL)",
-    "CREATE INDEX others ON events (number) WHERE verb <> 'measure'",
-    "CREATE TABLE snapshots (number INTEGER PRIMARY KEY, time REAL NOT NULL, known TEXT NOT NULL, "
-    "digest BLOB NOT NULL)",
-)
 _EXCESS: Final = """
     DELETE FROM events WHERE number IN (SELECT number FROM (SELECT number, row_number() OVER (
         PARTITION BY subject ORDER BY number DESC) AS place FROM events WHERE verb = 'measure')
@@ -51,9 +54,6 @@ _EXCESS: Final = """
 _SNAPSHOT_AFTER: Final = 10_000
 """How many events are written, at least, before what is known is written too; more where that is much."""
 
-_WHOLE_CHECK: Final = 8 << 20
-"""Up to which size a file is checked as a whole when it is opened [bytes]."""
-
 _PAUSE: Final = 0.001
 """How long the writer lets those who tell go on before it writes what they have told together [s]."""
 
@@ -61,47 +61,15 @@ _AHEAD: Final = 1 << 20
 """How much is written to the log beside the file before it is brought into the file [bytes]."""
 
 _AGAIN: Final = 1.0
-"""How long after a failure it is tried again to write [s]."""
+"""How long after a failure it is tried again to write, and how often the mark is forced to the disk [s]."""
 
 _MOST_WAITING: Final = 100_000
 """How many events may wait for room on the disk before it is given up: memory has an end too."""
 
+_SLICE: Final = 500
+"""How many events of the history are checked at a time while the file is in use."""
+
 _log = logging.getLogger(__name__)
-
-
-class StoreError(KnowledgeBaseError):
-    """A store cannot be opened, or is not one; it is as it was."""
-
-
-class _Row(NamedTuple):
-    number: int
-    time: float
-    verb: str
-    subject: str
-    data: str
-    before: bytes
-    digest: bytes
-
-    @property
-    def event(self) -> Event:
-        arguments, cause, effects = json.loads(self.data)
-        given = {"number": self.number, "time": self.time, "verb": self.verb, "arguments": arguments}
-        return Event.from_json({**given, "cause": cause, "effects": effects})
-
-    @property
-    def is_whole(self) -> bool:
-        return self.digest == _digest(self.before, *self[:5])
-
-
-def _row(event: Event, before: bytes) -> _Row:
-    written = event.to_json()
-    data = json.dumps([written["arguments"], event.cause, event.effects], separators=(",", ":"))
-    values = (event.number, float(event.time), event.verb, str(event.subject).encode("utf-8", "replace").decode(), data)
-    return _Row(*values, before, _digest(before, *values))
-
-
-def _digest(before: bytes, *values: object) -> bytes:
-    return blake2b(before + repr(values).encode(), digest_size=16).digest()
 
 
 class Store:
@@ -110,119 +78,130 @@ class Store:
     Attributes:
         path: of the file.
         is_new: there is nothing in it yet.
-        saved: number of the last event in the file.
+        saved: number of the last event that is acknowledged to be on disk.
         error: why nothing is saved at present, or any more; None while all is well.
         left: actions that were required when it was opened, by a program that has ended; a task layer settles them.
+        model: what is spoken of; without one given, that of the file.
 
     Raises:
         InvalidValue: the path is none.
-        StoreError: the file cannot be opened, or is no store, or that of another model.
+        StoreError: the file cannot be opened, is damaged, is no store, or that of another model.
     """
 
-    def __init__(self, path: str | Path, model: Model, keep: int) -> None:
+    def __init__(self, path: str | Path, model: Model | None, keep: int = KEPT) -> None:
         if not isinstance(path, str | Path) or not str(path):
             raise InvalidValue(f"a store is the path of a file, or None for none, not {path!r}")
         self.path, self.keep = Path(path), keep
         self.saved = 0
         self.error: str | None = None
         self.left: tuple[str, ...] = ()
-        declared = json.dumps(plain_json(individuals(model)))
-        self.is_new = not _has_content(self.path) and _make(self.path, declared)
-        self._guard = _guarded(self.path)
-        try:
-            _check_format(self.path, self._guard)
-            self._connection = _locked(self.path)
-        except StoreError:
-            os.close(self._guard)
-            raise
-        self._serials: Serials
-        self._snapshot, self._tail = 0, b""
+        self.is_new = model is not None and not has_content(self.path) and make(self.path, _declared(model))
+        self._guard, self._mark = guarded(self.path), -1
         self._using = threading.Lock()
         self._progress = threading.Condition()
         self._wake = threading.Event()
         self._closing = self._is_stopping = self._is_given_up = False
+        self._ends_itself = self.is_orphan = False
         self._past: list[Event] = []
         self._thread: threading.Thread | None = None
         self._knowledge: Knowledge
-        self._lock: AbstractContextManager[object]
+        self._lock: AbstractContextManager[object] = threading.RLock()
         try:
-            self._open(model, declared)
+            check_format(self.path, self._guard)
+            self._connection, found = opened(self.path)
+        except BaseException:
+            os.close(self._guard)
+            raise
+        self._id, self._found = found.id, found
+        self._written, self._tail = found.last, found.tail
+        self._snapshot = 0 if found.snapshot is None else found.snapshot.number
+        before = 0 if found.snapshot is None else found.snapshot.others
+        self._others = before + sum(row.verb != "measure" for row in found.rows)
+        self._checked, self._to_check = 0, self._snapshot if self.path.stat().st_size > WHOLE_CHECK else 0
+        self._synced = 0.0
+        self._time = found.rows[-1].time if found.rows else found.snapshot.time if found.snapshot else 0.0
+        try:
+            self.model, self._serials = self._matched(model)
         except BaseException:
             self._release()
             raise
+        _OPEN.add(self)
 
     # ---------------------------------------------------------------- read
 
     def restore(self, known: Knowledge, now: float) -> None:
         """Have everything known that is in the file; plans and attempts that were under way are abandoned [s]."""
-        known.serials = self._serials
+        known.serials, found = self._serials, self._found
         with _blamed(self.path):
-            found = self._connection.execute("SELECT * FROM snapshots ORDER BY number DESC LIMIT 1").fetchone()
-            if found is not None:
-                number, moment, written, digest = found
-                if digest != _digest(b"", number, moment, written):
-                    raise ValueError(f"what was known after event {number} is not as it was written")
-                known.from_json(json.loads(written), number, moment)
-                self._snapshot = number
-            for row in self._rows(self._snapshot):
+            if found.snapshot is not None:
+                known.from_json(json.loads(found.snapshot.known), found.snapshot.number, found.snapshot.time)
+            for row in found.rows:
                 known.repeat(row.event)
-                self._tail = row.digest
-            known.log.last = self.saved = max(self._snapshot, known.log.last)
+            known.log.last = self.saved = self._written
+        found.rows.clear()
         for plan in list(known.records.open_plans.values()):
             known.apply(now, "finish_plan", (plan.number, "abandoned"))
         for serial in [serial for serial, one in known.records.attempts.items() if one.end is None]:
             known.apply(now, "finish_attempt", (serial, "abandoned", "nobody saw what came of it"))
         self.left = tuple(known.records.required)
 
+    @property
+    def time(self) -> float:
+        """The time of the last event that was in the file when it was opened [s]."""
+        return self._time
+
     def events(self, after: int = 0, *, measurements: bool = True) -> list[Event]:
         """Return the events in the file after one, with the measurements that are kept or without.
 
         Once it is closed, none but the newest measurements are there, which the state holds.
         """
+        self.check_owner()
         with self._using, _blamed(self.path):
             if self._closing:
                 return [event for event in self._past if event.number > after]
-            return [row.event for row in self._rows(after, "" if measurements else "AND verb <> 'measure'")]
+            return self._events(after, "" if measurements else "AND verb <> 'measure'")
 
     def check(self) -> int:
-        with self._using, _blamed(self.path):
-            (found,) = self._connection.execute("PRAGMA integrity_check(1)").fetchone()
-            if found != "ok":
-                raise ValueError(found)
-            return sum(1 for _ in self._rows(0))
+        """Check all of it; returns how many events it holds, or raises StoreError."""
+        self.check_owner()
+        with self._using:
+            found = survey(self._connection, Mark(self._id, self._written, self._tail), is_whole=True)
+            if found.problem:
+                raise found.error(self.path)
+            ((count,),) = self._connection.execute("SELECT COUNT(*) FROM events")
+            return int(count)
 
-    def _open(self, model: Model, declared: str) -> None:
-        with _blamed(self.path):
-            (stored, digest) = self._connection.execute("SELECT declared, digest FROM about").fetchone()
-            if digest != _digest(b"", stored):
-                raise ValueError("the model in it is not as it was written")
-            rows = self._rows(0, "AND verb <> 'measure' AND verb = 'amend'")
-            amendments = [Amendment(*row.event.arguments) for row in rows]
-        if stored == declared:
-            self._serials = Serials(model)
-            for one in amendments:
-                amend(model, self._serials, *one)
-            return
-        serials = amended_alike(json.loads(stored), amendments, model)
-        if serials is None:
-            listed = list(differences(json.loads(stored), json.loads(declared)))
-            words = "; ".join(listed[:3]) + ("; ..." if len(listed) > 3 else "")
+    def check_owner(self) -> None:
+        """Raise StoreError in a process that was forked from the one that has opened the store."""
+        if self.is_orphan:
             raise StoreError(
-                f"{self.path}: the store is of another model: {words}. Give that model, or name another file"
+                f"{self.path}: the store is open in the process that this one was forked from, which goes on with it. "
+                "Make a knowledge base with a store of its own here"
             )
-        self._serials = serials
 
-    def _rows(self, after: int, only: str = "") -> Iterator[_Row]:
-        """Yield the records after one; each is checked, and with the one before it where that is still there."""
-        before: _Row | None = None
-        rows = self._connection.execute(f"SELECT * FROM events WHERE number > ? {only} ORDER BY number", (after,))
-        for values in rows:
-            row = _Row(*values)
-            follows = before is None or before.number + 1 != row.number or before.digest == row.before
-            if not row.is_whole or not follows:
-                raise ValueError(f"event {row.number} is not as it was written")
-            yield row
-            before = row
+    def _events(self, after: int, only: str) -> list[Event]:
+        return [row.event for row in history(self._connection, after, self._written, only)]
+
+    def _matched(self, model: Model | None) -> tuple[Model, Serials]:
+        """Return the model that is gone on with, as it was amended, and the numbers in it."""
+        stored, since = str(self._found.declared), self._found.since
+        with _blamed(self.path):
+            amendments = [Amendment(*event.arguments) for event in self._events(since, "AND verb = 'amend'")]
+            if model is not None and stored == _declared(model):
+                serials = Serials(model)
+                for one in amendments:
+                    amend(model, serials, *one)
+                return model, serials
+            then, numbers = rebuilt(json.loads(stored), amendments)
+        if model is None:
+            return then, numbers
+        alike = amended_alike(then, numbers, model)
+        if alike is not None:
+            return model, alike
+        raise StoreError(
+            f"{self.path}: the store is of another model: {'; '.join(differences(then, model))}. Give that model, or "
+            f"name another file; `rosa store migrate {self.path} MODEL` takes the facts over to another model"
+        )
 
     # ---------------------------------------------------------------- write
 
@@ -230,17 +209,27 @@ class Store:
         """Write from now on; if that fails, say so once, and try it again until it is of no use any more."""
         self._knowledge, self._lock = known, lock
         with _blamed(self.path):
+            try:
+                flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW
+                self._mark = os.open(mark_path(self.path), flags, 0o666)
+                self._acknowledge()
+                os.fsync(self._mark)
+                sync_folder(self.path.parent)
+            except OSError as error:
+                raise StoreError(f"{mark_path(self.path)}: it cannot be written: {error.strerror}") from None
             self._connection.execute("PRAGMA journal_mode=WAL")
             self._connection.execute("PRAGMA synchronous=FULL")
             (page,) = self._connection.execute("PRAGMA page_size").fetchone()
             self._connection.execute(f"PRAGMA wal_autocheckpoint={_AHEAD // page}")
             self._connection.execute(f"PRAGMA journal_size_limit={_AHEAD}")
+            self._live(is_open=True)
+            self._connection.execute("PRAGMA wal_checkpoint(FULL)")  # so that a log that is missing is noticed
         known.log.heard = self._heard
-        self._thread = threading.Thread(target=self._run, name=f"store {self.path.name}", daemon=True)
-        self._thread.start()
-        self._wake.set()
+        self._begin()
 
     def flush(self, timeout: float | None = None) -> bool:
+        """Wait until all that was told by now is on disk; returns whether it is."""
+        self.check_owner()
         wanted = self._knowledge.log.last
         self._wake.set()
         with self._progress:
@@ -248,26 +237,68 @@ class Store:
         return self.saved >= wanted
 
     def close(self) -> None:
-        if self._closing or self._is_stopping:
+        """Save what is left and give the file back.
+
+        Raises:
+            StoreError: not all could be saved. It is kept, and tried again: make room and close again.
+        """
+        if self._closing or self._is_stopping or self.is_orphan:
             return
         self._is_stopping = True
         self._wake.set()
-        if self._thread is not None and self._thread is not threading.current_thread():
+        if self._thread is threading.current_thread():
+            self._ends_itself = True  # nobody holds the base any more, as this thread found out
+            return
+        unsaved = 0
+        if self._thread is not None:
             self._thread.join()
+            unsaved = self._knowledge.log.last - self.saved
+            if unsaved and not self._is_given_up:
+                self._is_stopping = False
+                self._begin()
+                raise StoreError(f"{self.error}. {unsaved} events are not saved; make room, and close it again")
+        self._end()
+        if unsaved:
+            raise StoreError(f"{self.error}. {unsaved} events are lost; what is in the file is sound")
+
+    def _end(self) -> None:
         with suppress(StoreError):
             self._past = self.events(measurements=False)
         with self._using, suppress(sqlite3.Error):
-            if self.error is None:
+            if self._mark >= 0 and self.error is None:
+                self._live(is_open=False)
                 self._connection.execute("PRAGMA journal_mode=DELETE")
+                mark_path(self.path).unlink(missing_ok=True)
         self._release()
         with self._progress:
             self._progress.notify_all()
+
+    @property
+    def locks(self) -> tuple[Any, Any]:
+        """What is held while something is told, and while the file is used."""
+        return self._lock, self._using
+
+    def orphan(self) -> None:
+        """Be of no use in a forked process; the connection is never dropped there."""
+        self.is_orphan = True
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(self._connection))
 
     def _release(self) -> None:
         self._closing = True
         with suppress(sqlite3.Error):
             self._connection.close()
-        os.close(self._guard)
+        for descriptor in (self._guard, self._mark):
+            if descriptor >= 0:
+                os.close(descriptor)
+
+    def _live(self, *, is_open: bool) -> None:
+        write_life(self._connection, self._id, is_open=is_open, last=self._written, tail=self._tail)
+        self._connection.commit()
+
+    def _begin(self) -> None:
+        self._thread = threading.Thread(target=self._run, name=f"store {self.path.name}", daemon=True)
+        self._thread.start()
+        self._wake.set()
 
     def _heard(self) -> None:
         if not self._wake.is_set():
@@ -275,34 +306,55 @@ class Store:
 
     def _run(self) -> None:
         while not self._is_given_up:
-            self._wake.wait(_AGAIN if self.error else None)
+            is_checking = self._checked < self._to_check
+            self._wake.wait(_AGAIN if self.error else 0.05 if is_checking else None)
+            if is_checking:
+                self._check_some()
             self._wake.clear()
             if not self._is_stopping:
                 time.sleep(_PAUSE)
             is_last = self._is_stopping  # if it is told to stop while it writes, there may be more
             self._write()
+            if is_last and (self.error or self.saved == self._knowledge.log.last):
+                break
             if is_last:
-                return
+                self._wake.set()
+        if self._ends_itself:
+            self._end()
+
+    def _check_some(self) -> None:
+        """Check a part of a history that is too long to be checked before the file is used."""
+        until = min(self._checked + _SLICE, self._to_check)
+        try:
+            with self._using:
+                for _ in history(self._connection, self._checked, until):
+                    pass
+            self._checked = until
+        except (sqlite3.Error, ValueError) as error:
+            self._fail(error, is_given_up=True)
 
     def _write(self) -> None:
         """Write what is new; if that fails, everything is as before."""
         known, snapshot = self._knowledge, None
         with self._lock:
             known.finish()
-            last, waiting = known.log.last, known.log.last - self.saved
-            batch = list(known.log.since(self.saved))
+            last = known.log.last
+            waiting = last - self._written
+            batch = list(known.log.since(self._written))
             if self._needs_snapshot(batch, last):
                 snapshot = (last, known.clock(), json.dumps(known.to_json(self.keep), separators=(",", ":")))
-        if not batch:
+        if last == self.saved or self._is_given_up:
             return
-        if waiting > _MOST_WAITING or batch[0].number != self.saved + 1:
+        if waiting > _MOST_WAITING or len(batch) != waiting:
             self._fail(OSError("too much waits for room"), is_given_up=True)
             return
         try:
-            with self._using:
-                self._commit(batch, snapshot)
+            if batch:
+                with self._using:
+                    self._commit(batch, snapshot)
+            self._acknowledge()
         except (sqlite3.Error, OSError) as error:
-            self._fail(error, is_given_up=self._is_stopping or waiting > _MOST_WAITING)
+            self._fail(error, is_given_up=waiting > _MOST_WAITING)
             return
         was_wrong = self.error is not None
         with self._progress:
@@ -310,6 +362,18 @@ class Store:
             self._progress.notify_all()
         if was_wrong:
             self._say(f"{self.path}: all is saved again", logging.WARNING)
+        if (now := time.monotonic()) - self._synced > _AGAIN:
+            self._synced = now
+            with suppress(OSError):
+                os.fdatasync(self._mark)
+
+    def _acknowledge(self) -> None:
+        """Say outside of the database what is in it, so that it is missed there if it is gone.
+
+        That is not forced to the disk each time, which would double the wait: a process that is killed leaves it as it
+        is, and when the power fails, it is the mark that is behind, not the database.
+        """
+        os.pwrite(self._mark, Mark(self._id, self._written, self._tail).written(), 0)
 
     def _needs_snapshot(self, batch: Iterable[Event], last: int) -> bool:
         if any(event.verb == "amend" for event in batch):
@@ -319,25 +383,36 @@ class Store:
         much = max(min(_SNAPSHOT_AFTER, 10 * self.keep), len(state.network.nodes), measured // 2)
         return last - self._snapshot >= (1000 if self._is_stopping else much)
 
-    def _commit(self, batch: Iterable[Event], snapshot: tuple[int, float, str] | None) -> None:
+    def adopt(self, model: Model, batch: Iterable[Event], snapshot: tuple[int, float, str]) -> None:
+        """Have all that comes after some events be of another model, of which a snapshot is given; in one step."""
+        with _blamed(self.path):
+            self._commit(batch, snapshot, model)
+
+    def _commit(
+        self, batch: Iterable[Event], snapshot: tuple[int, float, str] | None, model: Model | None = None
+    ) -> None:
         rows, before = [], self._tail
         for event in batch:
-            rows.append(_row(event, before))
+            rows.append(Row.of(event, before))
             before = rows[-1].digest
+        others = self._others + sum(row.verb != "measure" for row in rows)
         try:
             self._connection.executemany("INSERT INTO events VALUES (?, ?, ?, ?, ?, ?, ?)", rows)
             if snapshot is not None:
-                self._connection.execute(
-                    "INSERT OR REPLACE INTO snapshots VALUES (?, ?, ?, ?)", (*snapshot, _digest(b"", *snapshot))
-                )
+                kept = Snapshot.of(*snapshot, others, before)
+                self._connection.execute("INSERT OR REPLACE INTO snapshots VALUES (?, ?, ?, ?, ?, ?)", kept)
                 self._connection.execute("DELETE FROM snapshots WHERE number < ?", (self._snapshot,))
-                self._connection.execute(_EXCESS, (self.keep, snapshot[0]))
+                # not what was written since the last one, from which all can be known again
+                self._connection.execute(_EXCESS, (self.keep, self._snapshot))
+            if model is not None:
+                write_about(self._connection, self._id, _declared(model), rows[-1].number)
+                write_life(self._connection, self._id, is_open=False, last=rows[-1].number, tail=before)
             self._connection.commit()
         except BaseException:
             with suppress(sqlite3.Error):
                 self._connection.rollback()
             raise
-        self._tail = before
+        self._tail, self._others, self._written = before, others, rows[-1].number
         if snapshot is not None:
             self._snapshot = snapshot[0]
 
@@ -358,113 +433,8 @@ class Store:
         self._knowledge.heard()
 
 
-# -------------------------------------------------------------------- the file
-
-
-def _has_content(path: Path) -> bool:
-    try:
-        return path.stat().st_size > 0
-    except FileNotFoundError:
-        return False
-    except OSError as error:
-        raise StoreError(f"{path}: the store cannot be read: {error.strerror}") from None
-
-
-def _make(path: Path, declared: str) -> bool:
-    """Make the file of a store beside its place, so that it is there as a whole or not at all.
-
-    Returns:
-        False if another process has made one meanwhile.
-    """
-    part = path.with_name(f".{path.name}.{os.getpid()}.{threading.get_ident()}.part")
-    try:
-        connection = sqlite3.connect(part)
-        for statement in (f"PRAGMA application_id={_OWNER}", f"PRAGMA user_version={FORMAT}", *_TABLES):
-            connection.execute(statement)
-        connection.execute("INSERT INTO about VALUES (?, ?)", (declared, _digest(b"", declared)))
-        connection.commit()
-        connection.close()
-        return _put_in_place(part, path)
-    except (OSError, sqlite3.Error) as error:
-        raise StoreError(f"{path}: the store cannot be made: {error}; see who may write in that folder") from None
-    finally:
-        with suppress(OSError):
-            part.unlink(missing_ok=True)
-
-
-def _put_in_place(part: Path, path: Path) -> bool:
-    try:
-        path.hardlink_to(part)
-    except FileExistsError:
-        if path.stat().st_size > 0:
-            return False
-        part.replace(path)
-    except OSError:  # a file system without links
-        part.replace(path)
-    return True
-
-
-def _guarded(path: Path) -> int:
-    """Open a file that nobody else has open as a store; returns its descriptor.
-
-    It is kept until the database is closed: to close any descriptor of a file takes away the locks of SQLite on it.
-    """
-    try:
-        descriptor = os.open(path, os.O_RDONLY)
-    except OSError as error:
-        raise StoreError(f"{path}: the store cannot be read: {error.strerror}") from None
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        os.close(descriptor)
-        raise _in_use(path) from None
-    return descriptor
-
-
-def _in_use(path: Path) -> StoreError:
-    return StoreError(f"{path}: the store is in use by another knowledge base or process; close that, or name another")
-
-
-def _check_format(path: Path, descriptor: int) -> None:
-    try:
-        head = os.pread(descriptor, 100, 0)
-    except OSError as error:
-        raise StoreError(f"{path}: the store cannot be read: {error.strerror}") from None
-    if not head.startswith(_MAGIC) or len(head) < 100:
-        raise StoreError(f"{path}: this is no store but another file; it is left as it is. Name another one")
-    if int.from_bytes(head[68:72], "big") != _OWNER:
-        raise StoreError(f"{path}: this is a database of something else; it is left as it is. Name another file")
-    found = int.from_bytes(head[60:64], "big")
-    if found != FORMAT:
-        which = "a newer version; update" if found > FORMAT else "an older version; open it with that"
-        raise StoreError(f"{path}: the store has format {found}, of {which}, or name another file")
-
-
-def _locked(path: Path) -> sqlite3.Connection:
-    """Open a database for nobody else; one that is damaged or may not be written is left as it is."""
-    try:
-        connection = sqlite3.connect(path, timeout=0.0, isolation_level="EXCLUSIVE", check_same_thread=False)
-    except sqlite3.Error as error:
-        raise StoreError(f"{path}: the store cannot be opened: {error}") from None
-    found = "ok"
-    try:
-        connection.execute("PRAGMA locking_mode=EXCLUSIVE")
-        connection.execute("BEGIN EXCLUSIVE")
-        if path.stat().st_size <= _WHOLE_CHECK:
-            (found,) = connection.execute("PRAGMA integrity_check(1)").fetchone()
-        connection.execute(f"PRAGMA user_version={FORMAT}")  # a file that may only be read is not noticed before that
-        connection.rollback()
-    except sqlite3.Error as error:
-        connection.close()
-        if "locked" in str(error):
-            raise _in_use(path) from None
-        if isinstance(error, sqlite3.OperationalError):
-            raise StoreError(f"{path}: the store cannot be opened for writing: {error}; see who may write it") from None
-        raise _damaged(path, error) from None
-    if found != "ok":
-        connection.close()
-        raise _damaged(path, found.splitlines()[-1])
-    return connection
+def _declared(model: Model) -> str:
+    return json.dumps(plain_json(individuals(model)))
 
 
 @contextmanager
@@ -472,8 +442,30 @@ def _blamed(path: Path) -> Iterator[None]:
     try:
         yield
     except (sqlite3.Error, TypeError, ValueError, LookupError) as error:
-        raise _damaged(path, error) from None
+        raise damaged(path, error) from None
 
 
-def _damaged(path: Path, what: object) -> StoreError:
-    return StoreError(f"{path}: the store is damaged: {what}. Take a copy of it that is not, or name another file")
+# -------------------------------------------------------------------- forks
+
+_OPEN: Final[WeakSet[Store]] = WeakSet()
+
+
+def _held() -> None:
+    """Have nothing half-done while a process is forked; who waits for the one who forks waits no longer than that."""
+    _HELD.extend(lock for store in _OPEN for lock in store.locks if lock.acquire(timeout=1.0))
+
+
+def _let_go() -> None:
+    while _HELD:
+        _HELD.pop().release()
+
+
+def _orphaned() -> None:
+    """Leave the files to the process that has them open: a child that only drops a connection would write to them."""
+    _let_go()
+    for store in _OPEN:
+        store.orphan()
+
+
+_HELD: Final[list[Any]] = []
+os.register_at_fork(before=_held, after_in_parent=_let_go, after_in_child=_orphaned)

@@ -16,6 +16,7 @@ from missions.commands import (
     recordings,
     report,
     run,
+    store,
 )
 
 __all__ = ["app", "main"]
@@ -36,6 +37,7 @@ app.command("plan")(plan.plan)
 app.command("campaign")(campaign.campaign)
 app.command("report")(report.report)
 app.command("effort")(effort.effort)
+app.add_typer(store.app, name="store")
 
 
 def main() -> None:

@@ -71,7 +71,7 @@ def judge(files: Sequence[Path], mission: "Mission | None", trees: Sequence[str]
     from kb.checks.findings import found
     from missions.views.names import names_in_pddl, names_in_tree, planned_names, tree_builder, unguarded_in_tree
 
-    model = _model(files, mission)
+    model = model_of(files, mission)
     if not (trees or pddl or mission):
         return Judgement(model.name, model.check())
     built = [(tree_builder(tree), f"tree {tree}") for tree in trees]
@@ -92,7 +92,7 @@ def judge(files: Sequence[Path], mission: "Mission | None", trees: Sequence[str]
     return Judgement(model.name, (*_placed(model.check(places), places, is_complete), *unguarded))
 
 
-def _model(files: Sequence[Path], mission: "Mission | None") -> "Model":
+def model_of(files: Sequence[Path], mission: "Mission | None") -> "Model":
     from kb import Model
     from missions.engine.mission import MissionError
 
@@ -121,7 +121,7 @@ def _contradictions(files: Sequence[Path], mission: "Mission | None") -> Iterato
     from kb.owl.owlready import inconsistency
     from kb.owl.rdfxml import owl_text
 
-    model = _model(files, mission)
+    model = model_of(files, mission)
     texts = {str(file): read_text(file) for file in files if file.suffix.lower() == ".owl"}
     for where, text in (texts or {model.name: owl_text(model)}).items():
         what = inconsistency(text)

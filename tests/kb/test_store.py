@@ -22,7 +22,7 @@ from models import Clock, Twins, stories
 from test_files import odd_models
 
 from kb import InvalidValue, KnowledgeBase, KnowledgeBaseError, Model, PriorityPlanner
-from kb.store import FORMAT, StoreError
+from kb.store_file import FORMAT, StoreError
 
 FEW = settings(max_examples=40, suppress_health_check=[HealthCheck.too_slow])
 
@@ -52,7 +52,7 @@ def kept(model, path, **settings):
 def dead(path, folder):
     """Return a copy of what a process that is killed now would leave."""
     copy = fresh(folder)
-    for end in ("", "-wal"):
+    for end in ("", "-wal", "-mark"):
         shutil.copy(f"{path}{end}", f"{copy}{end}")
     return copy
 
@@ -408,15 +408,20 @@ def test_full_disk_is_said_and_the_mission_goes_on(tmp_path, caplog):
             assert PriorityPlanner().plan(kb).activate == ("camera",)
             assert kb.query("SELECT (MAX(?v) AS ?most) { ?m a :Measurement ; :value ?v }") == [(2999.0,)]
             assert kb.query("SELECT ?end { ?f a :Failure ; :end ?end }") == [(5.0,)]
-            kb.close()
-            assert "nothing is saved any more since event" in kb.store.error
+            for _ in range(2):
+                with pytest.raises(StoreError, match=r"\d+ events are not saved; make room, and close it again"):
+                    kb.close()
+            with pytest.raises(KnowledgeBaseError, match="closed"):
+                kb.measure("load", 1.0)
+            last = kb.log.last
+        kb.close()  # there is room again
         assert kb.query("SELECT ?end { ?f a :Failure ; :end ?end }") == [(5.0,)]
         assert kb.query("SELECT (MAX(?v) AS ?most) { ?m a :Measurement ; :value ?v }") == [(2999.0,)]
-        reached = kb.saved
+        assert kb.saved == kb.log.last >= last > saved
     with kept(robot(), path) as kb:
-        assert reached >= saved
-        assert kb.log.last == reached
-        assert kb.components["camera"].status == "failure"
+        assert kb.log.last > last
+        assert kb.attributes["load"].value == 2999.0
+        assert kb.components["camera"].status != "failure"
 
 
 def test_all_that_waited_is_saved_in_order_once_the_disk_has_room_again(tmp_path):
@@ -455,6 +460,8 @@ def test_waiting_for_room_is_given_up_when_too_much_waits(tmp_path, monkeypatch)
         assert not kb.flush(1.5)
         assert "nothing is saved any more" in kb.store.error
         assert kb.query("SELECT (MAX(?v) AS ?most) { ?m a :Measurement ; :value ?v }") == [(5000.0,)]
+        with pytest.raises(StoreError, match=r"\d+ events are lost; what is in the file is sound"):
+            kb.close()
 
 
 def test_disk_that_is_full_from_the_start_is_an_error(tmp_path):
@@ -491,7 +498,7 @@ def open_folder():
         (0o555, 0o444, "cannot be opened for writing: attempt to write a readonly database; see who may write it"),
         (0o555, 0o666, "cannot be opened for writing: attempt to write a readonly database; see who may write it"),
         (0o777, 0o000, "cannot be read: Permission denied"),
-        (0o555, None, "cannot be made: unable to open database file; see who may write in that folder"),
+        (0o555, None, "cannot be made: Permission denied; see who may write in that folder"),
     ],
 )
 def test_file_that_may_not_be_written_is_an_error_and_untouched(of_folder, of_file, message, open_folder):
@@ -530,7 +537,9 @@ def test_damaged_file_is_refused_and_untouched(data, lived, folder):
     else:
         content = lived[: number * page] + bytes([255]) * page + lived[number * page + page :]
     path.write_bytes(content)
-    with pytest.raises(StoreError, match=r"the store is damaged: .* Take a copy of it that is not"):
+    with pytest.raises(
+        StoreError, match=r"the store is damaged: .*; `rosa store repair .* writes what is sound to a new file"
+    ):
         KnowledgeBase(robot(), store=path)
     assert path.read_bytes() == content
     assert [one for one in folder.iterdir() if one.name.startswith(f"{path.name}-")] == []
@@ -640,3 +649,66 @@ def test_record_that_is_not_as_it_was_written_is_noticed(forge, tmp_path):
     database.close()
     with pytest.raises(StoreError, match="is not as it was written"):
         KnowledgeBase(robot(), store=path)
+
+
+FORKED = """
+import os, sys, threading; sys.path.insert(0, {here!r})
+from kept import robot
+from kb import KnowledgeBase, KnowledgeBaseError
+kb = KnowledgeBase(robot(), store={path!r})
+done = threading.Event()
+def tell():
+    while not done.is_set(): kb.measure("load", 1.0)
+threading.Thread(target=tell).start()
+for number in range(20):
+    if (child := os.fork()) == 0:
+        told = 0
+        for call in (lambda: kb.measure("load", -1.0), lambda: kb.component_failed("camera"), kb.flush, kb.store.check):
+            try: call()
+            except KnowledgeBaseError as error: told += "of its own here" in str(error) or "of your own" in str(error)
+        kb.close()
+        if number % 2: os._exit(told)
+        del kb
+        done.set()
+        sys.exit(told)
+    _, status = os.waitpid(child, 0)
+    assert os.waitstatus_to_exitcode(status) == 4, status
+done.set()
+kb.measure("load", 2.0)
+print(kb.flush(20.0), kb.saved == kb.log.last, kb.store.check() > 0)
+kb.close()
+"""
+
+
+def test_child_of_a_fork_is_told_to_open_its_own_store_and_neither_hangs_nor_writes(tmp_path):
+    path = tmp_path / "m.sqlite3"
+    code = FORKED.format(here=HERE, path=str(path))
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False)
+    assert (done.stdout, done.returncode) == ("True True True\n", 0), done.stderr
+    with kept(robot(), path) as kb:
+        assert kb.attributes["load"].value == 2.0
+        assert -1.0 not in [value for _, value in kb.attributes["load"].history]
+
+
+def test_history_that_is_too_long_to_be_checked_at_once_is_checked_while_it_is_used(tmp_path, monkeypatch):
+    path = tmp_path / "m.sqlite3"
+    with kept(robot(), path) as kb:
+        kb.component_failed("camera", "rain")
+        for number in range(12_000):
+            kb.measure("load", float(number))
+        assert kb.flush(30.0)
+        kb.measure("load", 7.0)
+    content = path.read_bytes()
+    place = content.index(b'["load",700.0]')
+    path.write_bytes(content[:place] + b'["load",701.0]' + content[place + 14 :])
+    with pytest.raises(StoreError, match="event 702 is not as it was written"):
+        KnowledgeBase(robot(), store=path)
+    monkeypatch.setattr("kb.store.WHOLE_CHECK", 1000)
+    monkeypatch.setattr("kb.store_file.WHOLE_CHECK", 1000)
+    kb = KnowledgeBase(robot(), store=path, clock=Clock(9.0))
+    assert kb.attributes["load"].value == 7.0
+    assert soon(lambda: kb.store.error and "event 702 is not as it was written" in kb.store.error)
+    kb.measure("load", 8.0)
+    assert not kb.flush(1.0)
+    with pytest.raises(StoreError, match="events are lost"):
+        kb.close()

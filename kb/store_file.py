@@ -1,0 +1,500 @@
+"""The file of a store: records that carry checks of themselves and of those before them, and what is sound in it.
+
+Beside the database, while it is in use, lies SQLite's own log (`-wal`), and a mark (`-mark`) of the last event that was
+acknowledged: whatever is cut off, flipped, missing or of another file is noticed by what the mark says is to be there.
+"""
+
+import fcntl
+import json
+import os
+import sqlite3
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from hashlib import blake2b
+from itertools import pairwise
+from pathlib import Path
+from shutil import copyfile
+from tempfile import TemporaryDirectory
+from typing import Any, Final, NamedTuple, Self
+
+from kb.events import Event
+from kb.exceptions import KnowledgeBaseError
+from kb.files import draft, sync_folder
+
+FORMAT: Final = 3
+"""Of files that this version writes and reads."""
+
+_MAGIC: Final = b"SQLite format 3\0"
+_OWNER: Final = 0x524F5341
+"""ROSA in ASCII: the application id in the header of the file."""
+
+_TABLES: Final = (
+    "CREATE TABLE about (declared TEXT NOT NULL, since INTEGER NOT NULL, id BLOB NOT NULL, digest BLOB NOT NULL)",
+    "CREATE TABLE life (is_open INTEGER NOT NULL, last INTEGER NOT NULL, tail BLOB NOT NULL, digest BLOB NOT NULL)",
+    "CREATE TABLE events (number INTEGER PRIMARY KEY, time REAL NOT NULL, verb TEXT NOT NULL, subject TEXT NOT NULL, "
+    "data TEXT NOT NULL, before BLOB NOT NULL, digest BLOB NOT NULL)",
+    "CREATE INDEX others ON events (number) WHERE verb <> 'measure'",
+    "CREATE TABLE snapshots (number INTEGER PRIMARY KEY, time REAL NOT NULL, known TEXT NOT NULL, "
+    "others INTEGER NOT NULL, tail BLOB NOT NULL, digest BLOB NOT NULL)",
+)
+
+WHOLE_CHECK: Final = 8 << 20
+"""Up to which size the whole history is checked before a file is used; more is checked while it is [bytes]."""
+
+_BROKEN: Final = (sqlite3.Error, TypeError, ValueError, LookupError)
+"""What reading a damaged file may raise."""
+
+
+class StoreError(KnowledgeBaseError):
+    """A store cannot be opened, or is not one; it is as it was."""
+
+
+def damaged(path: Path, what: object) -> StoreError:
+    repair = f"`rosa store repair {path} NEW` writes what is sound to a new file, or take a copy of it that is sound"
+    return StoreError(f"{path}: the store is damaged: {what}. It is left as it is; {repair}")
+
+
+def digest(before: bytes, *values: object) -> bytes:
+    return blake2b(before + repr(values).encode(), digest_size=16).digest()
+
+
+class Row(NamedTuple):
+    """An event as it is written."""
+
+    number: int
+    time: float
+    verb: str
+    subject: str
+    data: str
+    before: bytes
+    digest: bytes
+
+    @classmethod
+    def of(cls, event: Event, before: bytes) -> Self:
+        written = event.to_json()
+        data = json.dumps([written["arguments"], event.cause, event.effects], separators=(",", ":"))
+        subject = str(event.subject).encode("utf-8", "replace").decode()
+        values = (event.number, float(event.time), event.verb, subject, data)
+        return cls(*values, before, digest(before, *values))
+
+    @property
+    def event(self) -> Event:
+        arguments, cause, effects = json.loads(self.data)
+        given = {"number": self.number, "time": self.time, "verb": self.verb, "arguments": arguments}
+        return Event.from_json({**given, "cause": cause, "effects": effects})
+
+    @property
+    def is_sound(self) -> bool:
+        return isinstance(self.before, bytes) and self.digest == digest(self.before, *self[:5])
+
+
+class Snapshot(NamedTuple):
+    """What was known after an event; `others` counts the events up to it that are no measurements."""
+
+    number: int
+    time: float
+    known: str
+    others: int
+    tail: bytes
+    digest: bytes
+
+    @classmethod
+    def of(cls, number: int, time: float, known: str, others: int, tail: bytes) -> Self:
+        return cls(number, time, known, others, tail, digest(tail, number, time, known, others))
+
+    @property
+    def is_sound(self) -> bool:
+        return isinstance(self.tail, bytes) and self.digest == digest(self.tail, *self[:4])
+
+
+class Mark(NamedTuple):
+    """The number of the last event of a store that was acknowledged, and its digest."""
+
+    id: bytes
+    number: int
+    tail: bytes
+
+    def written(self) -> bytes:
+        text = f"ROSA {self.id.hex()} {self.number} {self.tail.hex() or '-'}"
+        return f"{text} {digest(b'', text).hex()}\n".ljust(256).encode()
+
+    @classmethod
+    def read(cls, path: Path) -> Self | None:
+        """Return the mark beside a database; None if there is none that is sound."""
+        with suppress(OSError, ValueError):
+            text, _, check = mark_path(path).read_bytes().decode().rstrip().rpartition(" ")
+            if check == digest(b"", text).hex():
+                _, own, number, tail = text.split()
+                return cls(bytes.fromhex(own), int(number), bytes.fromhex(tail.strip("-")))
+        return None
+
+
+def mark_path(path: Path) -> Path:
+    return path.with_name(f"{path.name}-mark")
+
+
+class Survey(NamedTuple):
+    """What is in a database, as far as it is sound.
+
+    Attributes:
+        declared: the model, in JSON; None if it is not as it was written.
+        since: the event before which that model was another one.
+        id: of the store.
+        snapshot: the newest that is sound.
+        rows: the events after it, without a gap, each sound.
+        last: number of the last event that is sound with all before it.
+        tail: its digest.
+        acknowledged: number of the last event that was acknowledged, as far as that is known.
+        is_open: nobody has closed it.
+        problem: what is wrong, first of all; empty if nothing is.
+    """
+
+    declared: str | None
+    since: int
+    id: bytes
+    snapshot: Snapshot | None
+    rows: list[Row]
+    last: int
+    tail: bytes
+    acknowledged: int
+    is_open: bool
+    problem: str
+
+    def error(self, path: Path) -> StoreError:
+        missing = self.acknowledged - self.last
+        words = f", and {missing} that were acknowledged after it are missing" if missing > 0 else ""
+        sound = f"it is sound up to event {self.last}{words}" if self.declared is not None else "its model is lost"
+        return damaged(path, f"{self.problem}; {sound}")
+
+
+def survey(connection: sqlite3.Connection, mark: Mark | None, *, is_whole: bool) -> Survey:
+    """Find out what is sound in a database; nothing that is damaged raises."""
+    problems: list[str] = []
+
+    def tried(statement: str, *given: object) -> list[Any]:
+        found: list[Any] = []
+        try:
+            found.extend(connection.execute(statement, given))
+        except _BROKEN as error:
+            problems.append(str(error))
+        return found
+
+    if is_whole and (found := tried("PRAGMA integrity_check(1)")) and found != [("ok",)]:
+        problems.append(str(found[0][0]).splitlines()[-1])
+    about = [one for one in tried("SELECT * FROM about") if one[3] == digest(b"", *one[:3])]
+    if not about:
+        problems.append("its model is not as it was written")
+    declared, since, own = about[0][:3] if about else (None, 0, b"")
+    life = [one for one in tried("SELECT * FROM life") if one[3] == digest(own, *one[:3])]
+    if not life:
+        problems.append("how it was closed is not as it was written")
+    is_open, closed_at, closed_tail = life[0][:3] if life else (True, 0, b"")
+    snapshots = [Snapshot(*one) for one in tried("SELECT * FROM snapshots ORDER BY number DESC")]
+    problems += [f"what was known after event {one.number} is damaged" for one in snapshots if not one.is_sound]
+    snapshot = next((one for one in snapshots if one.is_sound), None)
+    number, tail = (snapshot.number, snapshot.tail) if snapshot else (0, b"")
+    if snapshot is not None:
+        counted = tried("SELECT COUNT(*) FROM events WHERE verb <> 'measure' AND number <= ?", number)
+        if counted and counted[0][0] != snapshot.others:
+            problems.append(f"of {snapshot.others} events before {number} that are no measurements not all are there")
+    ends, rows = {number: tail}, []
+    try:
+        for row in map(
+            Row._make, connection.execute("SELECT * FROM events WHERE number > ? ORDER BY number", (number,))
+        ):
+            if row.number != number + 1 or row.before != tail or not row.is_sound:
+                problems.append(f"event {number + 1} is not as it was written")
+                break
+            if row.verb == "amend" and row.number > since:
+                problems.append(f"the model was changed at event {row.number}, and what was known then is not there")
+                break
+            rows.append(row)
+            number, tail = row.number, row.digest
+            ends[number] = tail
+    except _BROKEN as error:
+        problems.append(f"after event {number}: {error}")
+    marks = [one for one in (mark, Mark(own, closed_at, closed_tail)) if one is not None and one.id == own]
+    acknowledged = max(one.number for one in marks)
+    if is_open and mark not in marks:
+        problems.append("the mark of what was acknowledged, a file beside it, is missing or of another store")
+    elif any(ends.get(one.number, one.tail) != one.tail for one in marks) or acknowledged > number:
+        problems.append(f"event {acknowledged} was acknowledged, and is missing or another one")
+    if is_whole and not problems:
+        problems += _of_history(connection, snapshot.number if snapshot else 0)
+    problem = problems[0] if problems else ""
+    return Survey(declared, since, own, snapshot, rows, number, tail, acknowledged, bool(is_open), problem)
+
+
+def _of_history(connection: sqlite3.Connection, until: int) -> Iterator[str]:
+    try:
+        for _ in history(connection, 0, until):
+            pass
+    except _BROKEN as error:
+        yield str(error)
+
+
+def history(connection: sqlite3.Connection, after: int, until: int, only: str = "") -> Iterator[Row]:
+    """Yield records; each is checked, and with the one before it where that is still there."""
+    order = f"SELECT * FROM events WHERE number > ? AND number <= ? {only} ORDER BY number"
+    before: Row | None = None
+    for row in map(Row._make, connection.execute(order, (after, until))):
+        follows = before is None or before.number + 1 != row.number or before.digest == row.before
+        if not row.is_sound or not follows:
+            raise ValueError(f"event {row.number} is not as it was written")
+        yield row
+        before = row
+
+
+# -------------------------------------------------------------------- opening and making
+
+
+def has_content(path: Path) -> bool:
+    try:
+        return path.stat().st_size > 0
+    except FileNotFoundError:
+        return False
+    except OSError as error:
+        raise StoreError(f"{path}: the store cannot be read: {error.strerror}") from None
+
+
+def make(path: Path, declared: str) -> bool:
+    """Make the file of a store beside its place, so that it is there as a whole or not at all.
+
+    Returns:
+        False if another process has made one meanwhile.
+    """
+    try:
+        with draft(path) as part:
+            connection = sqlite3.connect(part)
+            for statement in (f"PRAGMA application_id={_OWNER}", f"PRAGMA user_version={FORMAT}", *_TABLES):
+                connection.execute(statement)
+            own = os.urandom(16)
+            values = declared, 0, own
+            connection.execute("INSERT INTO about VALUES (?, ?, ?, ?)", (*values, digest(b"", *values)))
+            write_life(connection, own, is_open=False, last=0, tail=b"")
+            connection.commit()
+            connection.close()
+            return _put_in_place(part, path)
+    except (OSError, sqlite3.Error) as error:
+        why = getattr(error, "strerror", None) or error
+        raise StoreError(f"{path}: the store cannot be made: {why}; see who may write in that folder") from None
+
+
+def write_life(connection: sqlite3.Connection, own: bytes, *, is_open: bool, last: int, tail: bytes) -> None:
+    values = int(is_open), last, tail
+    connection.execute("DELETE FROM life")
+    connection.execute("INSERT INTO life VALUES (?, ?, ?, ?)", (*values, digest(own, *values)))
+
+
+def write_about(connection: sqlite3.Connection, own: bytes, declared: str, since: int) -> None:
+    values = declared, since, own
+    connection.execute("UPDATE about SET declared = ?, since = ?, id = ?, digest = ?", (*values, digest(b"", *values)))
+
+
+def _put_in_place(part: Path, path: Path) -> bool:
+    try:
+        path.hardlink_to(part)
+    except FileExistsError:
+        if path.stat().st_size > 0:
+            return False
+        part.replace(path)
+    except OSError:  # a file system without links
+        part.replace(path)
+    sync_folder(path.parent)
+    return True
+
+
+def guarded(path: Path) -> int:
+    """Open a file that nobody else has open as a store; returns its descriptor.
+
+    It is kept until the database is closed: to close any descriptor of a file takes away the locks of SQLite on it.
+    """
+    try:
+        descriptor = os.open(path, os.O_RDONLY)
+    except OSError as error:
+        raise StoreError(f"{path}: the store cannot be read: {error.strerror}") from None
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(descriptor)
+        raise _in_use(path) from None
+    return descriptor
+
+
+def _in_use(path: Path) -> StoreError:
+    return StoreError(f"{path}: the store is in use by another knowledge base or process; close that, or name another")
+
+
+def check_format(path: Path, descriptor: int) -> None:
+    try:
+        head = os.pread(descriptor, 100, 0)
+    except OSError as error:
+        raise StoreError(f"{path}: the store cannot be read: {error.strerror}") from None
+    if not head.startswith(_MAGIC) or len(head) < 100:
+        raise StoreError(f"{path}: this is no store but another file; it is left as it is. Name another one")
+    if int.from_bytes(head[68:72], "big") != _OWNER:
+        raise StoreError(f"{path}: this is a database of something else; it is left as it is. Name another file")
+    found = int.from_bytes(head[60:64], "big")
+    if found != FORMAT:
+        which = "a newer version; update" if found > FORMAT else "an older version; open it with that"
+        raise StoreError(f"{path}: the store has format {found}, of {which}, or name another file")
+
+
+def opened(path: Path) -> tuple[sqlite3.Connection, Survey]:
+    """Open a database for nobody else; one that is damaged or may not be written is left as it is."""
+    log = path.with_name(f"{path.name}-wal")
+    content = log.read_bytes() if log.exists() else None
+    try:
+        connection = sqlite3.connect(path, timeout=0.0, isolation_level="EXCLUSIVE", check_same_thread=False)
+    except sqlite3.Error as error:
+        raise StoreError(f"{path}: the store cannot be opened: {error}") from None
+    try:
+        connection.execute("PRAGMA locking_mode=EXCLUSIVE")
+        connection.execute("BEGIN EXCLUSIVE")
+        found = survey(connection, Mark.read(path), is_whole=path.stat().st_size <= WHOLE_CHECK)
+        if found.problem:
+            raise found.error(path)
+        connection.execute(f"PRAGMA user_version={FORMAT}")  # a file that may only be read is not noticed before that
+        connection.rollback()
+    except BaseException as error:
+        _leave(connection, log, content)
+        if not isinstance(error, sqlite3.Error):
+            raise
+        if "locked" in str(error):
+            raise _in_use(path) from None
+        if isinstance(error, sqlite3.OperationalError):
+            raise StoreError(f"{path}: the store cannot be opened for writing: {error}; see who may write it") from None
+        raise damaged(path, error) from None
+    return connection, found
+
+
+def _leave(connection: sqlite3.Connection, log: Path, content: bytes | None) -> None:
+    """Close a database, and leave it and its log as they were, which SQLite would bring into it, whatever that is."""
+    connection.interrupt()
+    connection.close()
+    if content is None:
+        log.unlink(missing_ok=True)
+    elif not log.exists():  # there was nothing in it that SQLite understands
+        log.write_bytes(content)
+
+
+# -------------------------------------------------------------------- copies
+
+
+@contextmanager
+def copied(path: Path, folder: Path | None = None) -> Iterator[Path]:
+    """Give a copy of a store that may be written to meanwhile, as if that had been killed at one instant.
+
+    SQLite's log beside the file only grows until it is begun anew, and brings any mixture of the file's pages from
+    before and after it was brought into the file to one state: so only if it was begun anew is all copied again.
+    """
+    with path.open("rb") as file:
+        check_format(path, file.fileno())
+    with TemporaryDirectory(prefix=".rosa-", dir=folder) as place:
+        copy = Path(place) / path.name
+        log, its = (one.with_name(f"{one.name}-wal") for one in (path, copy))
+        for _ in range(100):
+            before, its_mark = _head(log), mark_path(copy)
+            for one, other in ((mark_path(path), its_mark), (path, copy), (log, its)):
+                other.unlink(missing_ok=True)
+                with suppress(FileNotFoundError):
+                    copyfile(one, other)
+            if _head(log) == before:
+                break
+        else:
+            raise StoreError(f"{path}: the store is written to too fast to be copied; try it again")
+        yield copy
+
+
+def _head(log: Path) -> bytes:
+    with suppress(FileNotFoundError), log.open("rb") as file:
+        return file.read(32)
+    return b""
+
+
+@contextmanager
+def surveyed(path: Path, folder: Path | None = None) -> Iterator[tuple[sqlite3.Connection, Survey]]:
+    """Give what is in a store, of a copy: whoever has it open goes on, and a damaged one is not touched."""
+    try:
+        with copied(path, folder) as copy:
+            connection = sqlite3.connect(copy)
+            try:
+                yield connection, survey(connection, Mark.read(copy), is_whole=True)
+            finally:
+                connection.close()
+    except (OSError, sqlite3.Error) as error:
+        raise StoreError(f"{path}: the store cannot be read: {error}") from None
+
+
+def backup(path: Path, to: Path) -> Survey:
+    """Copy a store, which may be written to meanwhile, to a file that is not there yet.
+
+    Raises:
+        StoreError: it is damaged, or that file cannot be made.
+    """
+    with surveyed(path, _free(to)) as (connection, found):
+        if found.problem:
+            raise found.error(path)
+        _save(connection, found, to)
+    return found
+
+
+def repair(path: Path, to: Path) -> Survey:
+    """Write what is sound of a store to a file that is not there yet, with a record of that; returns what was found.
+
+    Raises:
+        StoreError: nothing can be made of what is sound, or that file cannot be made.
+    """
+    with surveyed(path, _free(to)) as (connection, found):
+        if found.declared is None:
+            raise found.error(path)
+        start = found.snapshot.number if found.snapshot else 0
+        rows = [*_sound(connection, start), *found.rows]
+        with draft(to) as part:
+            make(part, found.declared)
+            fresh = sqlite3.connect(part)
+            try:
+                lost = found.acknowledged - found.last
+                words = f"repaired: sound up to event {found.last}; {max(lost, 0)} acknowledged ones are missing"
+                time = rows[-1].time if rows else found.snapshot.time if found.snapshot else 0.0
+                last = Row.of(Event(found.last + 1, time, "store", (words,)), found.tail)
+                fresh.executemany("INSERT INTO events VALUES (?, ?, ?, ?, ?, ?, ?)", [*rows, last])
+                if found.snapshot:
+                    others = sum(row.verb != "measure" and row.number <= start for row in rows)
+                    kept = Snapshot.of(*found.snapshot[:3], others, found.snapshot.tail)
+                    fresh.execute("INSERT INTO snapshots VALUES (?, ?, ?, ?, ?, ?)", kept)
+                _save(fresh, found._replace(last=last.number, tail=last.digest), to)
+            finally:
+                fresh.close()
+    return found
+
+
+def _sound(connection: sqlite3.Connection, until: int) -> list[Row]:
+    """Return the records up to one that are sound, from both ends if there is damage between."""
+    found: dict[int, Row] = {}
+    for order in ("ASC", "DESC"):
+        with suppress(*_BROKEN):
+            for row in connection.execute(f"SELECT * FROM events WHERE number <= ? ORDER BY number {order}", (until,)):
+                found[row[0]] = Row(*row)
+    rows = [found[number] for number in sorted(found) if found[number].is_sound]
+    torn = {two.number for one, two in pairwise(rows) if one.number + 1 == two.number and one.digest != two.before}
+    return [row for row in rows if row.number not in torn]
+
+
+def _free(to: Path) -> Path:
+    if to.exists() or to.is_symlink():
+        raise StoreError(f"{to}: there is a file already; name one that is not there")
+    return to.parent
+
+
+def _save(connection: sqlite3.Connection, found: Survey, to: Path) -> None:
+    """Close the database of a connection as one file of its own, and put it in its place."""
+    own = os.urandom(16)
+    write_about(connection, own, str(found.declared), found.since)
+    write_life(connection, own, is_open=False, last=found.last, tail=found.tail)
+    connection.commit()
+    connection.execute("PRAGMA journal_mode=DELETE")
+    (_, _, file), *_ = connection.execute("PRAGMA database_list").fetchall()
+    connection.close()
+    if not _put_in_place(Path(file), to):
+        raise StoreError(f"{to}: there is a file already; name one that is not there")
