@@ -56,8 +56,7 @@ class UnknownName(KnowledgeBaseError, KeyError):
             hint = f"known: {shown}{', ...' if len(names) > 8 else ''}"
         else:
             hint = "the model has none"
-        self.message = f"unknown {kind} {name!r}; {hint}"
-        super().__init__(self.message)
+        super().__init__(f"unknown {kind} {name!r}; {hint}")
 
     def __str__(self) -> str:
-        return self.message
+        return str(self.args[0])

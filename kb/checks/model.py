@@ -47,7 +47,7 @@ def _mismatches(actions: Collection[str], names: Iterable[str]) -> Iterator[Find
     mentioned = dict.fromkeys(text("an action's name", name) for name in names)
     for name in mentioned:
         if name not in actions:
-            yield found("unknown-action", name, UnknownName("action", name, actions).message)
+            yield found("unknown-action", name, str(UnknownName("action", name, actions)))
     for name in actions:
         if name not in mentioned:
             yield found("unmentioned-action", f"action {name}", f"action {name} is mentioned nowhere")

@@ -20,6 +20,7 @@ from kb.owl.declaring import Declarer
 from kb.owl.individuals import CLASSES, GENERAL, MODEL, PARAMETER, PREFERENCE, STATED, Individual, Ref, Value
 from kb.owl.queries import FUNCTIONS, Answer, Question, complaint, read_question
 from kb.owl.rdfxml import ROSA, order, plain_text
+from kb.owl.worker import stopped
 
 _TYPE: Final = "http://www.w3.org/1999/02/22-rdf-syntax-ns#type"
 _KINDS: Final = frozenset({*CLASSES.values(), *GENERAL, MODEL, PARAMETER, PREFERENCE})
@@ -179,49 +180,27 @@ class Book:
         }
         self._words: dict[str, int] = {}
 
-    def describe(self, words: str, given: Iterable[Individual]) -> None:
+    def describe(self, words: str) -> None:
         self.world.get_ontology(ROSA).load(only_local=True, fileobj=BytesIO(words.encode()))
-        self.write_model(given)
 
-    def write_model(self, given: Iterable[Individual]) -> None:
-        """Replace the model; what it states to be so is told, and is no part of it."""
-        self._clear("model")
-        self._write("model", (one for one in given if not one.id.startswith(f"{STATED}.")))
-
-    def write(self, entries: Iterable[Individual], inferred: Iterable[Individual]) -> None:
-        """Add what was told, and replace what is inferred.
-
-        An individual of what was told that has no kind is there already and has more values now.
-        """
-        self._write("told", entries)
-        self._clear("inferred")
-        self._write("inferred", inferred)
+    def ask(self, query: str, timeout: float, deadline: float) -> Iterator[tuple[Answer, ...]]:
+        """Answer a SPARQL query, for which a time [s] was allowed, before a deadline of the monotonic clock [s]."""
         self._db.commit()
-
-    def ask(self, query: str, timeout: float) -> list[tuple[Answer, ...]]:
-        """Answer a SPARQL query."""
         question = read_question(query)
         prepared = self._prepared(question)
-        deadline = time.monotonic() + timeout
         self._db.set_progress_handler(lambda: time.monotonic() > deadline, 10_000)
         self._db.execute("PRAGMA query_only=1")
-        rows: list[tuple[Answer, ...]] = []
         try:
             cursor = prepared.execute_raw([_storable(text) for text in question.texts])
-            while some := cursor.fetchmany(10_000):
-                rows += (tuple(self._answers(row, prepared.column_types)) for row in some)
-                if len(rows) > _MOST_ROWS:
+            for count, row in enumerate(cursor):
+                yield tuple(self._answers(row, prepared.column_types))
+                if count >= _MOST_ROWS:
                     raise KnowledgeBaseError(f"the answer has more than {_MOST_ROWS} rows; ask for less, or add LIMIT")
         except sqlite3.Error as error:
-            if time.monotonic() <= deadline:
-                raise complaint(error, question, ()) from None
-            raise KnowledgeBaseError(
-                f"the query was stopped after {timeout:g} s; ask for less, or allow it a longer timeout"
-            ) from None
+            raise complaint(error, question, ()) if time.monotonic() <= deadline else stopped(timeout) from None
         finally:
             self._db.set_progress_handler(None, 0)
             self._db.execute("PRAGMA query_only=0")
-        return rows
 
     def _prepared(self, question: Question) -> Any:  # noqa: ANN401  # of owlready2
         try:
@@ -250,11 +229,15 @@ class Book:
     def close(self) -> None:
         self.world.close()
 
-    def _clear(self, context: str) -> None:
+    def clear(self, context: str) -> None:
         for table in ("objs", "datas"):
             self._db.execute(f"DELETE FROM {table} WHERE c=?", (self._contexts[context],))
 
-    def _write(self, context: str, given: Iterable[Individual]) -> None:
+    def write(self, context: str, given: Iterable[Individual]) -> None:
+        """Add individuals to the "model", to what was "told", or to what is "inferred".
+
+        One that has no kind is there already and has more values now.
+        """
         c = self._contexts[context]
         names, relations, values = [], [], []
         for one in given:

@@ -5,15 +5,17 @@ from its start on, and gets its end once it is over.
 """
 
 import json
+import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from threading import Lock
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
+from weakref import finalize
 
 from kb.elements import KINDS, Action, Attribute, Component, Configuration, Parameters
 from kb.events import Event
-from kb.exceptions import UnknownName
+from kb.exceptions import InvalidValue, UnknownName
 from kb.facts import ActiveFact, Fact, RequiredFact, SelectedFact, StatusFact
 from kb.knowledge import Knowledge
 from kb.owl.individuals import (
@@ -30,12 +32,10 @@ from kb.owl.individuals import (
 )
 from kb.owl.queries import Answer
 from kb.owl.rdfxml import BASE, metamodel
+from kb.owl.worker import Worker, give_back, stopped, take
 from kb.records import Attempt, Process, ReconfigurationPlan, RequiredAction, VetoAnswer
 from kb.state import State
 from kb.store import Store
-
-if TYPE_CHECKING:
-    from kb.owl.owlready import Book
 
 Values = dict[str, tuple[Value, ...]]
 Given = Mapping[str, tuple[Value, ...]]
@@ -43,6 +43,17 @@ Record = RequiredAction | ReconfigurationPlan | Process | Attempt | VetoAnswer
 
 _CLASSES: Final[Mapping[str, type]] = {kind: cls for cls, kind in KINDS.items()}
 _NOTHING: Final[Mapping[str, tuple[Value, ...]]] = MappingProxyType({})
+_PRESENT: Final[Mapping[str, str]] = {
+    "Failure": "failed",
+    "Activity": "active",
+    "Selection": "selected",
+    "AssertedStatus": "asserted",
+    "AssertedRequirement": "asserted_required",
+}
+"""What can be so now, by the facts of the state that say so."""
+_LONGEST: Final = 1_000_000
+_MOST_GROWN: Final = 20_000
+"""How many events, besides measurements that are kept, are added to a world before it is made anew."""
 _REQUIRABLE: Final = frozenset({"action", "function", "component"})
 
 
@@ -52,43 +63,69 @@ class World:
     def __init__(self, known: Knowledge, store: Store | None, keep: int) -> None:
         self._known, self._store, self._keep = known, store, keep
         self._asking = Lock()
-        self._book: Book | None = None
+        self._workers: list[Worker] = []
+        self._is_built = False
         self._chronicle = _Chronicle(known)
         self._last, self._revision = -1, -1
-        self._measured = 0
+        self._grown = 0
+        finalize(self, give_back, self._workers)
 
     def ask(self, sparql: str, timeout: float, reading: AbstractContextManager[State]) -> list[tuple[Answer, ...]]:
-        with self._asking:
-            return self._current(reading).ask(sparql, timeout)
+        if not isinstance(sparql, str) or len(sparql) > _LONGEST:
+            what = f"{len(sparql)} characters" if isinstance(sparql, str) else repr(sparql)
+            raise InvalidValue(f"a query is a text in SPARQL, not {what}; it has at most {_LONGEST} characters")
+        deadline = time.monotonic() + timeout
+        if not self._asking.acquire(timeout=timeout):
+            raise stopped(timeout)
+        try:
+            worker = self._worker()
+            if not worker.is_ready(deadline):
+                raise stopped(timeout)
+            self._renew(worker, reading)
+            if (now := time.monotonic()) > deadline:
+                raise stopped(timeout)
+            return worker.ask(sparql, timeout, max(deadline, now + timeout / 4))
+        finally:
+            self._asking.release()
 
-    def _current(self, reading: AbstractContextManager[State]) -> "Book":
-        if self._book is None or self._measured > 2 * self._keep:
-            return self._anew(reading)
+    def _worker(self) -> Worker:
+        if not self._workers or not self._workers[0].is_alive:
+            for worker in self._workers:
+                worker.end()
+            self._workers[:] = [take()]
+            self._is_built = False
+        return self._workers[0]
+
+    def _renew(self, worker: Worker, reading: AbstractContextManager[State]) -> None:
+        """Have a worker hold all that is known now: what is new is handed over, or all if it has grown too much."""
+        if not self._is_built or self._grown > 2 * self._keep + _MOST_GROWN:
+            self._anew(worker, reading)
+            return
         with reading as state:
             if state.network.revision != self._revision:
                 is_amended = True
             else:
                 is_amended = any(one.verb == "amend" for one in self._known.log.since(self._last, measurements=False))
             if self._known.log.last == self._last and not is_amended:
-                return self._book
+                return
             events = list(self._known.log.since(self._last))
-            if events and events[0].number > self._last + 1:  # more happened than memory holds
-                events = []
-            else:
+            is_lost = len(events) < self._known.log.last - self._last  # more happened than memory holds
+            if not is_lost:
                 model = self._model() if is_amended else []
                 records, inferred = self._chronicle.of_records(), self._inferred(state)
                 self._seen(state)
-        if not events:
-            return self._anew(reading)
+        if is_lost:
+            self._anew(worker, reading)
+            return
+        self._is_built = False  # until all of it is there
         if model:
-            self._book.write_model(model)
-        self._book.write([*self._chronicle.of_events(events), *records], inferred)
-        self._measured += sum(event.verb == "measure" for event in events)
-        return self._book
+            self._write_model(worker, model)
+        worker.write("told", [*self._chronicle.of_events(events), *records])
+        self._infer(worker, inferred)
+        self._grown += len(events)
 
-    def _anew(self, reading: AbstractContextManager[State]) -> "Book":
-        from kb.owl.owlready import Book
-
+    def _anew(self, worker: Worker, reading: AbstractContextManager[State]) -> None:
+        self._is_built = False
         past = [] if self._store is None else self._store.events(measurements=False)
         self._chronicle = chronicle = _Chronicle(self._known)
         with reading as state:
@@ -101,16 +138,29 @@ class World:
                 if node.index in state.histories
                 for sample in state.histories[node.index].samples(self._keep)
             ]
+            chronicle.begin(past)
             model, records, inferred = self._model(), chronicle.of_records(), self._inferred(state)
+            present = list(chronicle.of_state(state))
             self._seen(state)
-        if self._book is not None:
-            self._book.close()
-        self._book = Book(f"{BASE}{model[0].id}")
-        self._book.describe(metamodel(), model)
-        samples = [chronicle.measurement(name, value, time) for name, (time, value) in measured]
-        self._book.write([*samples, *chronicle.of_events(past), *records], inferred)
-        self._measured = 0
-        return self._book
+        begins = [Individual("", model[0].id, {"historyBegins": (float(past[0].time),)})] if past else []
+        worker.tell("open", f"{BASE}{model[0].id}")
+        worker.tell("describe", metamodel())
+        self._write_model(worker, model)
+        worker.write("told", (chronicle.measurement(name, value, time) for name, (time, value) in measured))
+        worker.write("told", [*begins, *chronicle.of_events(past), *records])
+        worker.write("told", chronicle.older(present))
+        self._infer(worker, inferred)
+        self._grown = 0
+
+    def _write_model(self, worker: Worker, model: Iterable[Individual]) -> None:
+        """Replace the model; what it states to be so is told, and is no part of it."""
+        worker.tell("clear", "model")
+        worker.write("model", (one for one in model if not one.id.startswith(f"{STATED}.")))
+
+    def _infer(self, worker: Worker, inferred: Iterable[Individual]) -> None:
+        worker.tell("clear", "inferred")
+        worker.write("inferred", inferred)
+        self._is_built = True
 
     def _seen(self, state: State) -> None:
         self._last, self._revision = self._known.log.last, state.network.revision
@@ -137,6 +187,8 @@ class _Chronicle:
         self._count = 0
         self._open: dict[tuple[str, str], str] = {}
         self._asserted_failed: set[str] = set()
+        self._serial = 0
+        self._configuring: dict[int, tuple[str, Parameters]] = {}
         self._ids: dict[int, str] = {}
         self._records: dict[tuple[str, int], Record] = {}
         self._unended: dict[tuple[str, int], Record] = {}
@@ -144,6 +196,40 @@ class _Chronicle:
     def measurement(self, attribute: str, value: float, time: float) -> Individual:
         values: Values = {"measures": (Ref(named_id(Attribute, attribute)),)}
         return Individual("Measurement", self._next(), {**values, "value": (float(value),), "time": (float(time),)})
+
+    def begin(self, past: Iterable[Event]) -> None:
+        """Expect some events: the attempts among them are the last that there were."""
+        last = next(reversed(self._known.records.attempts), 0)
+        self._serial = last - sum(event.verb == "record_attempt" for event in past)
+
+    # ---------------------------------------------------------------- what is so now
+
+    def of_state(self, state: State) -> Iterator[tuple[str, str, Values]]:
+        """Yield what is so now: its kind, what it is about, and what else is known of it."""
+        for node in state.network.present():
+            about = element_id(node.element, self._known.serials)
+            for word, column in _PRESENT.items():
+                value = state.columns[column][node.index]
+                if not value:
+                    continue
+                reason = state.reason(column, node)
+                values = _said(reason.text)
+                if column == "asserted":
+                    values |= {"status": (str(value),)} | ({} if reason.until is None else {"until": (reason.until,)})
+                yield word, about, values
+        for name, parameters in state.parameters.items():
+            yield "ParametersInForce", named_id(Component, name), {"": tuple(parameters.items())}  # type: ignore[arg-type]  # nested later
+
+    def older(self, present: Iterable[tuple[str, str, Values]]) -> Iterator[Individual]:
+        """Yield what is so now and began before the events that are known: it has no start."""
+        for word, about, values in present:
+            if (word, about) in self._open:
+                continue
+            self._open[word, about] = own = self._next()
+            within = list(nested(PARAMETER, own, dict(values.pop("", ()))))  # type: ignore[arg-type]  # as it was put there
+            yield from within
+            listed: Values = {"hasParameter": tuple(Ref(one.id) for one in within)} if within else {}
+            yield Individual(word, own, {"about": (Ref(about),), **values, **listed})
 
     # ---------------------------------------------------------------- what was so for a time
 
@@ -160,10 +246,15 @@ class _Chronicle:
             yield from self._of_component(time, verb, named_id(Component, arguments[0]), arguments)
         elif verb == "component_configured":
             yield from self._configured(time, *arguments)
+        elif verb == "record_attempt":
+            self._serial += 1
+            _, component, operation, _, parameters, _ = arguments
+            if operation == "configure":
+                self._configuring[self._serial] = component, parameters
         elif verb == "finish_attempt":
-            attempt = self._known.records.attempts.get(arguments[0])
-            if attempt is not None and (attempt.operation, attempt.result) == ("configure", "completed"):
-                yield from self._configured(time, attempt.component, attempt.parameters)
+            given = self._configuring.pop(arguments[0], None)
+            if given is not None and arguments[1] == "completed":
+                yield from self._configured(time, *given)
         elif verb in ("assert_status", "retract_status", "lapse"):
             about = self._about(arguments[0])
             yield from self._ended("AssertedStatus", about, time)
@@ -261,14 +352,15 @@ class _Chronicle:
         """Return the records that are new, and the ends of those that have ended."""
         records = self._known.records
         found: list[Individual] = []
-        for word, table in (
-            ("RequiredAction", records.requests),
-            ("ReconfigurationPlan", records.plans),
-            ("ComponentProcess", records.processes),
-            ("Attempt", records.attempts),
-            ("VetoAnswer", records.answers),
-        ):
-            for number, record in table.items():
+        tables: tuple[tuple[str, Mapping[int, Any], Iterable[Any]], ...] = (
+            ("RequiredAction", records.requests, records.required.values()),
+            ("ReconfigurationPlan", records.plans, records.open_plans.values()),
+            ("ComponentProcess", records.processes, ()),
+            ("Attempt", records.attempts, ()),
+            ("VetoAnswer", records.answers, ()),
+        )
+        for word, table, still in tables:
+            for number, record in {**table, **{one.number: one for one in still}}.items():
                 if (word, number) not in self._records:
                     found += self._recorded(word, number, record)
         for key, record in list(self._unended.items()):
