@@ -30,13 +30,13 @@ from kb.store_file import (
     Row,
     Snapshot,
     StoreError,
+    beside,
     check_format,
     damaged,
     guarded,
     has_content,
     history,
     make,
-    mark_path,
     opened,
     survey,
     write_about,
@@ -51,23 +51,12 @@ _EXCESS: Final = """
         PARTITION BY subject ORDER BY number DESC) AS place FROM events WHERE verb = 'measure')
         WHERE place > ? AND number <= ?)"""
 
-_SNAPSHOT_AFTER: Final = 10_000
-"""How many events are written, at least, before what is known is written too; more where that is much."""
-
-_PAUSE: Final = 0.001
-"""How long the writer lets those who tell go on before it writes what they have told together [s]."""
-
-_AHEAD: Final = 1 << 20
-"""How much is written to the log beside the file before it is brought into the file [bytes]."""
-
-_AGAIN: Final = 1.0
-"""How long after a failure it is tried again to write, and how often the mark is forced to the disk [s]."""
-
-_MOST_WAITING: Final = 100_000
-"""How many events may wait for room on the disk before it is given up: memory has an end too."""
-
-_SLICE: Final = 500
-"""How many events of the history are checked at a time while the file is in use."""
+_SNAPSHOT_AFTER: Final = 10_000  # events that are written, at least, before what is known is; more where that is much
+_PAUSE: Final = 0.001  # in which those who tell go on before it is written what they have told together [s]
+_AHEAD: Final = 1 << 20  # that is written to the log beside the file before it is brought into the file [bytes]
+_AGAIN: Final = 1.0  # after which it is tried again to write, and the mark is forced to the disk [s]
+_MOST_WAITING: Final = 100_000  # events that wait for room on the disk before it is given up: memory has an end too
+_SLICE: Final = 500  # events of the history that are checked at a time while the file is in use
 
 _log = logging.getLogger(__name__)
 
@@ -82,6 +71,7 @@ class Store:
         error: why nothing is saved at present, or any more; None while all is well.
         left: actions that were required when it was opened, by a program that has ended; a task layer settles them.
         model: what is spoken of; without one given, that of the file.
+        time: of the last event in it when it was opened [s].
 
     Raises:
         InvalidValue: the path is none.
@@ -119,7 +109,7 @@ class Store:
         self._others = before + sum(row.verb != "measure" for row in found.rows)
         self._checked, self._to_check = 0, self._snapshot if self.path.stat().st_size > WHOLE_CHECK else 0
         self._synced = 0.0
-        self._time = found.rows[-1].time if found.rows else found.snapshot.time if found.snapshot else 0.0
+        self.time = found.rows[-1].time if found.rows else found.snapshot.time if found.snapshot else 0.0
         try:
             self.model, self._serials = self._matched(model)
         except BaseException:
@@ -144,11 +134,6 @@ class Store:
         for serial in [serial for serial, one in known.records.attempts.items() if one.end is None]:
             known.apply(now, "finish_attempt", (serial, "abandoned", "nobody saw what came of it"))
         self.left = tuple(known.records.required)
-
-    @property
-    def time(self) -> float:
-        """The time of the last event that was in the file when it was opened [s]."""
-        return self._time
 
     def events(self, after: int = 0, *, measurements: bool = True) -> list[Event]:
         """Return the events in the file after one, with the measurements that are kept or without.
@@ -211,12 +196,12 @@ class Store:
         with _blamed(self.path):
             try:
                 flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW
-                self._mark = os.open(mark_path(self.path), flags, 0o666)
+                self._mark = os.open(beside(self.path, "mark"), flags, 0o666)
                 self._acknowledge()
                 os.fsync(self._mark)
                 sync_folder(self.path.parent)
             except OSError as error:
-                raise StoreError(f"{mark_path(self.path)}: it cannot be written: {error.strerror}") from None
+                raise StoreError(f"{beside(self.path, 'mark')}: it cannot be written: {error.strerror}") from None
             self._connection.execute("PRAGMA journal_mode=WAL")
             self._connection.execute("PRAGMA synchronous=FULL")
             (page,) = self._connection.execute("PRAGMA page_size").fetchone()
@@ -268,7 +253,7 @@ class Store:
             if self._mark >= 0 and self.error is None:
                 self._live(is_open=False)
                 self._connection.execute("PRAGMA journal_mode=DELETE")
-                mark_path(self.path).unlink(missing_ok=True)
+                beside(self.path, "mark").unlink(missing_ok=True)
         self._release()
         with self._progress:
             self._progress.notify_all()

@@ -8,13 +8,11 @@ import fcntl
 import json
 import os
 import sqlite3
+from collections import deque
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from hashlib import blake2b
-from itertools import pairwise
 from pathlib import Path
-from shutil import copyfile
-from tempfile import TemporaryDirectory
 from typing import Any, Final, NamedTuple, Self
 
 from kb.events import Event
@@ -41,7 +39,7 @@ _TABLES: Final = (
 WHOLE_CHECK: Final = 8 << 20
 """Up to which size the whole history is checked before a file is used; more is checked while it is [bytes]."""
 
-_BROKEN: Final = (sqlite3.Error, TypeError, ValueError, LookupError)
+BROKEN: Final = (sqlite3.Error, TypeError, ValueError, LookupError)
 """What reading a damaged file may raise."""
 
 
@@ -122,31 +120,23 @@ class Mark(NamedTuple):
     def read(cls, path: Path) -> Self | None:
         """Return the mark beside a database; None if there is none that is sound."""
         with suppress(OSError, ValueError):
-            text, _, check = mark_path(path).read_bytes().decode().rstrip().rpartition(" ")
+            text, _, check = beside(path, "mark").read_bytes().decode().rstrip().rpartition(" ")
             if check == digest(b"", text).hex():
                 _, own, number, tail = text.split()
                 return cls(bytes.fromhex(own), int(number), bytes.fromhex(tail.strip("-")))
         return None
 
 
-def mark_path(path: Path) -> Path:
-    return path.with_name(f"{path.name}-mark")
+def beside(path: Path, of: str) -> Path:
+    return path.with_name(f"{path.name}-{of}") if of else path
 
 
 class Survey(NamedTuple):
-    """What is in a database, as far as it is sound.
+    """What is in a database as far as it is sound: the newest snapshot, and the events after it, without a gap.
 
-    Attributes:
-        declared: the model, in JSON; None if it is not as it was written.
-        since: the event before which that model was another one.
-        id: of the store.
-        snapshot: the newest that is sound.
-        rows: the events after it, without a gap, each sound.
-        last: number of the last event that is sound with all before it.
-        tail: its digest.
-        acknowledged: number of the last event that was acknowledged, as far as that is known.
-        is_open: nobody has closed it.
-        problem: what is wrong, first of all; empty if nothing is.
+    `declared`, the model, is None if it is not as it was written; `since` is the event before which it was another one.
+    `last` and `tail` are of the last event that is sound with all before it, `acknowledged` of the last one that was
+    acknowledged, as far as that is known. `problem` is what is wrong, first of all; empty if nothing is.
     """
 
     declared: str | None
@@ -160,9 +150,12 @@ class Survey(NamedTuple):
     is_open: bool
     problem: str
 
+    @property
+    def missing(self) -> int:
+        return max(0, self.acknowledged - self.last)
+
     def error(self, path: Path) -> StoreError:
-        missing = self.acknowledged - self.last
-        words = f", and {missing} that were acknowledged after it are missing" if missing > 0 else ""
+        words = f", and {self.missing} that were acknowledged after it are missing" if self.missing else ""
         sound = f"it is sound up to event {self.last}{words}" if self.declared is not None else "its model is lost"
         return damaged(path, f"{self.problem}; {sound}")
 
@@ -175,7 +168,7 @@ def survey(connection: sqlite3.Connection, mark: Mark | None, *, is_whole: bool)
         found: list[Any] = []
         try:
             found.extend(connection.execute(statement, given))
-        except _BROKEN as error:
+        except BROKEN as error:
             problems.append(str(error))
         return found
 
@@ -211,7 +204,7 @@ def survey(connection: sqlite3.Connection, mark: Mark | None, *, is_whole: bool)
             rows.append(row)
             number, tail = row.number, row.digest
             ends[number] = tail
-    except _BROKEN as error:
+    except BROKEN as error:
         problems.append(f"after event {number}: {error}")
     marks = [one for one in (mark, Mark(own, closed_at, closed_tail)) if one is not None and one.id == own]
     acknowledged = max(one.number for one in marks)
@@ -220,24 +213,19 @@ def survey(connection: sqlite3.Connection, mark: Mark | None, *, is_whole: bool)
     elif any(ends.get(one.number, one.tail) != one.tail for one in marks) or acknowledged > number:
         problems.append(f"event {acknowledged} was acknowledged, and is missing or another one")
     if is_whole and not problems:
-        problems += _of_history(connection, snapshot.number if snapshot else 0)
+        try:
+            deque(history(connection, 0, snapshot.number if snapshot else 0), maxlen=0)
+        except BROKEN as error:
+            problems.append(str(error))
     problem = problems[0] if problems else ""
     return Survey(declared, since, own, snapshot, rows, number, tail, acknowledged, bool(is_open), problem)
-
-
-def _of_history(connection: sqlite3.Connection, until: int) -> Iterator[str]:
-    try:
-        for _ in history(connection, 0, until):
-            pass
-    except _BROKEN as error:
-        yield str(error)
 
 
 def history(connection: sqlite3.Connection, after: int, until: int, only: str = "") -> Iterator[Row]:
     """Yield records; each is checked, and with the one before it where that is still there."""
     order = f"SELECT * FROM events WHERE number > ? AND number <= ? {only} ORDER BY number"
     before: Row | None = None
-    for row in map(Row._make, connection.execute(order, (after, until))):
+    for row in (Row(*one) for one in connection.execute(order, (after, until))):
         follows = before is None or before.number + 1 != row.number or before.digest == row.before
         if not row.is_sound or not follows:
             raise ValueError(f"event {row.number} is not as it was written")
@@ -274,7 +262,7 @@ def make(path: Path, declared: str) -> bool:
             write_life(connection, own, is_open=False, last=0, tail=b"")
             connection.commit()
             connection.close()
-            return _put_in_place(part, path)
+            return put_in_place(part, path)
     except (OSError, sqlite3.Error) as error:
         why = getattr(error, "strerror", None) or error
         raise StoreError(f"{path}: the store cannot be made: {why}; see who may write in that folder") from None
@@ -291,7 +279,7 @@ def write_about(connection: sqlite3.Connection, own: bytes, declared: str, since
     connection.execute("UPDATE about SET declared = ?, since = ?, id = ?, digest = ?", (*values, digest(b"", *values)))
 
 
-def _put_in_place(part: Path, path: Path) -> bool:
+def put_in_place(part: Path, path: Path) -> bool:
     try:
         path.hardlink_to(part)
     except FileExistsError:
@@ -342,7 +330,7 @@ def check_format(path: Path, descriptor: int) -> None:
 
 def opened(path: Path) -> tuple[sqlite3.Connection, Survey]:
     """Open a database for nobody else; one that is damaged or may not be written is left as it is."""
-    log = path.with_name(f"{path.name}-wal")
+    log = beside(path, "wal")
     content = log.read_bytes() if log.exists() else None
     try:
         connection = sqlite3.connect(path, timeout=0.0, isolation_level="EXCLUSIVE", check_same_thread=False)
@@ -376,125 +364,3 @@ def _leave(connection: sqlite3.Connection, log: Path, content: bytes | None) -> 
         log.unlink(missing_ok=True)
     elif not log.exists():  # there was nothing in it that SQLite understands
         log.write_bytes(content)
-
-
-# -------------------------------------------------------------------- copies
-
-
-@contextmanager
-def copied(path: Path, folder: Path | None = None) -> Iterator[Path]:
-    """Give a copy of a store that may be written to meanwhile, as if that had been killed at one instant.
-
-    SQLite's log beside the file only grows until it is begun anew, and brings any mixture of the file's pages from
-    before and after it was brought into the file to one state: so only if it was begun anew is all copied again.
-    """
-    with path.open("rb") as file:
-        check_format(path, file.fileno())
-    with TemporaryDirectory(prefix=".rosa-", dir=folder) as place:
-        copy = Path(place) / path.name
-        log, its = (one.with_name(f"{one.name}-wal") for one in (path, copy))
-        for _ in range(100):
-            before, its_mark = _head(log), mark_path(copy)
-            for one, other in ((mark_path(path), its_mark), (path, copy), (log, its)):
-                other.unlink(missing_ok=True)
-                with suppress(FileNotFoundError):
-                    copyfile(one, other)
-            if _head(log) == before:
-                break
-        else:
-            raise StoreError(f"{path}: the store is written to too fast to be copied; try it again")
-        yield copy
-
-
-def _head(log: Path) -> bytes:
-    with suppress(FileNotFoundError), log.open("rb") as file:
-        return file.read(32)
-    return b""
-
-
-@contextmanager
-def surveyed(path: Path, folder: Path | None = None) -> Iterator[tuple[sqlite3.Connection, Survey]]:
-    """Give what is in a store, of a copy: whoever has it open goes on, and a damaged one is not touched."""
-    try:
-        with copied(path, folder) as copy:
-            connection = sqlite3.connect(copy)
-            try:
-                yield connection, survey(connection, Mark.read(copy), is_whole=True)
-            finally:
-                connection.close()
-    except (OSError, sqlite3.Error) as error:
-        raise StoreError(f"{path}: the store cannot be read: {error}") from None
-
-
-def backup(path: Path, to: Path) -> Survey:
-    """Copy a store, which may be written to meanwhile, to a file that is not there yet.
-
-    Raises:
-        StoreError: it is damaged, or that file cannot be made.
-    """
-    with surveyed(path, _free(to)) as (connection, found):
-        if found.problem:
-            raise found.error(path)
-        _save(connection, found, to)
-    return found
-
-
-def repair(path: Path, to: Path) -> Survey:
-    """Write what is sound of a store to a file that is not there yet, with a record of that; returns what was found.
-
-    Raises:
-        StoreError: nothing can be made of what is sound, or that file cannot be made.
-    """
-    with surveyed(path, _free(to)) as (connection, found):
-        if found.declared is None:
-            raise found.error(path)
-        start = found.snapshot.number if found.snapshot else 0
-        rows = [*_sound(connection, start), *found.rows]
-        with draft(to) as part:
-            make(part, found.declared)
-            fresh = sqlite3.connect(part)
-            try:
-                lost = found.acknowledged - found.last
-                words = f"repaired: sound up to event {found.last}; {max(lost, 0)} acknowledged ones are missing"
-                time = rows[-1].time if rows else found.snapshot.time if found.snapshot else 0.0
-                last = Row.of(Event(found.last + 1, time, "store", (words,)), found.tail)
-                fresh.executemany("INSERT INTO events VALUES (?, ?, ?, ?, ?, ?, ?)", [*rows, last])
-                if found.snapshot:
-                    others = sum(row.verb != "measure" and row.number <= start for row in rows)
-                    kept = Snapshot.of(*found.snapshot[:3], others, found.snapshot.tail)
-                    fresh.execute("INSERT INTO snapshots VALUES (?, ?, ?, ?, ?, ?)", kept)
-                _save(fresh, found._replace(last=last.number, tail=last.digest), to)
-            finally:
-                fresh.close()
-    return found
-
-
-def _sound(connection: sqlite3.Connection, until: int) -> list[Row]:
-    """Return the records up to one that are sound, from both ends if there is damage between."""
-    found: dict[int, Row] = {}
-    for order in ("ASC", "DESC"):
-        with suppress(*_BROKEN):
-            for row in connection.execute(f"SELECT * FROM events WHERE number <= ? ORDER BY number {order}", (until,)):
-                found[row[0]] = Row(*row)
-    rows = [found[number] for number in sorted(found) if found[number].is_sound]
-    torn = {two.number for one, two in pairwise(rows) if one.number + 1 == two.number and one.digest != two.before}
-    return [row for row in rows if row.number not in torn]
-
-
-def _free(to: Path) -> Path:
-    if to.exists() or to.is_symlink():
-        raise StoreError(f"{to}: there is a file already; name one that is not there")
-    return to.parent
-
-
-def _save(connection: sqlite3.Connection, found: Survey, to: Path) -> None:
-    """Close the database of a connection as one file of its own, and put it in its place."""
-    own = os.urandom(16)
-    write_about(connection, own, str(found.declared), found.since)
-    write_life(connection, own, is_open=False, last=found.last, tail=found.tail)
-    connection.commit()
-    connection.execute("PRAGMA journal_mode=DELETE")
-    (_, _, file), *_ = connection.execute("PRAGMA database_list").fetchall()
-    connection.close()
-    if not _put_in_place(Path(file), to):
-        raise StoreError(f"{to}: there is a file already; name one that is not there")

@@ -6,6 +6,7 @@ import sqlite3
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from io import BytesIO
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeVar
 
@@ -18,9 +19,9 @@ from kb.facts import Contents
 from kb.files import ModelFileError, read_text
 from kb.owl.declaring import Declarer
 from kb.owl.individuals import CLASSES, GENERAL, MODEL, PARAMETER, PREFERENCE, STATED, Individual, Ref, Value
-from kb.owl.queries import FUNCTIONS, Answer, Question, complaint, read_question
+from kb.owl.queries import FUNCTIONS, Answer, Question, complaint, read_question, stopped
 from kb.owl.rdfxml import ROSA, order, plain_text
-from kb.owl.worker import stopped
+from kb.owl.worker import answer
 
 _TYPE: Final = "http://www.w3.org/1999/02/22-rdf-syntax-ns#type"
 _KINDS: Final = frozenset({*CLASSES.values(), *GENERAL, MODEL, PARAMETER, PREFERENCE})
@@ -167,6 +168,11 @@ class _World(owlready2.World):  # type: ignore[misc]  # owlready2 has no types
         return cell, datatype
 
 
+def serve(descriptor: int) -> None:
+    """Be the process of a worker."""
+    answer(Connection(descriptor), Book)
+
+
 class Book:
     """A world of individuals: the words of ROSA, a model, what was told, and what is inferred."""
 
@@ -225,9 +231,6 @@ class Book:
                 yield self.world.python_of(cell, datatype)
             else:
                 yield f"_:{-cell}" if cell < 0 else self.world.iri_of(cell)
-
-    def close(self) -> None:
-        self.world.close()
 
     def clear(self, context: str) -> None:
         for table in ("objs", "datas"):

@@ -132,6 +132,10 @@ def complaint(error: Exception, question: Question, vocabulary: Iterable[str]) -
     return InvalidValue(f"this is no SPARQL that can be answered: {type(error).__name__} {error}")
 
 
+def stopped(timeout: float) -> KnowledgeBaseError:
+    return KnowledgeBaseError(f"the query was stopped after {timeout:g} s; ask for less, or allow it a longer timeout")
+
+
 def _only_asks(given: str, told: Iterable[_Token]) -> None:
     words = iter(told)
     for token in words:

@@ -11,7 +11,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from itertools import islice
 from multiprocessing.connection import Connection, Pipe
@@ -19,18 +19,16 @@ from typing import Any, Final, TypeVar
 
 from kb.exceptions import InvalidValue, KnowledgeBaseError, UnknownName
 from kb.owl.individuals import Individual
-from kb.owl.queries import Answer
+from kb.owl.queries import Answer, stopped
 
-_PROGRAM: Final = "import sys; sys.path[:] = {path!r}; from kb.owl.worker import serve; serve({descriptor})"
-_MEMORY: Final = 4 << 30
-"""How much it may use at most [bytes]."""
-_AT_ONCE: Final = 500
-"""How many individuals or rows are handed over at once: more would keep other threads from running."""
-_GRACE: Final = 0.2
-"""How much longer than its time a query may take to stop by itself, of that time, before its process is killed."""
+_PROGRAM: Final = "import sys; sys.path[:] = {path!r}; from kb.owl.owlready import serve; serve({descriptor})"
+_MEMORY: Final = 4 << 30  # that it may use at most [bytes]
+_AT_ONCE: Final = 500  # individuals or rows; to hand over more would keep other threads from running
+_GRACE: Final = 0.2  # of its time, in which a query may stop by itself before its process is killed
 _MOST_IDLE: Final = 2
-
-_ERRORS: Final = {cls.__name__: cls for cls in (KnowledgeBaseError, InvalidValue, UnknownName)}
+_IDLE: Final[list["Worker"]] = []
+_ERRORS: Final = {cls.__name__: cls for cls in (InvalidValue, UnknownName)}
+_ENDED: Final = f"the process that answers queries has ended; if it needed more than {_MEMORY >> 30} GB, ask for less"
 
 T = TypeVar("T")
 
@@ -39,29 +37,24 @@ class Worker:
     """A process, from here; one thread at a time talks to it, and any error ends it."""
 
     def __init__(self) -> None:
-        self.owner, self._is_ready = os.getpid(), False
+        self._owner, self._is_ready = os.getpid(), False
         self._line, theirs = Pipe()
         program = _PROGRAM.format(path=sys.path, descriptor=theirs.fileno())
+        command, given, none = [sys.executable, "-c", program], (theirs.fileno(),), subprocess.DEVNULL
         with theirs:
             self._process = subprocess.Popen(
-                [sys.executable, "-c", program],
-                pass_fds=(theirs.fileno(),),
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-                start_new_session=True,
+                command, pass_fds=given, start_new_session=True, stdin=none, stdout=none, stderr=none
             )
 
     @property
     def is_alive(self) -> bool:
-        return self.owner == os.getpid() and self._process.poll() is None
+        return self._owner == os.getpid() and self._process.poll() is None
 
     def is_ready(self, deadline: float) -> bool:
         """Wait until it can be talked to, but not beyond a deadline of the monotonic clock [s]."""
         with self._or_ended():
             if not self._is_ready and self._line.poll(max(0.0, deadline - time.monotonic())):
-                self._received()
-                self._is_ready = True
+                self._is_ready = self._line.recv() is not None
         return self._is_ready
 
     def tell(self, method: str, *arguments: object) -> None:
@@ -70,7 +63,7 @@ class Worker:
             self._line.send((method, arguments))
 
     def write(self, context: str, given: Iterable[Individual]) -> None:
-        for some in _parts(given):
+        for some in parts(given):
             self.tell("write", context, some)
 
     def ask(self, query: str, timeout: float, deadline: float) -> list[tuple[Answer, ...]]:
@@ -78,123 +71,82 @@ class Worker:
         self.tell("ask", query, timeout, max(0.01, deadline - time.monotonic()))
         rows: list[tuple[Answer, ...]] = []
         with self._or_ended():
-            while True:
-                left = deadline + _GRACE * timeout - time.monotonic()
-                if not self._line.poll(max(0.0, left)):
-                    raise stopped(timeout)
-                some = self._received()
-                if isinstance(some, KnowledgeBaseError):
+            while self._line.poll(max(0.0, deadline + _GRACE * timeout - time.monotonic())):
+                error, some = self._line.recv()
+                if error or some is None:
                     break
-                if some is None:
-                    return rows
                 rows += some
-        raise some
+            else:
+                raise stopped(timeout)
+        if not error:
+            return rows
+        cls = _ERRORS.get(error, KnowledgeBaseError)
+        raise cls.__new__(cls, some)
 
     def end(self) -> None:
-        if self.owner == os.getpid():
+        if self._owner == os.getpid():
             self._process.kill()
             self._process.wait()
-        else:
-            self._process.returncode = 0  # it is another process's child
+        self._process.returncode = 0  # also of another process's child, for which nobody waits here
         self._line.close()
-
-    def _received(self) -> Any:  # noqa: ANN401  # rows, an error, or None
-        name, message, rows = self._line.recv()
-        if name:
-            cls = _ERRORS.get(name, KnowledgeBaseError)
-            return cls.__new__(cls, message)
-        return rows
 
     @contextmanager
     def _or_ended(self) -> Iterator[None]:
         """End it at any error, an interrupt too: what it would say next would be an answer to something else."""
         try:
             yield
-        except (OSError, EOFError):
+        except BaseException as error:
             self.end()
-            raise KnowledgeBaseError(
-                "the process that answers queries has ended, perhaps as it needed more than "
-                f"{_MEMORY >> 30} GB; ask for less, or ask again"
-            ) from None
-        except BaseException:
-            self.end()
+            if isinstance(error, OSError | EOFError):
+                raise KnowledgeBaseError(_ENDED) from None
             raise
 
 
-def stopped(timeout: float) -> KnowledgeBaseError:
-    return KnowledgeBaseError(f"the query was stopped after {timeout:g} s; ask for less, or allow it a longer timeout")
-
-
-def _parts(given: Iterable[T]) -> Iterator[list[T]]:
+def parts(given: Iterable[T]) -> Iterator[list[T]]:
     iterator = iter(given)
     while some := list(islice(iterator, _AT_ONCE)):
         yield some
 
 
-# -------------------------------------------------------------------- those that nobody needs
-
-_IDLE: Final[list[Worker]] = []
-
-
 def take() -> Worker:
     while _IDLE:
-        with suppress(IndexError):
-            worker = _IDLE.pop()
-            if worker.is_alive:
-                return worker
-            worker.end()
+        worker = _IDLE.pop()
+        if worker.is_alive:
+            return worker
+        worker.end()
     return Worker()
 
 
-def give_back(held: list[Worker]) -> None:
-    for worker in held:
-        if worker.is_alive and len(_IDLE) < _MOST_IDLE:
+@atexit.register
+def give_back(held: list[Worker] = _IDLE) -> None:
+    """Keep workers that nobody needs for others, but not many, and none at the end of the program."""
+    while held:
+        worker = held.pop()
+        if held is not _IDLE and worker.is_alive and len(_IDLE) < _MOST_IDLE:
             _IDLE.append(worker)
         else:
             worker.end()
-    held.clear()
 
 
-@atexit.register
-def _end_idle() -> None:
-    while _IDLE:
-        _IDLE.pop().end()
-
-
-# -------------------------------------------------------------------- in the process
-
-
-def serve(descriptor: int) -> None:
-    """Do what comes in on a descriptor, until nothing can come any more."""
-    from kb.owl.owlready import Book
-
-    line = Connection(descriptor)
+def answer(line: Connection, book: Callable[[str], Any]) -> None:
+    """Do what comes in on a line to a process, with a book that is opened anew, until nothing can come any more."""
     resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
-    line.send(("", "", None))
-    book: Book | None = None
+    line.send("ready")
+    of: Any = None
     with suppress(EOFError, OSError):
         while True:
             method, arguments = line.recv()
             if method == "open":
-                if book is not None:
-                    book.close()
-                book = Book(*arguments)
-            elif method == "ask":
+                of = book(*arguments)
+            elif method != "ask":
+                getattr(of, method)(*arguments)
+            else:
                 *given, left = arguments
                 signal.setitimer(signal.ITIMER_REAL, 2.0 * left + 5.0)  # should nobody be there to kill it
-                _answer(line, book, given, left)
+                try:
+                    for some in parts(of.ask(*given, time.monotonic() + left)):
+                        line.send(("", some))
+                    line.send(("", None))
+                except (KnowledgeBaseError, MemoryError) as error:
+                    line.send((type(error).__name__, str(error) or _ENDED))
                 signal.setitimer(signal.ITIMER_REAL, 0.0)
-            else:
-                getattr(book, method)(*arguments)
-
-
-def _answer(line: Connection, book: Any, given: Sequence[Any], left: float) -> None:  # noqa: ANN401  # a Book, if it is open
-    try:
-        for some in _parts(book.ask(*given, time.monotonic() + left)):
-            line.send(("", "", some))
-        line.send(("", "", None))
-    except KnowledgeBaseError as error:
-        line.send((type(error).__name__, str(error), None))
-    except MemoryError:
-        message = f"the query needs more than {_MEMORY >> 30} GB of memory; ask for less"
-        line.send((KnowledgeBaseError.__name__, message, None))

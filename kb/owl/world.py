@@ -30,9 +30,9 @@ from kb.owl.individuals import (
     named_id,
     nested,
 )
-from kb.owl.queries import Answer
+from kb.owl.queries import Answer, stopped
 from kb.owl.rdfxml import BASE, metamodel
-from kb.owl.worker import Worker, give_back, stopped, take
+from kb.owl.worker import Worker, give_back, take
 from kb.records import Attempt, Process, ReconfigurationPlan, RequiredAction, VetoAnswer
 from kb.state import State
 from kb.store import Store

@@ -2,14 +2,11 @@
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import Annotated, Final
 
 import typer
 
-from missions.commands import FAILED, complain, open_console
-
-if TYPE_CHECKING:
-    from kb.store_file import Survey
+from missions.commands import FAILED, complain
 
 app: Final = typer.Typer(help="Look after the store of a knowledge base.", no_args_is_help=True)
 File = Annotated[Path, typer.Argument(metavar="FILE", help="The store.")]
@@ -19,40 +16,37 @@ New = Annotated[Path, typer.Argument(metavar="NEW", help="A file that is not the
 @app.command()
 def info(file: File, as_json: Annotated[bool, typer.Option("--json", help="Print it as JSON.")] = False) -> None:
     """Say what is in a store, also while it is written to; exit with 1 if it is damaged."""
-    from kb.store_file import surveyed
+    from missions.engine.stores import surveyed
 
     with surveyed(file) as (connection, found):
-        told: dict[str, object] = {"store": str(file), **_of(found)}
+        names = [one for one in json.loads(found.declared or "[]") if one[0] == "RobotModel"]
+        told: dict[str, object] = {
+            "store": str(file),
+            "model": names[0][2]["name"][0] if names else None,
+            "last sound event": found.last,
+            "last acknowledged event": found.acknowledged,
+            "state": "in use, or not closed" if found.is_open else "closed",
+            "damage": found.problem or None,
+        }
         if not found.problem:
             counts = connection.execute("SELECT verb, COUNT(*) FROM events GROUP BY verb ORDER BY verb")
             told["events kept"] = dict(counts.fetchall())
-            begin, end = connection.execute("SELECT MIN(time), MAX(time) FROM events").fetchone()
-            told |= {"first time [s]": begin, "last time [s]": end}
+            ((told["first time [s]"], told["last time [s]"]),) = connection.execute(
+                "SELECT MIN(time), MAX(time) FROM events"
+            )
     if as_json:
         typer.echo(json.dumps(told, indent=2))
     else:
         for name, value in told.items():
-            shown = ", ".join(f"{one} {count}" for one, count in value.items()) if isinstance(value, dict) else value
-            open_console().print(f"{name}: {shown}", highlight=False, markup=False, soft_wrap=True)
+            typer.echo(f"{name}: {json.dumps(value) if isinstance(value, dict) else value}")
     if found.problem:
         raise typer.Exit(FAILED)
-
-
-def _of(found: "Survey") -> dict[str, object]:
-    names = [one for one in json.loads(found.declared or "[]") if one[0] == "RobotModel"]
-    return {
-        "model": names[0][2]["name"][0] if names else None,
-        "last sound event": found.last,
-        "last acknowledged event": found.acknowledged,
-        "state": "in use, or not closed" if found.is_open else "closed",
-        "damage": found.problem or None,
-    }
 
 
 @app.command()
 def check(file: File) -> None:
     """Check every record of a store, also while it is written to; exit with 1 if it is damaged."""
-    from kb.store_file import surveyed
+    from missions.engine.stores import surveyed
 
     with surveyed(file) as (connection, found):
         if found.problem:
@@ -65,20 +59,19 @@ def check(file: File) -> None:
 @app.command()
 def backup(file: File, new: New) -> None:
     """Copy a store to a new file as it is at this moment, also while it is written to."""
-    from kb import store_file
+    from missions.engine import stores
 
-    found = store_file.backup(file, new)
+    found = stores.backup(file, new)
     typer.echo(f"{new}: a copy of {file} up to event {found.last}")
 
 
 @app.command()
 def repair(file: File, new: New) -> None:
     """Write what is sound of a damaged store to a new file; the damaged one is left as it is."""
-    from kb import store_file
+    from missions.engine import stores
 
-    found = store_file.repair(file, new)
-    missing = max(0, found.acknowledged - found.last)
-    typer.echo(f"{new}: {file} up to event {found.last}; {missing} acknowledged events after it are missing")
+    found = stores.repair(file, new)
+    typer.echo(f"{new}: {file} up to event {found.last}; {found.missing} acknowledged events after it are missing")
     typer.echo(f"what was wrong: {found.problem}" if found.problem else "nothing was wrong")
 
 
@@ -90,12 +83,12 @@ def migrate(
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Only say what would change.")] = False,
 ) -> None:
     """Have a store go on with a model that has changed: say what came, went and changed, and what is dropped."""
-    from kb.migration import migrate
     from missions.commands.check import model_of
+    from missions.engine import stores
     from missions.engine.registry import find_mission
 
     given = model_of(model or [], find_mission(mission) if mission else None)
-    found = migrate(file, given, dry_run=dry_run)
+    found = stores.migrate(file, given, dry_run=dry_run)
     for words in found.differences:
         typer.echo(words)
     for words in found.dropped:

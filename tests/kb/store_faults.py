@@ -13,7 +13,8 @@ from pathlib import Path
 from kept import Life, answers, robot
 
 from kb import KnowledgeBase
-from kb.store_file import StoreError, backup, repair
+from kb.store_file import StoreError
+from missions.engine.stores import backup, repair
 
 HERE = Path(__file__).parent
 ENDS = ("", "-wal", "-mark")
