@@ -7,11 +7,11 @@ from typing import Any, NamedTuple
 from kb.elements import Changeable, Constraint, Estimation
 from kb.facts import tables_of
 from kb.model import Model
-from kb.owl.declaring import Declarer
 from kb.owl.individuals import (
     MODEL,
     PARAMETER,
     PREFERENCE,
+    Declarer,
     Ref,
     Serials,
     element_id,

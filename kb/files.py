@@ -9,12 +9,9 @@ from typing import Final, NamedTuple
 
 from kb.exceptions import DuplicateName, KnowledgeBaseError, ModelError, UnknownName
 
-SUFFIXES: Final = (".tql", ".owl")
-"""Of the files that models can be in."""
-MOST: Final = 256 << 20
-"""The largest file that is read [bytes]."""
-_MARK: Final = "\ufeff"
-"""What some editors put before everything else."""
+SUFFIXES: Final = (".tql", ".owl")  # of the files that models can be in
+MOST: Final = 256 << 20  # the largest file that is read [bytes]
+_MARK: Final = "\ufeff"  # what some editors put before everything else
 
 
 class ModelFileError(ModelError):

@@ -34,7 +34,6 @@ from kb.store_file import (
     check_format,
     damaged,
     guarded,
-    has_content,
     history,
     make,
     opened,
@@ -43,9 +42,7 @@ from kb.store_file import (
     write_life,
 )
 
-KEPT: Final = 10_000
-"""How many measurements of each attribute are kept; the newest."""
-
+KEPT: Final = 10_000  # how many measurements of each attribute are kept; the newest
 _EXCESS: Final = """
     DELETE FROM events WHERE number IN (SELECT number FROM (SELECT number, row_number() OVER (
         PARTITION BY subject ORDER BY number DESC) AS place FROM events WHERE verb = 'measure')
@@ -85,7 +82,7 @@ class Store:
         self.saved = 0
         self.error: str | None = None
         self.left: tuple[str, ...] = ()
-        self.is_new = model is not None and not has_content(self.path) and make(self.path, _declared(model))
+        self.is_new = model is not None and make(self.path, _declared(model))
         self._guard, self._mark = guarded(self.path), -1
         self._using = threading.Lock()
         self._progress = threading.Condition()

@@ -19,13 +19,9 @@ from kb.events import Event
 from kb.exceptions import KnowledgeBaseError
 from kb.files import draft, sync_folder
 
-FORMAT: Final = 3
-"""Of files that this version writes and reads."""
-
+FORMAT: Final = 3  # of files that this version writes and reads
 _MAGIC: Final = b"SQLite format 3\0"
-_OWNER: Final = 0x524F5341
-"""ROSA in ASCII: the application id in the header of the file."""
-
+_OWNER: Final = 0x524F5341  # ROSA in ASCII: the application id in the header of the file
 _TABLES: Final = (
     "CREATE TABLE about (declared TEXT NOT NULL, since INTEGER NOT NULL, id BLOB NOT NULL, digest BLOB NOT NULL)",
     "CREATE TABLE life (is_open INTEGER NOT NULL, last INTEGER NOT NULL, tail BLOB NOT NULL, digest BLOB NOT NULL)",
@@ -39,8 +35,7 @@ _TABLES: Final = (
 WHOLE_CHECK: Final = 8 << 20
 """Up to which size the whole history is checked before a file is used; more is checked while it is [bytes]."""
 
-BROKEN: Final = (sqlite3.Error, TypeError, ValueError, LookupError)
-"""What reading a damaged file may raise."""
+BROKEN: Final = (sqlite3.Error, TypeError, ValueError, LookupError)  # what reading a damaged file may raise
 
 
 class StoreError(KnowledgeBaseError):
@@ -54,6 +49,12 @@ def damaged(path: Path, what: object) -> StoreError:
 
 def digest(before: bytes, *values: object) -> bytes:
     return blake2b(before + repr(values).encode(), digest_size=16).digest()
+
+
+def is_sound(values: tuple[Any, ...]) -> bool:
+    """Whether a record ends with the digest of what it says, after that of the one before."""
+    *said, before, own = values
+    return isinstance(before, bytes) and own == digest(before, *said)
 
 
 class Row(NamedTuple):
@@ -81,10 +82,6 @@ class Row(NamedTuple):
         given = {"number": self.number, "time": self.time, "verb": self.verb, "arguments": arguments}
         return Event.from_json({**given, "cause": cause, "effects": effects})
 
-    @property
-    def is_sound(self) -> bool:
-        return isinstance(self.before, bytes) and self.digest == digest(self.before, *self[:5])
-
 
 class Snapshot(NamedTuple):
     """What was known after an event; `others` counts the events up to it that are no measurements."""
@@ -99,10 +96,6 @@ class Snapshot(NamedTuple):
     @classmethod
     def of(cls, number: int, time: float, known: str, others: int, tail: bytes) -> Self:
         return cls(number, time, known, others, tail, digest(tail, number, time, known, others))
-
-    @property
-    def is_sound(self) -> bool:
-        return isinstance(self.tail, bytes) and self.digest == digest(self.tail, *self[:4])
 
 
 class Mark(NamedTuple):
@@ -183,8 +176,8 @@ def survey(connection: sqlite3.Connection, mark: Mark | None, *, is_whole: bool)
         problems.append("how it was closed is not as it was written")
     is_open, closed_at, closed_tail = life[0][:3] if life else (True, 0, b"")
     snapshots = [Snapshot(*one) for one in tried("SELECT * FROM snapshots ORDER BY number DESC")]
-    problems += [f"what was known after event {one.number} is damaged" for one in snapshots if not one.is_sound]
-    snapshot = next((one for one in snapshots if one.is_sound), None)
+    problems += [f"what was known after event {one.number} is damaged" for one in snapshots if not is_sound(one)]
+    snapshot = next((one for one in snapshots if is_sound(one)), None)
     number, tail = (snapshot.number, snapshot.tail) if snapshot else (0, b"")
     if snapshot is not None:
         counted = tried("SELECT COUNT(*) FROM events WHERE verb <> 'measure' AND number <= ?", number)
@@ -192,10 +185,9 @@ def survey(connection: sqlite3.Connection, mark: Mark | None, *, is_whole: bool)
             problems.append(f"of {snapshot.others} events before {number} that are no measurements not all are there")
     ends, rows = {number: tail}, []
     try:
-        for row in map(
-            Row._make, connection.execute("SELECT * FROM events WHERE number > ? ORDER BY number", (number,))
-        ):
-            if row.number != number + 1 or row.before != tail or not row.is_sound:
+        for one in connection.execute("SELECT * FROM events WHERE number > ? ORDER BY number", (number,)):
+            row = Row(*one)
+            if row.number != number + 1 or row.before != tail or not is_sound(row):
                 problems.append(f"event {number + 1} is not as it was written")
                 break
             if row.verb == "amend" and row.number > since:
@@ -227,7 +219,7 @@ def history(connection: sqlite3.Connection, after: int, until: int, only: str = 
     before: Row | None = None
     for row in (Row(*one) for one in connection.execute(order, (after, until))):
         follows = before is None or before.number + 1 != row.number or before.digest == row.before
-        if not row.is_sound or not follows:
+        if not is_sound(row) or not follows:
             raise ValueError(f"event {row.number} is not as it was written")
         yield row
         before = row
@@ -236,22 +228,15 @@ def history(connection: sqlite3.Connection, after: int, until: int, only: str = 
 # -------------------------------------------------------------------- opening and making
 
 
-def has_content(path: Path) -> bool:
-    try:
-        return path.stat().st_size > 0
-    except FileNotFoundError:
-        return False
-    except OSError as error:
-        raise StoreError(f"{path}: the store cannot be read: {error.strerror}") from None
-
-
 def make(path: Path, declared: str) -> bool:
     """Make the file of a store beside its place, so that it is there as a whole or not at all.
 
     Returns:
-        False if another process has made one meanwhile.
+        False if there is one already, perhaps as another process has made it meanwhile.
     """
     try:
+        if path.exists() and (path.is_dir() or path.stat().st_size > 0):
+            return False
         with draft(path) as part:
             connection = sqlite3.connect(part)
             for statement in (f"PRAGMA application_id={_OWNER}", f"PRAGMA user_version={FORMAT}", *_TABLES):

@@ -1,4 +1,4 @@
-"""A model as individuals: plain values that can be written anywhere, and read back as the same model.
+"""A model as individuals and back: plain values that can be written anywhere, and read as the same model.
 
 An individual has a kind, an id and the values of its properties. Kinds and properties are those of
 `rosa.owl`. What a class of element or fact makes of its fields is one table below; nested values, such as
@@ -9,7 +9,8 @@ import json
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import fields
+from contextlib import contextmanager
+from dataclasses import MISSING, fields
 from enum import StrEnum
 from typing import Any, Final, NamedTuple
 from urllib.parse import quote
@@ -24,9 +25,13 @@ from kb.elements import (
     Constraint,
     Element,
     Estimation,
+    Expression,
     Function,
     FunctionDesign,
+    choice,
+    finite_number,
 )
+from kb.exceptions import InvalidValue, KnowledgeBaseError, ModelError, UnknownName
 from kb.facts import (
     ActiveFact,
     Contents,
@@ -40,6 +45,7 @@ from kb.facts import (
     StatusFact,
     tables_of,
 )
+from kb.status import Status
 
 
 class Ref(NamedTuple):
@@ -262,3 +268,143 @@ def _sort(value: object) -> str:
     if isinstance(value, list):
         return f"{_sort(value[0])}_array" if value else "string_array"
     return {bool: "boolean", int: "long", float: "double"}.get(type(value), "string")
+
+
+# -------------------------------------------------------------------- and back
+
+_BY_KIND: Final[Mapping[str, Any]] = {kind: cls for cls, kind in CLASSES.items()}
+_RANKS: Final = {kind: rank for rank, kind in enumerate(CLASSES.values())}
+_LISTS: Final = frozenset({"functions", "components", "constrained", "activate", "deactivate", "parameters"})
+_UNSAID: Final = frozenset({"position", "prefersNothing"})
+
+
+class Declarer:
+    """Declares individuals in a model, of which they may refer to the elements that are known, by id."""
+
+    def __init__(self, model: Contents, known: Mapping[str, Changeable] | None = None) -> None:
+        self.model = model
+        self.known: dict[str, Changeable] = dict(known or {})
+        self.nested: dict[str, Individual] = {}
+
+    def declare(self, given: Iterable[Individual]) -> None:
+        """Declare individuals, each after those that it can refer to, and those of a kind in order.
+
+        Raises:
+            ModelError: the model refuses one; the message says which.
+        """
+        listed = list(given)
+        self.nested = {one.id: one for one in listed}
+        for one in sorted((one for one in listed if GENERAL.get(one.kind, one.kind) in _BY_KIND), key=_rank):
+            with _blamed(one.id):
+                if (made := self._make(one)) is not None:
+                    self.known[one.id] = made
+
+    def values(self, cls: type, one: Individual) -> dict[str, Any]:
+        """Return the fields that an individual gives to an element or fact."""
+        own = {property_of(cls, field.name): field for field in fields(cls)}
+        for name in one.values:
+            if name not in own and name not in _UNSAID:
+                raise UnknownName(f"property of {one.kind}", name, [each for each in own if each != "model"])
+        found: dict[str, Any] = {}
+        for name, field in own.items():
+            if name in one.values:
+                found[field.name] = self._value(cls, field.name, one.values[name])
+            elif field.name in _LISTS:
+                found[field.name] = {} if cls is Configuration else ()
+            elif field.default is MISSING and field.name != "model":
+                raise ModelError(f"it has no {name}")
+        if "prefersNothing" in one.values:
+            found["preference"] = {}
+        return found
+
+    def _value(self, cls: type, field: str, given: tuple[Value, ...]) -> object:
+        if cls is Configuration and field == "parameters":
+            with _well_written():
+                return parameter_values(self._inner(one) for one in given)
+        if field == "preference":
+            return dict(self._weight(self._inner(one)) for one in given)
+        if field in REFERENCES:
+            names = tuple(self._element(one, REFERENCES[field]).name for one in given)
+            return names if field in _LISTS else _single(field, names)
+        if field in ("constrained", "causer", "element"):
+            elements = tuple(self._element(one, object) for one in given)
+            return elements if field in _LISTS else _single(field, elements)
+        value = _single(field, given)
+        if isinstance(value, Ref):
+            raise ModelError(f"{field} is a value, not {value.id}")
+        if field == "agreement":
+            with _well_written():
+                return tuple(json.loads(str(value)))
+        return value
+
+    def _inner(self, value: Value) -> Individual:
+        if not isinstance(value, Ref) or value.id not in self.nested:
+            raise ModelError(f"{_shown(value)} is no individual that is described")
+        return self.nested[value.id]
+
+    def _weight(self, one: Individual) -> tuple[str, Any]:
+        attribute = _single("prefers", one.values.get("prefers", ()))
+        return self._element(attribute, Attribute).name, _single("weight", one.values.get("weight", ()))
+
+    def _element(self, value: Value, cls: type) -> Any:  # noqa: ANN401  # an element of the class
+        found = self.known.get(value.id) if isinstance(value, Ref) else None
+        if found is None or not isinstance(found, cls):
+            known = [one for one, element in self.known.items() if isinstance(element, cls)]
+            raise UnknownName(CLASSES.get(cls, "individual"), _shown(value), known)
+        return found
+
+    def _make(self, one: Individual) -> Changeable | None:
+        cls = _BY_KIND[GENERAL.get(one.kind, one.kind)]
+        values = self.values(cls, one)
+        if cls is Estimation:
+            return self.model.add_estimation(**values)
+        if cls is Constraint:
+            constrained, value = values.pop("constrained"), finite_number(values.pop("value"))
+            return self.model.constrain(constrained, Expression(**values, value=value))
+        if issubclass(cls, Element):
+            return self._declared(cls, one.kind, **values)
+        if cls is StatusFact:
+            values["status"] = choice("status", Status, values["status"])
+        self.model.add_fact(cls(**values))
+        return None
+
+    def _declared(self, cls: type[Element], kind: str, name: str, **values: object) -> Element:
+        if cls in (Attribute, Component):
+            special = {other: one for (of, one), other in SPECIAL.items() if of is cls}
+            if cls is Attribute and kind not in special:
+                raise ModelError(f"an attribute is a {' or an '.join(special)}; say which")
+            values |= {"kind": special[kind]} if kind in special else {}
+        return self.model.declare(cls, name, **values)
+
+
+@contextmanager
+def _blamed(individual: str) -> Iterator[None]:
+    try:
+        yield
+    except KnowledgeBaseError as error:
+        raise ModelError(f"{individual}: {error}") from None
+
+
+@contextmanager
+def _well_written() -> Iterator[None]:
+    try:
+        yield
+    except (ValueError, TypeError, LookupError) as error:
+        raise InvalidValue(f"it is not written as it should be: {error}") from None
+
+
+def _single(what: str, values: Iterable[Any]) -> Any:  # noqa: ANN401  # one of what is given
+    listed = list(values)
+    if len(listed) != 1:
+        raise ModelError(f"{what} has one value, not {len(listed)}")
+    return listed[0]
+
+
+def _shown(value: Value) -> str:
+    return value.id if isinstance(value, Ref) else repr(value)
+
+
+def _rank(one: Individual) -> tuple[int, int, str]:
+    rank = _RANKS[GENERAL.get(one.kind, one.kind)]
+    (position, *_) = (*one.values.get("position", ()), 0)
+    return min(rank, _RANKS["Estimation"] + 1), (position if isinstance(position, int) else 0), one.id

@@ -17,8 +17,7 @@ from owlready2.sparql.main import Translator
 from kb.exceptions import KnowledgeBaseError, ModelError, UnknownName
 from kb.facts import Contents
 from kb.files import ModelFileError, read_text
-from kb.owl.declaring import Declarer
-from kb.owl.individuals import CLASSES, GENERAL, MODEL, PARAMETER, PREFERENCE, STATED, Individual, Ref, Value
+from kb.owl.individuals import CLASSES, GENERAL, MODEL, PARAMETER, PREFERENCE, STATED, Declarer, Individual, Ref, Value
 from kb.owl.queries import FUNCTIONS, Answer, Question, complaint, read_question, stopped
 from kb.owl.rdfxml import ROSA, order, plain_text
 from kb.owl.worker import answer
@@ -26,9 +25,7 @@ from kb.owl.worker import answer
 _TYPE: Final = "http://www.w3.org/1999/02/22-rdf-syntax-ns#type"
 _KINDS: Final = frozenset({*CLASSES.values(), *GENERAL, MODEL, PARAMETER, PREFERENCE})
 _ABSTRACT: Final = frozenset({"Element", "Relation", "Fact", "Period"})
-_FIRST: Final = 1 << 40
-"""What stands for fact 0 in the tables; what stands for anything else is less."""
-
+_FIRST: Final = 1 << 40  # what stands for fact 0 in the tables; what stands for anything else is less
 _MOST_ROWS: Final = 1_000_000
 _AT_ONCE: Final = 200
 _WHERE: Final = re.compile(r"line (\d+), column (\d+)")

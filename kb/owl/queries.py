@@ -42,9 +42,7 @@ _INSTEAD: Final[Mapping[str, str]] = {
 
 _LATEST: Final = "the latest of several is the one with FILTER NOT EXISTS { a later one }"
 
-_QUOTED: Final[Mapping[str, int]] = {"text": 3, "line": 1}
-"""How many marks are before and after a text."""
-
+_QUOTED: Final[Mapping[str, int]] = {"text": 3, "line": 1}  # how many marks are before and after a text
 _AGGREGATES: Final = frozenset({"AVG", "COUNT", "GROUP_CONCAT", "MAX", "MIN", "SAMPLE", "SUM"})
 
 _AFTER_GROUPS: Final = frozenset({"HAVING", "ORDER", "LIMIT", "OFFSET"})

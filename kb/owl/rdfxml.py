@@ -13,12 +13,8 @@ from typing import Final
 from kb.facts import Contents
 from kb.owl.individuals import GENERAL, Individual, Ref, Value, individuals
 
-ROSA: Final = "http://rosa-taca/rosa#"
-"""What the names of classes and properties begin with."""
-
-BASE: Final = "http://rosa-taca/model/"
-"""What the names of individuals begin with; the id of the model and `#` follow."""
-
+ROSA: Final = "http://rosa-taca/rosa#"  # what the names of classes and properties begin with
+BASE: Final = "http://rosa-taca/model/"  # what the names of individuals begin with; the id of the model and `#` follow
 _TYPES: Final[Mapping[type, str]] = {bool: "boolean", int: "integer", float: "double", str: "string"}
 _ONTOLOGY: Final = re.compile(r"  <owl:Ontology.*?</owl:Ontology>\n", re.DOTALL)
 _UNFIT: Final = re.compile("[^\t\n\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]|\\\\(?=u[0-9a-f]{4})")

@@ -51,9 +51,8 @@ _PRESENT: Final[Mapping[str, str]] = {
     "AssertedRequirement": "asserted_required",
 }
 """What can be so now, by the facts of the state that say so."""
-_LONGEST: Final = 1_000_000
-_MOST_GROWN: Final = 20_000
-"""How many events, besides measurements that are kept, are added to a world before it is made anew."""
+_LONGEST: Final = 1_000_000  # query [characters]
+_MOST_GROWN: Final = 20_000  # events, besides measurements that are kept, that are added before a world is made anew
 _REQUIRABLE: Final = frozenset({"action", "function", "component"})
 
 
@@ -102,13 +101,10 @@ class World:
             self._anew(worker, reading)
             return
         with reading as state:
-            if state.network.revision != self._revision:
-                is_amended = True
-            else:
-                is_amended = any(one.verb == "amend" for one in self._known.log.since(self._last, measurements=False))
+            events = list(self._known.log.since(self._last))
+            is_amended = state.network.revision != self._revision or any(one.verb == "amend" for one in events)
             if self._known.log.last == self._last and not is_amended:
                 return
-            events = list(self._known.log.since(self._last))
             is_lost = len(events) < self._known.log.last - self._last  # more happened than memory holds
             if not is_lost:
                 model = self._model() if is_amended else []
@@ -202,34 +198,30 @@ class _Chronicle:
         last = next(reversed(self._known.records.attempts), 0)
         self._serial = last - sum(event.verb == "record_attempt" for event in past)
 
-    # ---------------------------------------------------------------- what is so now
-
-    def of_state(self, state: State) -> Iterator[tuple[str, str, Values]]:
+    def of_state(self, state: State) -> Iterator[tuple[str, str, Values, Parameters]]:
         """Yield what is so now: its kind, what it is about, and what else is known of it."""
         for node in state.network.present():
-            about = element_id(node.element, self._known.serials)
             for word, column in _PRESENT.items():
-                value = state.columns[column][node.index]
-                if not value:
-                    continue
-                reason = state.reason(column, node)
-                values = _said(reason.text)
-                if column == "asserted":
-                    values |= {"status": (str(value),)} | ({} if reason.until is None else {"until": (reason.until,)})
-                yield word, about, values
+                if value := state.columns[column][node.index]:
+                    reason = state.reason(column, node)
+                    values = _said(reason.text)
+                    if column == "asserted":
+                        values |= {"status": (str(value),)} | (
+                            {} if reason.until is None else {"until": (reason.until,)}
+                        )
+                    yield word, element_id(node.element, self._known.serials), values, {}
         for name, parameters in state.parameters.items():
-            yield "ParametersInForce", named_id(Component, name), {"": tuple(parameters.items())}  # type: ignore[arg-type]  # nested later
+            yield "ParametersInForce", named_id(Component, name), {}, parameters
 
-    def older(self, present: Iterable[tuple[str, str, Values]]) -> Iterator[Individual]:
+    def older(self, present: Iterable[tuple[str, str, Values, Parameters]]) -> Iterator[Individual]:
         """Yield what is so now and began before the events that are known: it has no start."""
-        for word, about, values in present:
-            if (word, about) in self._open:
-                continue
-            self._open[word, about] = own = self._next()
-            within = list(nested(PARAMETER, own, dict(values.pop("", ()))))  # type: ignore[arg-type]  # as it was put there
-            yield from within
-            listed: Values = {"hasParameter": tuple(Ref(one.id) for one in within)} if within else {}
-            yield Individual(word, own, {"about": (Ref(about),), **values, **listed})
+        for word, about, values, parameters in present:
+            if (word, about) not in self._open:
+                self._open[word, about] = own = self._next()
+                within = list(nested(PARAMETER, own, parameters))
+                yield from within
+                listed: Values = {"hasParameter": tuple(Ref(one.id) for one in within)} if within else {}
+                yield Individual(word, own, {"about": (Ref(about),), **values, **listed})
 
     # ---------------------------------------------------------------- what was so for a time
 

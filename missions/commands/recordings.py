@@ -120,10 +120,11 @@ def convert(recording: Path, output: Path) -> None:
 
     bag: Bag | Reader
     if output.suffix == ".jsonl":
+        from kb.files import write_file
         from missions.engine.recording import line_of
 
         bag = read_bag(recording)
-        output.write_text("".join(map(line_of, [bag.header(), *bag.messages])))
+        write_file(output, "".join(map(line_of, [bag.header(), *bag.messages])).encode())
     elif output.suffix == ".mcap":
         bag = Reader(recording)
         with McapFile(output) as file:

@@ -29,6 +29,7 @@ from kb.store_file import (
     Survey,
     beside,
     check_format,
+    is_sound,
     make,
     put_in_place,
     survey,
@@ -114,7 +115,7 @@ def _sound(connection: sqlite3.Connection, until: int) -> list[Row]:
         with suppress(*BROKEN):
             for row in connection.execute(f"SELECT * FROM events WHERE number <= ? ORDER BY number {order}", (until,)):
                 found[row[0]] = Row(*row)
-    rows = [found[number] for number in sorted(found) if found[number].is_sound]
+    rows = [found[number] for number in sorted(found) if is_sound(found[number])]
     torn = {two.number for one, two in pairwise(rows) if one.number + 1 == two.number and one.digest != two.before}
     return [row for row in rows if row.number not in torn]
 

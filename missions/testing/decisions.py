@@ -9,24 +9,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from kb import DiagnosticProblem, Event, EventKind, KnowledgeBase, ReconfigurationPlan
+from kb.files import write_file
 from missions.engine.adaptations import Adaptation
 
 if TYPE_CHECKING:
     from rosa_bt import Trace
     from rosa_pddl import PlanRecord
 
-SLACK_S: Final = 1e-6
-"""Sums of ticks miss a time by rounding [s]."""
-MOST_PROBLEMS: Final = 8
-"""How many different problems a failure shows at most."""
-AROUND: Final = 3
-"""How many moments before and after the expected time a failure shows."""
-MOST: Final = 18
-"""How many moments within the expected time a failure shows at most."""
-
-MOST_LINES: Final = 40
-"""How many lines of a difference between traces are shown."""
-
+SLACK_S: Final = 1e-6  # sums of ticks miss a time by rounding [s]
+MOST_PROBLEMS: Final = 8  # how many different problems a failure shows at most
+AROUND: Final = 3  # how many moments before and after the expected time a failure shows
+MOST: Final = 18  # how many moments within the expected time a failure shows at most
+MOST_LINES: Final = 40  # how many lines of a difference between traces are shown
 Names = str | Iterable[str]
 Steps = list[tuple[str, tuple[str, ...]]]
 """What plans may do: verbs, each with names of components or configurations."""
@@ -322,7 +316,7 @@ def check_golden(trace: "Trace", path: Path, *, update: bool, command: str) -> b
         return False
     if update:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
+        write_file(path, text.encode())
         return True
     now = list(readable(trace))
     if not path.exists():

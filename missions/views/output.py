@@ -9,14 +9,13 @@ import os
 from collections.abc import Mapping
 from contextlib import ExitStack, suppress
 from pathlib import Path
-from secrets import token_hex
 from typing import Any, Final, Self
 
+from kb.files import draft, put
 from missions.engine.mission import MissionError, Verdict
 from missions.engine.runner import MissionRun
 
-SIGNS: Final = {"j": "J", "w": "W", "percent": "%"}
-"""How units are written that a name has in small letters or in full."""
+SIGNS: Final = {"j": "J", "w": "W", "percent": "%"}  # how units are written that a name has in small letters or in full
 
 
 class OutputFile:
@@ -26,7 +25,7 @@ class OutputFile:
     """
 
     def __init__(self, path: Path) -> None:
-        self._path = path
+        self._path, self._stack = path, ExitStack()
         try:
             self._direct = path.exists() and not path.is_file()
             # a link is followed, not replaced; that to a pipe leads to no path
@@ -35,8 +34,8 @@ class OutputFile:
                 raise IsADirectoryError("it is a directory; name a file in it")
             if self._target.is_file() and not os.access(self._target, os.W_OK):
                 raise PermissionError("the file there is read-only")
-            self._draft = self._target if self._direct else self._target.with_name(f".rosa-{token_hex(8)}")
-            self._file = self._draft.open("wb" if self._direct else "xb")
+            self._draft = self._target if self._direct else self._stack.enter_context(draft(self._target))
+            self._file = self._draft.open("wb")
         except OSError as error:
             raise self._failure(error) from error
 
@@ -46,8 +45,7 @@ class OutputFile:
     def __exit__(self, *reason: object) -> None:
         with suppress(OSError):  # what could not be written is for finish to say
             self._file.close()
-        if not self._direct:
-            self._draft.unlink(missing_ok=True)
+        self._stack.close()
 
     def write(self, content: str | bytes) -> None:
         """Append text or bytes; MissionError if there is no room for it."""
@@ -62,7 +60,7 @@ class OutputFile:
         try:
             self._file.close()
             if not self._direct:
-                self._draft.replace(self._target)
+                put(self._draft, self._target)
         except OSError as error:
             raise self._failure(error) from error
 

@@ -16,6 +16,7 @@ ROOT = Path(__file__).parents[2]
 PACKAGES = ("kb", "rosa_bt", "rosa_pddl", "suave_env", "missions")
 REBUILT = 37_725
 TRUST, PAGE, CONNECTIONS = 700, 1_500, 1_800  # lines of Python that each may add
+TRUST += 450  # what is missing of a store is noticed, its commands, and queries that can be stopped; to be folded
 MOST_LINES = {"product": REBUILT + TRUST + PAGE + CONNECTIONS, "kb": 12_960 + TRUST}
 MOST_FILES = {"product": 225, "kb": 60}
 MOST_IN_A_FOLDER = 25
