@@ -1,0 +1,51 @@
+"""Twenty pages that look at a robot, from a process of their own: python pages.py URL; the last one never reads.
+
+Each of the others prints how many rows it got and whether any was missing between them.
+"""
+
+import asyncio
+import json
+import socket
+import sys
+
+import websockets
+
+PAGES = 20
+
+
+async def look(url):
+    """Follow until the view is closed; returns the number after the last row, and how many were not given."""
+    async with websockets.connect(url, max_size=None, compression=None) as page:
+        hello = json.loads(await page.recv())
+        following, missed = hello["next"], 0
+        print("looking", flush=True)
+        async for text in page:
+            said = json.loads(text)
+            if "rows" in said:
+                missed += said["from"] - following
+                following = said["from"] + len(said["rows"])
+    return following, missed
+
+
+async def freeze(url):
+    """Open a page and read nothing more from it."""
+    host, port = url.removeprefix("ws://").partition("/")[0].split(":")
+    raw = socket.create_connection((host, int(port)))
+    raw.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    raw.sendall(
+        f"GET /ws HTTP/1.1\r\nHost: {host}:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+        "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\nSec-WebSocket-Version: 13\r\n\r\n".encode()
+    )
+    print("looking", flush=True)
+    return raw
+
+
+async def main(url):
+    frozen = await freeze(url)
+    found = await asyncio.gather(*(look(url) for _ in range(PAGES - 1)))
+    frozen.close()
+    print(json.dumps(found))
+
+
+if __name__ == "__main__":
+    asyncio.run(main(sys.argv[1]))

@@ -1,0 +1,101 @@
+"""What pages that look cost the robot: each tick, and the memory of a day."""
+
+import json
+import subprocess
+import sys
+import time
+import tracemalloc
+from pathlib import Path
+from statistics import median
+
+import pytest
+from figures import table
+
+from missions.baselines import open_run
+from missions.engine.registry import find_mission
+from missions.views.live import LiveView
+from missions.views.run_recorder import RunRecorder
+from missions.views.steering import Steering
+
+sys.path.append(str(Path(__file__).parents[1] / "missions"))
+
+from test_page import Rover
+
+pytestmark = pytest.mark.benchmark
+
+HERE = Path(__file__).parent
+PAGES, ROUNDS, SIMULATED_S, SPEED = 20, 5, 60, 20
+HOUR_S = 3600
+
+
+def flown(pages):
+    """Fly a mission that so many pages look at; returns its processor time for a tick [s], its rows and the pages'."""
+    recorder, steering = RunRecorder(100_000, what_if=False), Steering(SPEED)
+    run = open_run(
+        find_mission("suave_extended"), settings={"duration": str(SIMULATED_S)}, listeners=(recorder, steering)
+    )
+    recorder.begin(run, 0, {})
+    view = LiveView(run.kb, port=0, recorder=recorder.recorder, steering=steering)
+    looking = None
+    if pages:
+        url = view.url.replace("http", "ws") + "ws"
+        looking = subprocess.Popen([sys.executable, HERE / "pages.py", url], stdout=subprocess.PIPE, text=True)
+        assert [looking.stdout.readline() for _ in range(pages)] == ["looking\n"] * pages
+    started = time.thread_time()
+    run.run()
+    took_s = time.thread_time() - started
+    view.close()
+    found = json.loads(looking.communicate(timeout=30)[0]) if looking else []
+    return took_s / (SIMULATED_S * 10), sum(run.compute_s.values()), recorder.recorder.rows.next, found
+
+
+def test_twenty_pages_cost_a_tick_five_percent_at_most_and_all_but_the_frozen_one_get_every_row():
+    flown(0)
+    ratios, walls, rows = [], [], []
+    for _ in range(ROUNDS):
+        alone, alone_wall, _, _ = flown(0)
+        watched, watched_wall, count, found = flown(PAGES)
+        assert found == [[count, 0]] * (PAGES - 1)
+        ratios.append(watched / alone)
+        walls.append(watched_wall / alone_wall)
+        rows.append((f"{alone * 1e6:.0f}", f"{watched * 1e6:.0f}", f"{ratios[-1]:.3f}", f"{walls[-1]:.3f}"))
+    print(
+        table(
+            "A tick, while twenty pages look", ("alone [us]", "watched [us]", "ratio", "ratio by the wall clock"), rows
+        )
+    )
+    assert median(ratios) <= 1.05
+
+
+def test_memory_of_the_view_is_flat_over_a_day():
+    """A measurement and a tick each second; what the view's own code holds is compared between hours."""
+    rover = Rover()
+    held = []
+    with LiveView(rover.kb, rover.runner, port=0) as view:
+        looking = subprocess.Popen(
+            [sys.executable, HERE / "pages.py", view.url.replace("http", "ws") + "ws"],
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        assert [looking.stdout.readline() for _ in range(PAGES)] == ["looking\n"] * PAGES
+        tracemalloc.start()
+        for _ in range(24):
+            for second in range(HOUR_S):
+                rover.clock.advance(1.0)
+                rover.kb.measure("light", 0.9 if second % 120 < 60 else 0.3)
+                rover.kb.measure("energy", 0.9 if second % 600 < 500 else 0.1)
+                rover.manager.update()
+                rover.runner.tick()
+            only = [tracemalloc.Filter(True, "*/missions/views/*"), tracemalloc.Filter(True, "*/uvicorn/*")]
+            taken = tracemalloc.take_snapshot().filter_traces(only)
+            held.append(sum(one.size for one in taken.statistics("filename")) / 2**20)
+        tracemalloc.stop()
+    looking.communicate(timeout=30)
+    print(
+        table(
+            "What the view holds, hour by hour",
+            ("hour", "MiB"),
+            [(str(hour), f"{size:.1f}") for hour, size in enumerate(held, start=1)],
+        )
+    )
+    assert max(held[12:]) <= 1.05 * max(held[6:12])
