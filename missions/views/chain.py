@@ -79,7 +79,7 @@ def _news(event: Event) -> str:
     """Say what was news: a measurement beside the threshold that it has crossed."""
     for change in event.changes:
         if event.verb == "measure" and change.kind == "constraint" and " just " not in event.text:
-            _, operator, threshold = change.name.rsplit(" ", 2)
+            _, operator, threshold = change.name.split(" ", 2)
             shown = operator if change.new is not Status.VIOLATED else _OPPOSITE.get(operator, operator)
             return f"{event.text.replace(' is ', ' ', 1)} {shown} {threshold}"
     return event.text

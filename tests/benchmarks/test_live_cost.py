@@ -6,7 +6,6 @@ import sys
 import time
 import tracemalloc
 from pathlib import Path
-from statistics import median
 
 import pytest
 from figures import table
@@ -51,20 +50,18 @@ def flown(pages):
 
 def test_twenty_pages_cost_a_tick_five_percent_at_most_and_all_but_the_frozen_one_get_every_row():
     flown(0)
-    ratios, walls, rows = [], [], []
+    alone_s, watched_s, rows = [], [], []
     for _ in range(ROUNDS):
         alone, alone_wall, _, _ = flown(0)
         watched, watched_wall, count, found = flown(PAGES)
         assert found == [[count, 0]] * (PAGES - 1)
-        ratios.append(watched / alone)
-        walls.append(watched_wall / alone_wall)
-        rows.append((f"{alone * 1e6:.0f}", f"{watched * 1e6:.0f}", f"{ratios[-1]:.3f}", f"{walls[-1]:.3f}"))
-    print(
-        table(
-            "A tick, while twenty pages look", ("alone [us]", "watched [us]", "ratio", "ratio by the wall clock"), rows
-        )
-    )
-    assert median(ratios) <= 1.05
+        alone_s.append(alone)
+        watched_s.append(watched)
+        ratios = f"{watched / alone:.3f}", f"{watched_wall / alone_wall:.3f}"
+        rows.append((f"{alone * 1e6:.0f}", f"{watched * 1e6:.0f}", *ratios))
+    head = ("alone [us]", "watched [us]", "ratio", "ratio by the wall clock")
+    print(table("A tick, while twenty pages look", head, rows))
+    assert min(watched_s) <= 1.05 * min(alone_s)
 
 
 def test_memory_of_the_view_is_flat_over_a_day():
