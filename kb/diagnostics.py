@@ -42,16 +42,27 @@ class DiagnosticProblem(NamedTuple):
     reason: str
 
     def __str__(self) -> str:
-        return f"{self.key}={self.value!r}: {self.reason}"
+        return f"{self.key:.200}={self.value!r:.200}: {self.reason}"
 
 
 def read_diagnostics(array: object) -> Iterator[Measurement | ComponentReport | DiagnosticProblem]:
     """Yield what each key/value of an array says; statuses whose message is not ours are passed over."""
-    for status in _items(array, "status"):
+    try:
+        for status in _items(array, "status"):
+            yield from _read_status(status)
+    except Exception as error:  # of the one who gives them
+        yield DiagnosticProblem("diagnostics", type(array).__name__, f"no more can be read: {error}")
+
+
+def _read_status(status: object) -> Iterator[Measurement | ComponentReport | DiagnosticProblem]:
+    message = ""
+    try:
         message = str(_part(status, "message", "")).strip().casefold()
         if message in MEASUREMENTS or message in COMPONENT_REPORTS:
             for key, value in _pairs(_part(status, "values", ())):
                 yield _measurement(key, value) if message in MEASUREMENTS else _component_report(key, value)
+    except Exception as error:  # of an object that is no text, or breaks when it is looked at
+        yield DiagnosticProblem(message or "status", type(status).__name__, f"it cannot be read: {error}")
 
 
 def _measurement(key: str, value: str) -> Measurement | DiagnosticProblem:

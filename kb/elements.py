@@ -21,18 +21,26 @@ Parameter = bool | int | float | str | list[bool] | list[int] | list[float] | li
 Parameters = Mapping[str, Parameter]
 
 
-def finite_number(value: object) -> float:
+def shown(value: object) -> str:
+    """Write whatever was given, in short, even if it cannot be written."""
+    try:
+        return f"{value!r:.200}"
+    except Exception:  # whole numbers of thousands of digits, lists within themselves, what others have written
+        return f"some {type(value).__name__} that cannot be shown"
+
+
+def finite_number(value: Any) -> float:  # noqa: ANN401  # whatever is given
     """Return the value as a float; text, booleans, NaN and infinities are refused."""
-    if isinstance(value, bool | str) or not hasattr(value, "__float__"):
-        raise InvalidValue(f"a number is needed, not {value!r}")
+    if isinstance(value, bool | str) or not hasattr(type(value), "__float__"):
+        raise InvalidValue(f"a number is needed, not {shown(value)}")
     try:
         number = float(value)
     except OverflowError:
         number = math.inf
-    except (TypeError, ValueError) as error:
-        raise InvalidValue(f"a number is needed, not {value!r}: {error}") from None
+    except Exception as error:  # of whatever kind of number it is
+        raise InvalidValue(f"a number is needed, not {shown(value)}: {error}") from None
     if not math.isfinite(number):
-        raise InvalidValue(f"a finite number is needed, not {value!r:.60}")
+        raise InvalidValue(f"a finite number is needed, not {shown(value)}")
     return number
 
 
@@ -57,40 +65,40 @@ def identifier(kind: str, name: object) -> str:
 
 def text(what: str, value: object) -> str:
     if not isinstance(value, str):
-        raise ModelError(f"{what} is a text, not {value!r}")
+        raise ModelError(f"{what} is a text, not {shown(value)}")
     return value
 
 
 def flag(what: str, value: object) -> bool:
     if not isinstance(value, bool):
-        raise ModelError(f"{what} is True or False, not {value!r}")
+        raise ModelError(f"{what} is True or False, not {shown(value)}")
     return value
 
 
 def priority(field: str, name: str, value: object) -> float | None:
-    if value is None or (_is_number(value) and (isinstance(value, int) or math.isfinite(value))):
+    if value is None or (_is_number(value) and abs(value) <= sys.float_info.max):
         return value
-    raise ModelError(f"the {field} of {name!r} is a finite number or None, not {value!r}")
+    raise ModelError(f"the {field} of {name!r} is a finite number or None, not {shown(value)}")
 
 
 def age(field: str, name: str, value: object) -> float:
     """Return a maximum age [s]."""
     if _is_number(value) and (0 < value <= sys.float_info.max or value == math.inf):
         return float(value)
-    raise ModelError(f"{field} of {name!r} is a time in seconds above 0, not {value!r}")
+    raise ModelError(f"{field} of {name!r} is a time in seconds above 0, not {shown(value)}")
 
 
 def span(field: str, name: str, value: object) -> float:
     if _is_number(value) and 0 <= value <= sys.float_info.max:
         return float(value)
-    raise ModelError(f"the {field} of {name!r} is a number from 0, not {value!r}")
+    raise ModelError(f"the {field} of {name!r} is a number from 0, not {shown(value)}")
 
 
 def bound(field: str, name: str, value: object) -> float:
     """Return an end of a range, infinity for none."""
     if _is_number(value) and (abs(value) <= sys.float_info.max or abs(value) == math.inf):
         return float(value)
-    raise ModelError(f"the {field} end of the range of {name!r} is a number, not {value!r}")
+    raise ModelError(f"the {field} end of the range of {name!r} is a number, not {shown(value)}")
 
 
 def _is_number(value: object) -> TypeGuard[int | float]:
@@ -104,14 +112,14 @@ def agreement(field: str, name: str, value: object) -> tuple[int, int]:
             return enough, last
     raise ModelError(
         f"{field} of {name!r} is two whole numbers (n, k), n of the last k measurements and more than half of them, "
-        f"e.g. (2, 3); not {value!r}"
+        f"e.g. (2, 3); not {shown(value)}"
     )
 
 
 def pid(value: object) -> int:
-    if type(value) is int and value >= 0:
+    if type(value) is int and 0 <= value < 2**63:
         return value
-    raise InvalidValue(f"a process number is a whole number from 0, not {value!r}")
+    raise InvalidValue(f"a process number is a whole number from 0, not {shown(value)}")
 
 
 def choice(what: str, options: type[ChoiceT], given: object) -> ChoiceT:
@@ -150,13 +158,15 @@ def _parameter(configuration: str, key: str, value: object) -> object:
         if len(kinds) <= 1:
             return list(value)
     raise ModelError(
-        f"parameter {key!r} of configuration {configuration!r} is {value!r}; "
+        f"parameter {key!r} of configuration {configuration!r} is {shown(value)}; "
         "allowed are a boolean, a finite number, a text, or a list of one of these"
     )
 
 
 def _is_scalar(value: object) -> bool:
-    return isinstance(value, bool | int | str) or (isinstance(value, float) and math.isfinite(value))
+    if isinstance(value, int | float):
+        return abs(value) <= sys.float_info.max
+    return isinstance(value, str)
 
 
 class AttributeKind(StrEnum):

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Final, NamedTuple
 
-from kb.elements import Attribute, Constraint, Element, exact, listed
+from kb.elements import Attribute, Constraint, Element, exact, listed, shown
 from kb.exceptions import AmbiguousName, InvalidValue, UnknownName
 from kb.explanation.choice import ChoiceExplanation
 from kb.explanation.choice import explain_choice as explained_choice
@@ -318,4 +318,4 @@ def number(refusal: str, value: object, attribute: Node) -> float:
     try:
         return attribute.element.checked(value)
     except InvalidValue as error:
-        raise InvalidValue(f"{refusal} {value!r:.60}: {error}") from None
+        raise InvalidValue(f"{refusal} {shown(value)}: {error}") from None

@@ -276,9 +276,9 @@ def _number(thing: Thing, name: str, default: float | None = None) -> float:
 
 
 def _agreement(own: Own) -> tuple[int, int]:
-    found = re.fullmatch(r"\s*(\d+)\s+of\s+(\d+)\s*", str(own.value))
+    found = re.fullmatch(r"\s*(\d{1,9})\s+of\s+(\d{1,9})\s*", str(own.value))
     if found is None:
-        raise own.place.error(f"{own.value!r} is no agreement; write e.g. '2 of 3'")
+        raise own.place.error(f"{own.value!r:.60} is no agreement; write e.g. '2 of 3'")
     return int(found[1]), int(found[2])
 
 
@@ -312,8 +312,8 @@ def _preference(thing: Thing) -> dict[str, float] | None:
             raise InvalidValue("one weight per attribute is needed")
         for weight in weights:
             finite_number(weight)
-    except (ValueError, TypeError) as error:
-        raise own.place.error(f"{own.value!r} is no list of weights for {len(names)} attributes: {error}") from None
+    except (ValueError, TypeError, RecursionError) as error:
+        raise own.place.error(f"{own.value!r:.60} is no list of weights for {len(names)} attributes: {error}") from None
     return dict(zip(names, weights, strict=True))
 
 

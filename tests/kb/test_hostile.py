@@ -1,0 +1,205 @@
+"""Input that is broken or hostile: refused or ignored with a clear word, and no fact changed by what is refused."""
+
+import math
+import random
+import re
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from models import Clock
+
+from kb import InvalidValue, KnowledgeBase, KnowledgeBaseError, Model, ModelError, ModelFileError
+
+
+def robot():
+    model = Model("robot")
+    voltage = model.quality_attribute("v", low=0, high=1, unit="V", agreement=(2, 3), max_age=9.0)
+    camera = model.component("c")
+    camera.configuration("k", {"r": 1, "l": [1.0]}, constraints=[voltage >= 0.2], priority=1.5)
+    see = model.function("f")
+    see.design("d", [camera], constraints=[(voltage >= 0.5).steady(hysteresis=0.1, dwell=2.0)])
+    model.action("a", requires=[see])
+    camera.estimate(voltage, 0.1)
+    return model
+
+
+class Breaks:
+    def __getattr__(self, name):
+        raise RuntimeError("broken")
+
+    def __str__(self):
+        raise RuntimeError("broken")
+
+    __repr__ = __str__
+
+
+def within_itself():
+    endless = []
+    endless.append(endless)
+    return endless
+
+
+LEAVES = (
+    st.none()
+    | st.booleans()
+    | st.integers()
+    | st.floats()
+    | st.text(max_size=5)
+    | st.binary(max_size=4)
+    | st.sampled_from(("v", "c", "nan", "1e400", "0.5", "OK", "error", "QA status", "component status"))
+    | st.builds(lambda: 10**5000)
+    | st.builds(Breaks)
+    | st.builds(within_itself)
+)
+NAMES = st.sampled_from(("status", "message", "values", "key", "value", "v", "c"))
+ANYTHING = st.recursive(
+    LEAVES,
+    lambda inner: (
+        st.lists(inner, max_size=3)
+        | st.tuples(inner, inner)
+        | st.dictionaries(NAMES, inner, max_size=4)
+        | st.dictionaries(NAMES, inner, max_size=4).map(lambda given: type("Message", (), given)())
+    ),
+    max_leaves=12,
+)
+STATUSES = st.fixed_dictionaries(
+    {"message": st.sampled_from(("QA status", "component status")) | LEAVES, "values": ANYTHING}
+)
+
+
+@settings(max_examples=1000, deadline=None, suppress_health_check=list(HealthCheck))
+@given(ANYTHING | st.lists(STATUSES, max_size=3) | st.fixed_dictionaries({"status": st.lists(STATUSES, max_size=3)}))
+def test_diagnostics_of_any_form_are_taken_or_told(given):
+    kb = KnowledgeBase(robot(), clock=Clock(1.0))
+    problems = kb.receive(given)
+    assert all(isinstance(str(one), str) and one.reason for one in problems)
+    told = {"measure", "component_failed", "component_recovered"}
+    assert {event.verb for event in kb.log} <= told
+    value = kb.attributes["v"].value
+    assert value is None or 0.0 <= value <= 1.0
+
+
+def test_the_rest_of_an_array_counts_when_one_status_is_broken():
+    kb = KnowledgeBase(robot(), clock=Clock(1.0))
+    good = {"message": "QA status", "values": {"v": 0.7}}
+    problems = kb.receive([{"message": "QA status", "values": {"v": Breaks()}}, good, {"message": Breaks()}])
+    assert [str(one) for one in problems] == [
+        "qa status='dict': it cannot be read: broken",
+        "status='dict': it cannot be read: broken",
+    ]
+    assert kb.attributes["v"].value == 0.7
+
+
+HUGE = 10**5000
+
+
+@pytest.mark.parametrize("value", [HUGE, -HUGE, Breaks(), math.nan], ids=["huge", "least", "broken", "nan"])
+@pytest.mark.parametrize(
+    "tell",
+    [
+        lambda kb, value: kb.measure("v", value),
+        lambda kb, value: kb.situation(v=value),
+        lambda kb, value: kb.model.change("d", priority=value),
+        lambda kb, value: kb.model.change("k", parameters={"r": value}),
+        lambda kb, value: kb.model.change("v", max_age=value),
+        lambda kb, value: kb.model.quality_attribute("w", low=value, high=value),
+        lambda kb, value: kb.component_started("c", value),
+        lambda kb, value: kb.request_action("a", {"v": value}),
+        lambda kb, value: kb.assert_status("a", "unfeasible", until=value),
+    ],
+)
+def test_what_is_no_number_that_can_be_kept_is_refused(tell, value):
+    kb = KnowledgeBase(robot(), clock=Clock(1.0))
+    before = (kb.log.last, kb.revision, kb.model == robot())
+    with pytest.raises((InvalidValue, ModelError)):
+        tell(kb, value)
+    assert (kb.log.last, kb.revision, kb.model == robot()) == before
+
+
+BASE = 'insert $a isa Attribute, has attribute-name "v"; $b isa Action, has action-name "go"; '
+WANTS = "(action: $b, preferred-attribute: $a) isa required-action, has preference-weights"
+NODE = 'insert $c isa Component, has component-name "c"; '
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "insert " + "(" * 100_000,
+        "match " + "{" * 100_000,
+        "x" * 10_000_000,
+        "\0\0\0",
+        "define a sub b; b sub c; c sub a; insert $x isa a;",
+        f'{BASE} $c isa Attribute, has attribute-name "v";',
+        f"{BASE} (constrained: $b, attribute: $a) isa constraint, has constraint-value nan;",
+        f"{BASE} (constrained: $b, attribute: $a) isa constraint, has constraint-value 1e999;",
+        f"{BASE} (constrained: $b, attribute: $a) isa constraint, has constraint-value {'9' * 5000};",
+        f'{BASE} {WANTS} "{"[" * 100_000}";',
+        f'{BASE} {WANTS} "[NaN]";',
+        f'insert $a isa Attribute, has attribute-name "v", has agreement "{"9" * 6000} of 3";',
+        'insert $a isa Attribute, has attribute-name "v", has attribute-low 2, has attribute-high 1;',
+        f'{NODE} $d isa ROSNode, has component-name "d", has pid {"9" * 40};',
+    ],
+    ids=range(14),
+)
+def test_hostile_files_are_refused_with_their_place(text, tmp_path):
+    file = tmp_path / "hostile.tql"
+    file.write_text(text)
+    with pytest.raises(ModelFileError, match=r"hostile\.tql:\d+:\d+: ") as refused:
+        Model.load(file)
+    assert len(str(refused.value)) < 1000
+
+
+BITS = [
+    "\0",
+    "<",
+    ">",
+    "&",
+    '"',
+    "(",
+    "}",
+    ";",
+    "nan",
+    "inf",
+    "1e999",
+    "9" * 5000,
+    "&#0;",
+    "[",
+    "\u2028",
+    "double",
+    "#v",
+]
+
+
+def broken(text, chance):
+    """A file in which a few pieces are lost, doubled or replaced."""
+    for _ in range(chance.randint(1, 4)):
+        at = chance.randrange(len(text))
+        end = min(len(text), at + chance.randrange(1, 300))
+        numbers = list(re.finditer(r"\d+(\.\d+)?", text))
+        kind = chance.randrange(4)
+        if kind == 3 and numbers:
+            number = chance.choice(numbers)
+            text = text[: number.start()] + chance.choice(BITS) + text[number.end() :]
+        else:
+            text = (
+                text[:at] + ("", text[at:end] * 2, chance.choice(BITS))[kind % 3] + text[end if kind % 3 < 2 else at :]
+            )
+    return text
+
+
+@pytest.mark.parametrize(("suffix", "files"), [("tql", 300), ("owl", 40)])
+def test_broken_files_are_refused_or_give_a_model(suffix, files, tmp_path):
+    chance, file, loaded = random.Random(7), tmp_path / f"x.{suffix}", 0
+    refused = []
+    robot().save(file)
+    text = file.read_text()
+    for _ in range(files):
+        file.write_text(broken(text, chance), errors="replace")
+        try:
+            Model.load(file).check()
+            loaded += 1
+        except KnowledgeBaseError as error:
+            refused.append(str(error))
+    assert 0 < loaded == files - len(refused)
+    assert all(str(file) in one for one in refused)
