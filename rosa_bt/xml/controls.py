@@ -1,5 +1,6 @@
 """The control nodes, each with the semantics of BehaviorTree.CPP 4.10, not of py_trees' namesake."""
 
+import sys
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import ClassVar, Final
@@ -7,7 +8,7 @@ from typing import ClassVar, Final
 from py_trees.common import Status
 from py_trees.ports import PortInformation
 
-from rosa_bt.xml.nodes import DONE, FAILURE, RUNNING, SKIPPED, SUCCESS, Control, NodeError, Slot, Ticking
+from rosa_bt.xml.nodes import DONE, FAILURE, MAX_NODES, RUNNING, SKIPPED, SUCCESS, Control, NodeError, Slot, Ticking
 
 
 class _InOrder(Control):
@@ -261,22 +262,63 @@ class Switch(Control):
     def _is(self, case: str) -> bool:
         if not (self.ports.exists("variable") and self.ports.exists(case)):
             return False
-        one, other = str(self.ports.get("variable")), str(self.ports.get(case))
+        one, other = self.ports.get("variable"), self.ports.get(case)
+        if one == other:
+            return True
+        enums = self.ports.blackboard.enums
         try:
-            return one == other or float(one) == float(other)
+            return abs(float(enums.get(one, one)) - float(enums.get(other, other))) <= sys.float_info.epsilon
         except ValueError:
             return False
 
 
 def _switch(cases: int) -> type[Switch]:
     names = ["variable", *(f"case_{number}" for number in range(1, cases + 1))]
-    ports = {name: PortInformation(object, required=False) for name in names}
+    ports = {name: PortInformation(str, required=False) for name in names}
     return type(f"Switch{cases}", (Switch,), {"PORTS": ports, "CHILDREN": (cases + 1, cases + 1)})
+
+
+class TryCatch(Control):
+    """A sequence; if one of it fails, the last child is ticked in that tick, to its end, and the outcome is FAILURE.
+
+    With `catch_on_halt` the last child is ticked once when this is halted before anything has failed.
+    """
+
+    CHILDREN = (2, MAX_NODES)
+    PORTS: ClassVar = {"catch_on_halt": PortInformation(bool, default_value=False)}
+    FORGETS = ("_place", "_skipped")
+    _place = 0
+    _skipped = 0
+
+    def decide(self) -> Ticking:
+        *tried, caught = self.slots
+        while self._place < len(tried):
+            verdict = yield from tried[self._place].tick()
+            if verdict is RUNNING:
+                return RUNNING
+            self._skipped += verdict is SKIPPED
+            self._place += 1
+            if verdict is FAILURE:
+                self.reset_children()
+                self._place = len(self.slots)
+            elif self._place == len(tried):
+                return self.end(SKIPPED if self._skipped == len(tried) else SUCCESS)
+        verdict = yield from caught.tick()
+        return RUNNING if verdict is RUNNING else self.end(FAILURE)
+
+    def stop(self, new_status: Status = Status.INVALID) -> None:
+        *tried, caught = self.slots
+        if self.ports.get("catch_on_halt") and self._place < len(tried):
+            for slot in tried:
+                slot.reset()
+            for _ in caught.tick():
+                pass
+        super().stop(new_status)
 
 
 _KINDS: Final[list[type[Control]]] = [
     *(Sequence, AsyncSequence, SequenceWithMemory, ReactiveSequence, Fallback, AsyncFallback, ReactiveFallback),
-    *(Parallel, ParallelAll, IfThenElse, WhileDoElse),
+    *(Parallel, ParallelAll, IfThenElse, WhileDoElse, TryCatch),
     *map(_switch, range(2, 7)),
 ]
 CONTROLS: Final = {kind.__name__: kind for kind in _KINDS}

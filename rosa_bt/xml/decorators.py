@@ -1,14 +1,13 @@
 """The decorators, each with the semantics of BehaviorTree.CPP 4.10, not of py_trees' namesake."""
 
 from collections.abc import Sequence
-from enum import Enum
-from typing import ClassVar, Final
+from typing import Any, ClassVar, Final
 
 from py_trees.common import Status
 from py_trees.ports import PortInformation
 
 from rosa_bt.xml.nodes import DONE, FAILURE, RUNNING, SKIPPED, SUCCESS, OneChild, Slot, Ticking
-from rosa_bt.xml.ports import Ports
+from rosa_bt.xml.ports import Outcome, PortError, Ports, converted
 from rosa_bt.xml.scripts import parse_script, truth
 
 
@@ -100,6 +99,11 @@ class Timed(OneChild):
     FORGETS: ClassVar[tuple[str, ...]] = ("_since",)
     _since: float | None = None
 
+    def __init__(self, name: str, slots: Sequence[Slot], ports: Ports) -> None:
+        super().__init__(name, slots, ports)
+        if ports.is_literal(self.port) and ports.get(self.port) < 0:
+            raise PortError(f"the port {self.port!r} takes no negative number, as {ports.get(self.port)} is")
+
     def is_over(self) -> bool:
         """Begin if need be, and tell whether the time is over."""
         now = self.ports.clock()
@@ -144,16 +148,11 @@ class Timeout(Timed):
         return verdict
 
 
-Otherwise = Enum("Otherwise", {"SUCCESS": SUCCESS, "FAILURE": FAILURE, "RUNNING": RUNNING, "SKIPPED": SKIPPED})
-"""What a Precondition can say instead of its child."""
-
-
 class Precondition(OneChild):
-    """The child if a script says so when it begins; otherwise what `else` says."""
+    """The child if a script says so, which is asked until it has begun; otherwise what `else` says."""
 
-    PORTS: ClassVar = {"if": PortInformation(str), "else": PortInformation(Otherwise, default_value=Otherwise.FAILURE)}
+    PORTS: ClassVar = {"if": PortInformation(str), "else": PortInformation(Outcome, default_value=Outcome.FAILURE)}
     runs = False
-    FORGETS = ("_is_begun",)
     _is_begun = False
 
     def __init__(self, name: str, slots: Sequence[Slot], ports: Ports) -> None:
@@ -161,16 +160,91 @@ class Precondition(OneChild):
         self._condition = parse_script(ports.get("if"))
 
     def decide(self) -> Ticking:
+        otherwise: Status = self.ports.get("else").value
         self._is_begun = self._is_begun or truth(self._condition(self.ports.blackboard))
         if not self._is_begun:
-            return Status(self.ports.get("else").value)
+            return otherwise
         verdict = yield from self.child.tick()
-        self._is_begun = verdict is RUNNING
+        self._is_begun = verdict not in DONE
         return verdict
 
 
+class _Updated(OneChild):
+    """The child, to its end, each time that an entry was written since this asked last."""
+
+    PORTS: ClassVar = {"entry": PortInformation(object)}
+    FORGETS = ("_goes_on",)
+    runs = False
+    instead: ClassVar[Status]
+    _goes_on = False
+    _version = 0
+
+    def decide(self) -> Ticking:
+        if not self._goes_on:
+            entry = self.ports.blackboard.entry(self.ports.key("entry") or str(self.ports.get("entry")))
+            before, self._version = self._version, entry.version if entry else self._version
+            if self._version == before:
+                return self.instead
+        verdict = yield from self.child.tick()
+        self._goes_on = verdict is RUNNING
+        return verdict
+
+
+class SkipUnlessUpdated(_Updated):
+    """SKIPPED while the entry is as it was."""
+
+    instead = SKIPPED
+
+
+class WaitValueUpdate(_Updated):
+    """RUNNING while the entry is as it was."""
+
+    instead = RUNNING
+
+
+class _Loop(OneChild):
+    """The child once for each element of a queue, one in a tick, and `if_empty` in the tick after the last."""
+
+    of: ClassVar[type]
+    FORGETS = ("_goes_on",)
+    runs = False
+    _goes_on = False
+    _left: tuple[Any, ...] = ()
+
+    def __init__(self, name: str, slots: Sequence[Slot], ports: Ports) -> None:
+        super().__init__(name, slots, ports)
+        if ports.is_literal("queue"):
+            self._queue()
+
+    def _queue(self) -> tuple[Any, ...]:
+        found = self.ports.get("queue")
+        return tuple(converted(found, list[self.of]) if isinstance(found, str) else found)  # type: ignore[name-defined]
+
+    def initialise(self) -> None:
+        self._goes_on, self._left = False, self._queue()
+
+    def decide(self) -> Ticking:
+        if not self._goes_on:
+            if not self._left:
+                return Status(self.ports.get("if_empty").value)
+            self.ports.set("value", self._left[0])
+            self._left = self._left[1:]
+        verdict = yield from self.child.tick()
+        self._goes_on = verdict is RUNNING
+        return FAILURE if verdict is FAILURE else RUNNING
+
+
+def _loop(name: str, of: type) -> type[_Loop]:
+    ports = {"queue": PortInformation(object), "value": PortInformation(of, required=False)}
+    ports["if_empty"] = PortInformation(Outcome, default_value=Outcome.SUCCESS)
+    return type(name, (_Loop,), {"PORTS": ports, "of": of})
+
+
+_LOOPS: Final = {"LoopInt": int, "LoopDouble": float, "LoopBool": bool, "LoopString": str}
 DECORATORS: Final[dict[str, type[OneChild]]] = {
     **{tag: type(tag, (_Translated,), {"outcomes": outcomes}) for tag, outcomes in _TRANSLATED.items()},
     **{kind.__name__: kind for kind in (Repeat, RetryUntilSuccessful, RunOnce, Delay, Timeout, Precondition)},
+    **{kind.__name__: kind for kind in (SkipUnlessUpdated, WaitValueUpdate)},
+    **{name: _loop(name, of) for name, of in _LOOPS.items()},
 }
 """By tag."""

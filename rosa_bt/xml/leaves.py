@@ -7,9 +7,9 @@ from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 from py_trees.ports import PortInformation
 
-from rosa_bt.xml.nodes import Slot
+from rosa_bt.xml.nodes import NodeError, Slot
 from rosa_bt.xml.ports import Declared, Ports
-from rosa_bt.xml.scripts import parse_script, truth
+from rosa_bt.xml.scripts import EMPTY, parse_script, truth
 
 
 class XmlLeaf(Behaviour):
@@ -23,8 +23,8 @@ class XmlLeaf(Behaviour):
         self.ports = ports
 
     def key(self, port: str) -> str:
-        """Return the key that a port means, written as `{key}` or as `key`."""
-        return self.ports.key(port) or str(self.ports.get(port))
+        """Return the key that a port means: the text itself, or what is held under `{key}`."""
+        return str(self.ports.get(port))
 
 
 class AlwaysSuccess(XmlLeaf):
@@ -63,23 +63,57 @@ class ScriptCondition(Script):
 
 
 class SetBlackboard(XmlLeaf):
-    """Writes a value, or copies that of another key."""
+    """Writes a text, read as the type that the entry declares, or copies what another key holds.
+
+    As in BehaviorTree.CPP, a text over an entry of no declared type leaves it empty, and over that it is an error.
+    """
 
     PORTS: ClassVar = {"value": PortInformation(object), "output_key": PortInformation(object)}
 
     def update(self) -> Status:
-        self.ports.blackboard[self.key("output_key")] = self.ports.get("value")
+        board, key, source = self.ports.blackboard, self.key("output_key"), self.ports.key("value")
+        entry = board.entry(key)
+        if source is None:
+            text = str(self.ports.get("value"))
+            if entry is not None and entry.declared is None:
+                if entry.is_emptied:
+                    raise NodeError(f"{key!r} has no declared type, so it cannot be said what {text!r} is")
+                entry.is_emptied = True
+                entry.put(EMPTY)
+            else:
+                (entry or board.make(key, str)).take(text)
+            return Status.SUCCESS
+        entry, copied = entry or board.make(key), board.entry(source)
+        if copied is None or copied.value is EMPTY:
+            return Status.FAILURE
+        if entry.value is EMPTY and entry.declared is None:
+            entry.declared = copied.declared
+        if entry.declared is str and copied.declared is not str:
+            raise NodeError(f"{key!r} is declared as a text, and {source!r} is not")
+        entry.put(copied.value)
         return Status.SUCCESS
 
 
 class UnsetBlackboard(XmlLeaf):
-    """Takes a key from the blackboard."""
+    """Takes a key from the blackboard of its own tree."""
 
-    PORTS: ClassVar = {"key": PortInformation(object)}
+    PORTS: ClassVar = {"key": PortInformation(str)}
 
     def update(self) -> Status:
-        self.ports.blackboard.pop(self.key("key"), None)
+        self.ports.blackboard.unset(self.key("key"))
         return Status.SUCCESS
+
+
+class WasEntryUpdated(XmlLeaf):
+    """SUCCESS if an entry was written since this was ticked last, FAILURE if not, or never."""
+
+    PORTS: ClassVar = {"entry": PortInformation(object)}
+    _version = 0
+
+    def update(self) -> Status:
+        entry = self.ports.blackboard.entry(self.ports.key("entry") or str(self.ports.get("entry")))
+        before, self._version = self._version, entry.version if entry else self._version
+        return Status.SUCCESS if self._version != before else Status.FAILURE
 
 
 class Sleep(XmlLeaf):
@@ -95,6 +129,8 @@ class Sleep(XmlLeaf):
         return Status.SUCCESS if is_over else Status.RUNNING
 
 
-_KINDS: Final = (AlwaysFailure, AlwaysSuccess, Script, ScriptCondition, SetBlackboard, Sleep, UnsetBlackboard)
+_KINDS: Final[tuple[type[XmlLeaf], ...]] = (
+    *(AlwaysFailure, AlwaysSuccess, Script, ScriptCondition, SetBlackboard, Sleep, UnsetBlackboard, WasEntryUpdated),
+)
 LEAVES: Final[dict[str, type[XmlLeaf]]] = {kind.__name__: kind for kind in _KINDS}
 """By tag."""

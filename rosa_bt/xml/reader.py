@@ -1,6 +1,8 @@
 """From XML text to elements that know their file and line, and from elements to behaviours."""
 
+import logging
 import os
+import re
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -26,6 +28,10 @@ _MOST_SHOWN: Final = 200
 MAX_DEPTH: Final = 100
 """Levels of elements in a file, and of nodes in a tree with all its subtrees."""
 
+_FORBIDDEN: Final = re.compile(r"[\s./\\:*?|<>&\"'\x00-\x1f]")
+_VALUE: Final = re.compile(r"""=\s*("[^"]*"|'[^']*')""")
+_BARE: Final = re.compile(r"&(?!#\d+;|#x[0-9a-fA-F]+;|(?:amp|lt|gt|quot|apos);)")
+_log = logging.getLogger(__name__)
 _EXPLICIT: Final = ("Action", "Condition", "Control", "Decorator")
 _MODELS: Final = (*_EXPLICIT, "SubTree")
 
@@ -108,6 +114,9 @@ class Document:
     def _collect(self, root: Element, folder: Path, chain: list[Path]) -> None:
         _check_root(root)
         is_only = sum(one.tag == "BehaviorTree" for one in root.children) == 1
+        several = [one for one in root.children if one.tag == "TreeNodesModel"]
+        if len(several) > 1:
+            raise several[1].error("a file has one TreeNodesModel; put its elements into the first")
         for element in root.children:
             if element.tag == "BehaviorTree":
                 is_unnamed = is_only and "ID" not in element.attributes
@@ -139,6 +148,14 @@ class Document:
 
 
 def _add(table: dict[str, Element], name: str, element: Element) -> None:
+    wrong = _FORBIDDEN.search(name)
+    if wrong or name == "Root":
+        what = f"{wrong[0]!r} cannot stand in an ID" if wrong else "the ID is taken by the library itself"
+        raise element.error(f"{name!r}: {what}; write {_FORBIDDEN.sub('_', name) if wrong else 'Main'!r} instead")
+    for port in element.children if element.tag in _MODELS else ():
+        called = port.attributes.get("name", "_")
+        if port.tag.endswith("_port") and (called[0].isdigit() or called in (*Rules.NAMES, "name", "ID", "_autoremap")):
+            raise port.error(f"a port cannot be called {called!r}; write p_{called.lstrip('_')}")
     if name in table:
         raise element.error(f"{name!r} is defined twice, first in {table[name].where}; give one of them another ID")
     table[name] = element
@@ -177,11 +194,28 @@ def _read(path: Path, where: str) -> Element:
 
 
 def _parse(text: str | bytes, file: str) -> Element:
+    """Return the outermost element; raw `&&` and `<` in attributes, as the original's reader takes them, are noted."""
+    if len(text) > MAX_SIZE:
+        raise XmlError(file, f"it has more than {MAX_SIZE} bytes; divide it and include the parts")
+    try:
+        return _strictly(text, file)
+    except XmlError as error:
+        written = text.decode("utf-8", "replace") if isinstance(text, bytes) else text
+        escaped = _VALUE.sub(lambda value: _BARE.sub("&amp;", value[0]).replace("<", "&lt;"), written)
+        if escaped == written:
+            raise
+        try:
+            root = _strictly(escaped, file)
+        except XmlError:
+            raise error from None
+        _log.warning("%s: & and < in attributes are read as they stand; XML wants &amp; and &lt;", file)
+        return root
+
+
+def _strictly(text: str | bytes, file: str) -> Element:
     from defusedxml.common import DefusedXmlException
     from defusedxml.ElementTree import ParseError, XMLParser
 
-    if len(text) > MAX_SIZE:
-        raise XmlError(file, f"it has more than {MAX_SIZE} bytes; divide it and include the parts")
     target = _Target(file)
     parser = XMLParser(target=target, forbid_dtd=True)
     target.expat = parser.parser
@@ -226,11 +260,11 @@ class _Target:
 
 _Kinds = Mapping[str, type[Control] | type[OneChild] | type[XmlLeaf]]
 _NODES: Final[_Kinds] = {**CONTROLS, **NAV2, **DECORATORS, **LEAVES}
-_OWN: Final = "it is BehaviorTree.CPP's, but not read here; register a behaviour of your own under another name"
+_OWN: Final = "it is not in the factory of BehaviorTree.CPP 4.10; register a behaviour of your own under another name"
 _NOT_READ: Final = {
     "SubTreePlus": 'version 4 writes <SubTree ID="..." _autoremap="true"/> instead',
-    **dict.fromkeys(("ConsumeQueue", "EntryUpdated", "LoopBool", "LoopDouble", "LoopInt", "LoopString"), _OWN),
-    **dict.fromkeys(("ManualSelector", "SkipUnlessUpdated", "TestNode", "WaitValueUpdate", "WasEntryUpdated"), _OWN),
+    **dict.fromkeys(("ConsumeQueue", "EntryUpdated", "ManualSelector", "PopFromQueue", "QueueSize", "TestNode"), _OWN),
+    "WaitValueUpdated": "it is called WaitValueUpdate",
 }
 _ELSEWHERE: Final = ("_autoremap", "_description")
 """Attributes with an underscore that are no rules; editors write others, which mean nothing."""
@@ -251,7 +285,12 @@ class SubTree(Branch):
 
 
 def load_xml(
-    text_or_path: str | Path, registry: BehaviourRegistry, tree: str | None = None, *, clock: Clock | None = None
+    text_or_path: str | Path,
+    registry: BehaviourRegistry,
+    tree: str | None = None,
+    *,
+    clock: Clock | None = None,
+    enums: Mapping[str, int] | None = None,
 ) -> SubTree:
     """Make a tree that is written in the XML of BehaviorTree.CPP 4, with its semantics.
 
@@ -261,6 +300,7 @@ def load_xml(
         tree: ID of the tree to make; without it, the file's `main_tree_to_execute`, or its only one.
         clock: gives the time [s] to Delay, Timeout and Sleep; without it, the clock of the knowledge base that the
             registry is bound to, or else the monotonic one of this computer.
+        enums: names that scripts know, with their numbers, e.g. `{"RED": 1}`.
 
     Returns:
         A py_trees behaviour, to be ticked like any other. INVALID after a tick means that it was skipped.
@@ -270,7 +310,7 @@ def load_xml(
     """
     document = Document(text_or_path)
     kb = registry.bound.get("kb")
-    board = Blackboard(clock or (time.monotonic if kb is None else lambda: float(kb.now)))
+    board = Blackboard(clock or (time.monotonic if kb is None else lambda: float(kb.now)), enums=enums)
     return _Builder(document, registry).tree(document.main(tree), document.root, None, _Place(board))
 
 
@@ -293,6 +333,8 @@ class _Builder:
         if tree in place.trees:
             raise asked_by.error(f"a tree is in itself: {' -> '.join([*place.trees, tree])}")
         element = self._document.tree(tree, asked_by)
+        if tree in _NODES or tree in self._registry:
+            raise element.error(f"{tree!r} is the name of a node, so it cannot be that of a tree, too; rename the tree")
         if len(element.children) != 1:
             raise element.error(f"a tree has one child, not {len(element.children)}; put a Sequence around")
         slot = self._slot(element.children[0], replace(place, trees=(*place.trees, tree)))
@@ -361,8 +403,9 @@ class _Builder:
     def _defaults(self, element: Element, tree: str) -> dict[str, str]:
         model = self._document.models.get(tree)
         found = {}
-        for port in model.children if model is not None and model.tag == "SubTree" else ():
-            if port.tag.endswith("put_port"):  # editors write other things, too
+        is_free = element.attributes.get("_autoremap", "false").lower() in ("true", "1")
+        for port in model.children if model is not None and model.tag == "SubTree" and not is_free else ():
+            if port.tag.endswith("_port"):  # editors write other things, too
                 name = port.get("name")
                 if "default" in port.attributes:
                     found[name] = port.attributes["default"]
