@@ -48,7 +48,8 @@ class Script(XmlLeaf):
 
     def __init__(self, name: str, slots: Sequence[Slot], ports: Ports) -> None:
         super().__init__(name, slots, ports)
-        self.script = parse_script(ports.get("code"))
+        code = ports.get("code")
+        self.script = parse_script(code) if code else lambda board: EMPTY
 
     def update(self) -> Status:
         self.script(self.ports.blackboard)

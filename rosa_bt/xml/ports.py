@@ -68,25 +68,25 @@ class Entry:
             raise ScriptError(f"a script writes no outcome, as {text!r} would be")
         return converted(text, self.declared)
 
-    def take(self, value: Any) -> None:  # noqa: ANN401  # whatever the program or a port writes
+    def take(self, value: Any, *, is_port: bool = False) -> None:  # noqa: ANN401  # whatever is written
         """Take what the program or a port writes, of the type that was declared; the first type is declared by it.
 
         Raises:
             PortError: it is not of that type, and cannot be.
         """
-        if self.declared is None:
-            self.declared = type(value) if isinstance(value, _SCALARS) else None
-        elif isinstance(value, str) and self.declared is not str:
-            value = converted(value, self.declared)
-        elif self.declared in _SCALARS:
-            try:
-                if type(value) is not self.declared:
-                    if not (is_number(value) and self.declared is not str):
-                        raise ScriptError(f"it is declared as {self.declared.__name__}")
-                    value = double(value) if self.declared is float else whole(value)
+        declared = self.declared
+        try:
+            if declared is None:
+                self.declared = type(value) if isinstance(value, _SCALARS) else None
+            elif isinstance(value, str) and declared is not str:
+                value = converted(value, declared)
+            elif declared in _SCALARS and (declared is not str or is_port):
+                if type(value) is not declared and (declared is str or not is_number(value)):
+                    raise ScriptError(f"it is declared as {declared.__name__}")
+                _cast(value, declared)
                 value = fit(self, value)
-            except ScriptError as error:
-                raise PortError(f"an entry cannot take {value!r}: {error}") from None
+        except (ValueError, TypeError) as error:
+            raise PortError(f"an entry cannot take {value!r}: {error}") from None
         self.put(value)
 
 
@@ -194,11 +194,14 @@ def _constant(text: str) -> int | float | str:
     return text
 
 
-_BOOLS: Final = {
+BOOLS: Final = {
     **dict.fromkeys(("1", "true", "TRUE", "True"), True),
     **dict.fromkeys(("0", "false", "FALSE", "False"), False),
 }
-_BEGINS: Final[Mapping[Any, str]] = {int: r"-?\d+", float: r"-?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?"}
+_BEGINS: Final[Mapping[Any, str]] = {
+    int: r"-?\d+",
+    float: r"-?(?:\d+\.?\d*(?:[eE][-+]?\d+)?|\.\d+(?:[eE][-+]?\d+)?|inf|nan)",
+}
 _LEAST, _MOST = -(2**31), 2**31 - 1
 
 
@@ -218,13 +221,13 @@ def converted(text: str, wanted: Any) -> Any:  # noqa: ANN401  # of the type tha
     if wanted is Outcome:
         return Outcome[text] if text in Outcome.__members__ else _raise(f"{text!r} is no outcome")
     if wanted is bool:
-        return _BOOLS[text] if text in _BOOLS else _raise(f"{text!r} is neither true nor false")
+        return BOOLS[text] if text in BOOLS else _raise(f"{text!r} is neither true nor false")
     if wanted in _BEGINS:
         found = re.match(_BEGINS[wanted], text, re.ASCII)
         number = wanted(found[0]) if found else _raise(f"{text!r} is no number")
         return number if wanted is float or _LEAST <= number <= _MOST else _raise(f"{text!r} is out of range")
     if get_origin(wanted) is list:
-        return [converted(part, get_args(wanted)[0]) for part in text.split(";")]
+        return [converted(part, get_args(wanted)[0]) for part in text.removesuffix(";").split(";") if text]
     is_right, value = convert_str_to_type(text, wanted)
     return value if is_right else _raise(f"{text!r} is no {wanted}")
 
@@ -293,8 +296,12 @@ class Ports:
 
     def set(self, name: str, value: object) -> None:
         """Write what a port puts out; a port without a key puts it nowhere."""
-        if name in self._keys:
-            self.blackboard[self._keys[name]] = value
+        key = self._keys.get(name)
+        entry = None if key is None else self.blackboard.entry(key)
+        if entry is not None:
+            entry.take(value, is_port=True)
+        elif key is not None:
+            self.blackboard[key] = value
 
     def key(self, name: str) -> str | None:
         """Return the key that a port points at; None for a literal or nothing."""

@@ -17,7 +17,7 @@ from rosa_bt.xml.decorators import DECORATORS
 from rosa_bt.xml.leaves import LEAVES, XmlLeaf
 from rosa_bt.xml.nav2 import NAV2
 from rosa_bt.xml.nodes import MAX_NODES, Branch, Control, OneChild, Rules, Slot, is_plain
-from rosa_bt.xml.ports import Blackboard, Clock, Ports, key_of
+from rosa_bt.xml.ports import BOOLS, Blackboard, Clock, Ports, key_of
 from rosa_bt.xml.registry import BehaviourRegistry, Entry
 from rosa_bt.xml.scripts import parse_script
 
@@ -328,6 +328,7 @@ class _Builder:
         self._document = document
         self._registry = registry
         self._count = 0
+        self._named: set[tuple[int, str]] = set()
 
     def tree(self, tree: str, asked_by: Element, name: str | None, place: _Place) -> SubTree:
         if tree in place.trees:
@@ -359,6 +360,8 @@ class _Builder:
     def _node(self, element: Element, place: _Place) -> tuple[Behaviour, bool]:
         """Return the node, and whether it is a condition."""
         tag = element.node
+        if "ID" in element.attributes and element.tag not in _MODELS and (tag in _NODES or tag in self._registry):
+            raise element.error(f"<{element.tag}> has an ID, which <Action ID=...> and its like have; write name=...")
         name = element.attributes.get("name") or tag
         if tag == "SubTree":
             return self._subtree(element, place), False
@@ -391,19 +394,23 @@ class _Builder:
     def _subtree(self, element: Element, place: _Place) -> SubTree:
         tree = element.get("ID")
         _check_children(element, 0, 0)
-        autoremap = element.attributes.get("_autoremap", "false").lower()
-        if autoremap not in ("true", "false", "1", "0"):
-            raise element.error(f"_autoremap is true or false, not {autoremap!r}")
+        autoremap = BOOLS.get(element.attributes.get("_autoremap", "false"))
+        if autoremap is None:
+            raise element.error(f"_autoremap is true or false, not {element.attributes['_autoremap']!r}")
+        name = element.attributes.get("name")
+        if name is not None and (id(place.board), name) in self._named:
+            raise element.error(f"two SubTrees of one tree are named {name!r}; give one of them another name")
+        self._named.add((id(place.board), name or ""))
         written = self._defaults(element, tree) | element.ports
         keys = {name: key for name, text in written.items() if (key := key_of(text, name)) is not None}
         constants = {name: text for name, text in written.items() if name not in keys}
-        board = Blackboard(place.board.clock, place.board, keys, constants, autoremap=autoremap in ("true", "1"))
-        return self.tree(tree, element, element.attributes.get("name"), replace(place, board=board))
+        board = Blackboard(place.board.clock, place.board, keys, constants, autoremap=autoremap)
+        return self.tree(tree, element, name, replace(place, board=board))
 
     def _defaults(self, element: Element, tree: str) -> dict[str, str]:
         model = self._document.models.get(tree)
         found = {}
-        is_free = element.attributes.get("_autoremap", "false").lower() in ("true", "1")
+        is_free = BOOLS.get(element.attributes.get("_autoremap", "false"), False)
         for port in model.children if model is not None and model.tag == "SubTree" and not is_free else ():
             if port.tag.endswith("_port"):  # editors write other things, too
                 name = port.get("name")

@@ -36,6 +36,9 @@ _EXACT: Final = 2**53
 """From here on, whole numbers are no doubles any more."""
 _EPSILON: Final = 2.0**-23
 """Numbers that are nearer than this are equal, but not less or more."""
+_NUMBER: Final = re.compile(
+    r"\s*[-+]?(?:0x[0-9a-f]+|inf|nan|(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)", re.IGNORECASE | re.ASCII
+)
 _MAX_NESTED: Final = 50
 
 
@@ -71,11 +74,16 @@ def _shown(value: object) -> str:
 
 def number_in(text: str, board: "Blackboard") -> float:
     """Return the number that a text says, or `true`, `false` or an enum."""
-    named = {"true": 1.0, "false": 0.0, **board.enums}
-    try:
-        return float(named[text]) if text in named else float(text)
-    except ValueError:
-        raise ScriptError(f"{text!r} is no number") from None
+    named = {**board.enums, "true": 1.0, "false": 0.0}
+    return float(named[text]) if text in named else _begun(text)
+
+
+def _begun(text: str) -> float:
+    """Return the number that a text begins with, as the C library reads it."""
+    found = _NUMBER.match(text)
+    if found is None:
+        raise ScriptError(f"{text!r} is no number")
+    return float(int(found[0], 16)) if "x" in found[0].lower() else float(found[0])
 
 
 def as_text(value: object) -> str:
@@ -225,8 +233,7 @@ class _Parser:
         found = [match for match in _TOKEN.finditer(code) if match.lastgroup]
         self._tokens = [(str(match.lastgroup), match.group(str(match.lastgroup))) for match in found]
         self._at = 0
-        if sum(text in ("(", "!", "-", "~", "?", *_ASSIGNING) for _, text in self._tokens) > 4 * _MAX_NESTED:
-            raise ScriptError(f"a script has at most {4 * _MAX_NESTED} parentheses and signs before a value")
+        self._depth = 0
         for kind, text in self._tokens:
             if kind == "other":
                 raise self._refused(text)
@@ -266,15 +273,23 @@ class _Parser:
     def _expression(self) -> Script | str:
         left = self._choice()
         sign = self._took(*_ASSIGNING)
-        return partial(_assign, left, sign, self._value(self._expression())) if sign else left
+        return partial(_assign, left, sign, self._value(self._deeper(self._expression))) if sign else left
+
+    def _deeper(self, read: Callable[[], Script | str]) -> Script | str:
+        self._depth += 1
+        if self._depth > _MAX_NESTED:
+            raise ScriptError(f"a script has at most {_MAX_NESTED} parentheses and signs in each other")
+        inner = read()
+        self._depth -= 1
+        return inner
 
     def _choice(self) -> Script | str:
         asked = self._level(0)
         if not self._took("?"):
             return asked
-        yes = self._value(self._expression())
+        yes = self._value(self._deeper(self._expression))
         self._need(":")
-        return partial(_choose, self._value(asked), yes, self._value(self._choice()))
+        return partial(_choose, self._value(asked), yes, self._value(self._deeper(self._choice)))
 
     def _level(self, level: int) -> Script | str:
         """Read what binds at least as much as the signs of a level."""
@@ -290,9 +305,9 @@ class _Parser:
 
     def _operand(self) -> Script | str:
         if sign := self._took("!", "-", "~"):
-            return partial(_prefixed, sign, self._value(self._operand()))
+            return partial(_prefixed, sign, self._value(self._deeper(self._operand)))
         if self._took("("):
-            inner = self._expression()
+            inner = self._deeper(self._expression)
             self._need(")")
             return inner
         kind, text = self._next()
@@ -332,10 +347,7 @@ def _compare(left: Script, chain: list[tuple[str, Script]], board: "Blackboard")
 def _choose(asked: Script, yes: Script, no: Script, board: "Blackboard") -> Any:  # noqa: ANN401  # any kind
     value = asked(board)
     if isinstance(value, str):
-        try:
-            value = float(value)
-        except ValueError:
-            raise ScriptError(f"{value!r} is neither true nor false") from None
+        value = _begun(value)
     if not is_number(value):
         raise ScriptError(f"{_shown(value)} is neither true nor false")
     return yes(board) if double(value) else no(board)

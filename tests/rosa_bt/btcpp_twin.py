@@ -119,13 +119,13 @@ class InOrder(Node):
 
     def tick(self):
         if self.status == IDLE:
-            self.all_skipped = True
+            self.skipped = 0
         self.status = RUNNING
         while self.index < len(self.children):
             child = self.children[self.index]
             was_idle = child.status == IDLE
             status = child.execute()
-            self.all_skipped &= status == SKIPPED
+            self.skipped += status == SKIPPED
             if status == RUNNING:
                 return RUNNING
             if status in DONE and status != self.goes_on:
@@ -136,7 +136,8 @@ class InOrder(Node):
                 return RUNNING
         self.reset_all()
         self.index = 0
-        return SKIPPED if self.all_skipped else self.goes_on
+        skipped, self.skipped = self.skipped, 0
+        return SKIPPED if skipped == len(self.children) else self.goes_on
 
     def give_up(self):
         for child in self.children[self.index if self.remembers else 0 :]:
@@ -269,7 +270,8 @@ class Switch(Node):
 
     def tick(self):
         *cases, chosen = self.children
-        value = str(self.world.board[self.ports["variable"].strip("{}")])
+        value = self.world.board[self.ports["variable"].strip("{}")]
+        value = str(int(value)) if isinstance(value, bool) else value
         for number in range(len(cases), 0, -1):
             chosen = cases[number - 1] if self.ports[f"case_{number}"] == value else chosen
         if self.running not in (None, chosen):
@@ -391,14 +393,13 @@ class Timeout(Decorator):
 
 
 class Precondition(Decorator):
-    def clear(self):
-        self.is_running = False
+    is_begun = False  # which being halted does not change
 
     def tick(self):
-        if not self.is_running and not self.world.holds(self.ports["if"]):
+        if not self.is_begun and not self.world.holds(self.ports["if"]):
             return self.ports["else"]
         status = self.tick_child()
-        self.is_running = status == RUNNING
+        self.is_begun = status not in DONE
         return status
 
 

@@ -104,6 +104,26 @@ EXAMPLES = {
         "a:RRS",
         "v=0 => S | v=1 a:s:R | v=0 a:r:R | v=0 a:r:S => S | v=0 => S",
     ),
+    "TryCatch": (
+        '<ReactiveSequence><ScriptCondition code="v == 1"/>'
+        '<TryCatch catch_on_halt="true"><a/><b/><d/></TryCatch></ReactiveSequence>',
+        "a:S b:RFR d:RS",
+        "v=1 a:s:S b:s:R | v=1 b:r:F d:s:R | v=1 d:r:S => F | v=1 a:s:S b:s:R | v=0 b:halt d:s:R d:halt => F",
+    ),
+    "LoopInt, LoopDouble, LoopBool, LoopString": (
+        '<Sequence><LoopInt queue="1;2" value="{n}"><a _failureIf="n == v"/></LoopInt>'
+        '<LoopDouble queue="0.5" if_empty="SKIPPED"><b/></LoopDouble><LoopBool queue="true"><b/></LoopBool>'
+        '<LoopString queue="x;y"><b/></LoopString></Sequence>',
+        "a:RSS b:S",
+        "v=0 a:s:R | v=0 a:r:S | v=0 a:s:S | v=0 b:s:S | v=0 b:s:S | v=0 b:s:S | v=0 b:s:S | v=0 => S | v=1 => F",
+    ),
+    "WasEntryUpdated": ('<WasEntryUpdated entry="{v}"/>', "", "=> F | v=1 => S | => F | v=1 => S"),
+    "SkipUnlessUpdated, WaitValueUpdate": (
+        '<Fallback><SkipUnlessUpdated entry="v"><a/></SkipUnlessUpdated>'
+        '<WaitValueUpdate entry="{w}"><b/></WaitValueUpdate></Fallback>',
+        "a:RF b:RS",
+        "w=0 b:s:R | v=1 b:r:S => S | a:s:R | a:r:F | w=0 b:s:R",
+    ),
     "SubTree": ('<SubTree ID="Other" x="1" y="{v}"/>', "a:RS", "v=7 a:s:R | v=8 a:r:S => S"),
     "AlwaysSuccess, AlwaysFailure": ("<Sequence><AlwaysSuccess/><AlwaysFailure/></Sequence>", "", "=> F"),
     "Script": ('<Sequence><Script code="x := 2; x = 3"/><a _skipIf="x != 3"/></Sequence>', "a:S", "a:s:S => S"),

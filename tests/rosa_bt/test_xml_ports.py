@@ -24,6 +24,7 @@ from rosa_bt import (
     load_xml,
 )
 from rosa_bt.xml import Port
+from rosa_bt.xml.ports import PortError
 
 
 class Add(PortsMixin, Behaviour, register=False):
@@ -81,10 +82,12 @@ def test_literals_keys_and_defaults_reach_the_leaf_as_the_types_that_it_declares
 def test_key_is_read_when_the_leaf_asks():
     heard = []
     tree = load('<Say what="{now}"/>', heard)
-    for value in (1, "two"):
+    for value in (1, 2):
         tree.blackboard["now"] = value
         tree.tick_once()
-    assert [what for what, _, _ in heard] == [1, "two"]
+    assert [what for what, _, _ in heard] == [1, 2]
+    with pytest.raises(PortError, match="an entry cannot take 'two': 'two' is no number"):
+        tree.blackboard["now"] = "two"
 
 
 def test_text_on_the_blackboard_is_converted_by_the_leaf_that_reads_it():
@@ -97,7 +100,7 @@ SCOPES = {
     '<SubTree ID="Sub" x="{=}"/>': ('<Say what="{x}"/>', [1]),
     '<SubTree ID="Sub" y="text"/>': ('<Say what="{y}"/>', ["text"]),
     '<SubTree ID="Sub" _autoremap="true"/>': ('<Say what="{x}"/>', [1]),
-    '<SubTree ID="Sub" x="7" _autoremap="true"/>': ('<Say what="{x}"/>', ["7"]),
+    '<SubTree ID="Sub" x="7" _autoremap="true"/>': ('<Say what="{x}"/>', [7]),
     '<SubTree ID="Sub"/>': ('<Sequence><Say what="{@x}"/><Script code="x := 5"/><Say what="{x}"/></Sequence>', [1, 5]),
     '<Sequence><SubTree ID="Sub" out="{z}"/><Say what="{z}"/></Sequence>': ('<Script code="out := 3"/>', [3]),
     '<Sequence><SubTree ID="Sub"/><Say what="{x}"/></Sequence>': ('<Script code="x := 5"/>', [1]),
@@ -134,7 +137,7 @@ def test_two_subtrees_of_one_tree_and_two_loaded_trees_share_nothing():
     one.tick_once()
     one.blackboard["x"] = 1
     first, second = (node.blackboard["seen"] for node in one.child.node.children)
-    assert (first, second) == ("1", "2")
+    assert (first, second) == (1, 2)
     assert dict(other.blackboard) == {}
     assert ProcessBlackboard.storage == before
 
@@ -148,7 +151,7 @@ def test_model_of_a_tree_gives_defaults_and_says_what_is_needed():
     registry = BehaviourRegistry(heard=heard)
     registry.register("Say", Say)
     load_xml(text.replace("{0}", 'w="5"'), registry).tick_once()
-    assert [what for what, _, _ in heard] == ["4", "5"]
+    assert [what for what, _, _ in heard] == [4, 5]
     with pytest.raises(XmlError, match="needs w="):
         load_xml(text.replace("{0}", ""), registry)
 

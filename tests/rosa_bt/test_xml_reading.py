@@ -10,6 +10,7 @@ from xml_leaves import registry_of, trace, wrapped
 from rosa_bt import BehaviourRegistry, RosaBtError, TreeRunner, XmlError, export_xml, load_xml
 from rosa_bt.xml.nodes import MAX_NODES
 from rosa_bt.xml.reader import MAX_DEPTH, MAX_SIZE
+from rosa_bt.xml.scripts import ScriptError
 
 LEAVES = {"a": ("A", "S"), "b": ("A", "RS"), "ok": ("C", "S")}
 
@@ -46,14 +47,18 @@ REFUSED = {
     "<a speed='2'/>": "<a> cannot be made: it has no port 'speed'; ports: cls, steps, tag",
     "<a _skipif='x == 1'/>": "did you mean '_skipIf'?",
     "<SubTree ID='Other' __shared_blackboard='true'/>": "__shared_blackboard is of version 3; write _autoremap",
-    "<a _skipIf='x + 1 == 2'/>": "'+' in the script 'x + 1 == 2' is not read",
-    "<Script code='x += 1'/>": "'+=' in the script 'x += 1' is not read",
-    "<Script code='x := y ? 1 : 2'/>": "is not read; scripts here are assignments",
-    "<Script code='1 &lt; x &lt; 3'/>": "'<' in the script",
-    "<Script code=''/>": "the script is empty",
-    "<Script code='(((x'/>": "'the end' in the script",
+    "<a _skipIf='x +'/>": "the script 'x +' cannot be read at 'the end'",
+    "<a _skipIf=''/>": "the script is empty",
+    "<Script code='x ++'/>": "the script 'x ++' cannot be read at '+'",
+    "<Script code='1 % 2'/>": "cannot be read at '%'",
+    "<Script code='x = &quot;a&quot;'/>": "texts stand in single quotes",
+    "<Script code='  '/>": "the script is empty",
+    "<a ID='b'/>": "<a> has an ID, which <Action ID=...> and its like have",
+    "<Sequence><SubTree ID='Other' name='n'/><SubTree ID='Other' name='n'/></Sequence>": "two SubTrees of one tree are",
+    "<Script code='(((x'/>": "cannot be read at 'the end'",
     "<Precondition if='x'/>": "it takes 1",
-    "<Precondition if='true' else='MAYBE'><a/></Precondition>": "the port 'else' takes a value of type Otherwise",
+    "<LoopInt queue='1;x'><a/></LoopInt>": "'x' is no number",
+    "<Delay delay_msec='-5'><a/></Delay>": "takes no negative number",
     "<ReactiveSequence><AsyncSequence><a/></AsyncSequence><AsyncSequence><b/></AsyncSequence></ReactiveSequence>": (
         "a ReactiveSequence has at most one asynchronous child"
     ),
@@ -159,6 +164,26 @@ def test_explicit_and_compact_elements_mean_the_same():
     assert trees[0].child.node.name == trees[1].child.node.name == "s"
 
 
+@pytest.mark.parametrize("code", ["flag", "!flag", "flag || true", "2", "true || unknown", "1 == 'x'"])
+def test_what_is_no_truth_value_is_an_error_of_the_tick(code):
+    tree = load(wrapped('<SubTree ID="Other" flag="true"/>', Other=f'<ScriptCondition code="{code}"/>'))
+    with pytest.raises(ScriptError):
+        tree.tick_once()
+
+
+@pytest.mark.parametrize("name", ["a b", "a.b", "a/b", "a:b", "a*b", "Root", "Sequence", "a"])
+def test_names_that_the_library_refuses_are_refused_with_what_to_write(name):
+    with pytest.raises(XmlError, match="write|rename"):
+        load(f'<root BTCPP_format="4"><BehaviorTree ID="{name}"><ok/></BehaviorTree></root>')
+
+
+def test_raw_ampersands_and_brackets_in_attributes_are_read_with_a_note(caplog):
+    tree = load('<root><BehaviorTree ID="T">\n<ok _skipIf="1 < 2 && 3 > 2 &amp;&amp; 1"/></BehaviorTree></root>')
+    tree.tick_once()
+    assert tree.status is Status.INVALID
+    assert "are read as they stand" in caplog.text
+
+
 def test_includes_are_relative_to_the_file_and_read_once(tmp_path):
     (tmp_path / "parts").mkdir()
     (tmp_path / "main.xml").write_text(
@@ -194,13 +219,12 @@ def test_what_editors_write_beside_is_passed_over():
 @pytest.mark.parametrize(
     ("code", "is_so"),
     [
-        ("flag", True),
-        ("!flag", False),
         ("flag == true", True),
         ("flag == false", False),
         ("count == 3 &amp;&amp; count &lt; 3.5", True),
         ("word == 'true'", False),
-        ("!(count &gt; 5) || flag", True),
+        ("!(count &gt; 5) || flag == true", True),
+        ("word + 'e' == true", True),
     ],
 )
 def test_script_reads_the_text_that_a_subtree_is_given_as_what_it_says(code, is_so):

@@ -81,7 +81,7 @@ class Grower:
     def choice(self, depth):
         tag = self.random.choice(("IfThenElse", "WhileDoElse", "Switch2"))
         count = 3 if tag == "Switch2" else self.random.randint(2, 3)
-        ports = ' variable="{x}" case_1="True" case_2="other"' if tag == "Switch2" else ""
+        ports = ' variable="{x}" case_1="1" case_2="other"' if tag == "Switch2" else ""
         return self.around(tag, ports, [self.node(depth) for _ in range(count)])
 
     def tree(self, depth):
