@@ -173,7 +173,7 @@ def test_what_is_no_truth_value_is_an_error_of_the_tick(code):
 
 @pytest.mark.parametrize("name", ["a b", "a.b", "a/b", "a:b", "a*b", "Root", "Sequence", "a"])
 def test_names_that_the_library_refuses_are_refused_with_what_to_write(name):
-    with pytest.raises(XmlError, match="write|rename"):
+    with pytest.raises(XmlError, match=r"write|rename"):
         load(f'<root BTCPP_format="4"><BehaviorTree ID="{name}"><ok/></BehaviorTree></root>')
 
 
