@@ -6,9 +6,10 @@ from typing import Any, ClassVar, Final
 from py_trees.common import Status
 from py_trees.ports import PortInformation
 
+from rosa_bt.xml.blackboard import Outcome, PortError, converted, truth
 from rosa_bt.xml.nodes import DONE, FAILURE, RUNNING, SKIPPED, SUCCESS, OneChild, Slot, Ticking
-from rosa_bt.xml.ports import Outcome, PortError, Ports, converted
-from rosa_bt.xml.scripts import parse_script, truth
+from rosa_bt.xml.ports import Ports
+from rosa_bt.xml.scripts import parse_script
 
 
 class _Translated(OneChild):
@@ -218,7 +219,7 @@ class _Loop(OneChild):
 
     def _queue(self) -> tuple[Any, ...]:
         found = self.ports.get("queue")
-        return tuple(converted(found, list[self.of]) if isinstance(found, str) else found)  # type: ignore[name-defined]
+        return tuple(converted(found, list[self.of]) if isinstance(found, str) else found)  # type: ignore[name-defined]  # a class attribute as an argument of list
 
     def initialise(self) -> None:
         self._goes_on, self._left = False, self._queue()

@@ -7,9 +7,10 @@ from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 from py_trees.ports import PortInformation
 
+from rosa_bt.xml.blackboard import EMPTY, truth
 from rosa_bt.xml.nodes import NodeError, Slot
 from rosa_bt.xml.ports import Declared, Ports
-from rosa_bt.xml.scripts import EMPTY, parse_script, truth
+from rosa_bt.xml.scripts import parse_script
 
 
 class XmlLeaf(Behaviour):

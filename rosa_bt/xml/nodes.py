@@ -17,8 +17,9 @@ from py_trees.decorators import Decorator
 
 from rosa_bt.behaviours import RosaAction
 from rosa_bt.exceptions import RosaBtError
-from rosa_bt.xml.ports import Blackboard, Declared, Ports
-from rosa_bt.xml.scripts import Script, truth
+from rosa_bt.xml.blackboard import Blackboard, truth
+from rosa_bt.xml.ports import Declared, Ports
+from rosa_bt.xml.scripts import Script
 
 SUCCESS: Final = Status.SUCCESS
 FAILURE: Final = Status.FAILURE

@@ -1,28 +1,18 @@
-"""What nodes read and write: the blackboard of a tree, and ports, with values of the types that a node declares."""
+"""Ports: what a node declares, filled with what its element says: literals, or keys of the blackboard."""
 
-import json
-import re
-from collections.abc import Callable, Iterator, Mapping, MutableMapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import Enum
 from types import SimpleNamespace
-from typing import Any, Final, get_args, get_origin
+from typing import Any, Final, get_origin
 
-from py_trees.common import Status
 from py_trees.ports import PortInformation, PortsMixin
-from py_trees.ports_utils import convert_str_to_type, is_instance_of_type
+from py_trees.ports_utils import is_instance_of_type
 
-from rosa_bt.exceptions import RosaBtError, hint
-from rosa_bt.xml.scripts import EMPTY, ScriptError, as_text, double, fit, is_number, truth, whole
+from rosa_bt.exceptions import hint
+from rosa_bt.xml.blackboard import SCALARS, Blackboard, Outcome, PortError, cast, converted, is_number
 
-Clock = Callable[[], float]
-"""Gives the time [s]."""
 Declared = Mapping[str, PortInformation]
 """Which ports a node has."""
-
-
-class PortError(RosaBtError, ValueError):
-    """A port is not declared, lacks a value, or has one of another type."""
 
 
 def key_of(written: str, port: str) -> str | None:
@@ -31,209 +21,6 @@ def key_of(written: str, port: str) -> str | None:
     if not (len(written) > 2 and written.startswith("{") and written.endswith("}")):
         return None
     return port if written[1:-1] == "=" else written[1:-1]
-
-
-class Outcome(Enum):
-    """What a node can be told to return instead of its child; read when it is needed."""
-
-    SUCCESS = Status.SUCCESS
-    FAILURE = Status.FAILURE
-    RUNNING = Status.RUNNING
-    SKIPPED = Status.INVALID
-
-
-_SCALARS: Final = (bool, int, float, str)
-
-
-@dataclass(slots=True)
-class Entry:
-    """What a blackboard holds under one key: a value, the type that was declared for it, and how often it was written.
-
-    An entry exists from when a port names it, and is empty until it is given a value.
-    """
-
-    value: Any = EMPTY
-    declared: Any = None
-    version: int = 0
-    is_emptied: bool = False
-    """Whether a text of SetBlackboard has emptied it, as it does with what has no declared type."""
-
-    def put(self, value: object) -> None:
-        self.value = value
-        self.version += 1
-
-    def read(self, text: str) -> Any:  # noqa: ANN401  # of the type that is declared
-        """Return what a text of a script means as the type that is declared; a text if none is."""
-        if self.declared is Outcome:
-            raise ScriptError(f"a script writes no outcome, as {text!r} would be")
-        return converted(text, self.declared)
-
-    def take(self, value: Any, *, is_port: bool = False) -> None:  # noqa: ANN401  # whatever is written
-        """Take what the program or a port writes, of the type that was declared; the first type is declared by it.
-
-        Raises:
-            PortError: it is not of that type, and cannot be.
-        """
-        declared = self.declared
-        try:
-            if declared is None:
-                self.declared = type(value) if isinstance(value, _SCALARS) else None
-            elif isinstance(value, str) and declared is not str:
-                value = converted(value, declared)
-            elif declared in _SCALARS and (declared is not str or is_port):
-                if type(value) is not declared and (declared is str or not is_number(value)):
-                    raise ScriptError(f"it is declared as {declared.__name__}")
-                _cast(value, declared)
-                value = fit(self, value)
-        except (ValueError, TypeError) as error:
-            raise PortError(f"an entry cannot take {value!r}: {error}") from None
-        self.put(value)
-
-
-class Blackboard(MutableMapping[str, Any]):
-    """What the nodes of one SubTree can see; shared with nobody else but through remapped keys.
-
-    A key is looked for, in this order: `@key` in the blackboard of the main tree; among the constants that the SubTree
-    was given; under the name that it was remapped to, in the blackboard around; with autoremapping, under its own name
-    there, unless it begins with an underscore; here. An entry without a value counts as none.
-    """
-
-    def __init__(
-        self,
-        clock: Clock,
-        parent: "Blackboard | None" = None,
-        remapping: Mapping[str, str] | None = None,
-        constants: Mapping[str, str] | None = None,
-        *,
-        autoremap: bool = False,
-        enums: Mapping[str, int] | None = None,
-    ) -> None:
-        self.clock: Final = clock
-        self.parent: Final = parent
-        self.enums: Final[Mapping[str, int]] = parent.enums if parent is not None else dict(enums or {})
-        self._remapping = dict(remapping or {})
-        self._autoremap = autoremap
-        self._entries: dict[str, Entry] = {}
-        for key, text in (constants or {}).items():
-            value = _constant(text)
-            self._entries[key] = Entry(value, None if isinstance(value, str) else type(value), 1)
-        self._constants = frozenset(self._entries)
-
-    def place(self, key: str) -> tuple[dict[str, Entry], str]:
-        """Return where a key is kept: the entries of one of the blackboards, and the key's name there."""
-        if key.startswith("@"):
-            root = self
-            while root.parent is not None:
-                root = root.parent
-            return root.place(key[1:])
-        if self.parent is None or key in self._constants:
-            return self._entries, key
-        if key in self._remapping:
-            return self.parent.place(self._remapping[key])
-        if self._autoremap and not key.startswith("_"):
-            return self.parent.place(key)
-        return self._entries, key
-
-    def entry(self, key: str) -> Entry | None:
-        """Return the entry of a key, which may be empty; None if there is none."""
-        entries, name = self.place(key)
-        return entries.get(name)
-
-    def make(self, key: str, declared: object = None) -> Entry:
-        """Return the entry of a key, made if there is none, of a type that a port declares."""
-        entries, name = self.place(key)
-        if name not in entries:
-            entries[name] = Entry(declared=declared)
-            meant = self._remapping.get(key, "")
-            if self.parent is not None and meant.startswith("@"):  # the library makes it under both names
-                self.parent.alias(meant, entries[name])
-        return entries[name]
-
-    def alias(self, key: str, entry: Entry) -> None:
-        """Show an entry under another key, too."""
-        self._entries[key] = entry
-
-    def unset(self, key: str) -> None:
-        """Remove what lives here under a key; as in BehaviorTree.CPP, nothing that is remapped."""
-        self._entries.pop(key, None)
-
-    def __getitem__(self, key: str) -> Any:  # noqa: ANN401  # whatever a behaviour has written
-        entry = self.entry(key)
-        if entry is None or entry.value is EMPTY:
-            raise KeyError(key)
-        return entry.value
-
-    def __setitem__(self, key: str, value: Any) -> None:  # noqa: ANN401  # whatever a behaviour writes
-        entry = self.entry(key)
-        if entry is not None:
-            entry.take(value)
-        else:  # a text that the program sets may become anything
-            made = self.make(key, type(value) if isinstance(value, bool | int | float) else None)
-            made.put(value)
-
-    def __delitem__(self, key: str) -> None:
-        entries, name = self.place(key)
-        del entries[name]
-
-    def __iter__(self) -> Iterator[str]:
-        """Iterate over the keys that have a value here; those of the blackboard around are its own."""
-        return (key for key, entry in self._entries.items() if entry.value is not EMPTY)
-
-    def __len__(self) -> int:
-        return sum(1 for _ in self)
-
-
-def _constant(text: str) -> int | float | str:
-    """Return what a SubTree's literal is: a whole number, a double, else a text."""
-    for kind in (int, float):
-        if re.fullmatch(r"[-+]?[\d.]+(e[-+]?\d+)?", text, re.IGNORECASE | re.ASCII):
-            try:
-                return kind(text)
-            except ValueError:
-                continue
-    return text
-
-
-BOOLS: Final = {
-    **dict.fromkeys(("1", "true", "TRUE", "True"), True),
-    **dict.fromkeys(("0", "false", "FALSE", "False"), False),
-}
-_BEGINS: Final[Mapping[Any, str]] = {
-    int: r"-?\d+",
-    float: r"-?(?:\d+\.?\d*(?:[eE][-+]?\d+)?|\.\d+(?:[eE][-+]?\d+)?|inf|nan)",
-}
-_LEAST, _MOST = -(2**31), 2**31 - 1
-
-
-def converted(text: str, wanted: Any) -> Any:  # noqa: ANN401  # of the type that is wanted
-    """Return what a text means as a type: numbers by their beginning, lists as `1;2;3`, structures as `json:...`.
-
-    Raises:
-        ValueError, TypeError: nothing.
-    """
-    if wanted in (None, Any, object, str):
-        return text
-    if text.startswith("json:"):
-        value = json.loads(text[5:])
-        if not is_instance_of_type(value, wanted):
-            raise ValueError(f"{text!r} is no {wanted}")
-        return value
-    if wanted is Outcome:
-        return Outcome[text] if text in Outcome.__members__ else _raise(f"{text!r} is no outcome")
-    if wanted is bool:
-        return BOOLS[text] if text in BOOLS else _raise(f"{text!r} is neither true nor false")
-    if wanted in _BEGINS:
-        found = re.match(_BEGINS[wanted], text, re.ASCII)
-        number = wanted(found[0]) if found else _raise(f"{text!r} is no number")
-        return number if wanted is float or _LEAST <= number <= _MOST else _raise(f"{text!r} is out of range")
-    if get_origin(wanted) is list:
-        return [converted(part, get_args(wanted)[0]) for part in text.removesuffix(";").split(";") if text]
-    is_right, value = convert_str_to_type(text, wanted)
-    return value if is_right else _raise(f"{text!r} is no {wanted}")
-
-
-def _raise(problem: str) -> Any:  # noqa: ANN401  # never returns
-    raise ValueError(problem)
 
 
 class Ports:
@@ -335,8 +122,8 @@ class Ports:
         try:
             if isinstance(value, str):
                 return converted(value, wanted)
-            if is_number(value) and wanted in _SCALARS:
-                return _cast(value, wanted)
+            if is_number(value) and wanted in SCALARS:
+                return cast(value, wanted)
             is_right = is_instance_of_type(value, wanted)
         except NotImplementedError:
             is_right = isinstance(value, get_origin(wanted))
@@ -347,12 +134,6 @@ class Ports:
                 f"the port {name!r} takes a value of type {getattr(wanted, '__name__', wanted)}, not {value!r}"
             )
         return value
-
-
-def _cast(value: Any, wanted: Any) -> Any:  # noqa: ANN401  # a number, as another kind
-    if wanted is str:
-        return as_text(value)
-    return truth(value) if wanted is bool else double(value) if wanted is float else whole(value)
 
 
 @dataclass(frozen=True)

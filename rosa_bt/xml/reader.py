@@ -12,12 +12,13 @@ from typing import Any, Final, cast
 from py_trees.behaviour import Behaviour
 
 from rosa_bt.exceptions import RosaBtError, XmlError, hint, in_words
+from rosa_bt.xml.blackboard import BOOLS, Blackboard, Clock
 from rosa_bt.xml.controls import CONTROLS
 from rosa_bt.xml.decorators import DECORATORS
 from rosa_bt.xml.leaves import LEAVES, XmlLeaf
 from rosa_bt.xml.nav2 import NAV2
 from rosa_bt.xml.nodes import MAX_NODES, Branch, Control, OneChild, Rules, Slot, is_plain
-from rosa_bt.xml.ports import BOOLS, Blackboard, Clock, Ports, key_of
+from rosa_bt.xml.ports import Ports, key_of
 from rosa_bt.xml.registry import BehaviourRegistry, Entry
 from rosa_bt.xml.scripts import parse_script
 

@@ -11,11 +11,12 @@ from py_trees.ports import PortInformation, PortsMixin
 
 from rosa_bt.behaviours import HasStatus, IsActionFeasible, KbBehaviour, Measurement, WaitForArchitecture
 from rosa_bt.exceptions import RegistryError
+from rosa_bt.xml.blackboard import Blackboard, PortError
 from rosa_bt.xml.controls import CONTROLS
 from rosa_bt.xml.decorators import DECORATORS
 from rosa_bt.xml.leaves import LEAVES
 from rosa_bt.xml.nodes import MAX_NODES, Branch
-from rosa_bt.xml.ports import Blackboard, Declared, Port, PortError, Ports, key_of
+from rosa_bt.xml.ports import Declared, Port, Ports, key_of
 
 Factory = Callable[..., Behaviour]
 F = TypeVar("F", bound=Factory)

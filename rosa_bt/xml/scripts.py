@@ -1,94 +1,34 @@
-"""Scripts of BehaviorTree.CPP 4.10: `a := 1; b = a > 2 ? 'x' .. a : 'y'`, with its kinds of values and their rules.
-
-A whole number is an int, a double a float, a text a str; what the program or a port made a bool stays one. All
-arithmetic, comparisons and logic give doubles.
-"""
+"""Scripts of BehaviorTree.CPP 4.10: `a := 1; b = a > 2 ? 'x' .. a : 'y'`; all arithmetic and logic give doubles."""
 
 import math
 import operator
 import re
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
-from rosa_bt.exceptions import RosaBtError
+from rosa_bt.xml.blackboard import (
+    EMPTY,
+    Blackboard,
+    ScriptError,
+    as_text,
+    begun,
+    double,
+    fit,
+    is_number,
+    number_in,
+    shown,
+    truth,
+    whole,
+)
 
-if TYPE_CHECKING:
-    from rosa_bt.xml.ports import Blackboard, Entry
-
-Script = Callable[["Blackboard"], Any]
+Script = Callable[[Blackboard], Any]
 """What a script does to a blackboard; returns the value of its last statement."""
 
 
-class ScriptError(RosaBtError, ValueError):
-    """A script cannot be read, or fails when it is run."""
-
-
-class _Empty:
-    """The value of an entry that has none yet."""
-
-    def __repr__(self) -> str:
-        return "nothing"
-
-
-EMPTY: Final = _Empty()
-_EXACT: Final = 2**53
-"""From here on, whole numbers are no doubles any more."""
 _EPSILON: Final = 2.0**-23
 """Numbers that are nearer than this are equal, but not less or more."""
-_NUMBER: Final = re.compile(
-    r"\s*[-+]?(?:0x[0-9a-f]+|inf|nan|(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)", re.IGNORECASE | re.ASCII
-)
 _MAX_NESTED: Final = 50
-
-
-# -------------------------------------------------------------------- values
-
-
-def is_number(value: object) -> bool:
-    return isinstance(value, int | float)
-
-
-def double(value: Any) -> float:  # noqa: ANN401  # a number of any kind
-    if isinstance(value, int) and abs(value) >= _EXACT:
-        raise ScriptError(f"{value} is too large for a double to hold exactly")
-    return float(value)
-
-
-def whole(value: Any) -> int:  # noqa: ANN401  # a number of any kind
-    if isinstance(value, float) and not value.is_integer():
-        raise ScriptError(f"{value:g} is not whole, and a whole number is needed")
-    return int(value)
-
-
-def truth(value: object) -> bool:
-    """Return what a value means where a condition is expected: a double not 0, a whole number 0 or 1, never a text."""
-    if isinstance(value, float) or value in (0, 1):
-        return bool(value)
-    raise ScriptError(f"{_shown(value)} is neither true nor false; compare it with something")
-
-
-def _shown(value: object) -> str:
-    return "what has no value" if value is EMPTY else repr(value)
-
-
-def number_in(text: str, board: "Blackboard") -> float:
-    """Return the number that a text says, or `true`, `false` or an enum."""
-    named = {**board.enums, "true": 1.0, "false": 0.0}
-    return float(named[text]) if text in named else _begun(text)
-
-
-def _begun(text: str) -> float:
-    """Return the number that a text begins with, as the C library reads it."""
-    found = _NUMBER.match(text)
-    if found is None:
-        raise ScriptError(f"{text!r} is no number")
-    return float(int(found[0], 16)) if "x" in found[0].lower() else float(found[0])
-
-
-def as_text(value: object) -> str:
-    """Write a value as `..` does: a double with six digits."""
-    return f"{value:.6f}" if isinstance(value, float) else str(int(value) if isinstance(value, bool) else value)
 
 
 def _quotient(one: float, other: float) -> float:
@@ -132,41 +72,19 @@ def _joined(sign: str, one: Any, other: Any) -> Any:  # noqa: ANN401  # values o
         return float(left and right if sign == "&&" else left or right)
     if (all(texts) and sign == "+") or (sign == ".." and texts != (False, False) and sum(numbers) + sum(texts) == 2):
         return as_text(one) + as_text(other)
-    raise ScriptError(f"{sign!r} is not for {_shown(one)} and {_shown(other)}")
+    raise ScriptError(f"{sign!r} is not for {shown(one)} and {shown(other)}")
 
 
-def _is_so(sign: str, one: Any, other: Any, board: "Blackboard") -> bool:  # noqa: ANN401  # values of any kind
+def _is_so(sign: str, one: Any, other: Any, board: Blackboard) -> bool:  # noqa: ANN401  # values of any kind
     if isinstance(one, str) and isinstance(other, str):
         return _COMPARED[sign](one, other)
     sides = [number_in(side, board) if isinstance(side, str) else side for side in (one, other)]
     if not all(map(is_number, sides)):
-        raise ScriptError(f"{_shown(one)} and {_shown(other)} cannot be compared")
+        raise ScriptError(f"{shown(one)} and {shown(other)} cannot be compared")
     return _COMPARED[sign](*map(double, sides))
 
 
-# -------------------------------------------------------------------- entries
-
-
-def fit(entry: "Entry", value: Any) -> Any:  # noqa: ANN401  # a value of any kind
-    """Return a value as the entry takes it, of the kind that it holds.
-
-    Raises:
-        ScriptError: it cannot be of that kind.
-    """
-    held = entry.value
-    if held is EMPTY or (isinstance(held, str) and isinstance(value, str)):
-        return value
-    if is_number(held) and is_number(value):
-        if isinstance(held, float):
-            return double(value)
-        number = whole(value)
-        return bool(number) if isinstance(held, bool) and number in (0, 1) else number
-    if type(held) is type(value) and not is_number(held):
-        return value
-    raise ScriptError(f"{_shown(value)} does not fit an entry that holds {_shown(held)}")
-
-
-def _assign(target: Script | str, sign: str, value: Script, board: "Blackboard") -> Any:  # noqa: ANN401  # any kind
+def _assign(target: Script | str, sign: str, value: Script, board: Blackboard) -> Any:  # noqa: ANN401  # any kind
     if not isinstance(target, str):
         raise ScriptError("what is assigned to is no entry")
     entry = board.entry(target)
@@ -180,7 +98,7 @@ def _assign(target: Script | str, sign: str, value: Script, board: "Blackboard")
     held = entry.value
     if sign in ("+=", "-=", "*=", "/="):
         if held is EMPTY or isinstance(held, str) != isinstance(given, str) or (isinstance(held, str) and sign != "+="):
-            raise ScriptError(f"{sign!r} is not for {_shown(held)} and {_shown(given)}")
+            raise ScriptError(f"{sign!r} is not for {shown(held)} and {shown(given)}")
         new = fit(entry, _joined(sign[0], held, given))
     elif isinstance(given, str) and not isinstance(held, str) and not (held is EMPTY and entry.declared is None):
         new = number_in(given, board) if entry.declared is None else entry.read(given)
@@ -190,7 +108,7 @@ def _assign(target: Script | str, sign: str, value: Script, board: "Blackboard")
     return new
 
 
-def _read(name: str, board: "Blackboard") -> Any:  # noqa: ANN401  # a value of any kind
+def _read(name: str, board: Blackboard) -> Any:  # noqa: ANN401  # a value of any kind
     if name in board.enums:
         return float(board.enums[name])
     entry = board.entry(name)
@@ -327,14 +245,14 @@ def _number(text: str) -> int | float:
     return float(text)
 
 
-def _fold(left: Script, chain: list[tuple[str, Script]], board: "Blackboard") -> Any:  # noqa: ANN401  # any kind
+def _fold(left: Script, chain: list[tuple[str, Script]], board: Blackboard) -> Any:  # noqa: ANN401  # any kind
     value = left(board)
     for sign, right in chain:
         value = _joined(sign, value, right(board))
     return value
 
 
-def _compare(left: Script, chain: list[tuple[str, Script]], board: "Blackboard") -> float:
+def _compare(left: Script, chain: list[tuple[str, Script]], board: Blackboard) -> float:
     one = left(board)
     for sign, right in chain:
         other = right(board)
@@ -344,19 +262,19 @@ def _compare(left: Script, chain: list[tuple[str, Script]], board: "Blackboard")
     return 1.0
 
 
-def _choose(asked: Script, yes: Script, no: Script, board: "Blackboard") -> Any:  # noqa: ANN401  # any kind
+def _choose(asked: Script, yes: Script, no: Script, board: Blackboard) -> Any:  # noqa: ANN401  # any kind
     value = asked(board)
     if isinstance(value, str):
-        value = _begun(value)
+        value = begun(value)
     if not is_number(value):
-        raise ScriptError(f"{_shown(value)} is neither true nor false")
+        raise ScriptError(f"{shown(value)} is neither true nor false")
     return yes(board) if double(value) else no(board)
 
 
-def _prefixed(sign: str, operand: Script, board: "Blackboard") -> float:
+def _prefixed(sign: str, operand: Script, board: Blackboard) -> float:
     value = operand(board)
     if not is_number(value):
-        raise ScriptError(f"{sign!r} is not for {_shown(value)}")
+        raise ScriptError(f"{sign!r} is not for {shown(value)}")
     if sign == "~":
         return double(~whole(value))
     return -double(value) if sign == "-" else float(not double(value))

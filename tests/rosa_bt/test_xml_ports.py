@@ -24,7 +24,7 @@ from rosa_bt import (
     load_xml,
 )
 from rosa_bt.xml import Port
-from rosa_bt.xml.ports import PortError
+from rosa_bt.xml.blackboard import PortError
 
 
 class Add(PortsMixin, Behaviour, register=False):

@@ -8,9 +8,9 @@ from py_trees.common import Status
 from xml_leaves import registry_of, trace, wrapped
 
 from rosa_bt import BehaviourRegistry, RosaBtError, TreeRunner, XmlError, export_xml, load_xml
+from rosa_bt.xml.blackboard import ScriptError
 from rosa_bt.xml.nodes import MAX_NODES
 from rosa_bt.xml.reader import MAX_DEPTH, MAX_SIZE
-from rosa_bt.xml.scripts import ScriptError
 
 LEAVES = {"a": ("A", "S"), "b": ("A", "RS"), "ok": ("C", "S")}
 

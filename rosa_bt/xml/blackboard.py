@@ -1,0 +1,319 @@
+"""Blackboards: what the nodes of a tree read and write, entry by entry, with the kinds of values that they may hold.
+
+A whole number is an int, a double a float, a text a str; what the program or a port made a bool stays one.
+"""
+
+import json
+import re
+from collections.abc import Callable, Iterator, Mapping, MutableMapping
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any, Final, get_args, get_origin
+
+from py_trees.common import Status
+from py_trees.ports_utils import convert_str_to_type, is_instance_of_type
+
+from rosa_bt.exceptions import RosaBtError
+
+Clock = Callable[[], float]
+"""Gives the time [s]."""
+
+
+class PortError(RosaBtError, ValueError):
+    """A port is not declared, lacks a value, or has one of another type."""
+
+
+class ScriptError(RosaBtError, ValueError):
+    """A script cannot be read, or fails when it is run."""
+
+
+class _Empty:
+    """The value of an entry that has none yet."""
+
+    def __repr__(self) -> str:
+        return "nothing"
+
+
+EMPTY: Final = _Empty()
+_EXACT: Final = 2**53
+"""From here on, whole numbers are no doubles any more."""
+_NUMBER: Final = re.compile(
+    r"\s*[-+]?(?:0x[0-9a-f]+|inf|nan|(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)", re.IGNORECASE | re.ASCII
+)
+
+
+# -------------------------------------------------------------------- values
+
+
+def is_number(value: object) -> bool:
+    return isinstance(value, int | float)
+
+
+def double(value: Any) -> float:  # noqa: ANN401  # a number of any kind
+    if isinstance(value, int) and abs(value) >= _EXACT:
+        raise ScriptError(f"{value} is too large for a double to hold exactly")
+    return float(value)
+
+
+def whole(value: Any) -> int:  # noqa: ANN401  # a number of any kind
+    if isinstance(value, float) and not value.is_integer():
+        raise ScriptError(f"{value:g} is not whole, and a whole number is needed")
+    return int(value)
+
+
+def truth(value: object) -> bool:
+    """Return what a value means where a condition is expected: a double not 0, a whole number 0 or 1, never a text."""
+    if isinstance(value, float) or value in (0, 1):
+        return bool(value)
+    raise ScriptError(f"{shown(value)} is neither true nor false; compare it with something")
+
+
+def shown(value: object) -> str:
+    return "what has no value" if value is EMPTY else repr(value)
+
+
+def number_in(text: str, board: "Blackboard") -> float:
+    """Return the number that a text says, or `true`, `false` or an enum."""
+    named = {**board.enums, "true": 1.0, "false": 0.0}
+    return float(named[text]) if text in named else begun(text)
+
+
+def begun(text: str) -> float:
+    """Return the number that a text begins with, as the C library reads it."""
+    found = _NUMBER.match(text)
+    if found is None:
+        raise ScriptError(f"{text!r} is no number")
+    return float(int(found[0], 16)) if "x" in found[0].lower() else float(found[0])
+
+
+def as_text(value: object) -> str:
+    """Write a value as `..` does: a double with six digits."""
+    return f"{value:.6f}" if isinstance(value, float) else str(int(value) if isinstance(value, bool) else value)
+
+
+def fit(entry: "Entry", value: Any) -> Any:  # noqa: ANN401  # a value of any kind
+    """Return a value as the entry takes it, of the kind that it holds.
+
+    Raises:
+        ScriptError: it cannot be of that kind.
+    """
+    held = entry.value
+    if held is EMPTY or (isinstance(held, str) and isinstance(value, str)):
+        return value
+    if is_number(held) and is_number(value):
+        if isinstance(held, float):
+            return double(value)
+        number = whole(value)
+        return bool(number) if isinstance(held, bool) and number in (0, 1) else number
+    if type(held) is type(value) and not is_number(held):
+        return value
+    raise ScriptError(f"{shown(value)} does not fit an entry that holds {shown(held)}")
+
+
+class Outcome(Enum):
+    """What a node can be told to return instead of its child; read when it is needed."""
+
+    SUCCESS = Status.SUCCESS
+    FAILURE = Status.FAILURE
+    RUNNING = Status.RUNNING
+    SKIPPED = Status.INVALID
+
+
+SCALARS: Final = (bool, int, float, str)
+
+
+@dataclass(slots=True)
+class Entry:
+    """What a blackboard holds under one key: a value, the type that was declared for it, and how often it was written.
+
+    An entry exists from when a port names it, and is empty until it is given a value.
+    """
+
+    value: Any = EMPTY
+    declared: Any = None
+    version: int = 0
+    is_emptied: bool = False
+    """Whether a text of SetBlackboard has emptied it, as it does with what has no declared type."""
+
+    def put(self, value: object) -> None:
+        self.value = value
+        self.version += 1
+
+    def read(self, text: str) -> Any:  # noqa: ANN401  # of the type that is declared
+        """Return what a text of a script means as the type that is declared; a text if none is."""
+        if self.declared is Outcome:
+            raise ScriptError(f"a script writes no outcome, as {text!r} would be")
+        return converted(text, self.declared)
+
+    def take(self, value: Any, *, is_port: bool = False) -> None:  # noqa: ANN401  # whatever is written
+        """Take what the program or a port writes, of the type that was declared; the first type is declared by it.
+
+        Raises:
+            PortError: it is not of that type, and cannot be.
+        """
+        declared = self.declared
+        try:
+            if declared is None:
+                self.declared = type(value) if isinstance(value, SCALARS) else None
+            elif isinstance(value, str) and declared is not str:
+                value = converted(value, declared)
+            elif declared in SCALARS and (declared is not str or is_port):
+                if type(value) is not declared and (declared is str or not is_number(value)):
+                    raise ScriptError(f"it is declared as {declared.__name__}")
+                cast(value, declared)
+                value = fit(self, value)
+        except (ValueError, TypeError) as error:
+            raise PortError(f"an entry cannot take {value!r}: {error}") from None
+        self.put(value)
+
+
+class Blackboard(MutableMapping[str, Any]):
+    """What the nodes of one SubTree can see; shared with nobody else but through remapped keys.
+
+    A key is looked for, in this order: `@key` in the blackboard of the main tree; among the constants that the SubTree
+    was given; under the name that it was remapped to, in the blackboard around; with autoremapping, under its own name
+    there, unless it begins with an underscore; here. An entry without a value counts as none.
+    """
+
+    def __init__(
+        self,
+        clock: Clock,
+        parent: "Blackboard | None" = None,
+        remapping: Mapping[str, str] | None = None,
+        constants: Mapping[str, str] | None = None,
+        *,
+        autoremap: bool = False,
+        enums: Mapping[str, int] | None = None,
+    ) -> None:
+        self.clock: Final = clock
+        self.parent: Final = parent
+        self.enums: Final[Mapping[str, int]] = parent.enums if parent is not None else dict(enums or {})
+        self._remapping = dict(remapping or {})
+        self._autoremap = autoremap
+        self._entries: dict[str, Entry] = {}
+        for key, text in (constants or {}).items():
+            value = _constant(text)
+            self._entries[key] = Entry(value, None if isinstance(value, str) else type(value), 1)
+        self._constants = frozenset(self._entries)
+
+    def place(self, key: str) -> tuple[dict[str, Entry], str]:
+        """Return where a key is kept: the entries of one of the blackboards, and the key's name there."""
+        if key.startswith("@"):
+            root = self
+            while root.parent is not None:
+                root = root.parent
+            return root.place(key[1:])
+        if self.parent is None or key in self._constants:
+            return self._entries, key
+        if key in self._remapping:
+            return self.parent.place(self._remapping[key])
+        if self._autoremap and not key.startswith("_"):
+            return self.parent.place(key)
+        return self._entries, key
+
+    def entry(self, key: str) -> Entry | None:
+        """Return the entry of a key, which may be empty; None if there is none."""
+        entries, name = self.place(key)
+        return entries.get(name)
+
+    def make(self, key: str, declared: object = None) -> Entry:
+        """Return the entry of a key, made if there is none, of a type that a port declares."""
+        entries, name = self.place(key)
+        if name not in entries:
+            entries[name] = Entry(declared=declared)
+            meant = self._remapping.get(key, "")
+            if self.parent is not None and meant.startswith("@"):  # the library makes it under both names
+                self.parent.alias(meant, entries[name])
+        return entries[name]
+
+    def alias(self, key: str, entry: Entry) -> None:
+        """Show an entry under another key, too."""
+        self._entries[key] = entry
+
+    def unset(self, key: str) -> None:
+        """Remove what lives here under a key; as in BehaviorTree.CPP, nothing that is remapped."""
+        self._entries.pop(key, None)
+
+    def __getitem__(self, key: str) -> Any:  # noqa: ANN401  # whatever a behaviour has written
+        entry = self.entry(key)
+        if entry is None or entry.value is EMPTY:
+            raise KeyError(key)
+        return entry.value
+
+    def __setitem__(self, key: str, value: Any) -> None:  # noqa: ANN401  # whatever a behaviour writes
+        entry = self.entry(key)
+        if entry is not None:
+            entry.take(value)
+        else:  # a text that the program sets may become anything
+            made = self.make(key, type(value) if isinstance(value, bool | int | float) else None)
+            made.put(value)
+
+    def __delitem__(self, key: str) -> None:
+        entries, name = self.place(key)
+        del entries[name]
+
+    def __iter__(self) -> Iterator[str]:
+        """Iterate over the keys that have a value here; those of the blackboard around are its own."""
+        return (key for key, entry in self._entries.items() if entry.value is not EMPTY)
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
+
+
+def _constant(text: str) -> int | float | str:
+    """Return what a SubTree's literal is: a whole number, a double, else a text."""
+    for kind in (int, float):
+        if re.fullmatch(r"[-+]?[\d.]+(e[-+]?\d+)?", text, re.IGNORECASE | re.ASCII):
+            try:
+                return kind(text)
+            except ValueError:
+                continue
+    return text
+
+
+BOOLS: Final = {
+    **dict.fromkeys(("1", "true", "TRUE", "True"), True),
+    **dict.fromkeys(("0", "false", "FALSE", "False"), False),
+}
+_BEGINS: Final[Mapping[Any, str]] = {
+    int: r"-?\d+",
+    float: r"-?(?:\d+\.?\d*(?:[eE][-+]?\d+)?|\.\d+(?:[eE][-+]?\d+)?|inf|nan)",
+}
+_LEAST, _MOST = -(2**31), 2**31 - 1
+
+
+def converted(text: str, wanted: Any) -> Any:  # noqa: ANN401  # of the type that is wanted
+    """Return what a text means as a type: numbers by their beginning, lists as `1;2;3`, structures as `json:...`.
+
+    Raises:
+        ValueError, TypeError: nothing.
+    """
+    if wanted in (None, Any, object, str):
+        return text
+    if text.startswith("json:"):
+        value = json.loads(text[5:])
+        if not is_instance_of_type(value, wanted):
+            raise ValueError(f"{text!r} is no {wanted}")
+        return value
+    if wanted is Outcome:
+        return Outcome[text] if text in Outcome.__members__ else _raise(f"{text!r} is no outcome")
+    if wanted is bool:
+        return BOOLS[text] if text in BOOLS else _raise(f"{text!r} is neither true nor false")
+    if wanted in _BEGINS:
+        found = re.match(_BEGINS[wanted], text, re.ASCII)
+        number = wanted(found[0]) if found else _raise(f"{text!r} is no number")
+        return number if wanted is float or _LEAST <= number <= _MOST else _raise(f"{text!r} is out of range")
+    if get_origin(wanted) is list:
+        return [converted(part, get_args(wanted)[0]) for part in text.removesuffix(";").split(";") if text]
+    is_right, value = convert_str_to_type(text, wanted)
+    return value if is_right else _raise(f"{text!r} is no {wanted}")
+
+
+def _raise(problem: str) -> Any:  # noqa: ANN401  # never returns
+    raise ValueError(problem)
+
+
+def cast(value: Any, wanted: Any) -> Any:  # noqa: ANN401  # a number, as another kind
+    if wanted is str:
+        return as_text(value)
+    return truth(value) if wanted is bool else double(value) if wanted is float else whole(value)
