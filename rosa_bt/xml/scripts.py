@@ -84,7 +84,7 @@ def _is_so(sign: str, one: Any, other: Any, board: Blackboard) -> bool:  # noqa:
     return _COMPARED[sign](*map(double, sides))
 
 
-def _assign(target: Script | str, sign: str, value: Script, board: Blackboard) -> Any:  # noqa: ANN401  # any kind
+def _assign(target: Script | str, sign: str, value: Script, board: Blackboard) -> Any:  # noqa: ANN401  # of any kind
     if not isinstance(target, str):
         raise ScriptError("what is assigned to is no entry")
     entry = board.entry(target)
@@ -245,7 +245,7 @@ def _number(text: str) -> int | float:
     return float(text)
 
 
-def _fold(left: Script, chain: list[tuple[str, Script]], board: Blackboard) -> Any:  # noqa: ANN401  # any kind
+def _fold(left: Script, chain: list[tuple[str, Script]], board: Blackboard) -> Any:  # noqa: ANN401  # of any kind
     value = left(board)
     for sign, right in chain:
         value = _joined(sign, value, right(board))
@@ -262,7 +262,7 @@ def _compare(left: Script, chain: list[tuple[str, Script]], board: Blackboard) -
     return 1.0
 
 
-def _choose(asked: Script, yes: Script, no: Script, board: Blackboard) -> Any:  # noqa: ANN401  # any kind
+def _choose(asked: Script, yes: Script, no: Script, board: Blackboard) -> Any:  # noqa: ANN401  # of any kind
     value = asked(board)
     if isinstance(value, str):
         value = begun(value)
