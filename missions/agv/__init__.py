@@ -11,8 +11,7 @@ from missions.agv.building import Building, load_building
 from missions.agv.model import NAVIGATE, building_model
 from missions.agv.modes import Modes
 from missions.agv.pddl import PddlNames, cross_schema, switch_schema
-from missions.agv.route import Route
-from missions.agv.tree import Planned, PlanningState, agv_tree, cross, switch
+from missions.agv.tree import Planned, PlanningState, Route, agv_tree, cross, switch
 from missions.agv.world import AgvKind
 from missions.engine.declared import by_schema
 from missions.engine.mission import Mission, Percepts

@@ -10,12 +10,11 @@ import numpy as np
 from numpy.random import Generator
 
 from kb import KnowledgeBase, ManagedSystem
-from kb.elements import Parameters
 from missions.agv.building import Building, BuildingError
 from missions.agv.model import DRAW_W, DRIVING_W, ERROR_M, NAVIGATOR, NEEDED_LIGHT, SPEEDS
-from missions.agv.route import Route
 from missions.agv.steering import Aim, Array, aim_along, steer
-from missions.engine.components import VERBS, SimulatedComponents
+from missions.agv.tree import Route
+from missions.engine.components import VERBS, NamedComponents, SimulatedComponents
 from missions.engine.mission import Message, MissionError, Percepts, Sample, Setting, Verdict, World, WorldKind
 from missions.engine.settings import Constants, setting
 
@@ -289,35 +288,25 @@ class BuildingWorld(World):
         return base_w + sum(watts for name, watts in DRAW_W.items() if self._components.is_active(name))
 
 
-class _Components:
-    """What runs, with which parameters; one that has failed, or that the vehicle does not have, does not start."""
+class _Components(NamedComponents):
+    """One that has failed, or that the vehicle does not have, does not start."""
 
     def __init__(self, names: Iterable[str]) -> None:
-        self._parameters: dict[str, Mapping[str, Any]] = {name: {} for name in names}
-        self._active: set[str] = set()
-        self.failed: set[str] = set()
-
-    def check(self, component: str, parameters: Parameters, /) -> None:
-        """Take any command: what it leads to is found out when it is carried out."""
+        super().__init__()
+        self._names, self.failed = frozenset(names), set[str]()
 
     def activate(self, component: str, /) -> None:
-        if component not in self._parameters:
+        if component not in self._names:
             raise MissionError(f"the simulated vehicle has no component {component}")
         if component in self.failed:
             raise MissionError(f"{component} has failed and does not start")
-        self._active.add(component)
-
-    def deactivate(self, component: str, /) -> None:
-        self._active.discard(component)
-
-    def set_parameters(self, component: str, parameters: Parameters, /) -> None:
-        self._parameters[component] = parameters
-
-    def is_active(self, component: str, /) -> bool:
-        return component in self._active and component not in self.failed
+        super().activate(component)
 
     def parameters(self, component: str, /) -> Mapping[str, Any]:
-        return self._parameters[component]
+        return super().parameters(component)
+
+    def is_active(self, component: str, /) -> bool:
+        return super().is_active(component) and component not in self.failed
 
 
 def _placed(wanted: Sequence[Incident], rng: Generator) -> list[tuple[Incident, float]]:

@@ -43,6 +43,32 @@ class Components(Protocol):
     def parameters(self, component: str, /) -> Parameters: ...
 
 
+class NamedComponents:
+    """Components that are no more than their names: what runs, and which parameters each was given."""
+
+    def __init__(self) -> None:
+        self.active: set[str] = set()
+        self.taken: dict[str, Parameters] = {}
+
+    def check(self, component: str, parameters: Parameters, /) -> None:
+        """Take any command: what it leads to is found out when it is carried out."""
+
+    def activate(self, component: str, /) -> None:
+        self.active.add(component)
+
+    def deactivate(self, component: str, /) -> None:
+        self.active.discard(component)
+
+    def set_parameters(self, component: str, parameters: Parameters, /) -> None:
+        self.taken[component] = parameters
+
+    def is_active(self, component: str, /) -> bool:
+        return component in self.active
+
+    def parameters(self, component: str, /) -> Parameters:
+        return dict(self.taken.get(component, {}))
+
+
 @dataclass(frozen=True, slots=True)
 class Script:
     """How a component takes one kind of command; `takes` None is as the system's other components."""

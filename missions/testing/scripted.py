@@ -8,8 +8,7 @@ from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 
 from kb import UnknownName
-from kb.elements import Parameters
-from missions.engine.components import VERBS, Script, SimulatedComponents, checked_times
+from missions.engine.components import VERBS, NamedComponents, Script, SimulatedComponents, checked_times
 from rosa_bt import RosaAction
 
 LETTERS: Final = {"R": Status.RUNNING, "S": Status.SUCCESS, "F": Status.FAILURE}
@@ -104,30 +103,6 @@ class FakeClock:
         return time
 
 
-class _Names:
-    def __init__(self) -> None:
-        self.active: set[str] = set()
-        self.taken: dict[str, Parameters] = {}
-
-    def check(self, component: str, parameters: Parameters) -> None:
-        pass
-
-    def activate(self, component: str) -> None:
-        self.active.add(component)
-
-    def deactivate(self, component: str) -> None:
-        self.active.discard(component)
-
-    def set_parameters(self, component: str, parameters: Parameters) -> None:
-        self.taken[component] = parameters
-
-    def is_active(self, component: str) -> bool:
-        return component in self.active
-
-    def parameters(self, component: str) -> Parameters:
-        return dict(self.taken.get(component, {}))
-
-
 class ScriptedManaged(SimulatedComponents):
     """A managed system without a robot; see `script` for what can go wrong in it.
 
@@ -137,7 +112,7 @@ class ScriptedManaged(SimulatedComponents):
     """
 
     def __init__(self, clock: FakeClock, takes: float | Mapping[str, float] | None = None) -> None:
-        self._names = _Names()
+        self._names = NamedComponents()
         by_verb = takes if takes is None or isinstance(takes, Mapping) else dict.fromkeys(VERBS, takes)
         super().__init__(clock, self._names, by_verb)
         self.clock = clock

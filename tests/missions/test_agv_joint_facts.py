@@ -49,7 +49,8 @@ parts = st.sampled_from(["kinect", "lidar", "camera", "amcl", "mrpt", "lamp"])
 values = st.sampled_from([0.0, 0.2, 0.5, 1.0, 45.0, 55.0, 75.0])
 events = st.one_of(
     st.tuples(st.sampled_from(["fails", "recovers", "runs", "constrained"]), parts, values),
-    st.tuples(st.just("measured"), st.sampled_from(["heat", "heat", "light", "obstacles"]), values),
+    st.tuples(st.just("measured"), st.sampled_from(["heat", "heat", "obstacles"]), values),
+    st.tuples(st.just("measured"), st.just("light"), st.sampled_from([0.0, 0.2, 0.5, 1.0])),
     st.tuples(st.sampled_from(["estimated", "faster"]), st.just(""), values),
 )
 

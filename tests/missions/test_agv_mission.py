@@ -16,8 +16,7 @@ from missions.agv.building import building_from, load_building
 from missions.agv.joint import JointPlanner, Question
 from missions.agv.model import DRAW_W, agv_model, building_model
 from missions.agv.modes import Modes
-from missions.agv.route import Route
-from missions.agv.tree import Switch
+from missions.agv.tree import Route, Switch
 from missions.agv.world import Settings
 from missions.engine.controller import TASK_KINDS, rosa_run
 from missions.engine.declared import mission_domain
