@@ -23,6 +23,7 @@ from kb.explanation.reasons import why, why_selected
 from kb.knowledge import Knowledge
 from kb.model import Model
 from kb.network import Node
+from kb.notebook import table
 from kb.owl.queries import Answer
 from kb.owl.world import World
 from kb.questions import ELEMENTS, Meant, meant, outline
@@ -143,6 +144,19 @@ class KnowledgeBase:
     def __repr__(self) -> str:
         with self._lock:
             return f"<KnowledgeBase {self.model.name!r}: {outline(self._knowledge.state)}>"
+
+    def _repr_html_(self) -> str:
+        with self._reading as state:
+            rows = [
+                (
+                    node.kind,
+                    node.name,
+                    state.value[node.index] if node.kind == "attribute" else state.status[node.index],
+                    ", ".join(word for word in ("required", "selected", "active") if getattr(state, word)[node.index]),
+                )
+                for node in state.network.present()
+            ]
+            return table(f"{self.model.name}: {outline(state)}", ("kind", "name", "status or value", "and"), rows)
 
     @property
     def now(self) -> float:

@@ -55,6 +55,7 @@ from kb.elements import (
 from kb.exceptions import AmbiguousName, DuplicateName, InvalidValue, ModelError, UnknownName
 from kb.facts import TABLES, Contents, Fact, RequiredFact, SelectedFact, StatusFact, tables_of
 from kb.files import SUFFIXES, ModelFileError, write_text
+from kb.notebook import table as html_table
 from kb.records import check_result
 from kb.status import STATUSES, Status
 
@@ -387,6 +388,12 @@ class Model:
     def __repr__(self) -> str:
         return f"<Model {self.name!r}>"
 
+    def _repr_html_(self) -> str:
+        rows = [
+            (KINDS[type(one)], name, _facts(one)) for table in tables_of(self).values() for name, one in table.items()
+        ]
+        return html_table(f"model {self.name}", ("kind", "name", "what it is"), rows)
+
     def _elements(self, cls: type[ElementT]) -> Elements[ElementT]:
         return Elements(KINDS[cls], self._tables[cls])
 
@@ -587,3 +594,14 @@ def _description(model: Contents) -> object:
 
     everything = [one for table in tables_of(model).values() for one in table.values()]
     return model.name, [contents(one) for one in (*everything, *model.constraints, *model.estimations, *model.facts)]
+
+
+def _facts(element: Element) -> str:
+    """Say what is declared of an element, but for what is as always."""
+    said = []
+    for one in fields(element):
+        value = getattr(element, one.name)
+        if one.name not in ("name", "model", "estimations") and value != one.default and value not in ((), {}):
+            words = ", ".join(map(str, value)) if isinstance(value, tuple) else str(value)
+            said.append(f"{one.name.replace('_', ' ')}: {words}")
+    return "; ".join(said)

@@ -8,6 +8,7 @@ from typing import Any, Final, NamedTuple
 from kb.elements import Parameters
 from kb.exceptions import InvalidValue
 from kb.facts import PlanFact, ProcessFact, RequiredActionFact
+from kb.notebook import table
 
 KEPT_RECORDS: Final = 10_000
 """How many attempts and how many answers are remembered; the newest."""
@@ -99,6 +100,11 @@ class ReconfigurationPlan:
 
     def __repr__(self) -> str:
         return f"<ReconfigurationPlan {self} ({self.result or 'open'})>"
+
+    def _repr_html_(self) -> str:
+        steps = (("stop", self.deactivate), ("start", self.activate), ("configure", self.parameters))
+        rows = [(verb, name) for verb, names in steps for name in names]
+        return table(f"plan {self.number}, {self.result or 'open'}: {self.reason}", ("step", "what"), rows)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,6 +11,7 @@ from py_trees.trees import BehaviourTree
 
 from rosa_bt.behaviours import KbBehaviour, RosaAction, begin_mission, halt
 from rosa_bt.decorators import ForAction
+from rosa_bt.display import svg_tree
 from rosa_bt.exceptions import in_words
 
 Handler = Callable[[BehaviourTree], None]
@@ -195,6 +196,9 @@ class TreeRunner:
         self._ticks = 0
         begin_mission(root)
         self._forget_progress()
+
+    def _repr_svg_(self) -> str:
+        return svg_tree(self.tree.root)
 
     @property
     def due(self) -> float:

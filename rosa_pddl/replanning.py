@@ -4,6 +4,7 @@ import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
+from html import escape
 from math import inf
 from typing import Literal, Protocol
 
@@ -324,6 +325,11 @@ class PlanRecord:
     engine: str
     message: str = ""
     cause: int | None = None
+
+    def _repr_html_(self) -> str:
+        steps = "".join(f"<li>{escape(str(step))}</li>" for step in self.steps)
+        said = f"{self.outcome} by {self.engine}, asked at {self.at_s:g} s: {self.reason} {self.message}"
+        return f"<p>{escape(said)}</p><ol>{steps}</ol>"
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from kb.elements import Configuration, FunctionDesign
 from kb.explanation.reasons import why
 from kb.inference import is_adaptable
 from kb.network import Node
+from kb.notebook import table
 from kb.planners.choice import first_by_priority
 from kb.reconfiguration import reselect
 from kb.state import Overlay, State
@@ -62,6 +63,11 @@ class ChoiceExplanation:
             verb = "is" if self.is_selected else "would be"
             start = f"{self.chosen} {verb} selected for {self.kind} {self.name} because {self.reason}"
         return "; ".join([start, *(f"not {one.name}: {one.reason}" for one in self.alternatives)])
+
+    def _repr_html_(self) -> str:
+        others = [(one.name, one.status, one.priority, one.reason) for one in self.alternatives]
+        title = f"{self.kind} {self.name}: {self.chosen or 'nothing'}, because {self.reason}"
+        return table(title, ("not", "status", "priority", "because"), others)
 
 
 def explain_choice(

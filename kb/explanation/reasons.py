@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from html import escape
 from itertools import chain
 from typing import Final
 
@@ -9,6 +10,7 @@ from kb.elements import Attribute, Constraint, exact
 from kb.explanation.requirements import Remedy, remedies
 from kb.measurements import turning_point
 from kb.network import Node
+from kb.notebook import causes
 from kb.state import Reason, State
 from kb.status import OPERATORS, Status
 
@@ -94,6 +96,9 @@ class Explanation:
     def __str__(self) -> str:
         selected = f"; why it was selected: {self.choice}" if self.choice else ""
         return f"{self.sentence}{self._what_would_help()}{selected}"
+
+    def _repr_html_(self) -> str:
+        return f"{causes(self)}<p>{escape(self._what_would_help().lstrip('; '))}</p>"
 
     def text(self, subject: str) -> str:
         """Return the sentence about the element, called as one likes."""

@@ -106,7 +106,7 @@ class LiveView:
         self._hosts = {f"{name}:{port}" for name in ("127.0.0.1", "localhost", "[::1]", host)}
         shown_host = host if host not in ("0.0.0.0", "::") else socket.gethostname()
         self.url = f"http://{shown_host}:{port}/" + (f"?token={self._token}" if self._token else "")
-        self.recorder = recorder or Recorder(kb, tree, keep=KEEP, what_if=False, **shown)
+        self.recorder = recorder or Recorder(kb, tree, **{"keep": KEEP, "what_if": False, **shown})
         self.recorder.header["live"] = True
         self._rows = self.recorder.rows
         self._pages: dict[_Page, None] = {}

@@ -1,0 +1,74 @@
+"""Models, knowledge bases, trees, plans and explanations show themselves in a notebook, whatever their names are."""
+
+from xml.etree import ElementTree
+
+import pytest
+from test_page import Rover, recorded
+
+from kb import KnowledgeBase, Model
+
+EVIL = "<script>alert('x')</script>"
+
+
+def parsed(shown):
+    """Return all texts of a piece of HTML, which has to be well formed."""
+    return [text for text in ElementTree.fromstring(f"<div>{shown}</div>").itertext() if text.strip()]
+
+
+@pytest.fixture
+def rover():
+    rover = Rover()
+    rover.kb.measure("light", 0.2)
+    rover.kb.measure("energy", 0.1)
+    rover.work(1.0)
+    return rover
+
+
+def test_model_shows_its_elements_with_what_is_declared_of_them(rover):
+    texts = parsed(rover.kb.model._repr_html_())
+    assert "model rover" in texts
+    assert "component: camera; parameters: {'exposure_s': 0.2}; priority: 2" in texts
+
+
+def test_knowledge_base_shows_statuses_and_values(rover):
+    texts = parsed(rover.kb._repr_html_())
+    assert texts[0] == "rover: 1 of 2 actions feasible, required: charge"
+    assert texts[texts.index("explore") + 1] == "unfeasible"
+    assert texts[texts.index("light") + 1] == "0.2"
+
+
+def test_explanation_is_unfolded_down_to_the_facts_and_ends_with_what_would_help(rover):
+    texts = parsed(rover.kb.explain("explore")._repr_html_())
+    assert texts[0].startswith("explore is unfeasible because")
+    assert any(text.startswith("energy 0.1 violates >= 0.2") for text in texts)
+    assert texts[-1] == "it would be feasible with energy >= 0.2"
+
+
+def test_choice_shows_what_was_not_chosen_and_why(rover):
+    texts = parsed(rover.kb.explain_choice(rover.kb.components["camera"])._repr_html_())
+    assert texts[0].startswith("component camera: night, because")
+    assert "day" in texts
+
+
+def test_plans_show_their_steps(rover):
+    texts = parsed(rover.kb.latest_plan._repr_html_())
+    assert {"start", "dock"} <= set(texts)
+    _, run = recorded(task="pddl")
+    texts = parsed(run.plans[0]._repr_html_())
+    assert texts[1].startswith("search_pipeline")
+
+
+def test_tree_shows_itself_as_a_picture(rover):
+    picture = ElementTree.fromstring(rover.runner._repr_svg_())
+    assert any("explore" in (text or "") for text in picture.itertext())
+
+
+def test_names_are_text_and_nothing_else():
+    model = Model(EVIL)
+    component = model.component("camera")
+    component.configuration("day", {"a": EVIL}, priority=1)
+    kb = KnowledgeBase(model, clock=lambda: 0.0)
+    kb.component_failed("camera", EVIL)
+    for one in (model, kb, kb.explain("camera"), kb.explain_choice(kb.components["camera"])):
+        assert "<script>" not in one._repr_html_()
+        assert parsed(one._repr_html_())
