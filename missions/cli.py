@@ -7,6 +7,7 @@ import typer
 from missions.commands import (
     FAILED,
     WRONG_USE,
+    bridge,
     campaign,
     check,
     complain,
@@ -30,6 +31,7 @@ app = typer.Typer(
 app.command("list")(listing.list_missions)
 app.command("settings")(listing.list_settings)
 app.command("run")(run.run)
+app.command("bridge")(bridge.bridge)
 app.command("replay")(recordings.replay)
 app.add_typer(recordings.record, name="record")
 app.command("check")(check.check)

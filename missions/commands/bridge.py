@@ -1,0 +1,129 @@
+"""`rosa bridge`: the knowledge base of a robot in ROS 2, connected by rosbridge, in the time of the wall clock."""
+
+import math
+import time
+from contextlib import closing
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final
+
+import typer
+
+from missions.commands import open_console
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from py_trees.behaviour import Behaviour
+
+    from kb import Model
+    from missions.wires.bridge import BridgeSettings
+    from missions.wires.rosbridge import Node
+
+_TICK_S: Final = 0.1
+
+
+def bridge(
+    robot: Annotated[
+        str, typer.Argument(help="A mission, a model file (.tql, .owl), or module:NAME that makes a model.")
+    ],
+    tree: Annotated[
+        str | None, typer.Option(help="What decides: module:NAME, called with the knowledge base and the percepts.")
+    ] = None,
+    config: Annotated[Path | None, typer.Option(help="bridge.toml: what of the robot is what of the model.")] = None,
+    url: Annotated[str | None, typer.Option(help="The robot's rosbridge, e.g. ws://127.0.0.1:9090.")] = None,
+    attribute: Annotated[
+        list[str] | None, typer.Option(metavar="NAME=/TOPIC.FIELD", help="The field that measures an attribute.")
+    ] = None,
+    serve: Annotated[
+        int | None, typer.Option(metavar="PORT", help="Serve rosbridge here instead of connecting.")
+    ] = None,
+    host: Annotated[str, typer.Option(help="Where to serve; anything but this machine needs a token.")] = "127.0.0.1",
+    token: Annotated[str, typer.Option(envvar="ROSA_TOKEN", help="Given to the other side, or asked of it.")] = "",
+    answer: Annotated[
+        bool, typer.Option("--answer", help="Leave deciding to others, who ask ROSA's services.")
+    ] = False,
+    store: Annotated[Path | None, typer.Option(help="Keep what becomes known in this file.")] = None,
+    seconds: Annotated[float | None, typer.Option(help="Stop after this time; without it, when interrupted.")] = None,
+) -> None:
+    """Manage a robot in ROS 2: hear its diagnostics, switch its nodes, run its tree, answer its ROSA services."""
+    from py_trees.behaviours import Running
+
+    from kb import ConfigurationManager, Event, KnowledgeBase
+    from missions.engine.mission import Percepts
+    from missions.wires.bridge import Bridge
+    from rosa_bt import TreeRunner
+
+    settings, (model, make_tree) = _settings(config, url, attribute or []), _robot(robot, tree, answer)
+    console, percepts = open_console(), Percepts()
+
+    def say(event: Event) -> None:
+        if event.verb != "measure" or event.changes:
+            console.print(event.text, highlight=False, markup=False, soft_wrap=True)
+
+    with closing(KnowledgeBase(model, store=store, clock=time.time)) as kb:
+        kb.subscribe(say)
+        node = _node(settings, serve, host, token)
+        with closing(Bridge(kb, node, settings, percepts)) as connected:
+            node.watch(lambda _, text: console.print(text, highlight=False, markup=False))
+            manager = ConfigurationManager(kb, connected.managed)
+            root = Running("others decide") if make_tree is None else make_tree(kb, percepts)
+            runner = TreeRunner(root, clock=time.time, period=_TICK_S)
+            end = math.inf if seconds is None else time.monotonic() + seconds
+            try:
+                while time.monotonic() < end:
+                    manager.update()
+                    runner.update()
+                    time.sleep(_TICK_S / 2)
+            except KeyboardInterrupt:
+                console.print("stopped by hand")
+            finally:
+                runner.shutdown()
+
+
+def _robot(name: str, tree: str | None, answer: bool) -> "tuple[Model, Callable[..., Behaviour] | None]":
+    """Return the model of a robot, and what makes its tree; None if others decide."""
+    from kb import Model
+    from missions.engine.mission import Mission, MissionError
+    from missions.engine.registry import MISSIONS
+
+    if Path(name).suffix in (".tql", ".owl"):
+        found: object = Model.load(name)
+    else:
+        found = MISSIONS.find(name, f"{', '.join(MISSIONS)}; a robot of your own is a file or module:NAME")
+    make_tree = None if tree is None else MISSIONS.find(tree, "none by that name; write module:NAME")
+    if isinstance(found, Mission):
+        model, make_tree = found.model(), make_tree or found.tree
+    else:
+        made = found() if callable(found) else found
+        if not isinstance(made, Model):
+            raise MissionError(f"{name!r} is no mission, no model and no function that makes one, but {found!r:.80}")
+        model = made
+    if not answer and make_tree is None:
+        raise MissionError(f"what decides for {model.name}? give --tree module:NAME, or --answer to leave it to others")
+    return model, None if answer else make_tree
+
+
+def _settings(config: Path | None, url: str | None, attributes: list[str]) -> "BridgeSettings":
+    from dataclasses import replace
+
+    from missions.engine.mission import MissionError
+    from missions.wires.bridge import BridgeSettings
+
+    settings = BridgeSettings() if config is None else BridgeSettings.load(config)
+    given = {}
+    for text in attributes:
+        name, equals, place = text.partition("=")
+        if not equals or not name or not place:
+            raise MissionError(f"--attribute takes NAME=/TOPIC.FIELD, not {text!r}")
+        given[name] = place
+    return replace(settings, url=url or settings.url, attributes={**settings.attributes, **given})
+
+
+def _node(settings: "BridgeSettings", serve: int | None, host: str, token: str) -> "Node":
+    if serve is None:
+        from missions.wires.rosbridge import Rosbridge
+
+        return Rosbridge(settings.url, token)
+    from missions.wires.rosbridge_server import RosbridgeServer
+
+    return RosbridgeServer(serve, host, token)

@@ -1,0 +1,299 @@
+"""ROSA's own services: what the original's node `rosa_kb` answers, so that trees and planners elsewhere ask us."""
+
+from collections.abc import Callable, Iterable, Mapping
+from datetime import UTC, datetime
+from typing import Any, Final
+
+from kb import KnowledgeBase, KnowledgeBaseError, ReconfigurationPlan
+from kb.records import Process
+from missions.wires.rosbridge import Message, Node, RosError
+
+BY_TYPE: Final = (
+    (bool, 1, "bool_value"),
+    (int, 2, "integer_value"),
+    (float, 3, "double_value"),
+    (str, 4, "string_value"),
+)
+"""Types of a parameter in rcl_interfaces/ParameterValue; an array of one has the type 5 more."""
+
+
+class RosaServices:
+    """Serves ROSA's table of services under `/rosa_kb/` with a knowledge base; requests go through its gate.
+
+    What has a text from the original's own types keeps its name; times are ISO 8601, of the knowledge base's clock.
+
+    Args:
+        kb: which is asked and told.
+        node: that serves.
+    """
+
+    def __init__(self, kb: KnowledgeBase, node: Node) -> None:
+        self._kb = kb
+        table: Mapping[str, tuple[str, Callable[[Message], Message]]] = {
+            "action/request": ("ActionQuery", self._request),
+            "action/insert": ("ActionQuery", lambda one: self._insert("action", one)),
+            "action/exists": ("ActionQuery", self._action_exists),
+            "action/selectable": ("ActionQueryArray", self._selectable_actions),
+            "function/adaptable": (
+                "AdaptableFunctions",
+                lambda _: {"functions": self._functions(kb.adaptable_functions())},
+            ),
+            "function/insert": ("FunctionQuery", lambda one: self._insert("function", one)),
+            "component/adaptable": ("AdaptableComponents", self._adaptable_components),
+            "component/insert": ("ComponentQuery", lambda one: self._insert("component", one)),
+            "component/active/set": ("ComponentQuery", self._set_active),
+            "component/active/get": (
+                "ComponentQuery",
+                lambda one: {"component": self._component(_name(one, "component"))},
+            ),
+            "component_parameters/get": ("GetComponentParameters", self._parameters),
+            "function_designs/selectable": ("SelectableFunctionDesigns", self._selectable_designs),
+            "function_designs/priority": ("GetFunctionDesignPriority", self._design_priorities),
+            "component_configuration/selectable": (
+                "SelectableComponentConfigurations",
+                self._selectable_configurations,
+            ),
+            "component_configuration/priority": ("GetComponentConfigurationPriority", self._configuration_priorities),
+            "select_configuration": ("SelectedConfigurations", self._select),
+            "reconfiguration_plan/get": ("ReconfigurationPlanQuery", self._plan),
+            "reconfiguration_plan/get_latest": ("ReconfigurationPlanQuery", self._latest_plan),
+            "reconfiguration_plan/result/set": ("ReconfigurationPlanQuery", self._set_result),
+            "component_process/insert": ("ComponentProcessQuery", self._started),
+            "component_process/end/set": ("ComponentProcessQuery", self._ended),
+            "component_process/get_active": ("ComponentProcessQueryArray", self._active_processes),
+            "function_design/insert": ("FunctionDesignQuery", self._insert_design),
+            "functional_requirement/insert": ("FunctionalRequirementQuery", self._insert_requirement),
+            "query": ("Query", self._query),
+        }
+        for name, (kind, answer) in table.items():
+            package = "ros_typedb_msgs" if kind == "Query" else "rosa_msgs"
+            node.serve(f"/rosa_kb/{name}", f"{package}/srv/{kind}", _answering(answer))
+
+    # ---------------------------------------------------------------- actions
+
+    def _request(self, one: Message) -> Message:
+        """Request an action, or cancel it where `is_required` is false, as the original's tree does."""
+        name = _name(one, "action")
+        if not one["action"].get("is_required"):
+            self._kb.cancel_action(name)
+        elif not (reply := self._kb.request_action(name, preference=str(one.get("preference") or "") or None)):
+            raise RosError(reply.reason)
+        return {"action": self._action(name)}
+
+    def _action_exists(self, one: Message) -> Message:
+        name = _name(one, "action")
+        if name not in self._kb.actions:
+            raise RosError(f"there is no action {name!r}; there are {', '.join(self._kb.actions)}")
+        return {"action": self._action(name)}
+
+    def _selectable_actions(self, one: Message) -> Message:
+        asked = [_name({"action": action}, "action") for action in one.get("actions") or ()]
+        names = [name for name in self._kb.selectable_actions() if name in asked or not asked]
+        return {"actions": [self._action(name) for name in names]}
+
+    # ---------------------------------------------------------------- what can be selected
+
+    def _adaptable_components(self, one: Message) -> Message:
+        names = self._kb.adaptable_components(tuple(map(str, one.get("selected_fds") or ())))
+        return {"components": [self._component(name) for name in names]}
+
+    def _selectable_designs(self, one: Message) -> Message:
+        return {"fds": list(map(self._design, self._kb.selectable_designs(_name(one, "function"))))}
+
+    def _design_priorities(self, one: Message) -> Message:
+        return {"fds": [self._design(_name({"fd": fd}, "fd")) for fd in one.get("fds") or ()]}
+
+    def _selectable_configurations(self, one: Message) -> Message:
+        names = self._kb.selectable_configurations(_name(one, "component"))
+        return {"c_configs": list(map(self._configuration, names))}
+
+    def _configuration_priorities(self, one: Message) -> Message:
+        return {"c_configs": [self._configuration(_name({"c": c}, "c")) for c in one.get("c_configs") or ()]}
+
+    def _select(self, one: Message) -> Message:
+        designs = [_name({"fd": fd}, "fd") for fd in one.get("selected_fds") or ()]
+        configurations = [_name({"c": c}, "c") for c in one.get("selected_component_configs") or ()]
+        self._kb.select(
+            designs={self._kb.designs[name].function: name for name in designs},
+            configurations={self._kb.configurations[name].component: name for name in configurations},
+        )
+        return {}
+
+    # ---------------------------------------------------------------- plans, components, processes
+
+    def _plan(self, one: Message) -> Message:
+        return {"reconfig_plan": self._plan_message(self._meant_plan(one))}
+
+    def _latest_plan(self, _: Message) -> Message:
+        latest = self._kb.latest_plan
+        if latest is None:
+            raise RosError("there is no reconfiguration plan yet")
+        return {"reconfig_plan": self._plan_message(latest)}
+
+    def _set_result(self, one: Message) -> Message:
+        plan = self._meant_plan(one)
+        self._kb.finish_plan(plan, str(one["reconfig_plan"].get("result")))
+        return {"reconfig_plan": self._plan_message(self._meant_plan(one))}
+
+    def _meant_plan(self, one: Message) -> ReconfigurationPlan:
+        start = str(_part(one, "reconfig_plan").get("start_time"))
+        found = [plan for plan in self._kb.plans if iso(plan.start) == start]
+        if not found:
+            latest = ", ".join(iso(plan.start) for plan in self._kb.plans[-3:]) or "none"
+            raise RosError(f"no reconfiguration plan has start_time {start!r}; the latest: {latest}")
+        return found[-1]
+
+    def _set_active(self, one: Message) -> Message:
+        name = _name(one, "component")
+        self._kb.component_active(name, bool(one["component"].get("is_active")))
+        return {"component": self._component(name)}
+
+    def _parameters(self, one: Message) -> Message:
+        view = self._kb.configurations[_name(one, "c_config")]
+        return {"component": self._component(view.component), "parameters": parameter_messages(view.parameters)}
+
+    def _started(self, one: Message) -> Message:
+        given = _part(one, "component_process")
+        return {
+            "component_process": self._process(
+                self._kb.component_started(_name(given, "component"), given.get("pid", 0))
+            )
+        }
+
+    def _ended(self, one: Message) -> Message:
+        given = _part(one, "component_process")
+        self._kb.component_ended(_name(given, "component"), given.get("pid") or None)
+        return {"component_process": given}
+
+    def _active_processes(self, _: Message) -> Message:
+        return {"component_process": [self._process(one) for one in self._kb.processes if one.end is None]}
+
+    # ---------------------------------------------------------------- the model
+
+    def _insert(self, kind: str, one: Message) -> Message:
+        name, model = _name(one, kind), self._kb.model
+        if name not in getattr(self._kb, f"{kind}s"):
+            getattr(model, kind)(name)
+        return {kind: getattr(self, f"_{kind}")(name)}
+
+    def _insert_design(self, one: Message) -> Message:
+        given = _part(one, "function_design")
+        function, name = self._kb.model.functions[_name(given, "function")], _name(one, "function_design")
+        components = [self._kb.model.components[str(c.get("name"))] for c in given.get("required_components") or ()]
+        if name not in self._kb.designs:
+            function.design(name, components, priority=given.get("priority", 1.0))
+        return {"function_design": self._design(name)}
+
+    def _insert_requirement(self, one: Message) -> Message:
+        given = _part(one, "functional_requirement")
+        action = self._kb.model.actions[_name(given, "action")]
+        wanted = [self._kb.model.functions[str(f.get("name"))] for f in given.get("required_functions") or ()]
+        there = self._kb.actions[action.name].functions
+        functions = [*(self._kb.model.functions[name] for name in there), *(f for f in wanted if f.name not in there)]
+        self._kb.model.change(action, functions=functions)
+        return {"functional_requirement": given}
+
+    def _query(self, one: Message) -> Message:
+        asked = str(one.get("query", ""))[:60]
+        raise RosError(
+            f"TypeQL is not answered here, as {asked!r}; ask by the other services, or in SPARQL by kb.query"
+        )
+
+    # ---------------------------------------------------------------- in messages
+
+    def _action(self, name: str) -> Message:
+        view = self._kb.actions[name]
+        return {"name": name, "status": str(view.status), "is_required": view.is_required}
+
+    def _functions(self, names: Iterable[str]) -> list[Message]:
+        return [self._function(name) for name in names]
+
+    def _function(self, name: str) -> Message:
+        return {"name": name, "status": str(self._kb.functions[name].status)}
+
+    def _component(self, name: str) -> Message:
+        view = self._kb.components[name]
+        told: Message = {
+            "name": name,
+            "status": str(view.status),
+            "package": view.package,
+            "executable": view.executable,
+        }
+        told |= {"node_type": str(view.kind), "is_active": view.is_active, "always_improve": view.always_improve}
+        return {**told, "parameters": parameter_messages(view.parameters_in_force)}
+
+    def _design(self, name: str) -> Message:
+        view = self._kb.designs[name]
+        told = {"name": name, "status": str(view.status), "priority": float(view.priority or 0.0)}
+        return {
+            **told,
+            "function": self._function(view.function),
+            "required_components": [self._component(one) for one in view.components],
+        }
+
+    def _configuration(self, name: str) -> Message:
+        view = self._kb.configurations[name]
+        told = {"name": name, "status": str(view.status), "priority": float(view.priority or 0.0)}
+        return {**told, "component": self._component(view.component)}
+
+    def _plan_message(self, plan: ReconfigurationPlan) -> Message:
+        return {
+            **{"start_time": iso(plan.start), "end_time": "" if plan.end is None else iso(plan.end)},
+            "result": plan.result or "",
+            "components_activate": [self._component(name) for name in plan.activate],
+            "components_deactivate": [self._component(name) for name in plan.deactivate],
+            "component_configurations": [self._configuration(name) for name in plan.parameters],
+        }
+
+    def _process(self, one: Process) -> Message:
+        end = "" if one.end is None else iso(one.end)
+        return {
+            "pid": one.pid,
+            "start_time": iso(one.start),
+            "end_time": end,
+            "component": self._component(one.component),
+        }
+
+
+def iso(time_s: float) -> str:
+    """Return a time [s since 1970] as ISO 8601, to the millisecond."""
+    return datetime.fromtimestamp(time_s, UTC).replace(tzinfo=None).isoformat(timespec="milliseconds")
+
+
+def parameter_messages(parameters: Mapping[str, Any]) -> list[Message]:
+    """Return parameters as rcl_interfaces/Parameter."""
+    return [{"name": name, "value": _value_message(value)} for name, value in parameters.items()]
+
+
+def _value_message(value: Any) -> Message:  # noqa: ANN401  # of a parameter
+    one = value[0] if isinstance(value, list) and value else 0.0 if isinstance(value, list) else value
+    code, field = next((code, field) for kind, code, field in BY_TYPE if isinstance(one, kind))
+    if isinstance(value, list):
+        return {"type": code + 5, f"{field.removesuffix('_value')}_array_value": value}
+    return {"type": code, field: value}
+
+
+def _answering(answer: Callable[[Message], Message]) -> Callable[[Message], Message]:
+    """Have each answer say `success`; what is refused says why in `reason`, and its fields are empty."""
+
+    def answered(request: Message) -> Message:
+        try:
+            return {**answer(request), "success": True}
+        except (KnowledgeBaseError, RosError) as error:
+            return {"success": False, "reason": str(error)}
+
+    return answered
+
+
+def _part(one: Message, key: str) -> Message:
+    part = one.get(key)
+    if not isinstance(part, dict):
+        raise RosError(f"the request has a field {key!r}, an object; given are {', '.join(one) or 'none'}")
+    return part
+
+
+def _name(one: Message, key: str) -> str:
+    name = _part(one, key).get("name")
+    if not isinstance(name, str) or not name:
+        raise RosError(f"{key} has a field 'name', a text")
+    return name

@@ -1,0 +1,320 @@
+"""ROS 2 by rosbridge (protocol v2: JSON over WebSocket): a node on a robot's rosbridge.
+
+It and the server are a `Node`: messages are dicts in the shape of ROS 2's JSON. Nothing here waits for the network:
+what is heard is handed on in the thread of its connection, what is sent goes through a queue with an end.
+"""
+
+import json
+import logging
+import math
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future
+from contextlib import suppress
+from itertools import count
+from threading import Condition, Event, Lock, Thread
+from typing import Any, Final, Protocol
+from urllib.parse import urlsplit
+
+from missions.engine.mission import MissionError
+from missions.extras import needs
+
+Message = dict[str, Any]
+Heard = Callable[[Message], object]
+Answer = Callable[[Message], Message]
+
+PORT: Final = 9090
+LARGEST: Final = 2**20
+"""Of a message [bytes]."""
+_QUEUED: Final = 10_000
+_FIRST_WAIT_S, _LONGEST_WAIT_S = 0.25, 8.0
+LOOPBACK: Final = ("127.0.0.1", "localhost", "::1")
+_log = logging.getLogger(__name__)
+
+
+class RosError(Exception):
+    """A call has failed, or a request is refused; the text says why."""
+
+
+class Node(Protocol):
+    """What talks ROS 2: by rosbridge, by rclpy or by DDS. Types are named as ROS 2 does, e.g. "std_msgs/msg/String"."""
+
+    def subscribe(self, topic: str, kind: str, heard: Heard) -> None:
+        """Have a function called with each message of a topic."""
+
+    def publish(self, topic: str, kind: str, message: Message) -> None:
+        """Publish a message."""
+
+    def call(self, service: str, kind: str, request: Message) -> "Future[Message]":
+        """Call a service; the future ends with the answer, or with `RosError`."""
+
+    def serve(self, service: str, kind: str, answer: Answer) -> None:
+        """Answer the calls of a service; a `RosError` refuses one."""
+
+    def watch(self, changed: Callable[[bool, str], object]) -> None:
+        """Have a function called with whether there is a connection, and a sentence, when that changes."""
+
+    def close(self) -> None:
+        """Let go of everything."""
+
+
+def plain(value: object) -> object:
+    """Return a value as rosbridge writes it: NaN and infinities are null."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if isinstance(value, Mapping):
+        return {key: plain(one) for key, one in value.items()}
+    return [plain(one) for one in value] if isinstance(value, list | tuple) else value
+
+
+class Peer:
+    """One connection: sends in a thread of its own, so that a peer that is slow or gone holds up nobody."""
+
+    def __init__(self, socket: Any) -> None:  # noqa: ANN401  # websockets is imported late
+        self.socket = socket
+        self.dropped = 0
+        self._queue: deque[str] = deque()
+        self._news, self._is_closed = Condition(), False
+        self._thread = Thread(target=self._send_all, name="rosbridge-send", daemon=True)
+        self._thread.start()
+
+    def send(self, message: Message) -> None:
+        with self._news:
+            if len(self._queue) >= _QUEUED:
+                self._queue.popleft()
+                self.dropped += 1
+            self._queue.append(json.dumps(plain(message)))
+            self._news.notify()
+
+    def close(self) -> None:
+        with self._news:
+            self._is_closed = True
+            self._news.notify()
+        with suppress(Exception):  # it may be gone
+            self.socket.close()
+
+    def _send_all(self) -> None:
+        while True:
+            with self._news:
+                self._news.wait_for(lambda: self._queue or self._is_closed)
+                if self._is_closed:
+                    return
+                text = self._queue.popleft()
+            try:
+                self.socket.send(text)
+            except Exception:  # the one that reads finds out too, and ends it
+                return
+
+
+class Rosbridge:
+    """A node on a robot's rosbridge; connects again by itself, at longer and longer intervals up to 8 s.
+
+    Args:
+        url: e.g. "ws://127.0.0.1:9090"; `wss://` for an encrypted one.
+        token: sent as `Authorization: Bearer`, where the other side asks for one.
+
+    Attributes:
+        refused: how many messages made no sense, by what was wrong.
+
+    Raises:
+        MissionError: the extra `ros2` is missing, or this is no address.
+    """
+
+    def __init__(self, url: str, token: str = "") -> None:
+        with needs("ros2", "rosbridge"):
+            import websockets.sync.client as client
+        if urlsplit(url).scheme not in ("ws", "wss") or not urlsplit(url).hostname:
+            raise MissionError(f"{url!r} is no address of a rosbridge; write ws://HOST:{PORT}")
+        self.refused: Counter[str] = Counter()
+        self._connect = client.connect
+        self._url, self._headers = url, {"Authorization": f"Bearer {token}"} if token else {}
+        self._lock, self._ids, self._closing = Lock(), count(1), Event()
+        self._peer: Peer | None = None
+        self._subscribed: dict[str, tuple[str, list[Heard]]] = {}
+        self._advertised: dict[str, str] = {}
+        self._served: dict[str, tuple[str, Answer]] = {}
+        self._open: dict[str, Future[Message]] = {}
+        self._unsent: deque[Message] = deque(maxlen=_QUEUED)
+        self._watching: list[Callable[[bool, str], object]] = []
+        self._thread = Thread(target=self._run, name="rosbridge", daemon=True)
+        self._thread.start()
+
+    @property
+    def is_connected(self) -> bool:
+        return self._peer is not None
+
+    def subscribe(self, topic: str, kind: str, heard: Heard) -> None:
+        with self._lock:
+            self._subscribed.setdefault(topic, (kind, []))[1].append(heard)
+            self._send({"op": "subscribe", "topic": topic, "type": kind})
+
+    def publish(self, topic: str, kind: str, message: Message) -> None:
+        """Publish a message; without a connection the last 10,000 are kept until there is one."""
+        made = {"op": "publish", "topic": topic, "msg": message}
+        with self._lock:
+            if topic not in self._advertised:
+                self._advertised[topic] = kind
+                self._send({"op": "advertise", "topic": topic, "type": kind})
+            if not self._send(made):
+                self._unsent.append(made)
+
+    def call(self, service: str, kind: str, request: Message) -> "Future[Message]":
+        future: Future[Message] = Future()
+        number = f"call_service:{next(self._ids)}"
+        made = {"op": "call_service", "id": number, "service": service, "type": kind, "args": request}
+        with self._lock:
+            is_sent = self._send(made)
+            if is_sent:
+                self._open[number] = future
+        if not is_sent:
+            future.set_exception(RosError(f"{service} cannot be called: there is no connection to {self._url}"))
+        return future
+
+    def serve(self, service: str, kind: str, answer: Answer) -> None:
+        with self._lock:
+            self._served[service] = kind, answer
+            self._send({"op": "advertise_service", "service": service, "type": kind})
+
+    def watch(self, changed: Callable[[bool, str], object]) -> None:
+        self._watching.append(changed)
+        if self.is_connected:
+            changed(True, f"connected to {self._url}")
+
+    def close(self) -> None:
+        self._closing.set()
+        if self._peer is not None:
+            self._peer.close()
+        self._thread.join()
+
+    def _send(self, message: Message) -> bool:
+        peer = self._peer
+        if peer is not None:
+            peer.send(message)
+        return peer is not None
+
+    def _run(self) -> None:
+        wait_s, self._away_since, last = _FIRST_WAIT_S, time.monotonic(), ""
+        while not self._closing.is_set():
+            try:
+                with self._connect(
+                    self._url, additional_headers=self._headers, max_size=LARGEST, open_timeout=5, close_timeout=1
+                ) as socket:
+                    wait_s, last = _FIRST_WAIT_S, ""
+                    self._talk(socket)
+            except Exception as error:  # refused, unknown, no WebSocket, wrong token: all are tried again
+                if str(error) != last:
+                    last = str(error)
+                    self._tell(False, f"no connection to {self._url}: {last}")
+                self._closing.wait(wait_s)
+                wait_s = min(2 * wait_s, _LONGEST_WAIT_S)
+
+    def _talk(self, socket: Any) -> None:  # noqa: ANN401  # websockets is imported late
+        self._begin(Peer(socket), time.monotonic() - self._away_since)
+        try:
+            why = self._hear(socket)
+        finally:
+            self._away_since = time.monotonic()
+        self._end(f"the connection to {self._url} has ended{why}")
+
+    def _begin(self, peer: Peer, away_s: float) -> None:
+        with self._lock:
+            for topic, (kind, _) in self._subscribed.items():
+                peer.send({"op": "subscribe", "topic": topic, "type": kind})
+            for topic, kind in self._advertised.items():
+                peer.send({"op": "advertise", "topic": topic, "type": kind})
+            for service, (kind, _) in self._served.items():
+                peer.send({"op": "advertise_service", "service": service, "type": kind})
+            late = len(self._unsent)
+            while self._unsent:
+                peer.send(self._unsent.popleft())
+            self._peer = peer
+        missed = f" after {away_s:.1f} s; what was published there meanwhile is missed, {late} of ours are sent now"
+        self._tell(True, f"connected to {self._url}{missed}")
+
+    def _hear(self, socket: Any) -> str:  # noqa: ANN401  # websockets is imported late
+        try:
+            for text in socket:
+                self._take(text)
+        except Exception as error:  # also one that was cut
+            return f": {error}"
+        return ""
+
+    def _end(self, why: str) -> None:
+        with self._lock:
+            peer, self._peer = self._peer, None
+            failed, self._open = self._open, {}
+        if peer is not None:
+            peer.close()
+        for future in failed.values():
+            future.set_exception(RosError(why))
+        if not self._closing.is_set():
+            self._tell(False, why)
+
+    def _take(self, text: str | bytes) -> None:
+        try:
+            message = read(text)
+            if message["op"] == "publish":
+                for heard in self._subscribed[text_of(message, "topic")][1]:
+                    heard(dict_of(message, "msg"))
+            elif message["op"] == "service_response":
+                future = self._open.pop(text_of(message, "id"), None)
+                if future is not None:
+                    finish(future, message)
+            elif message["op"] == "call_service":
+                _, answer = self._served[text_of(message, "service")]
+                self._send(answered(answer, message))
+            elif message["op"] == "status" and message.get("level") in ("error", "warning"):
+                _log.warning("%s says: %s", self._url, message.get("msg"))
+        except NONSENSE as error:
+            self.refused[f"{type(error).__name__}: {error}"[:200]] += 1
+
+    def _tell(self, is_connected: bool, text: str) -> None:
+        for changed in self._watching:
+            changed(is_connected, text)
+
+
+NONSENSE: Final = (ValueError, LookupError, TypeError, AttributeError, RecursionError)
+"""What a message raises that is none; nothing has been done by then."""
+
+
+def read(text: str | bytes) -> Message:
+    if isinstance(text, bytes):
+        raise ValueError("binary messages are not taken; send JSON (compression none)")
+    message = json.loads(text)
+    if not isinstance(message, dict) or not isinstance(message.get("op"), str):
+        raise ValueError('a message is an object with a text "op"')
+    return message
+
+
+def text_of(message: Message, key: str) -> str:
+    value = message.get(key)
+    if not isinstance(value, str) or not value:
+        raise ValueError(f'{message["op"]} has a text "{key}"')
+    return value
+
+
+def dict_of(message: Message, key: str) -> Message:
+    value = message.get(key, {})
+    if not isinstance(value, dict):
+        raise ValueError(f'"{key}" of {message["op"]} is an object')
+    return value
+
+
+def finish(future: "Future[Message]", message: Message) -> None:
+    values = message.get("values")
+    if message.get("result", True) and isinstance(values, dict):
+        future.set_result(values)
+    else:
+        future.set_exception(RosError(f"{message.get('service', 'the service')} failed: {values}"))
+
+
+def answered(answer: Answer, message: Message) -> Message:
+    made = {"op": "service_response", "id": message.get("id"), "service": message["service"]}
+    try:
+        return {**made, "values": answer(dict_of(message, "args")), "result": True}
+    except RosError as error:
+        return {**made, "values": str(error), "result": False}
+    except Exception as error:  # ours is not the caller's to suffer
+        _log.exception("%s could not be answered", message["service"])
+        return {**made, "values": f"{type(error).__name__}: {error}", "result": False}

@@ -1,0 +1,330 @@
+"""A robot in ROS 2 by rosbridge: a simulated one, served by us, and clients that are not ours."""
+
+import json
+import random
+import time
+from contextlib import contextmanager, suppress
+
+import pytest
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import connect
+
+from kb import ConfigurationManager, KnowledgeBase, Model
+from missions.engine.mission import MissionError
+from missions.wires.bridge import Bridge, BridgeSettings
+from missions.wires.rosbridge import Rosbridge, RosError
+from missions.wires.rosbridge_server import RosbridgeServer
+
+SETTINGS = BridgeSettings(attributes={"energy": "/battery_state.percentage sensor_msgs/msg/BatteryState"})
+
+
+def rover():
+    model = Model("rover")
+    energy = model.quality_attribute("energy")
+    look = model.function("look")
+    camera = model.component("camera", kind="lifecycle")
+    camera.configuration("sharp", {"width": 1280, "gain": 0.5, "mode": "day", "hdr": True}, priority=1)
+    look.design("by_camera", [camera], priority=1)
+    look.design("by_radar", [model.component("radar", kind="lifecycle")], priority=2)
+    model.action("explore", requires=[look], constraints=[energy >= 0.2])
+    model.action("charge")
+    return model
+
+
+class Robot:
+    """The ROS 2 side: lifecycle nodes that answer as rclcpp's do, on a rosbridge."""
+
+    def __init__(self, port=0, **given):
+        self.server = RosbridgeServer(port, **given)
+        self.states = {"camera": 1, "radar": 1}
+        self.parameters, self.calls, self.broken = {}, [], set()
+        for name in self.states:
+            self.server.serve(f"/{name}/get_state", "lifecycle_msgs/srv/GetState", lambda _, n=name: self.state(n))
+            self.server.serve(f"/{name}/change_state", "x", lambda one, n=name: self.change(n, one))
+            self.server.serve(f"/{name}/set_parameters_atomically", "x", lambda one, n=name: self.set(n, one))
+
+    @property
+    def url(self):
+        return f"ws://127.0.0.1:{self.server.port}"
+
+    def state(self, name):
+        return {"current_state": {"id": self.states[name], "label": ""}}
+
+    def change(self, name, request):
+        transition = request["transition"]["id"]
+        self.calls.append((name, transition))
+        goal = {(1, 1): 2, (2, 3): 3, (3, 4): 2}.get((self.states[name], transition))
+        if goal is None or name in self.broken:
+            return {"success": False}
+        self.states[name] = goal
+        return {"success": True}
+
+    def set(self, name, request):
+        self.parameters[name] = {one["name"]: one["value"] for one in request["parameters"]}
+        return {"result": {"successful": True, "reason": ""}}
+
+    def measure(self, value):
+        self.server.publish("/battery_state", "sensor_msgs/msg/BatteryState", {"percentage": value, "cells": []})
+
+    def diagnose(self, **values):
+        pairs = [{"key": key, "value": str(value)} for key, value in values.items()]
+        status = {"level": 0, "name": "robot", "message": "QA status", "hardware_id": "", "values": pairs}
+        self.server.publish("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", {"header": {}, "status": [status]})
+
+
+def until(holds, *, seconds=20.0, turn=lambda: None):
+    end = time.monotonic() + seconds
+    while not holds():
+        assert time.monotonic() < end, "it never came true"
+        turn()
+        time.sleep(0.005)
+
+
+@contextmanager
+def bridged(robot, settings=SETTINGS):
+    kb = KnowledgeBase(rover(), clock=time.monotonic)
+    node = Rosbridge(robot.url)
+    bridge = Bridge(kb, node, settings)
+    try:
+        until(lambda: node.is_connected)
+        yield kb, bridge
+    finally:
+        bridge.close()
+
+
+@pytest.fixture
+def robot():
+    made = Robot()
+    yield made
+    made.server.close()
+
+
+def test_battery_drop_and_failed_node_are_answered(robot):
+    with bridged(robot) as (kb, bridge):
+        manager = ConfigurationManager(kb, bridge.managed)
+        until(lambda: kb.attributes["energy"].value == 0.9, turn=lambda: robot.measure(0.9))
+        kb.request_action("explore")
+        until(lambda: kb.components["camera"].is_active, turn=manager.update)
+        assert robot.states == {"camera": 3, "radar": 1}
+        assert robot.parameters["camera"] == {
+            "width": {"type": 2, "integer_value": 1280},
+            "gain": {"type": 3, "double_value": 0.5},
+            "mode": {"type": 4, "string_value": "day"},
+            "hdr": {"type": 1, "bool_value": True},
+        }
+        kb.component_failed("camera")
+        until(lambda: robot.states == {"camera": 2, "radar": 3}, turn=manager.update)
+        robot.measure(0.1)
+        until(lambda: not kb.is_feasible("explore"))
+        robot.diagnose(energy=0.8)
+        until(lambda: kb.is_feasible("explore"))
+
+
+def test_node_that_refuses_is_tried_again_and_then_done_without(robot):
+    robot.broken.add("camera")
+    with bridged(robot) as (kb, bridge):
+        manager = ConfigurationManager(kb, bridge.managed)
+        until(lambda: kb.attributes["energy"].value == 0.9, turn=lambda: robot.measure(0.9))
+        kb.request_action("explore")
+        until(lambda: robot.states["radar"] == 3, turn=manager.update)
+        assert robot.calls.count(("camera", 1)) == 3
+        assert "refuses the transition" in str(kb.explain("camera"))
+
+
+def test_node_that_stops_by_itself_is_noticed(robot):
+    with bridged(robot) as (kb, bridge):
+        manager = ConfigurationManager(kb, bridge.managed)
+        until(lambda: kb.attributes["energy"].value == 0.9, turn=lambda: robot.measure(0.9))
+        kb.request_action("explore")
+        until(lambda: kb.components["camera"].is_active and kb.pending_plan is None, turn=manager.update)
+        robot.states["camera"] = 2
+        robot.server.publish("/camera/transition_event", "x", {"goal_state": {"id": 2, "label": "inactive"}})
+        until(lambda: robot.states["radar"] == 3, turn=manager.update)
+
+
+def test_lost_connection_comes_back_and_what_was_decided_meanwhile_is_told(robot):
+    with bridged(robot) as (kb, _):
+        until(lambda: kb.attributes["energy"].value == 0.9, turn=lambda: robot.measure(0.9))
+        (enough,) = kb.actions["explore"].constraints
+        until(lambda: enough.status == "satisfied")
+        robot.server.close()
+        kb.request_action("charge")  # said when it is there again
+        again = Robot(robot.server.port)
+        heard = []
+        again.server.subscribe("/rosa_kb/events", "std_msgs/msg/String", heard.append)
+        try:
+            until(lambda: enough.status == "satisfied", turn=lambda: again.measure(0.9))
+            until(lambda: {"data": "action_update"} in heard)
+            assert heard.count({"data": "action_update"}) == 1
+        finally:
+            again.server.close()
+
+
+def test_originals_services_are_served(robot):
+    with bridged(robot) as (kb, _):
+        until(lambda: kb.attributes["energy"].value == 0.9, turn=lambda: robot.measure(0.9))
+
+        def call(service, **request):
+            return robot.server.call(f"/rosa_kb/{service}", "", request).result(20)
+
+        until(lambda: "/rosa_kb/action/request" in robot.server.call("/rosapi/services", "", {}).result(20)["services"])
+        assert {one["name"] for one in call("action/selectable", actions=[])["actions"]} == {"explore", "charge"}
+        asked = call("action/request", action={"name": "explore", "is_required": True}, preference="")
+        assert asked["action"] == {"name": "explore", "status": "unsolved", "is_required": True}
+        assert [one["name"] for one in call("function/adaptable")["functions"]] == ["look"]
+        designs = call("function_designs/selectable", function={"name": "look"})["fds"]
+        assert [one["name"] for one in designs] == ["by_camera", "by_radar"]
+        priorities = call("function_designs/priority", fds=designs)["fds"]
+        assert [one["priority"] for one in priorities] == [1.0, 2.0]
+        components = call("component/adaptable", selected_fds=["by_camera"])["components"]
+        assert [one["name"] for one in components] == ["camera"]
+        found = call("component_configuration/selectable", component={"name": "camera"})["c_configs"]
+        assert [one["name"] for one in found] == ["sharp"]
+        selected = call("select_configuration", selected_fds=designs[:1], selected_component_configs=found)
+        assert selected == {"success": True}
+        plan = call("reconfiguration_plan/get_latest")["reconfig_plan"]
+        assert [one["name"] for one in plan["components_activate"]] == ["camera"]
+        values = call("component_parameters/get", c_config={"name": "sharp"})["parameters"]
+        assert values[0] == {"name": "width", "value": {"type": 2, "integer_value": 1280}}
+        done = call("reconfiguration_plan/result/set", reconfig_plan={**plan, "result": "completed"})
+        assert (done["success"], done["reconfig_plan"]["result"]) == (True, "completed")
+        assert call("reconfiguration_plan/get", reconfig_plan=plan)["success"]
+        process = {"pid": 4711, "component": {"name": "camera"}}
+        assert call("component_process/insert", component_process=process)["success"]
+        assert [one["pid"] for one in call("component_process/get_active")["component_process"]] == [4711]
+        assert call("component_process/end/set", component_process=process)["success"]
+        assert not call("component_process/get_active")["component_process"]
+        call("action/request", action={"name": "explore", "is_required": False})
+        assert not kb.required_actions
+        refused = call("action/request", action={"name": "exlpore", "is_required": True})
+        assert not refused["success"]
+        assert "explore" in refused["reason"]
+        assert call("action/insert", action={"name": "wave"})["success"]
+        assert call("action/exists", action={"name": "wave"})["action"]["name"] == "wave"
+        assert not call("query", query="match $a isa Action; get $a;")["success"]
+
+
+def test_events_are_published_as_the_original_compares_them(robot):
+    heard, said = [], []
+    robot.server.subscribe("/rosa_kb/events", "std_msgs/msg/String", lambda one: heard.append(one["data"]))
+    robot.server.subscribe("/rosa/log", "rcl_interfaces/msg/Log", lambda one: said.append(one["msg"]))
+    with bridged(robot) as (kb, bridge):
+        manager = ConfigurationManager(kb, bridge.managed)
+        until(lambda: kb.attributes["energy"].value == 0.9, turn=lambda: robot.measure(0.9))
+        kb.request_action("explore")
+        wanted = {"insert_monitoring_data", "action_update", "insert_reconfiguration_plan"}
+        until(lambda: wanted <= set(heard), turn=manager.update)
+        until(lambda: any("because function look is needed by explore" in one for one in said))
+
+
+def test_nonsense_is_counted_refused_and_survived(robot):
+    rng = random.Random(4)
+    with bridged(robot) as (kb, bridge):
+        with connect(robot.url) as peer:
+            for _ in range(300):
+                peer.send(rng.choice(NONSENSE))
+            peer.send(json.dumps({"op": "publish", "topic": "/battery_state", "msg": {"percentage": 0.7}}))
+            until(lambda: kb.attributes["energy"].value == 0.7)
+        assert sum(robot.server.refused.values()) > 200
+        for value in (None, "much", [1], {"a": 1}, float("nan")):
+            robot.server.publish("/battery_state", "", {"percentage": value})
+        robot.server.publish("/battery_state", "", {})
+        until(lambda: sum(bridge.refused.values()) >= 5)
+        assert kb.attributes["energy"].value == 0.7
+
+
+NONSENSE = (
+    "",
+    "no JSON",
+    "[]",
+    "17",
+    "{}",
+    '{"op": 3}',
+    '{"op": "fly"}',
+    '{"op": "__init__"}',
+    '{"op": "publish"}',
+    '{"op": "publish", "topic": 3, "msg": {}}',
+    '{"op": "publish", "topic": "/battery_state", "msg": 3}',
+    '{"op": "call_service", "service": "/x", "args": [1]}',
+    '{"op": "service_response", "id": "call_service:1"}',
+    '{"op": "service_response"}',
+    '{"op": "fragment", "data": "x"}',
+    "[" * 5000,
+    b"\x00\xff binary",
+)
+
+
+def test_message_that_is_too_big_ends_its_connection_only(robot):
+    with bridged(robot) as (kb, _):
+        with connect(robot.url) as peer:
+            with suppress(ConnectionClosed):
+                peer.send("x" * 10_000_000)
+            with pytest.raises(ConnectionClosed):
+                peer.recv()
+        until(lambda: kb.attributes["energy"].value == 0.4, turn=lambda: robot.measure(0.4))
+
+
+def test_elsewhere_needs_a_token_and_pages_of_other_sites_are_refused():
+    with pytest.raises(MissionError, match="give a token"):
+        RosbridgeServer(0, host="0.0.0.0")
+    server = RosbridgeServer(0, host="0.0.0.0", token="secret")
+    try:
+        url = f"ws://127.0.0.1:{server.port}"
+        for wrong in ({}, {"additional_headers": {"Authorization": "Bearer wrong"}}):
+            with pytest.raises(InvalidStatus, match="401"), connect(url, **wrong):
+                pass
+        with connect(f"{url}/?token=secret"):
+            pass
+        node = Rosbridge(url, token="secret")
+        until(lambda: node.is_connected)
+        node.close()
+    finally:
+        server.close()
+    open_here = RosbridgeServer(0)
+    try:
+        url = f"ws://127.0.0.1:{open_here.port}"
+        with pytest.raises(InvalidStatus, match="403"), connect(url, origin="https://somewhere.example"):
+            pass
+        with connect(url, origin="http://localhost:8080"):
+            pass
+    finally:
+        open_here.close()
+
+
+def test_call_without_a_connection_or_a_server_fails_at_once(robot):
+    node = Rosbridge("ws://127.0.0.1:9")
+    with pytest.raises(RosError, match="no connection"):
+        node.call("/camera/get_state", "", {}).result(1)
+    node.close()
+    with pytest.raises(RosError, match="nobody serves"):
+        robot.server.call("/nowhere", "", {}).result(1)
+
+
+def test_wrong_settings_are_told(tmp_path):
+    kb = KnowledgeBase(rover(), clock=time.monotonic)
+    server = RosbridgeServer(0)
+    try:
+        for wrong, said in (
+            (BridgeSettings(attributes={"enegry": "/a.b"}), "energy"),
+            (BridgeSettings(attributes={"energy": "battery"}), "write /topic.field"),
+            (BridgeSettings(components={"camrea": "/camera"}), "camera"),
+        ):
+            with pytest.raises(Exception, match=said):
+                Bridge(kb, server, wrong)
+        file = tmp_path / "bridge.toml"
+        for text, said in (
+            ("url = 3", "url .* is a text"),
+            ("speed = 3", "field 'speed'"),
+            ("[attributes", "cannot read"),
+        ):
+            file.write_text(text)
+            with pytest.raises(MissionError, match=said):
+                BridgeSettings.load(file)
+        file.write_text('[attributes]\nenergy = "/battery_state.percentage"\n[components]\ncamera = "/camera"\n')
+        assert BridgeSettings.load(file).attributes == {"energy": "/battery_state.percentage"}
+        with pytest.raises(MissionError, match="no address"):
+            Rosbridge("robot:9090")
+        with pytest.raises(MissionError, match="give another port"):
+            RosbridgeServer(server.port)
+    finally:
+        server.close()
