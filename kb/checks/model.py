@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import replace
+from math import inf
 
 from kb import facts
 from kb.checks.choices import doubtful_choices
@@ -79,6 +80,8 @@ def _out_of_range(model: Contents) -> Iterator[Finding]:
     """Yield the constraints that the range of their attribute decides, whatever is measured."""
     for one in model.constraints:
         attribute = model.attributes[one.attribute]
+        if attribute.low == -inf and attribute.high == inf:
+            continue
         possible, wanted = Interval(attribute.low, attribute.high), Interval.of(one)
         is_never = wanted.meet(possible).is_empty
         is_final = not is_never and Interval.of(one, turning_point(one, Status.VIOLATED)).meet(possible).is_empty

@@ -211,7 +211,7 @@ class Life:
         assert {one.name for one in kb.components.values() if one.is_active} == system.running
         assert kb.actions["take"].status is Status.SOLVED, kb.explain("take")
         for one in kb.components.values():
-            if one.is_active:
+            if one.is_active and one.is_required:  # one that could not be stopped may run on, and is known to
                 chosen = kb.configurations[one.selected_configuration]
                 assert dict(one.parameters_in_force) == dict(chosen.parameters) == system.parameters[one.name]
 

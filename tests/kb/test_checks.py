@@ -188,6 +188,12 @@ def configuration_that_its_component_excludes(model):
     camera_of(model).configuration("dusk", {"exposure": 0.1}, priority=0, constraints=[light_of(model) < 0.2])
 
 
+@specimen("out-of-range", "constraint pressure <= 300", "is never violated: pressure is from 0 to 250 kPa (on sonar)")
+def constraint_in_another_unit_than_the_range(model):
+    pressure = model.environmental_attribute("pressure", unit="kPa", low=0, high=250)
+    model.components["sonar"].constrain(pressure <= 300)
+
+
 @specimen("never-selected", "function design by both", "whenever it is feasible, so is by camera")
 def design_that_adds_to_a_preferred_one(model):
     model.functions["see"].design("by both", ["camera", "sonar"], priority=3)
