@@ -19,7 +19,7 @@ from kb.facts import Contents
 from kb.files import ModelFileError, read_text
 from kb.owl.individuals import CLASSES, GENERAL, MODEL, PARAMETER, PREFERENCE, STATED, Declarer, Individual, Ref, Value
 from kb.owl.queries import FUNCTIONS, Answer, Question, complaint, read_question, stopped
-from kb.owl.rdfxml import ROSA, order, plain_text
+from kb.owl.rdfxml import ROSA, order, plain_text, stray_text
 from kb.owl.worker import answer
 
 _TYPE: Final = "http://www.w3.org/1999/02/22-rdf-syntax-ns#type"
@@ -102,6 +102,11 @@ def _triples(path: Path) -> Iterator[_Triple]:
         line, column = (int(number) for number in _WHERE.search(str(error)).groups())  # type: ignore[union-attr]  # it always says where
         cause = str(error.__cause__).removesuffix(f": line {line}, column {column}")
         raise ModelFileError(f"this is no RDF/XML: {cause}", str(path), line, column + 1) from None
+    if stray := stray_text(content):
+        text, line, column = stray
+        raise ModelFileError(
+            f"the text {text!r} belongs to nothing; a text stands in a property", str(path), line, column
+        )
     yield from read
 
 
@@ -199,7 +204,9 @@ class Book:
                 yield tuple(self._answers(row, prepared.column_types))
                 if count >= _MOST_ROWS:
                     raise KnowledgeBaseError(f"the answer has more than {_MOST_ROWS} rows; ask for less, or add LIMIT")
-        except sqlite3.Error as error:
+        except KnowledgeBaseError:
+            raise
+        except Exception as error:  # what a query says is nobody's here
             raise complaint(error, question, ()) if time.monotonic() <= deadline else stopped(timeout) from None
         finally:
             self._db.set_progress_handler(None, 0)

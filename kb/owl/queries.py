@@ -40,6 +40,17 @@ _INSTEAD: Final[Mapping[str, str]] = {
 }
 """What is SPARQL but not supported, and what to do."""
 
+_ADVICE: Final[Mapping[str, str]] = {
+    "aggregate": "an aggregate stands in SELECT or HAVING of a query with GROUP BY, and in no other aggregate",
+    "RecursionError": "a variable is defined by itself; give what follows AS another name",
+    "Property path": "a path in brackets is not repeated; repeat single properties, e.g. ?x :requires+ ?y",
+    "JOIN clause": "OPTIONAL comes after a pattern that is not",
+    "both objs and datas": "UNDEF is not supported in VALUES; write a UNION",
+    "number of arguments|IndexError": "a function has too few or too many arguments, or VALUES nothing to choose from",
+    "no such column: inf|invalid literal|Cannot read literal": "a number or another literal in it cannot be read",
+}
+"""What to do, by what the error says."""
+
 _LATEST: Final = "the latest of several is the one with FILTER NOT EXISTS { a later one }"
 
 _QUOTED: Final[Mapping[str, int]] = {"text": 3, "line": 1}  # how many marks are before and after a text
@@ -127,7 +138,12 @@ def complaint(error: Exception, question: Question, vocabulary: Iterable[str]) -
         return _wrong(question.given, origin, f"this is not understood, from {question.given[origin:][:20]!r} on")
     if "$end" in told:
         return _wrong(question.given, len(question.given), "the query ends too early")
-    return InvalidValue(f"this is no SPARQL that can be answered: {type(error).__name__} {error}")
+    words = f"{type(error).__name__} {told}"
+    for sign, advice in _ADVICE.items():
+        if re.search(sign, words):
+            return InvalidValue(f"the query cannot be answered: {advice}")
+    said = words.splitlines()[0]
+    return InvalidValue(f"the query cannot be answered, as something in it is no SPARQL or not supported ({said})")
 
 
 def stopped(timeout: float) -> KnowledgeBaseError:

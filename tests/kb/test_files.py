@@ -1,5 +1,7 @@
 """A model that is written to a file is read back as it was, and files are replaced whole or not at all."""
 
+import os
+import threading
 from functools import partial
 
 import pytest
@@ -259,3 +261,44 @@ def test_byte_order_mark_and_line_ends_of_windows_are_read(tmp_path):
     path = tmp_path / "rover.tql"
     path.write_bytes("\ufeffinsert # c\r\n$a isa Action,\r\n  has action-name 'é';\r\n".encode())
     assert list(Model.load(path).actions) == ["é"]
+
+
+def test_eight_threads_that_save_one_file_leave_one_of_theirs_and_no_link_is_written_through(tmp_path):
+    models = [Model(f"model {number}") for number in range(8)]
+    path, diary = tmp_path / "m.tql", tmp_path / "diary"
+    diary.write_text("dear")
+    for name in (".m.tql.part", f".m.tql.{os.getpid()}.part"):
+        (tmp_path / name).symlink_to(diary)
+    failed = []
+
+    def save(model):
+        for _ in range(20):
+            try:
+                model.save(path)
+            except ModelError as error:
+                failed.append(error)
+
+    threads = [threading.Thread(target=save, args=(model,)) for model in models]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert failed == []
+    assert Model.load(path) in models
+    assert diary.read_text() == "dear"
+    assert len(list(tmp_path.iterdir())) == 4
+
+
+def test_text_beside_the_elements_of_an_owl_file_is_refused_with_its_place(tmp_path):
+    path = tmp_path / "m.owl"
+    model = Model("m")
+    model.action("go")
+    model.save(path)
+    written = path.read_text()
+    assert Model.load(path) == model
+    line = '  <owl:NamedIndividual rdf:about="http://rosa-taca/model/RobotModel.m#Action.go">'
+    for stray in (f"  and stop\n{line}", f"{line} and stop"):
+        path.write_text(written.replace(line, stray))
+        assert path.read_text() != written
+        with pytest.raises(ModelFileError, match=r"m.owl:\d+:\d+: the text 'and stop' belongs to nothing"):
+            Model.load(path)

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import threading
 from decimal import Decimal
 
 import pytest
@@ -185,6 +186,27 @@ def test_query_that_would_change_something_is_refused(update, base):
 def test_what_is_no_query_is_an_error_that_says_where(text, message, base):
     with pytest.raises(InvalidValue, match=message):
         base(robot(), Clock(1.0)).query(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "advice"),
+    [
+        ("SELECT (MAX(AVG(?p)) AS ?s) { ?x a :Action ; :position ?p }", "in no other aggregate"),
+        ("SELECT (COUNT(?x) AS ?x) { ?x a :Action }", "defined by itself"),
+        ("SELECT ?x { ?x a :Action } HAVING (?x > 1)", "with GROUP BY"),
+        ("SELECT ?n { ?x a :Action . ?x (:requires/:name)+ ?n }", "repeat single properties"),
+        ("SELECT ?m { ?x a :Action ; :name ?n . BIND(SUBSTR(?n) AS ?m) }", "too few or too many"),
+        ("SELECT ?m { ?x a :Action ; :name ?n . BIND(STRDT(?n, :Action) AS ?m) }", "literal in it cannot be read"),
+        ('SELECT ?x { ?x a :Action ; :position "z"^^xsd:integer }', "cannot be read"),
+        ("SELECT ?x { ?x a :Action ; :position 1e400 }", "cannot be read"),
+        ("SELECT ?x { VALUES ?x { UNDEF } ?x a :Action }", "write a UNION"),
+        ("SELECT ?x { OPTIONAL { ?x a :Action } }", "after a pattern that is not"),
+        ("SELECT ?x { ( 1 2 ) a ?x }", "no SPARQL or not supported"),
+    ],
+)
+def test_what_cannot_be_answered_is_said_in_a_sentence(text, advice):
+    with pytest.raises(InvalidValue, match=f"the query cannot be answered.*{advice}"):
+        KnowledgeBase(robot(), clock=Clock(1.0)).query(text)
 
 
 @pytest.mark.parametrize(
@@ -378,3 +400,66 @@ def test_a_store_is_asked_as_soon_as_it_is_opened(tmp_path):
         assert kb.query("SELECT (COUNT(?f) AS ?n) { ?f a :Failure }", timeout=20.0) == [(expected,)]
         kb.component_failed("camera")
         kb.close()
+
+
+def test_query_that_python_cannot_interrupt_is_stopped_and_nobody_waits_for_it():
+    kb = KnowledgeBase(robot(), clock=Clock(1.0))
+    count = "SELECT (COUNT(?m) AS ?n) { ?m a :Measurement }"
+    assert kb.query(count, timeout=60.0) == [(0,)]
+    endless = f"SELECT ?n {{ ?x a :Action ; :name ?n FILTER(REGEX('{'a' * 60}b', '^(a+)+$')) }}"
+    done = threading.Event()
+    told = []
+
+    def tell():
+        while not done.is_set():
+            kb.measure("load", 1.0)
+            told.append(done.wait(0.001))
+
+    teller = threading.Thread(target=tell)
+    teller.start()
+    with pytest.raises(KnowledgeBaseError, match=r"stopped after 1 s"):
+        kb.query(endless, timeout=1.0)
+    done.set()
+    teller.join()
+    assert len(told) > 100
+    assert kb.query(count, timeout=60.0) == [(len(told),)]
+
+
+def test_what_is_so_now_is_in_the_world_however_long_ago_it_was_told():
+    clock, kb = Clock(1.0), None
+    kb = KnowledgeBase(robot(), clock=clock)
+    kb.measure("light", 0.9)
+    kb.request_action("explore")
+    plan = PriorityPlanner().plan(kb)
+    kb.component_configured("camera", {"exposure": 0.5})
+    kb.component_active("camera", True)
+    kb.component_failed("lidar", "dust")
+    kb.assert_status("rest", "unfeasible", "holiday")
+    kb.assert_required("see", True)
+    clock.now = 2.0
+    for _ in range(60_000):
+        kb.component_failed("camera")
+        kb.component_recovered("camera")
+    events = list(kb.log.since(0, measurements=False))
+    assert events[0].number > 10, "else nothing is forgotten, and this tries nothing"
+    kb.request_action("explore")
+    about = "SELECT ?n { ?f a :%s ; :about ?x . ?x :name ?n FILTER NOT EXISTS { ?f :end ?e } }"
+    for word, names in {
+        "Failure": {"lidar"},
+        "Activity": {"camera"},
+        "Selection": {"by camera", "day"},
+        "AssertedStatus": {"rest"},
+        "AssertedRequirement": {"see"},
+        "RequiredAction": {"explore"},
+    }.items():
+        assert {name for (name,) in kb.query(about % word, timeout=120.0)} == names, word
+    assert kb.query("SELECT ?why { ?f a :Failure ; :reason ?why FILTER NOT EXISTS { ?f :end ?e } }") == [("dust",)]
+    given = "SELECT ?k ?v { ?f a :ParametersInForce ; :hasParameter ?p . ?p :key ?k ; :parameterValue ?v }"
+    assert kb.query(given) == [("exposure", "0.5")]
+    assert kb.query("SELECT ?s { ?p a :ReconfigurationPlan ; :start ?s FILTER NOT EXISTS { ?p :end ?e } }") == [
+        (plan.start,)
+    ]
+    assert kb.query("SELECT ?t { ?m :historyBegins ?t }") == [(2.0,)]
+    clock.now = 3.0
+    kb.component_recovered("lidar")
+    assert kb.query('SELECT ?e { ?f a :Failure ; :reason "dust" ; :end ?e }') == [(3.0,)]
