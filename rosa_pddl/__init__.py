@@ -1,5 +1,6 @@
 """What to do next: a replanning executor of PDDL plans on unified-planning, itself a py_trees behaviour."""
 
+from rosa_pddl.certificate import Certificate, certificate
 from rosa_pddl.domain import Domain, Feasibility, Schema, State, Step, TimedStep
 from rosa_pddl.engines.unified_planning import register_engine
 from rosa_pddl.exceptions import (
@@ -26,6 +27,7 @@ from rosa_pddl.validate import flaw, schedule_flaw
 __all__ = [
     "ActionSchema",
     "Attempt",
+    "Certificate",
     "Declarations",
     "DeclaredProblem",
     "Domain",
@@ -53,6 +55,7 @@ __all__ = [
     "UnknownNameError",
     "UnsupportedPddlError",
     "awaited",
+    "certificate",
     "feasible_atoms",
     "flaw",
     "initial_state",

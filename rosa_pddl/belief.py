@@ -133,10 +133,6 @@ class Belief:
             state = (state | undo.taken) - undo.given
         return state
 
-    def assume(self, gone: AbstractSet[str], come: AbstractSet[str]) -> None:
-        """Assume that atoms became false, and others true; what becomes true wins, as PDDL says."""
-        self._now = replace(self._now, facts=without_feasibility(self.domain, (self._now.facts - gone) | come))
-
     def _undos_but(self, key: object) -> Mapping[object, _Undo]:
         return {other: undo for other, undo in self._now.undos.items() if other is not key}
 

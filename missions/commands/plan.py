@@ -26,22 +26,37 @@ def plan(
     goal: Annotated[list[str] | None, typer.Option(help="Reach this, e.g. '(found it)', not the file's goal.")] = None,
     json: Annotated[Path | None, typer.Option(help="Write outcome, engine, cost and steps.")] = None,
     svg: Annotated[Path | None, typer.Option(help="Draw the causal order of the steps.")] = None,
+    certificate: Annotated[
+        bool, typer.Option("--certificate", help="Say for every combination of feasible actions what can be done.")
+    ] = False,
+    failures: Annotated[int | None, typer.Option(help="Certify at most so many failures at once.")] = None,
     timeout: Annotated[float, typer.Option(help="Seconds after which planning is given up.")] = 30.0,
 ) -> None:
     """Plan, say why actions are out and why there is no plan, and exit with 0 if there is one."""
     from missions.engine.mission import MissionError
-    from missions.engine.question import answer, ask, read_situation
+    from missions.engine.question import answer, ask, certified, read_situation
     from missions.engine.registry import find_mission
-    from missions.views.output import open_files
-    from missions.views.plan import lines_of
+    from missions.views.output import as_json, open_files
+    from missions.views.plan import certificate_as_data, certificate_lines, lines_of
 
     if len(files or []) > 2 or (mission and files):
         raise MissionError("give either a domain and a problem file, or a mission with --mission NAME")
     supposed = read_situation(situation or [], feasible)
     question = ask(files or [], find_mission(mission) if mission else None, model or [], supposed, goal or [])
     paths = {"json": json, "svg": svg}
+    if certificate and svg:
+        raise MissionError("a certificate is many plans, and --svg draws one; leave out one of the two")
+    if failures is not None and not certificate:
+        raise MissionError("--failures says how much to certify; add --certificate")
     with ExitStack() as stack:
         outputs = open_files(paths, stack)
+        if certificate:
+            proven = certified(question, timeout, failures)
+            for line in certificate_lines(proven):
+                typer.echo(line)
+            for output in outputs.values():
+                output.finish(as_json(certificate_as_data(proven)))
+            raise typer.Exit(0 if proven.entries[()].outcome.is_solved else FAILED)
         found = answer(question, timeout)
         for line in lines_of(found):
             typer.echo(line)
@@ -57,10 +72,8 @@ def plan(
 
 def _written(option: str, found: "Answer") -> str:
     from missions.views.output import as_json
-    from missions.views.plan import causes_of, svg_of
+    from missions.views.plan import as_data, causes_of, svg_of
 
     if option == "svg":
         return svg_of(causes_of(found), f"plan of {found.question.domain.name}")
-    result = found.result
-    steps = [{"action": step.schema, "arguments": list(step.arguments)} for step in result.steps]
-    return as_json({"outcome": str(result.outcome), "engine": result.engine, "cost": result.cost, "steps": steps})
+    return as_json(as_data(found.result))

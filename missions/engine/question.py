@@ -1,6 +1,7 @@
 """A plan asked for by hand: what is to be planned in some situation, the planner's answer, and why there is no plan."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -9,7 +10,18 @@ from typing import Final
 from kb import KnowledgeBase, Model
 from missions.engine.declared import check_facts, mission_domain
 from missions.engine.mission import Mission, MissionError, Percepts
-from rosa_pddl import Domain, Planner, PlanningResult, Problem, State, feasible_atoms, initial_state, load_domain
+from rosa_pddl import (
+    Certificate,
+    Domain,
+    Planner,
+    PlanningResult,
+    Problem,
+    State,
+    certificate,
+    feasible_atoms,
+    initial_state,
+    load_domain,
+)
 from rosa_pddl.exceptions import nearest
 from rosa_pddl.formulas import Condition, conditions
 from rosa_pddl.problem import unlimited, without_feasibility
@@ -182,15 +194,22 @@ def answer(question: Question, timeout_s: float) -> Answer:
     Within limits it is label setting that plans, and otherwise Fast Downward and then Aries; each planning may take
     `timeout_s` of the wall clock.
     """
-    usual = ("label-setting",) if question.domain.limited else ("fast-downward-opt", "aries")
-    engine, *fallback = question.engines or usual
-    planner = Planner(engine, timeout_s, warm=False, fallback=fallback)
-    try:
+    with closing(_planner(question, timeout_s, warm=False)) as planner:
         result = planner.plan(question.problem)
         obstacles = _Diagnosis(question, planner).obstacles() if _is_unsolvable(result) else []
         return Answer(question, result, tuple(obstacles))
-    finally:
-        planner.close()
+
+
+def certified(question: Question, timeout_s: float, failures: int | None) -> Certificate:
+    """Find out what can be reached while at most so many actions are unfeasible, None for any; as `answer` does."""
+    with closing(_planner(question, timeout_s, warm=True)) as planner:
+        return certificate(question.domain, question.supposing, planner, failures)
+
+
+def _planner(question: Question, timeout_s: float, *, warm: bool) -> Planner:
+    usual = ("label-setting",) if question.domain.limited else ("fast-downward-opt", "aries")
+    engine, *fallback = question.engines or usual
+    return Planner(engine, timeout_s, warm=warm, fallback=fallback)
 
 
 class _Diagnosis:

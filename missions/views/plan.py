@@ -12,7 +12,7 @@ from textwrap import wrap
 from typing import Final, NamedTuple
 
 from missions.engine.question import Answer
-from rosa_pddl import Domain, State, Step
+from rosa_pddl import Certificate, Domain, PlanningResult, State, Step
 from rosa_pddl.domain import UpThing
 from rosa_pddl.validate import binding_of, ended, mentioned_atoms, started
 
@@ -60,6 +60,32 @@ def lines_of(answer: Answer) -> Iterator[str]:
             yield f"  {number + 1}  {step}" + (f"  needs {', '.join(needs)}" if needs else "")
     yield from (f"out: {question.kb.why(question.kb.actions[action])}" for action in question.unfeasible)
     yield from (f"note: {oversight}" for oversight in question.oversights)
+
+
+def as_data(result: PlanningResult) -> dict[str, object]:
+    """Return a plan, or that there is none, for JSON."""
+    steps = [{"action": step.schema, "arguments": list(step.arguments)} for step in result.steps]
+    return {"outcome": str(result.outcome), "engine": result.engine, "cost": result.cost, "steps": steps}
+
+
+def certificate_lines(certificate: Certificate) -> Iterator[str]:
+    """Yield a table of what to do for each combination of unfeasible actions, and which failures end the mission."""
+    rows = [("unfeasible", "cost", "plan")]
+    for out, result in certificate.entries.items():
+        plan = ", ".join(map(str, result.steps)) or "nothing is left to do"
+        cost = "" if result.cost is None else f"{result.cost:g}"
+        rows.append(
+            (", ".join(out) or "none", cost, plan if result.outcome.is_solved else f"no plan: {result.outcome}")
+        )
+    widths = [max(len(row[column]) for row in rows) for column in (0, 1)]
+    yield from (f"{out:<{widths[0]}}  {cost:>{widths[1]}}  {plan}" for out, cost, plan in rows)
+    yield f"single failures that end the mission: {', '.join(certificate.fatal) or 'none'}"
+
+
+def certificate_as_data(certificate: Certificate) -> dict[str, object]:
+    """Return a certificate for JSON."""
+    entries = [{"unfeasible": list(out), **as_data(result)} for out, result in certificate.entries.items()]
+    return {"fatal": list(certificate.fatal), "entries": entries}
 
 
 def causes_of(answer: Answer) -> CausalOrder:

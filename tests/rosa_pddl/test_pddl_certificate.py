@@ -1,0 +1,51 @@
+"""A certificate says for every combination of feasible actions what planning from there says."""
+
+from itertools import chain, combinations
+
+import pytest
+from faulty_worlds import Ground
+from pddl_world import load_mission
+
+from rosa_pddl import Outcome, Planner, PlannerSettingError, Problem, certificate, initial_state
+from rosa_pddl.problem import without_feasibility
+from rosa_pddl.validate import flaw
+
+
+def supposing_of(domain):
+    def supposing(unfeasible):
+        feasible = {domain.feasible_atom(one) for one in domain.rosa_actions if one not in set(unfeasible)}
+        return Problem(domain, without_feasibility(domain, initial_state(domain)) | feasible)
+
+    return supposing
+
+
+@pytest.mark.parametrize("which", ["suave_extended", 5, 6])
+def test_each_entry_is_what_planning_from_there_says_and_its_plan_works(which):
+    domain = load_mission(which) if isinstance(which, str) else Ground(which).domain
+    supposing, cold = supposing_of(domain), Planner(warm=False, cached=0)
+    found = certificate(domain, supposing, Planner())
+    actions = domain.rosa_actions
+    assert list(found.entries) == list(chain.from_iterable(combinations(actions, n) for n in range(len(actions) + 1)))
+    for out, result in found.entries.items():
+        other = cold.plan(supposing(out))
+        assert (result.outcome, result.cost) == (other.outcome, other.cost)
+        assert not result.outcome.is_solved or flaw(domain, result.steps, supposing(out).state) is None
+    ends = [one for one in actions if found.entries[one,].outcome is Outcome.UNSOLVABLE_PROVEN]
+    assert found.fatal == (tuple(ends) if found.entries[()].outcome.is_solved else ())
+    assert {result.outcome.is_solved for result in found.entries.values()} == {True, False}
+
+
+def test_what_it_takes_is_limited_by_how_much_fails_at_once():
+    domain = load_mission("suave_extended")
+    supposing = supposing_of(domain)
+    assert len(certificate(domain, supposing, Planner(), failures=1).entries) == 4
+    for failures in (-1, 4):
+        with pytest.raises(PlannerSettingError, match=f"failures is {failures}, expected 0 to 3"):
+            certificate(domain, supposing, Planner(), failures)
+
+
+def test_trouble_with_a_planner_is_no_proof_that_a_failure_ends_the_mission():
+    domain = load_mission("suave_extended")
+    found = certificate(domain, supposing_of(domain), Planner("tamer"))
+    assert {result.outcome for result in found.entries.values()} == {Outcome.ENGINE_MISSING}
+    assert found.fatal == ()
