@@ -285,3 +285,44 @@ def test_action_without_a_schema_or_with_that_of_another_is_refused():
     bare = dataclasses.replace(MISSIONS["suave"], problem=None)
     with pytest.raises(MissionError, match="has no PDDL domain and problem"):
         mission_domain(bare)
+
+
+def test_a_certificate_is_a_table_and_json_of_what_every_combination_leaves_to_do(rosa):
+    code, out, err = rosa("--mission", "suave_extended", "--certificate", "--json", "certificate.json")
+    assert (code, err) == (0, "")
+    written = json.loads(Path("certificate.json").read_text())
+    plans = plans_of(load_domain(*EXTENDED))
+    assert len(written["entries"]) == len(plans) == 8
+    for entry in written["entries"]:
+        feasible = tuple(
+            action
+            for action in ("search_pipeline", "inspect_pipeline", "recharge")
+            if action not in entry["unfeasible"]
+        )
+        steps = plans[next(one for one in plans if set(one) == set(feasible))]
+        assert [step["action"] for step in entry["steps"]] == [step.schema for step in steps or ()]
+    lines = out.splitlines()
+    assert len(lines) == 10
+    assert lines[0].split() == ["unfeasible", "cost", "plan"]
+    assert lines[-1] == "single failures that end the mission: none"
+    assert written["fatal"] == []
+
+
+def test_a_failure_that_ends_the_mission_is_named(rosa):
+    code, out, _ = rosa("--mission", "suave", "--certificate", "--failures", "1")
+    assert code == 0
+    assert out.splitlines()[-1] == "single failures that end the mission: search_pipeline, inspect_pipeline"
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--certificate", "--svg", "x.svg"), "--svg draws one"),
+        (("--failures", "1"), "add --certificate"),
+        (("--certificate", "--failures", "9"), "failures is 9, expected 0 to"),
+    ],
+)
+def test_what_cannot_be_certified_is_said(rosa, options, message):
+    code, _, err = rosa("--mission", "suave", *options)
+    assert code != 0
+    assert message in err
