@@ -18,6 +18,9 @@ def report(
         Path | None,
         typer.Option("--out", "-o", help="Where to write; default: DIR/report, or the recording's name with .html."),
     ] = None,
+    pages: Annotated[
+        bool, typer.Option("--pages", help="Of a campaign: do the runs that stand out again, for a page of each.")
+    ] = False,
 ) -> None:
     """Say what came of a campaign, as report.md and report.html; or show a run, or two side by side, as a page.
 
@@ -33,8 +36,8 @@ def report(
         kept = read_store(sources[0])
         from missions.experiments.report import write_report as write_campaign  # draws: only if there is something
 
-        for path in write_campaign(kept, out or sources[0] / "report"):
-            if path.suffix in (".md", ".html"):
+        for path in write_campaign(kept, out or sources[0] / "report", pages=pages):
+            if path.stem == "report":
                 typer.echo(path)
         return
     from missions.views.report import write_report

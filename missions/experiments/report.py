@@ -76,8 +76,11 @@ CLEAR = 3.5
 """Separation of two clusters: above that of the halves of an even spread."""
 
 
-def write_report(kept: Kept, folder: Path) -> list[Path]:
-    """Write the report on a campaign as report.md and report.html with their pictures, and return the files."""
+def write_report(kept: Kept, folder: Path, *, pages: bool = False) -> list[Path]:
+    """Write the report on a campaign as report.md and report.html with their pictures, and return the files.
+
+    With pages, the runs that stand out are done again, and each has a page to click through.
+    """
     parts = list(comparisons(kept))
     if not parts:
         ended = f"all of its {len(kept.crashed)} runs crashed" if kept.crashed else "none of its runs is done"
@@ -87,6 +90,8 @@ def write_report(kept: Kept, folder: Path) -> list[Path]:
     for comparison in parts:
         document.heading(comparison.title)
         _add_comparison(document, comparison)
+    if pages:
+        _add_standouts(document, parts)
     _add_crashes(document, kept)
     _add_speed(document, parts)
     _add_method(document)
@@ -211,6 +216,28 @@ def _add_all(document: Document, comparison: Comparison) -> None:
     figures = [name for name in comparison.figures if not name.startswith("reaction_")]
     rows = [[name, *(_mean_sd([*group.values(name).values()]) for group in comparison.groups)] for name in figures]
     document.table(["figure", *(group.label for group in comparison.groups)], rows)
+
+
+def _add_standouts(document: Document, parts: Sequence[Comparison]) -> None:
+    """Add pages of the runs with the lowest and the highest figure of each group, and links to them."""
+    from missions.views.report import report
+    from missions.views.run_recorder import record
+
+    document.heading("Runs that stand out")
+    links = []
+    for comparison, group in [(one, group) for one in parts for group in one.groups]:
+        figure = next((name for name in (*HEADLINES, *comparison.figures) if group.values(name)), None)
+        values = {} if figure is None else group.values(figure)
+        for word, choose in (("lowest", min), ("highest", max)):
+            if values:
+                seed = choose(values, key=lambda one: values[one])
+                run = group.records[seed]
+                name = re.sub(r"\W+", "_", run["run"]) + ".html"
+                settings = {key: str(value) for key, value in run["settings"].items()}
+                shown = record(run["mission"], run["manager"], run["task"] or "bt", seed, settings)
+                document.pictures[name] = report(shown).encode()
+                links.append(f"[{run['run']}]({name}): {figure} {values[seed]:.2f}, the {word} of {group.label}")
+    document.items(list(dict.fromkeys(links)))
 
 
 def _add_crashes(document: Document, kept: Kept) -> None:

@@ -3,11 +3,14 @@
 from collections.abc import Mapping
 
 from kb import DiagnosticProblem, KnowledgeBase
+from missions.baselines import open_run
 from missions.engine.adaptations import Adaptation
 from missions.engine.mission import Message, Verdict
+from missions.engine.registry import find_mission
 from missions.engine.runner import Listener, MissionRun
 from missions.views.output import figure_in_words
 from missions.views.recorder import Recorder
+from missions.views.rows import Recorded
 
 
 class RunRecorder(Listener):
@@ -88,6 +91,16 @@ class RunRecorder(Listener):
         if self._own is not None:
             for number, one in enumerate(run.actions, start=1):
                 recorder.acted(number, one)
+
+
+def record(mission: str, manager: str, task: str, seed: int, settings: Mapping[str, str]) -> Recorded:
+    """Do a run of a mission and return what there is to see of it."""
+    recorder = RunRecorder()
+    found = find_mission(mission)
+    run = open_run(found, manager=manager, task=task, seed=seed, settings=settings, listeners=(recorder,))
+    recorder.begin(run, seed, settings)
+    recorder.end(run, run.run())
+    return recorder.recorder.recorded
 
 
 def _split(signal: str) -> tuple[str, str]:

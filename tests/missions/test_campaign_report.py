@@ -213,3 +213,16 @@ def test_document_escapes_what_would_be_taken_for_markup():
     assert "<h1>a &lt; b</h1>" in page
     assert "&lt;z&gt;</th>" in page
     assert "<z>" not in page
+
+
+def test_runs_that_stand_out_have_pages_that_the_report_links_to(tmp_path):
+    campaign = Campaign("small", ("suave",), ("none", "ours"), runs=3, settings={"duration": "20"})
+    written = write_report(kept(tmp_path / "c", campaign=campaign), tmp_path / "report", pages=True)
+    text = (tmp_path / "report" / "report.md").read_text().split("## Runs that stand out")[1].split("\n#")[0]
+    links = re.findall(r"\[(suave/\S+)\]\((\w+\.html)\): search_time_s (\S+), the (lowest|highest) of", text)
+    assert len(links) == 4
+    for name, target, _, _ in links:
+        assert tmp_path / "report" / target in written
+        page = (tmp_path / "report" / target).read_text()
+        assert f'"seed":{name.rsplit("/")[-1]}' in page
+    assert float(links[0][2]) < float(links[1][2])
