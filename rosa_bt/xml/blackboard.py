@@ -221,14 +221,9 @@ class Blackboard(MutableMapping[str, Any]):
         entries, name = self.place(key)
         if name not in entries:
             entries[name] = Entry(declared=declared)
-            meant = self._remapping.get(key, "")
-            if self.parent is not None and meant.startswith("@"):  # the library makes it under both names
-                self.parent.alias(meant, entries[name])
+            if self._remapping.get(key, "").startswith("@"):  # the library shows it under both names
+                entries[f"@{name}"] = entries[name]
         return entries[name]
-
-    def alias(self, key: str, entry: Entry) -> None:
-        """Show an entry under another key, too."""
-        self._entries[key] = entry
 
     def unset(self, key: str) -> None:
         """Remove what lives here under a key; as in BehaviorTree.CPP, nothing that is remapped."""

@@ -171,7 +171,7 @@ class Precondition(OneChild):
 
 
 class _Updated(OneChild):
-    """The child, to its end, each time that an entry was written since this asked last."""
+    """The child, to its end, each time that an entry was written since this asked last; else SKIPPED, or RUNNING."""
 
     PORTS: ClassVar = {"entry": PortInformation(object)}
     FORGETS = ("_goes_on",)
@@ -182,25 +182,12 @@ class _Updated(OneChild):
 
     def decide(self) -> Ticking:
         if not self._goes_on:
-            entry = self.ports.blackboard.entry(self.ports.key("entry") or str(self.ports.get("entry")))
-            before, self._version = self._version, entry.version if entry else self._version
+            before, self._version = self._version, self.ports.version("entry", self._version)
             if self._version == before:
                 return self.instead
         verdict = yield from self.child.tick()
         self._goes_on = verdict is RUNNING
         return verdict
-
-
-class SkipUnlessUpdated(_Updated):
-    """SKIPPED while the entry is as it was."""
-
-    instead = SKIPPED
-
-
-class WaitValueUpdate(_Updated):
-    """RUNNING while the entry is as it was."""
-
-    instead = RUNNING
 
 
 class _Loop(OneChild):
@@ -245,7 +232,8 @@ _LOOPS: Final = {"LoopInt": int, "LoopDouble": float, "LoopBool": bool, "LoopStr
 DECORATORS: Final[dict[str, type[OneChild]]] = {
     **{tag: type(tag, (_Translated,), {"outcomes": outcomes}) for tag, outcomes in _TRANSLATED.items()},
     **{kind.__name__: kind for kind in (Repeat, RetryUntilSuccessful, RunOnce, Delay, Timeout, Precondition)},
-    **{kind.__name__: kind for kind in (SkipUnlessUpdated, WaitValueUpdate)},
+    "SkipUnlessUpdated": type("SkipUnlessUpdated", (_Updated,), {"instead": SKIPPED}),
+    "WaitValueUpdate": type("WaitValueUpdate", (_Updated,), {"instead": RUNNING}),
     **{name: _loop(name, of) for name, of in _LOOPS.items()},
 }
 """By tag."""

@@ -23,24 +23,6 @@ class XmlLeaf(Behaviour):
         super().__init__(name)
         self.ports = ports
 
-    def key(self, port: str) -> str:
-        """Return the key that a port means: the text itself, or what is held under `{key}`."""
-        return str(self.ports.get(port))
-
-
-class AlwaysSuccess(XmlLeaf):
-    """SUCCESS."""
-
-    def update(self) -> Status:
-        return Status.SUCCESS
-
-
-class AlwaysFailure(XmlLeaf):
-    """FAILURE."""
-
-    def update(self) -> Status:
-        return Status.FAILURE
-
 
 class Script(XmlLeaf):
     """SUCCESS when the script has been run."""
@@ -73,7 +55,7 @@ class SetBlackboard(XmlLeaf):
     PORTS: ClassVar = {"value": PortInformation(object), "output_key": PortInformation(object)}
 
     def update(self) -> Status:
-        board, key, source = self.ports.blackboard, self.key("output_key"), self.ports.key("value")
+        board, key, source = self.ports.blackboard, str(self.ports.get("output_key")), self.ports.key("value")
         entry = board.entry(key)
         if source is None:
             text = str(self.ports.get("value"))
@@ -102,7 +84,7 @@ class UnsetBlackboard(XmlLeaf):
     PORTS: ClassVar = {"key": PortInformation(str)}
 
     def update(self) -> Status:
-        self.ports.blackboard.unset(self.key("key"))
+        self.ports.blackboard.unset(self.ports.get("key"))
         return Status.SUCCESS
 
 
@@ -113,8 +95,7 @@ class WasEntryUpdated(XmlLeaf):
     _version = 0
 
     def update(self) -> Status:
-        entry = self.ports.blackboard.entry(self.ports.key("entry") or str(self.ports.get("entry")))
-        before, self._version = self._version, entry.version if entry else self._version
+        before, self._version = self._version, self.ports.version("entry", self._version)
         return Status.SUCCESS if self._version != before else Status.FAILURE
 
 
@@ -131,8 +112,10 @@ class Sleep(XmlLeaf):
         return Status.SUCCESS if is_over else Status.RUNNING
 
 
-_KINDS: Final[tuple[type[XmlLeaf], ...]] = (
-    *(AlwaysFailure, AlwaysSuccess, Script, ScriptCondition, SetBlackboard, Sleep, UnsetBlackboard, WasEntryUpdated),
-)
-LEAVES: Final[dict[str, type[XmlLeaf]]] = {kind.__name__: kind for kind in _KINDS}
+_KINDS: Final[list[type[XmlLeaf]]] = [Script, ScriptCondition, SetBlackboard, Sleep, UnsetBlackboard, WasEntryUpdated]
+_CONSTANT: Final = {"AlwaysSuccess": Status.SUCCESS, "AlwaysFailure": Status.FAILURE}
+LEAVES: Final[dict[str, type[XmlLeaf]]] = {
+    **{tag: type(tag, (XmlLeaf,), {"update": lambda self, always=always: always}) for tag, always in _CONSTANT.items()},
+    **{kind.__name__: kind for kind in _KINDS},
+}
 """By tag."""

@@ -98,6 +98,11 @@ class Ports:
         """Tell whether a port is given a value in the element itself."""
         return name in self._literals
 
+    def version(self, name: str, before: int) -> int:
+        """Return how often the entry was written that a port names as `{key}` or `key`; `before` if there is none."""
+        entry = self.blackboard.entry(self.key(name) or str(self.get(name)))
+        return before if entry is None else entry.version
+
     def connect(self, behaviour: PortsMixin) -> None:
         """Connect a behaviour with py_trees' ports to the blackboard of the tree instead of the process's."""
         declared = {**behaviour.input_ports(), **behaviour.output_ports()}
