@@ -1,4 +1,4 @@
-/*! sources a2f20952eea6966e9a333b1f2c16357f73c1af1c1152648f70644a3c00774d44
+/*! sources 5c7a149f3423ecab614ea28f21b1ad289ffe50572bd8a8d9f5826266225610a9
 
 @preact/signals: The MIT License (MIT)
 
