@@ -71,3 +71,22 @@ def test_front_end_keeps_within_its_budget():
 def test_bundle_can_stand_inside_a_script_element():
     for name in BUILT:
         assert "</script" not in (PAGE / "dist" / name).read_text(encoding="utf-8").lower()
+
+
+def test_page_that_is_open_for_days_lets_go_of_what_is_old_but_not_of_what_holds():
+    if not shutil.which("node"):
+        pytest.skip("node is not here")
+    program = f"""
+        import {{ Run }} from "{(PAGE / "src" / "run.js").as_uri()}";
+        const run = new Run({{ header: {{ live: true }}, rows: [[0, "status", 0, "feasible"]] }});
+        run.add([[0, "action", 1, {{ end: null }}], [1, "adaptation", 1, {{ t: 1 }}]]);
+        for (let i = 0; i < 1_000_000; i += 1) run.add([[i / 10, "value", 0, i]]);
+        const held = ["status", "value"].map((track) => run.of(track, 0).at(run.start));
+        const kept = [run.of("value", 0).times.length, run.last("adaptation").length, run.keys("action")];
+        console.log(JSON.stringify([...kept, held]));
+    """
+    done = subprocess.run(["node", "--input-type=module", "-e", program], capture_output=True, text=True, check=True)
+    kept, adaptations, actions, (status, value) = json.loads(done.stdout)
+    assert 100_000 <= kept <= 200_001
+    assert (adaptations, actions, status) == (0, ["1"], "feasible")
+    assert value > 0

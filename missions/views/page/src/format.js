@@ -12,9 +12,7 @@ export function figure(value, limits = []) {
 
 /** The least and the most of some numbers, however many. */
 export const extent = (all) => all.reduce(([low, high], one) => [Math.min(low, one), Math.max(high, one)], [Infinity, -Infinity]);
-
 const signed = (value) => String(value).replace("-", "−");
-
 const SIGNS = { ">=": "≥", "<=": "≤", "->": "→" };
 export const pretty = (text) => text.replace(/>=|<=|->/g, (sign) => SIGNS[sign]);
 export const seconds = (t) => `${t.toFixed(1)} s`;

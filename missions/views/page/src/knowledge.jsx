@@ -37,7 +37,6 @@ function Item({ of, element: { designs = [], configurations = [] } }) {
 }
 
 const Fact = ({ title, children }) => <><dt>{title}</dt><dd>{children}</dd></>;
-
 const Condition = ({ of }) => <span class="part"><Standing of={of} quiet /> <span class="name">{pretty(run.value.name(of))}</span></span>;
 
 /** Why a design or configuration is chosen, and why each other one is not. */
@@ -78,8 +77,7 @@ function Details({ of }) {
 export function Knowledge() {
   const body = useRef(null);
   const words = useSignal("");
-  useEffect(() => reveal(body.current, body.current.querySelector(".badge")), [chosen.value]);
-  useEffect(() => reveal(body.current, body.current.querySelector(".details")), [selected.value]);
+  useEffect(() => reveal(body.current, body.current.querySelector(".details, .badge")), [chosen.value, selected.value]);
   const isFound = ([, { name }]) => name.toLowerCase().includes(words.value.toLowerCase());
   const group = ([kind, title]) => {
     const found = elements.value.filter(([, one]) => one.kind === kind).filter(isFound);

@@ -6,7 +6,6 @@ import { isFollowing, revision, run, runs, time } from "./state.js";
 
 const PAST = 20_000; // rows the server gives in one answer
 const PATIENCE_MS = [500, 1000, 2000, 4000, 8000];
-
 export const connection = signal("none"); // none (a report), connecting, connected, lost, refused
 export const dropped = signal(0);
 export const state = signal({}); // paused, speed, over, pages

@@ -3,9 +3,12 @@
 import { Track } from "./track.js";
 
 const EMPTY = new Track();
+const MOST = 200_000; // rows of a mission that still runs; then what is older than the middle is let go of
+const NUMBERED = new Set(["event", "action", "plan", "attempt", "taskplan", "adaptation", "whatif", "disturbance", "problem"]);
 
 export class Run {
   #tracks = new Map();
+  #count = 0;
   start = Infinity;
   end = -Infinity;
   moments = new Track(); // when anything was decided or became known
@@ -26,6 +29,20 @@ export class Run {
       if (track === "element") this.amended.set(t, true);
       this.reach(t);
     }
+    this.#count += rows.length;
+    if (this.header.live && this.#count > MOST) this.#forget((this.start + this.end) / 2);
+  }
+
+  /** Let go of what was before t, but for what holds then. */
+  #forget(t) {
+    for (const [track, keys] of this.#tracks) {
+      for (const [key, one] of keys) {
+        one.forget(t);
+        if (NUMBERED.has(track) && one.times.at(-1) < t && one.last.end !== null) keys.delete(key);
+      }
+    }
+    this.moments.forget(t);
+    [this.start, this.#count] = [t, this.#count / 2];
   }
 
   /** The run has come to t, whether or not there was anything to tell. */

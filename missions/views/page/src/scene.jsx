@@ -10,14 +10,11 @@ const MARGIN = 28; // [px]
 const HUES = 6;
 const BARS = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 5000]; // [m]
 const LETTER = 6.4; // width of a letter, about [px]
-
 export const hueOf = (names, name) => `var(--hue-${Math.max(0, names.indexOf(name)) % HUES})`;
-
 const done = (one) => one.last("action").map(([, { action }]) => one.name(action));
 
 /** The names of the actions that were done in any run, in the order of the first time. */
 export const actionNames = (all) => [...new Set(all.flatMap(done))];
-
 const isPlace = (pose) => Number.isFinite(pose?.[0]) && Number.isFinite(pose?.[1]);
 
 /** Metres to pixels, y up, with the same scale in both directions. */

@@ -10,7 +10,6 @@ export const isFollowing = signal(false); // whether the instant is that of a mi
 export const chosen = signal(null); // key of the adaptation
 export const selected = signal(null); // index of the element
 export const isPrinting = signal(false);
-
 export const run = computed(() => runs.value[shown.value]);
 export const start = computed(() => (revision.value, Math.min(...runs.value.map((one) => one.start))));
 export const end = computed(() => (revision.value, Math.max(...runs.value.map((one) => one.end), start.value + 0.001)));
@@ -37,12 +36,16 @@ export function stepsOf(list, one) {
   return chain.value.flatMap((step, index) => (isAbout(step) ? [index + 1] : []));
 }
 
-const amendments = computed(() => (revision.value, countUntil(run.value.amended.times, time.value)));
+/** When there came to be the elements that there are at the instant shown. */
+const amendment = computed(() => {
+  const { times } = (revision.value, run.value.amended);
+  return times[Math.max(countUntil(times, time.value), 1) - 1];
+});
 
 /** What there is at the instant shown, as [index, element]. */
 export const elements = computed(() => {
-  const since = run.value.amended.times[Math.max(amendments.value, 1) - 1];
-  return run.value.keys("element").map((key) => [key, run.value.of("element", key).at(since)]).filter(([, one]) => one);
+  const now = (key) => [key, run.value.of("element", key).at(amendment.value)];
+  return run.value.keys("element").map(now).filter(([, one]) => one);
 });
 
 export function seek(t) {

@@ -7,12 +7,12 @@ import { actionNames, hueOf } from "./scene.jsx";
 import { chosen, elements, end, revision, run, runs, seek, start, time } from "./state.js";
 
 const SAME = 0.05; // part of the axis on which the marks of a chain are one
-
 const part = (t) => (t - start.value) / (end.value - start.value);
 const percent = (t) => `${(100 * part(t)).toFixed(3)}%`;
 
 /** A bar {from, until [s], text, words, hue}; one that is still open goes to the end of its run. */
-const bar = (one, from, until, text = "", words = "", hue = undefined) => ({ from, until: until ?? one.end, text, words, hue });
+const bar = (one, from, until, text = "", words = "", hue = undefined) =>
+  ({ from: Math.max(from, one.start), until: until ?? one.end, text, words, hue });
 
 /** The bars of one run as [title, bars], what they are about in the order in which it is drawn. */
 function barsOf(one, names) {

@@ -41,6 +41,12 @@ export class Track {
     return this.times[countUntil(this.times, t) - 1];
   }
 
+  /** Let go of what was before t, but for what holds then. */
+  forget(t) {
+    const gone = Math.max(0, countUntil(this.times, t) - 1);
+    for (const column of [this.times, this.values]) column.splice(0, gone);
+  }
+
   get last() {
     return this.values[this.values.length - 1];
   }

@@ -9,7 +9,6 @@ import { at, chosen, isPrinting, run } from "./state.js";
 
 const KINDS = { sequence: "→", selector: "?", parallel: "⇉", decorator: "◇", action: "■", condition: "○", plan: "≡" };
 const MORE = 5; // rows that are made beyond those in sight
-
 const isOld = (status) => /[rsf]/.test(status);
 
 function Row({ node, index, of }) {

@@ -9,7 +9,6 @@ import { at, elements, revision, run, time } from "./state.js";
 const STEPS = 200; // of a slider
 const OWN = new Set(["action", "function", "component", "function design", "configuration"]); // whose statuses are told
 const moved = signal({}); // values by attribute; in a report one at a time
-
 const isLive = () => run.value.header.live;
 const nameOf = (element) => (element === null ? "nothing" : run.value.name(element));
 const limitsOf = ({ thresholds }) => thresholds.map((one) => run.value.element(one).value);
@@ -28,7 +27,7 @@ function rangeOf(key, element) {
   return [low >= 0 ? Math.max(0, low - more) : low - more, high + more];
 }
 
-function Measurement({ of, element }) {
+function Measurement({ of, element, hint }) {
   const [low, high] = rangeOf(of, element);
   const value = moved.value[of] ?? at("value", of);
   const move = ({ target }) => (moved.value = { ...(isLive() && moved.value), [of]: target.valueAsNumber });
@@ -36,6 +35,7 @@ function Measurement({ of, element }) {
     <label class={of in moved.value ? "moved" : ""}>
       <span><span class="name">{element.name}</span> <b>{withUnit(figure(value, limitsOf(element)), element.unit)}</b></span>
       <input type="range" min={low} max={high} step={(high - low) / STEPS} value={value} onInput={move} />
+      {hint && <small>{hint}</small>}
       {may.value.includes("inject") && of in moved.value && (
         <span class="tools">
           <button onClick={() => order("inject", { measure: { [element.name]: value } })}>Measure this from now on</button>
@@ -77,9 +77,10 @@ function Stored() {
   const fits = ({ attribute, low, high }) => String(attribute) === key && (low ?? -Infinity) <= value && value < (high ?? Infinity);
   const fitting = found.cases.find(fits);
   const offered = new Set(found.cases.map(({ attribute }) => attribute));
+  const told = (key) => found.cases.filter(({ attribute }) => attribute === key).map(interval).join(" · ");
   return (
     <>
-      {[...offered].map((one) => <Measurement key={one} of={one} element={run.value.element(one)} />)}
+      {[...offered].map((one) => <Measurement key={one} of={one} element={run.value.element(one)} hint={told(one)} />)}
       {fitting && <p>If <span class="name">{nameOf(key)}</span> were {interval(fitting)}{fitting.now && ", as it is"}:</p>}
       {fitting && <Outcome {...fitting} />}
       <p class="muted">Of the cases stored for {seconds(found.t)}: one measurement another, all else as it was then.</p>

@@ -1,0 +1,56 @@
+"""Draws the pictures of docs/see_it.md: `make pictures`, with a Chromium on this machine."""
+
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+from playwright.sync_api import sync_playwright
+from test_page_in_browser import CHROMIUM, FLAGS, recorded
+
+from missions.views.report import write_report
+
+DOCS = Path(__file__).parents[2] / "docs"
+MOST = 250_000  # bytes
+
+
+class Picture(NamedTuple):
+    """What of which run, how wide and high [px], and in which scheme."""
+
+    name: str
+    mission: str
+    task: str
+    link: str
+    size: tuple[int, int]
+    scheme: str
+
+
+PICTURES = (
+    Picture("page_desk", "suave_extended", "bt", "#t=151&a=7&e=25", (1440, 900), "light"),
+    Picture("page_dark", "agv", "pddl", "#t=12&a=1", (1440, 900), "dark"),
+    Picture("page_telephone", "uav", "bt", "#t=122.7&a=2", (375, 780), "light"),
+)
+
+
+def main() -> None:
+    """Run each mission, and photograph its report."""
+    if CHROMIUM is None:
+        sys.exit("no chromium on this machine: apt-get install chromium")
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        for one in PICTURES:
+            report, target = DOCS / f"{one.name}.html", DOCS / f"{one.name}.png"
+            write_report(report, recorded(one.mission, one.task))
+            width, height = one.size
+            page = browser.new_page(viewport={"width": width, "height": height}, color_scheme=one.scheme)
+            page.goto(report.as_uri() + one.link)
+            page.wait_for_selector(".chain")
+            page.wait_for_timeout(500)  # canvases are drawn after the first paint
+            page.screenshot(path=target)
+            report.unlink()
+            if target.stat().st_size > MOST:
+                sys.exit(f"{target} is {target.stat().st_size} bytes; {MOST} are allowed")
+        browser.close()
+
+
+if __name__ == "__main__":
+    main()
