@@ -13,6 +13,7 @@ from missions.commands import (
     complain,
     effort,
     listing,
+    mcp,
     plan,
     recordings,
     report,
@@ -32,6 +33,7 @@ app.command("list")(listing.list_missions)
 app.command("settings")(listing.list_settings)
 app.command("run")(run.run)
 app.command("bridge")(bridge.bridge)
+app.command("mcp")(mcp.mcp)
 app.command("replay")(recordings.replay)
 app.add_typer(recordings.record, name="record")
 app.command("check")(check.check)

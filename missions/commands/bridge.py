@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from py_trees.behaviour import Behaviour
 
     from kb import Model
+    from missions.engine.mission import Mission
     from missions.wires.bridge import BridgeSettings
     from missions.wires.rosbridge import Node
 
@@ -53,7 +54,7 @@ def bridge(
     from missions.wires.bridge import Bridge
     from rosa_bt import TreeRunner
 
-    settings, (model, make_tree) = _settings(config, url, attribute or []), _robot(robot, tree, answer)
+    settings, (model, make_tree, _) = _settings(config, url, attribute or []), robot_of(robot, tree, answer=answer)
     console, percepts = open_console(), Percepts()
 
     def say(event: Event) -> None:
@@ -80,8 +81,10 @@ def bridge(
                 runner.shutdown()
 
 
-def _robot(name: str, tree: str | None, answer: bool) -> "tuple[Model, Callable[..., Behaviour] | None]":
-    """Return the model of a robot, and what makes its tree; None if others decide."""
+def robot_of(
+    name: str, tree: str | None, *, answer: bool
+) -> "tuple[Model, Callable[..., Behaviour] | None, Mission | None]":
+    """Return the model of a robot, what makes its tree (None if others decide), and the mission if it is one."""
     from kb import Model
     from missions.engine.mission import Mission, MissionError
     from missions.engine.registry import MISSIONS
@@ -100,7 +103,7 @@ def _robot(name: str, tree: str | None, answer: bool) -> "tuple[Model, Callable[
         model = made
     if not answer and make_tree is None:
         raise MissionError(f"what decides for {model.name}? give --tree module:NAME, or --answer to leave it to others")
-    return model, None if answer else make_tree
+    return model, None if answer else make_tree, found if isinstance(found, Mission) else None
 
 
 def _settings(config: Path | None, url: str | None, attributes: list[str]) -> "BridgeSettings":

@@ -1,0 +1,65 @@
+"""`rosa mcp`: an assistant may ask a robot's knowledge base."""
+
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from threading import Event, Thread
+from typing import TYPE_CHECKING, Annotated, Final
+
+import typer
+
+if TYPE_CHECKING:
+    from kb import KnowledgeBase
+
+_TURN_S: Final = 0.05
+
+
+def mcp(
+    robot: Annotated[
+        str, typer.Argument(help="A mission, a model file (.tql, .owl), or module:NAME that makes a model.")
+    ],
+    store: Annotated[Path | None, typer.Option(help="What became known, in this file.")] = None,
+    config: Annotated[Path | None, typer.Option(help="bridge.toml of the robot to connect to.")] = None,
+    allow_actions: Annotated[bool, typer.Option("--allow-actions", help="Actions may be requested, too.")] = False,
+    http: Annotated[
+        int | None, typer.Option(metavar="PORT", help="Serve over HTTP, with a token, not over stdio.")
+    ] = None,
+    token: Annotated[str, typer.Option(envvar="ROSA_TOKEN", help="Which a client over HTTP has to give.")] = "",
+) -> None:
+    """Serve the questions of a robot's knowledge base to assistants (Model Context Protocol), over stdio."""
+    from kb import KnowledgeBase
+    from missions.commands.bridge import robot_of
+    from missions.wires.assistant import Assistant, mcp_server, serve_http
+
+    model, _, mission = robot_of(robot, None, answer=True)
+    with ExitStack() as stack:
+        kb = KnowledgeBase(model, store=store, clock=time.time)
+        stack.callback(kb.close)
+        if config is not None:
+            _connect(kb, config, token, stack)
+        server = mcp_server(Assistant(kb, mission), allow_actions=allow_actions)
+        if http is None:
+            server.run("stdio")
+        else:
+            serve_http(server, http, token)
+
+
+def _connect(kb: "KnowledgeBase", config: Path, token: str, stack: ExitStack) -> None:
+    """Have the knowledge base hear its robot, and its components managed, in a thread."""
+    from kb import ConfigurationManager
+    from missions.wires.bridge import Bridge, BridgeSettings
+    from missions.wires.rosbridge import Rosbridge
+
+    settings, over = BridgeSettings.load(config), Event()
+    bridge = Bridge(kb, Rosbridge(settings.url, token), settings)
+    stack.callback(bridge.close)
+    manager = ConfigurationManager(kb, bridge.managed)
+
+    def manage() -> None:
+        while not over.wait(_TURN_S):
+            manager.update()
+
+    thread = Thread(target=manage, name="manager", daemon=True)
+    thread.start()
+    stack.callback(thread.join)
+    stack.callback(over.set)

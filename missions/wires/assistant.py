@@ -1,0 +1,180 @@
+"""What assistants may ask a robot, by the Model Context Protocol: the knowledge base's own questions, as tools.
+
+To act is a tool of its own, there only if it is allowed; what it asks for goes through the same gate as everybody's.
+"""
+
+import logging
+from collections.abc import Callable, Mapping
+from functools import wraps
+from hmac import compare_digest
+from typing import TYPE_CHECKING, Any, Final
+
+from kb import Event, EventKind, KnowledgeBase, KnowledgeBaseError
+from missions.engine.mission import Mission, MissionError
+from missions.extras import needs
+from rosa_pddl import RosaPddlError
+
+if TYPE_CHECKING:
+    from mcp.server import MCPServer
+
+_MOST: Final = 100
+"""How many decisions are told at most."""
+_PLANNING_S: Final = 10.0
+_log = logging.getLogger(__name__)
+INSTRUCTIONS: Final = (
+    "A robot's knowledge base: which actions can be done now, why not, what would help, and how it is configured. "
+    "Ask what_can_be_done first; names are as it gives them."
+)
+
+
+class Assistant:
+    """Answers as a knowledge base does; each method is a tool.
+
+    Args:
+        kb: of the robot.
+        mission: whose goals may be planned for; None if it has none.
+    """
+
+    def __init__(self, kb: KnowledgeBase, mission: Mission | None = None) -> None:
+        self._kb, self._mission = kb, mission
+
+    def what_can_be_done(self) -> dict[str, Any]:
+        """Say of every action whether it can be done now, with the reason, and which are being done."""
+        kb = self._kb
+        return {
+            "actions": {
+                name: {"feasible": kb.is_feasible(name), "why": kb.why(view)} for name, view in kb.actions.items()
+            },
+            "being done": [one.action for one in kb.required_actions],
+        }
+
+    def what_is_known(self) -> dict[str, Any]:
+        """Say what was measured, and the status of every function, design, component and configuration."""
+        kb = self._kb
+        return {
+            "measured": {
+                name: {"value": view.value, "time": view.time, "unit": view.unit}
+                for name, view in kb.attributes.items()
+            },
+            "functions": {name: str(view.status) for name, view in kb.functions.items()},
+            "designs": _selectable(kb.designs),
+            "components": {
+                name: {
+                    "status": str(view.status),
+                    "active": view.is_active,
+                    "parameters": dict(view.parameters_in_force),
+                }
+                for name, view in kb.components.items()
+            },
+            "configurations": _selectable(kb.configurations),
+        }
+
+    def why(self, element: str) -> str:
+        """Say why an action, function, design, component, configuration or attribute is so, and what would help."""
+        return str(self._kb.explain(element))
+
+    def why_chosen(self, element: str) -> str:
+        """Say why a function has its design, or a component its configuration, and not another one."""
+        return str(self._kb.explain_choice(element))
+
+    def what_if(self, measured: dict[str, float] | None = None, failed: list[str] | None = None) -> dict[str, Any]:
+        """Say what could be done if attributes had other values and components had failed; nothing is changed."""
+        situation = self._kb.situation(measured or {}, failed=failed or ())
+        out = {name: situation.why(view) for name, view in situation.actions.items() if not situation.is_feasible(name)}
+        return {"feasible": list(situation.selectable_actions()), "unfeasible": out}
+
+    def best_configuration(self, action: str) -> dict[str, Any]:
+        """Say which designs and configurations would be chosen now if an action were to be done."""
+        choice = self._kb.best_configuration(action)
+        if choice is None:
+            return {"why not": self._kb.why(self._kb.actions[action])}
+        return {"designs": dict(choice.designs), "configurations": dict(choice.configurations)}
+
+    def plan_for(self, goal: str = "") -> dict[str, Any]:
+        """Plan, with what is feasible now, for the mission's goal or another in PDDL, e.g. "(inspected pipeline)"."""
+        from missions.engine.question import answer, ask, read_situation
+
+        if self._mission is None:
+            raise MissionError("this robot has no mission in PDDL to plan for")
+        supposed = read_situation([], [",".join(self._kb.selectable_actions())])
+        found = answer(ask([], self._mission, [], supposed, [goal] if goal else []), _PLANNING_S)
+        steps = [str(step) for step in found.result.steps]
+        told = {"outcome": str(found.result.outcome), "steps": steps, "cost": found.result.cost}
+        return {**told, "obstacles": list(found.obstacles)}
+
+    def latest_decisions(self, most: int = 20) -> list[dict[str, Any]]:
+        """Tell what was decided last, with the cause: requests, and reconfiguration plans with their reasons."""
+        told = [one for one in self._kb.log if one.kind in (EventKind.ACTION_UPDATE, EventKind.RECONFIGURATION_PLAN)]
+        return [self._decision(one) for one in told[-max(1, min(most, _MOST)) :]]
+
+    def request_action(self, action: str) -> dict[str, Any]:
+        """Ask for an action to be done; refused, with the reason, unless it is feasible now."""
+        reply = self._kb.request_action(action)
+        return {"accepted": bool(reply), "reason": reply.reason}
+
+    def cancel_action(self, action: str) -> dict[str, Any]:
+        """Ask for an action no longer to be done."""
+        self._kb.cancel_action(action)
+        return {"accepted": True, "reason": ""}
+
+    def _decision(self, event: Event) -> dict[str, Any]:
+        reason = event.plan.reason if event.plan is not None else ""
+        return {"time": event.time, "what": event.text, "why": reason, "caused by event": event.cause}
+
+
+def _selectable(views: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: {"status": str(view.status), "selected": view.is_selected} for name, view in views.items()}
+
+
+def mcp_server(assistant: Assistant, *, allow_actions: bool = False) -> "MCPServer":
+    """Return the server that offers an assistant's answers as tools; to act only if that is allowed.
+
+    Raises:
+        MissionError: the extra `mcp` is missing.
+    """
+    with needs("mcp", "the server for assistants"):
+        from mcp.server import MCPServer
+    server = MCPServer("rosa-taca", instructions=INSTRUCTIONS)
+    for name in vars(Assistant):
+        if not name.startswith("_") and (allow_actions or name not in ("request_action", "cancel_action")):
+            server.tool(name)(_answering(getattr(assistant, name)))
+    return server
+
+
+def _answering(tool: Callable[..., Any]) -> Callable[..., Any]:
+    """Have what a tool refuses told in its own words, and each call logged."""
+
+    @wraps(tool)
+    def answered(*given: Any, **named: Any) -> Any:  # noqa: ANN401  # those of the tool
+        _log.info("an assistant asks %s%r", tool.__name__, named or given)
+        try:
+            return tool(*given, **named)
+        except (KnowledgeBaseError, MissionError, RosaPddlError) as error:
+            from mcp.server.mcpserver.exceptions import ToolError
+
+            raise ToolError(str(error)) from None
+
+    return answered
+
+
+def serve_http(server: "MCPServer", port: int, token: str, host: str = "127.0.0.1") -> None:
+    """Serve over HTTP, to who has the token only, until interrupted.
+
+    Raises:
+        MissionError: there is no token, or the extra is missing.
+    """
+    if not token:
+        raise MissionError("over HTTP an assistant needs a token: --token, or the variable ROSA_TOKEN")
+    with needs("mcp", "the server for assistants"):
+        import uvicorn
+    app, wanted = server.streamable_http_app(), f"Bearer {token}".encode()
+
+    async def guarded(scope: Any, receive: Any, send: Any) -> None:  # noqa: ANN401  # as ASGI has it
+        given = dict(scope.get("headers") or ()).get(b"authorization", b"")
+        if scope["type"] == "http" and not compare_digest(given, wanted):
+            await send({"type": "http.response.start", "status": 401, "headers": [(b"content-type", b"text/plain")]})
+            await send({"type": "http.response.body", "body": b"a token is needed: Authorization: Bearer TOKEN\n"})
+        else:
+            await app(scope, receive, send)
+
+    uvicorn.run(guarded, host=host, port=port, log_level="warning")

@@ -1,0 +1,174 @@
+"""Assistants ask the knowledge base by the Model Context Protocol, with a client of the protocol's own library."""
+
+import json
+import random
+import socket
+import subprocess
+import sys
+import time
+from functools import partial
+from urllib.error import HTTPError, URLError
+from urllib.request import Request, urlopen
+
+import anyio
+import pytest
+from mcp import Client, StdioServerParameters
+from mcp.client.stdio import stdio_client
+
+from kb import KnowledgeBase
+from missions.engine.mission import MissionError
+from missions.suave_extended import MISSION
+from missions.wires.assistant import Assistant, mcp_server, serve_http
+
+ASKING = {
+    "best_configuration",
+    "latest_decisions",
+    "plan_for",
+    "what_can_be_done",
+    "what_if",
+    "what_is_known",
+    "why",
+    "why_chosen",
+}
+
+
+@pytest.fixture
+def kb():
+    made = KnowledgeBase(MISSION.model(), clock=lambda: 1.0)
+    made.measure("water_visibility", 3.0)
+    made.measure("battery_level", 0.2)
+    return made
+
+
+def asked(kb, calls, *, allow_actions=False):
+    """Return (whether it is an error, what was answered) of each call, over the protocol."""
+
+    async def ask():
+        server = mcp_server(Assistant(kb, MISSION), allow_actions=allow_actions)
+        async with Client(server) as client:
+            tools = {tool.name for tool in (await client.list_tools()).tools}
+            answers = [await client.call_tool(name, arguments) for name, arguments in calls]
+        return tools, [(bool(one.is_error), one.structured_content, text_of(one)) for one in answers]
+
+    return anyio.run(ask)
+
+
+def text_of(result):
+    return "".join(part.text for part in result.content if part.type == "text")
+
+
+def test_answers_are_those_of_the_knowledge_base(kb):
+    tools, answers = asked(
+        kb,
+        [
+            ("what_can_be_done", {}),
+            ("why", {"element": "inspect_pipeline"}),
+            ("what_if", {"measured": {"battery_level": 0.9}, "failed": ["c_thruster_1"]}),
+            ("best_configuration", {"action": "recharge"}),
+            ("why_chosen", {"element": "maintain_motion"}),
+            ("what_is_known", {}),
+        ],
+    )
+    assert tools == ASKING, "to act is not among them"
+    assert not any(is_error for is_error, *_ in answers)
+    can, why, supposed, best, chosen, known = [json.loads(text) if text[:1] == "{" else text for *_, text in answers]
+    assert {name: one["feasible"] for name, one in can["actions"].items()} == {
+        name: kb.is_feasible(name) for name in kb.actions
+    }
+    assert why == str(kb.explain("inspect_pipeline"))
+    situation = kb.situation(battery_level=0.9, failed=["c_thruster_1"])
+    assert supposed["feasible"] == list(situation.selectable_actions())
+    assert best["designs"] == dict(kb.best_configuration("recharge").designs)
+    assert chosen == str(kb.explain_choice("maintain_motion"))
+    assert known["measured"]["battery_level"]["value"] == 0.2
+
+
+def test_plan_is_made_with_what_is_feasible_now(kb):
+    _, ((is_error, _, text),) = asked(kb, [("plan_for", {})])
+    assert not is_error
+    assert [step.split("(")[0].strip("()").split()[0] for step in json.loads(text)["steps"]][:1] == ["recharge"]
+
+
+def test_to_act_has_to_be_allowed_and_passes_the_gate(kb):
+    _, ((is_error, *_),) = asked(kb, [("request_action", {"action": "recharge"})])
+    assert is_error
+    assert not kb.required_actions
+    calls = [("request_action", {"action": name}) for name in ("inspect_pipeline", "recharge")]
+    tools, answers = asked(kb, calls, allow_actions=True)
+    assert tools == ASKING | {"request_action", "cancel_action"}
+    refused, accepted = [json.loads(text) for *_, text in answers]
+    assert not refused["accepted"]
+    assert "battery_level 0.2 violates >= 0.25" in refused["reason"]
+    assert accepted["accepted"]
+    assert [one.action for one in kb.required_actions] == ["recharge"]
+    assert [one.verb for one in kb.log][-1] == "request_action", "it is in the log"
+
+
+def test_hostile_requests_never_get_an_unfeasible_action_through(kb):
+    rng, names = random.Random(8), [*kb.actions, "", "inspect", "x" * 5000, "';--", "recharge "]
+    values = [None, 3, [], {}, "inspect_pipeline", ["inspect_pipeline"], {"name": "inspect_pipeline"}, *names]
+    before = len(list(kb.log))
+    calls = [
+        (
+            rng.choice(["request_action", "what_if", "why", "plan"]),
+            {rng.choice(["action", "element", "x"]): rng.choice(values)},
+        )
+        for _ in range(400)
+    ]
+    _, answers = asked(kb, [call for call in calls if call[1] != {"action": "recharge"}], allow_actions=True)
+    assert len(answers) > 300
+    assert not kb.required_actions
+    assert len(list(kb.log)) == before
+    assert not kb.is_feasible("inspect_pipeline")
+
+
+def test_refusals_are_told_in_words(kb):
+    _, answers = asked(kb, [("why", {"element": "inspekt_pipeline"}), ("what_if", {"measured": {"batery": 1}})])
+    assert [is_error for is_error, *_ in answers] == [True, True]
+    assert "inspect_pipeline" in answers[0][2]
+    assert "battery_level" in answers[1][2]
+
+
+def test_program_serves_over_stdio():
+    async def ask():
+        program = StdioServerParameters(command=sys.executable, args=["-m", "missions", "mcp", "suave_extended"])
+        async with Client(partial(stdio_client, program)()) as client:
+            return text_of(await client.call_tool("why", {"element": "recharge"}))
+
+    assert "recharge" in anyio.run(ask)
+
+
+def test_http_needs_a_token(kb):
+    with pytest.raises(MissionError, match="needs a token"):
+        serve_http(mcp_server(Assistant(kb)), 0, "")
+
+
+def test_over_http_only_who_has_the_token_is_answered():
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    command = [sys.executable, "-m", "missions", "mcp", "suave_extended", "--http", str(port), "--token", "secret"]
+    url, asked_for = f"http://127.0.0.1:{port}/mcp", json.dumps({"jsonrpc": "2.0", "id": 1, "method": "ping"}).encode()
+
+    def status(**headers):
+        request = Request(url, asked_for, {"Content-Type": "application/json", "Accept": "application/json", **headers})
+        try:
+            return urlopen(request, timeout=10).status
+        except HTTPError as error:
+            with error:
+                return error.code
+
+    with subprocess.Popen(command, stderr=subprocess.DEVNULL) as program:
+        try:
+            end = time.monotonic() + 60
+            while True:
+                try:
+                    found = status()
+                    break
+                except URLError:
+                    assert time.monotonic() < end, "it never listens"
+                    time.sleep(0.1)
+            assert (found, status(Authorization="Bearer wrong")) == (401, 401)
+            assert status(Authorization="Bearer secret") != 401
+        finally:
+            program.terminate()
