@@ -19,6 +19,7 @@ from rosa_pddl.syntax import (
     body_of,
     check_frames,
     doubtful_requirements,
+    glued_types,
     listed,
     parse,
     read_source,
@@ -109,6 +110,7 @@ class _Reader:
         defaults = {self._types.BoolType(): environment.expression_manager.FALSE()}
         self._up_problem = UpProblem(str(problem.root.children[1].children[1]), environment, initial_defaults=defaults)
         self._actions, self._has_object = actions, has_object
+        self._again: list[str] = []
         self._inside: dict[tuple[str, str], str] = {}
         self._outside = {"object": "object"}
         self._places: dict[tuple[str, str], tuple[str, int]] = {}
@@ -165,7 +167,10 @@ class _Reader:
             rosa_actions=tuple(name for name, lineage in self._lineages.items() if ACTION_TYPE in lineage),
             schemas=tuple(self._schemas),
             goals=tuple(texts),
-            oversights=(*doubtful_requirements(domain), *doubtful_requirements(problem)),
+            oversights=(
+                *(note for one in (domain, problem) for note in (*doubtful_requirements(one), *glued_types(one))),
+                *self._again,
+            ),
             resources=resources_of(self._up_problem, self._outside),
         )
 
@@ -238,7 +243,13 @@ class _Reader:
             self._read_object(formulas, node, kind or ANY)
 
     def _read_object(self, formulas: Formulas, node: Node, kind: Node) -> None:
-        type_ = formulas.type_of(kind)
+        type_, known = formulas.type_of(kind), self._inside.get(("object", node.lower))
+        if known is not None and formulas is self._problem and self._up_problem.object(known).type == type_:
+            file, line = self._places["object", self._outside[known]]
+            if file == self._domain.source.file:
+                note = f"the object {node.word!r} is a constant already, in line {line} of {file}"
+                self._again.append(f"{formulas.source.file}:{node.line}: {note}")
+                return
         self._up_problem.add_object(self._declare(formulas.source, "object", node), type_)
         self._lineages[str(node)] = tuple(lineage_of(type_, self._outside))
 

@@ -116,11 +116,27 @@ def typed(source: Source, nodes: Iterable[Node], *, are_variables: bool = False)
         if expects_type:
             found += [(name, node) for name in waiting]
             waiting = []
+        elif waiting and _is_glued(node):
+            found += [(name, replace(node, word=str(node)[1:])) for name in waiting]
+            waiting = []
         elif node.word != "-":
             if are_variables and not node.lower.startswith("?"):
                 raise source.error(node, f"found {node.word!r}, expected a variable such as '?{node.word}'")
             waiting.append(node)
     return found + [(name, None) for name in waiting]
+
+
+def glued_types(source: Source) -> Iterator[str]:
+    """Yield in sentences where a type follows its mark without a space, as in `?r -robot`."""
+    waiting = [source.root]
+    for node in waiting:
+        waiting += node.children
+        if _is_glued(node):
+            yield f"{source.file}:{node.line}: {str(node)!r} is read as '- {str(node)[1:]}'; write it with the space"
+
+
+def _is_glued(node: Node) -> bool:
+    return node.word is not None and node.word[:1] == "-" and node.word[1:2].isalpha()
 
 
 @dataclass

@@ -4,7 +4,18 @@ import sys
 import pytest
 from pddl_world import MISSIONS, ROOMS_DOMAIN, ROOMS_PROBLEM, FakeKb, load_mission, load_text
 
-from rosa_pddl import PddlError, RosaPddlError, Step, UnknownNameError, UnsupportedPddlError, initial_state, load_domain
+from rosa_pddl import (
+    PddlError,
+    Planner,
+    Problem,
+    RosaPddlError,
+    Step,
+    UnknownNameError,
+    UnsupportedPddlError,
+    initial_state,
+    load_domain,
+    parse_domain,
+)
 from rosa_pddl.exceptions import nearest
 
 
@@ -227,3 +238,27 @@ from rosa_pddl import load_domain
 load_domain(r"{folder / "domain.pddl"}", r"{folder / "problem.pddl"}")
 sys.exit(any(name.startswith("unified_planning.engines") for name in sys.modules))"""
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_a_type_without_its_space_and_a_constant_named_again_are_read_with_a_note():
+    domain = """(define (domain d) (:requirements :typing) (:types robot place) (:constants Dock -place)
+      (:predicates (at ?r -robot ?x - place))
+      (:action go :parameters (?r -robot ?x ?y -place) :precondition (at ?r ?x)
+       :effect (and (at ?r ?y) (not (at ?r ?x)))))"""
+    problem = """(define (problem p) (:domain d) (:objects dock yard - place r1 - robot)
+      (:init (at r1 yard)) (:goal (at r1 dock)))"""
+    read = parse_domain(domain, problem)
+    assert read.objects_of("place") == ("Dock", "yard")
+    assert [step.arguments for step in Planner().plan(Problem(read, initial_state(read))).steps] == [
+        ("r1", "yard", "Dock")
+    ]
+    assert read.oversights[0] == "domain.pddl:1: '-place' is read as '- place'; write it with the space"
+    again = "problem.pddl:1: the object 'dock' is a constant already, in line 1 of domain.pddl"
+    assert read.oversights[-1] == again
+    assert len(read.oversights) == 5
+
+
+def test_a_constant_named_again_with_another_type_is_refused():
+    domain = "(define (domain d) (:requirements :typing) (:types a b) (:constants x - a) (:predicates (p ?x - a)))"
+    with pytest.raises(PddlError, match=r"declared before, in line 1 of domain\.pddl"):
+        parse_domain(domain, "(define (problem p) (:domain d) (:objects x - b) (:init) (:goal (p x)))")
