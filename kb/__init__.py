@@ -27,7 +27,7 @@ from kb.planners.optimal import OptimalPlanner
 from kb.processes import ProcessComponents, Program
 from kb.questions import Situation
 from kb.reconfiguration import Obsolete
-from kb.records import Attempt, Process, ReconfigurationPlan, Reply, RequiredAction, VetoAnswer
+from kb.records import Attempt, Memory, Process, ReconfigurationPlan, Reply, RequiredAction, VetoAnswer
 from kb.status import Status
 from kb.store_file import StoreError
 
@@ -56,6 +56,7 @@ __all__ = [
     "ManagedObject",
     "ManagedObjects",
     "ManagedSystem",
+    "Memory",
     "Model",
     "ModelError",
     "ModelFileError",

@@ -50,7 +50,8 @@ def amend(model: Model, serials: Serials, how: str, written: Any) -> None:  # no
     given = from_json(written)
     declarer = Declarer(model, known)
     if how == "declared":
-        declarer.declare(given)
+        with model.at_once():
+            declarer.declare(given)
         for one in given:
             if isinstance(made := declarer.known.get(one.id), Constraint | Estimation):
                 serials.give(made, int(one.id.rpartition(".")[2]))

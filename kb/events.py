@@ -1,17 +1,19 @@
 """Events: everything that becomes known, as data that can be told again; the log of them, and who hears of them."""
 
 import logging
+import math
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from enum import StrEnum
+from functools import partial
 from heapq import merge
 from operator import attrgetter
-from threading import Lock
+from threading import Condition, Lock, get_ident
 from typing import Any, Final, NamedTuple, Self
 
 from kb.exceptions import InvalidValue
-from kb.records import ReconfigurationPlan
+from kb.records import Memory, ReconfigurationPlan
 from kb.status import Status
 
 
@@ -24,18 +26,8 @@ class EventKind(StrEnum):
     RECORD = "record"
 
 
-RECORDS: Final = frozenset(
-    {
-        "component_configured",
-        "component_started",
-        "component_ended",
-        "finish_plan",
-        "record_attempt",
-        "finish_attempt",
-        "record_answer",
-        "store",
-    }
-)
+_MADE: Final = frozenset({"component_configured", "component_started", "component_ended", "finish_plan", "store"})
+RECORDS: Final = _MADE | {"record_attempt", "finish_attempt", "record_answer"}
 """The verbs of what is only put on record, and changes no fact of the state."""
 
 
@@ -108,21 +100,15 @@ class Event(NamedTuple):
 
     def to_json(self) -> dict[str, Any]:
         """Return it as values that JSON can hold; `from_json` is the way back, but for the plan."""
-        written: dict[str, Any] = {
-            "number": self.number,
-            "time": self.time,
-            "verb": self.verb,
-            "arguments": [_plain(one) for one in self.arguments],
+        said = {
+            "changes": [list(map(str, one)) for one in self.changes],
+            "cause": self.cause,
+            "effects": [list(one) for one in self.effects],
+            "words": self.words,
         }
-        if self.changes:
-            written["changes"] = [list(map(str, one)) for one in self.changes]
-        if self.cause is not None:
-            written["cause"] = self.cause
-        if self.effects:
-            written["effects"] = [list(one) for one in self.effects]
-        if self.words:
-            written["words"] = self.words
-        return written
+        arguments = [_plain(one) for one in self.arguments]
+        written = {"number": self.number, "time": self.time, "verb": self.verb, "arguments": arguments}
+        return written | {name: value for name, value in said.items() if value not in ([], None, "")}
 
     @classmethod
     def from_json(cls, written: Mapping[str, Any]) -> Self:
@@ -168,8 +154,6 @@ _WORDS: Final[Mapping[str, Callable[[Event], str]]] = {
     "component_ended": lambda one: f"{one.subject} no longer runs as process {one.arguments[1] or ''}".rstrip(),
     "request_action": lambda one: f"{one.subject} is requested",
     "cancel_action": lambda one: f"{one.subject} is {': '.join(filter(None, one.arguments[1:]))}",
-    "retract_status": lambda one: f"{one.subject} is no longer asserted",
-    "lapse": lambda one: f"{one.subject} is no longer asserted {one.arguments[1]}: its time is over",
     "assert_required": lambda one: f"{one.subject} is {'' if one.arguments[1] else 'no longer '}asserted required",
     "assert_selected": lambda one: f"{one.subject} is {'' if one.arguments[1] else 'not '}selected{_of(one, 2)}",
     "note_no_choice": lambda one: (
@@ -186,40 +170,56 @@ _WORDS: Final[Mapping[str, Callable[[Event], str]]] = {
 """An event in words, by its verb."""
 
 
-_MOST: Final = 100_000
-"""How many measurements, and how many other events, are held in memory; the newest."""
-
 _NUMBER: Final = attrgetter("number")
+
+_MOST_ANSWERS: Final = 1000
+"""How long a chain of events may be in which each is told in answer to the one before."""
 
 _log = logging.getLogger(__name__)
 
 
 class Log:
-    """The events of a knowledge base by number, as far as they are held in memory.
+    """The newest events of a knowledge base by number, as far as they are held in memory.
 
     Measurements are far more than anything else and are held apart, so that they push nothing else out.
 
+    Args:
+        memory: how much is held.
+
     Attributes:
         last: number of the last event; 0 before the first.
+        begins: number of the event from which on every one is held; 1 while none is forgotten.
+        time: of the last event [s].
         heard: called with nothing when there is a new event.
+        settle: called with nothing before all are looked at, to put in place what was interrupted.
         witnesses: called with each event when it is in by the thread that tells it, which holds the base; they may ask.
     """
 
-    def __init__(self) -> None:
-        self.last = 0
+    def __init__(self, memory: Memory) -> None:
+        self.last, self.begins, self.time = 0, 1, -math.inf
         self.heard: Callable[[], None] | None = None
+        self.settle: Callable[[], None] = lambda: None
         self.witnesses: tuple[Callable[[Event], None], ...] = ()
-        self._measured: deque[Event] = deque(maxlen=_MOST)
-        self._others: deque[Event] = deque(maxlen=_MOST)
+        self._most, self._span = memory.events, memory.span
+        self._measured: deque[Event] = deque()
+        self._others: deque[Event] = deque()
 
     def append(self, event: Event) -> None:
         """Add an event; one that is there already, by its number, is added no second time."""
         events = self._measured if event.verb == "measure" else self._others
         if not events or events[-1].number < event.number:
+            while events and (len(events) >= self._most or events[0].time < event.time - self._span):
+                self.begins = max(self.begins, events[0].number + 1)
+                events.popleft()
             events.append(event)
-        self.last = event.number
+        self.last, self.time = event.number, event.time
         if self.heard is not None:
             self.heard()
+
+    def resume(self, number: int) -> None:
+        """Go on after an event that is not held here."""
+        if number != self.last:
+            self.last, self.begins = number, number + 1
 
     def since(self, number: int, *, measurements: bool = True) -> Iterator[Event]:
         """Yield the events after one, in order, with the measurements among them or without."""
@@ -227,6 +227,7 @@ class Log:
         return merge(_later(self._measured, number), others, key=_NUMBER) if measurements else iter(others)
 
     def __iter__(self) -> Iterator[Event]:
+        self.settle()
         return self.since(0)
 
     def __len__(self) -> int:
@@ -243,52 +244,98 @@ def _later(events: deque[Event], number: int) -> list[Event]:
     return later
 
 
+@dataclass(slots=True, eq=False)
+class _Subscriber:
+    """Who is called, and the number of the last event that it was called with."""
+
+    call: Callable[[Event], None]
+    heard: int
+
+
 class Publisher:
-    """Calls every subscriber with every event of a log, one event at a time, in order.
+    """Calls every subscriber with every event of a log, once, one event at a time, in order.
 
     No lock is held while a subscriber is called. An event that it causes comes after the one that it is called with;
-    so does one of another thread, which need not wait for that.
+    so does one of another thread, which need not wait for that. What interrupts a subscriber reaches whoever told; the
+    others hear of the event at the next call. One that answers without end is called no more.
     """
 
-    def __init__(self, log: Log, lock: AbstractContextManager[object]) -> None:
+    def __init__(self, log: Log, lock: Any) -> None:  # noqa: ANN401  # an RLock has no type
         self._log, self._lock = log, lock
-        self._subscribers: list[Callable[[Event], None]] = []
+        self._owned = Condition(lock)
+        self._subscribers: list[_Subscriber] = []
         self.is_heard = False
-        self._heard = 0
         self._turn = Lock()
+        self._called: tuple[int, _Subscriber, int] | None = None
+        self._answers: dict[int, int] = {}
 
     def subscribe(self, callback: Callable[[Event], None]) -> Callable[[], None]:
         """Have a function called with every event from now on; returns how to stop that."""
         if not callable(callback):
             raise InvalidValue(f"a subscriber is called with each event; {callback!r} cannot be called")
         with self._lock:
-            if not self._subscribers:
-                self._heard = self._log.last
-            self._subscribers.append(callback)
+            subscriber = _Subscriber(callback, self._log.last)
             self.is_heard = True
+            self._subscribers.append(subscriber)
+        return partial(self._stop, subscriber)
 
-        def unsubscribe() -> None:
-            if callback in self._subscribers:
-                self._subscribers.remove(callback)
-            self.is_heard = bool(self._subscribers)
+    def deliver(self, told: int = 0) -> None:
+        """Call the subscribers with what is new, unless a thread is at it already, which then does this too.
 
-        return unsubscribe
-
-    def deliver(self) -> None:
-        """Call the subscribers with what is new, unless a thread is at it already, which then does this too."""
-        while self._subscribers and self._heard < self._log.last and self._turn.acquire(blocking=False):
+        Args:
+            told: number of the event that this thread has just told.
+        """
+        while any(one.heard < self._log.last for one in self._subscribers) and not self._is_held():
+            turn: list[bool] = []
             try:
+                turn.extend(map(self._turn.acquire, (False,)))  # taken and noted in one step, whatever interrupts
+                if not turn[0]:
+                    self._answered(told)
+                    return
                 with self._lock:
-                    events = list(self._log.since(self._heard))
+                    last = self._log.last
+                    events = list(self._log.since(min((one.heard for one in self._subscribers), default=last)))
                 for event in events:
-                    self._heard = event.number
-                    self._call(event)
+                    depth = self._answers.pop(event.number, 0)
+                    for subscriber in tuple(self._subscribers):
+                        if subscriber.heard < event.number:
+                            self._called = get_ident(), subscriber, depth
+                            _call(subscriber, event)
+                for subscriber in self._subscribers:
+                    subscriber.heard = max(subscriber.heard, last)  # even if the log has forgotten some by now
             finally:
-                self._turn.release()
+                if turn and turn[0]:
+                    self._turn.release()
 
-    def _call(self, event: Event) -> None:
-        for subscriber in tuple(self._subscribers):
-            try:
-                subscriber(event)
-            except Exception:
-                _log.exception("a subscriber failed on %r", event.text)
+    def _answered(self, told: int) -> None:
+        """Note that whoever is called on this thread has told an event, in answer to that with which it is called."""
+        if not told or self._called is None or self._called[0] != get_ident():
+            return
+        _, subscriber, depth = self._called
+        self._answers[told] = depth + 1
+        if depth >= _MOST_ANSWERS and subscriber in self._subscribers:
+            self._stop(subscriber)
+            why = "has told something in answer to its own answers without end, and is called no more"
+            _log.error("the subscriber %r %s: have it tell only what is new", subscriber.call, why)
+
+    def _stop(self, subscriber: _Subscriber) -> None:
+        if subscriber in self._subscribers:
+            self._subscribers.remove(subscriber)
+        self.is_heard = bool(self._subscribers)
+
+    def _is_held(self) -> bool:
+        """Tell whether this thread holds the base, as within `with kb.reading()`: then nobody is called."""
+        try:
+            self._owned.notify(0)  # it is refused to whoever does not hold the lock
+        except RuntimeError:
+            return False
+        return True
+
+
+def _call(subscriber: _Subscriber, event: Event) -> None:
+    try:
+        subscriber.call(event)
+    except Exception:
+        _log.exception("the subscriber %r failed on %r", subscriber.call, event.text)
+    finally:
+        subscriber.heard = event.number

@@ -4,14 +4,15 @@ A file of a robot's model may say what was known when it was written; a knowledg
 that. What is not stated is not so: no component is active, nothing is selected or required, nothing is measured.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Final, NamedTuple, Protocol
 
 from kb.elements import (
     KINDS,
     Action,
     Attribute,
+    Changeable,
     Component,
     Configuration,
     Constrainable,
@@ -122,6 +123,15 @@ Fact = (
     | ProcessFact
     | PlanFact
 )
+
+
+class Amended(NamedTuple):
+    """One change of a model: how ("declared", "changed" or "removed"), of what; `put` makes it, once or again."""
+
+    how: str
+    elements: tuple[Changeable, ...]
+    put: Callable[[], None]
+
 
 TABLES: Final[Mapping[str, type[Element]]] = {
     "actions": Action,

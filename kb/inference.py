@@ -8,7 +8,7 @@ depends only on whether that is possible at all, so a status that stays on one s
 from collections.abc import Iterable
 from typing import Final
 
-from kb.elements import Attribute, Component, Constraint, Element, Function, StalePolicy
+from kb.elements import Attribute, Component, Constraint, Function, StalePolicy
 from kb.events import StatusChange
 from kb.network import LEVELS, Network, Node
 from kb.state import State
@@ -34,7 +34,7 @@ def initial_state(network: Network) -> State:
     Every element is feasible then (a constraint not evaluated) but for functions without designs and what needs them.
     """
     state = State(network)
-    propagate(state, [node for node in network.functions.values() if not node.parts])
+    infer_anew(state)
     return state
 
 
@@ -179,31 +179,8 @@ def _compared(state: State, node: Node, constraint: Constraint, attribute: Node)
     return Status.VIOLATED if attribute.element.when_stale is StalePolicy.VIOLATED else Status.NOT_EVALUATED
 
 
-def grow(state: State, added: Iterable[Element | Constraint]) -> list[Node]:
-    """Add elements to a state and its network; returns the nodes from which to infer again."""
-    nodes = [state.network.add(element) for element in added]
+def infer_anew(state: State) -> None:
+    """Infer everything from the facts, as after a change of the model; it may be done again."""
     state.grow()
-    for node in nodes:
-        if node.kind == "function design" and state.required[node.wholes[0].index]:
-            _serve(state, node, True)
-    return [*nodes, *(whole for node in nodes for whole in node.wholes)]
-
-
-def shrink(state: State, removed: Iterable[Element | Constraint]) -> list[Node]:
-    """Take elements out of a state and its network, with all that is known of them; returns as `grow` does."""
-    nodes = [state.network.find(element) for element in removed]
-    for node in nodes:
-        for facts in (state.requested, state.asserted_required, state.selected, state.active, state.failed):
-            facts[node.index] = False
-        state.asserted[node.index] = None
-        for column in ("active", "asserted", "failed", "selected", "unselected"):
-            state.give_reason(column, node)
-    propagate(state, nodes)
-    touched: dict[Node, None] = {}
-    for node in nodes:
-        if node.kind == "function design" and state.required[node.wholes[0].index]:
-            _serve(state, node, False)
-        for marked in (state.adaptable, state.obsolete, state.lacking):
-            marked.mark(node, False)
-        touched.update(dict.fromkeys(state.network.remove(node)))
-    return [node for node in touched if node not in nodes]
+    state.forget_inferred()
+    propagate(state, state.network.present())

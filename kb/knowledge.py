@@ -4,6 +4,7 @@ What an event makes of facts and statuses is computed on a layer over the state;
 in place. Whatever interrupts that, whoever comes next puts it in place again, which may be done any number of times.
 """
 
+import math
 from base64 import b64decode, b64encode
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
@@ -12,12 +13,13 @@ from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
 from kb.amendments import amendment
-from kb.elements import Action, Attribute, Changeable, Component, Element, Estimation
+from kb.elements import Action, Attribute, Constraint, Element, Estimation
 from kb.events import RECORDS, Event, Log, StatusChange
 from kb.explanation.choice import note_nothing
 from kb.explanation.reasons import reading, why_selected
 from kb.facts import (
     ActiveFact,
+    Amended,
     Contents,
     Fact,
     MeasurementFact,
@@ -26,13 +28,13 @@ from kb.facts import (
     SelectedFact,
     StatusFact,
 )
-from kb.inference import grow, initial_state, is_adaptable, propagate, shrink
+from kb.inference import infer_anew, initial_state, propagate
 from kb.measurements import Judged, Measurements
-from kb.network import Network, Node, Ref, is_steady
+from kb.network import Network, Node, Ref
 from kb.owl.individuals import Serials
 from kb.reconfiguration import planned, reselect
-from kb.records import Attempt, Process, ReconfigurationPlan, Records, RequiredAction, VetoAnswer, finish
-from kb.state import FACTS, History, Overlay, Reason
+from kb.records import Attempt, Memory, Process, ReconfigurationPlan, Records, RequiredAction, VetoAnswer, finish
+from kb.state import FACTS, History, Overlay, Reason, unset
 from kb.status import Status
 
 Put = Callable[[], None]
@@ -71,11 +73,13 @@ class Knowledge:
     """Facts, what follows from them, and what is on record.
 
     Args:
-        model: what is spoken of; `model_grew` and its like have to be called when it changes.
+        model: what is spoken of; it is to be watched, see `Observer`.
         clock: gives the time [s] of such a change.
         lock: to be held by whoever calls anything here; held for such a change.
+        memory: how much of the past is held.
 
     Attributes:
+        now: the time until which time has done what it does [s].
         revision: number of the last event that can matter to a planner.
         changed_by: number of the event that last changed the status of a node, by index.
         feasibility: number of the event that last made an action feasible or unfeasible.
@@ -84,14 +88,17 @@ class Knowledge:
         heard: called after a change of the model, without the lock.
     """
 
-    def __init__(self, model: Contents, clock: Callable[[], float], lock: AbstractContextManager[object]) -> None:
+    def __init__(
+        self, model: Contents, clock: Callable[[], float], lock: AbstractContextManager[object], memory: Memory
+    ) -> None:
         self.model = model
         self.network = network = Network(model)
         self.serials = Serials(model)
-        self.log = Log()
+        self._memory, self.log = memory, Log(memory)
         self.state = initial_state(network)
-        self.measurements = Measurements(self.state)
-        self.records = Records()
+        self.measurements = Measurements(self.state, memory)
+        self.records = Records(memory)
+        self.now = -math.inf
         self.revision = 0
         self.changed_by: dict[int, int] = {}
         self.feasibility: int | None = None
@@ -101,6 +108,8 @@ class Knowledge:
         self._layer = Overlay(self.state, lasting=True)
         self._is_laid = False
         self.pending: _Pending | None = None
+        self._amended: Amended | None = None
+        self._before: Mapping[Node, Status] = {}
 
     # ---------------------------------------------------------------- putting in place
 
@@ -123,6 +132,8 @@ class Knowledge:
         thresholds = self.network.thresholds(node)
         recent = () if node.element.agreement == (1, 1) else measurements.with_latest(node, value)  # type: ignore[union-attr]  # of an attribute
         history = state.histories.get(index)
+        if history is not None and len(history.pairs) >= history.many:
+            history.forget()
         count = 0 if history is None else len(history.pairs)
         put = partial(measurements.put, node, value, time, count, recent)
         touched: Sequence[Node] = ()
@@ -143,15 +154,23 @@ class Knowledge:
         puts = (put, partial(measurements.put_judged, judged, time))
         return self._put(event, Outcome(touched, puts, words=words, matters=None))
 
+    def settle(self, now: float) -> None:
+        """Put in place what was interrupted, and have time do what it has done by now [s]."""
+        if self.pending is not None:
+            self.finish()
+        self.now = max(now, self.log.time)
+        if self.now >= self.measurements.alarms.next:
+            self.advance(self.now)
+
     def advance(self, now: float) -> None:
         """Make events of what time has done until now, each at its own instant."""
         while (due := self.measurements.alarms.due(now)) is not None:
-            time, key = due
+            time, key = max(due[0], self.log.time), due[1]  # after a change of the model it may have been over before
             node = self.network.nodes[key if key >= 0 else ~key]
             if key < 0:
                 until = self.state.reason("asserted", node).until
                 if until is not None and until <= time:
-                    self.apply(until, "lapse", (node.ref, str(self.state.asserted[node.index])))
+                    self.apply(time, "lapse", (node.ref, str(self.state.asserted[node.index])))
                 self.measurements.alarms.clear(key)
             elif node.kind == "attribute":
                 self.apply(time, "stale", (node.name,))
@@ -171,6 +190,8 @@ class Knowledge:
             self.state.version = event.number
         for put in puts:
             put()
+        if event.verb == "amend":
+            event = Event(*event[:4], self._changes(), *event[5:])
         if event.changes:
             self.changed_by.update(dict.fromkeys(self._layer.changed(), event.number))
             if any(one.kind == "action" and Status.UNFEASIBLE in (one.old, one.new) for one in event.changes):
@@ -328,7 +349,8 @@ class Knowledge:
         effects = tuple((node.kind, node.name, layer.selected[node.index]) for node in dict.fromkeys(changed))
         if selection:
             why = why_selected(self.state, [*chosen, *given], event.time, reason, ended)
-            plan = planned(self.state, selection, why, event.time, event.cause, len(self.records.plans) + 1)
+            number = next(reversed(self.records.plans), 0) + 1
+            plan = planned(self.state, selection, why, event.time, event.cause, number)
             put = partial(self.records.plan, plan)
             return Outcome((), (put,), selection.changes, effects, plan, matters=False)
         if not effects and not self._has_new_reasons():
@@ -352,7 +374,7 @@ class Knowledge:
 
     def _component_started(self, event: Event, name: str, pid: int) -> Outcome:
         process = Process(name, pid, event.time, number=event.number)
-        put = partial(self.records.processes.__setitem__, event.number, process)
+        put = partial(self.records.put, "processes", event.number, process)
         return Outcome(puts=(put,), matters=False)
 
     def _component_ended(self, event: Event, name: str, pid: int | None) -> Outcome | None:
@@ -369,7 +391,7 @@ class Knowledge:
         serial, made = next(reversed(self.records.attempts), 0) + 1, self.records.plans[plan]
         given = MappingProxyType(dict(parameters))
         attempt = Attempt(made, component, operation, configuration, given, number, event.time, serial=serial)
-        return Outcome(puts=(partial(self.records.attempt, attempt),), matters=False)
+        return Outcome(puts=(partial(self.records.put, "attempts", serial, attempt),), matters=False)
 
     def _finish_attempt(self, event: Event, serial: int, result: str, reason: str) -> Outcome:
         attempt = self.records.attempts[serial]
@@ -380,7 +402,7 @@ class Knowledge:
 
     def _record_answer(self, event: Event, plan: int, is_vetoed: bool, reason: str) -> Outcome:
         answer = VetoAnswer(self.records.plans[plan], event.time, is_vetoed, reason)
-        return Outcome(puts=(partial(self.records.answer, event.number, answer),), matters=False)
+        return Outcome(puts=(partial(self.records.put, "answers", event.number, answer),), matters=False)
 
     def _store(self, _: Event, __: str) -> Outcome:
         return Outcome(matters=False)
@@ -390,7 +412,7 @@ class Knowledge:
     def begin(self, facts: Sequence[Fact], now: float) -> None:
         for position, fact in enumerate(facts):
             self._begin_with(fact, -position - 1, now)
-        self.log = Log()
+        self.log = Log(self._memory)
         self.log.append(Event(1, now, "begin", ()))
         self.changed_by.clear()
         self.feasibility, self.revision, self.state.version = None, 1, 1
@@ -419,58 +441,68 @@ class Knowledge:
         else:
             self.records.begin(fact, number, now)
 
-    def model_grew(self, added: Iterable[Changeable]) -> None:
-        added = tuple(added)
+    def prepare(self) -> None:
+        """Have time do what it has done by now, before the model changes; what a clock raises stops that."""
+        now = self.clock()
         with self._lock:
-            touched = grow(self.state, [one for one in added if not isinstance(one, Estimation)])
-            for node in touched:
-                if node.kind == "constraint" and is_steady(node):
-                    self.measurements.renew(node, self.clock())
-            self._amended("declared", added, touched)
-        self.heard()
+            self.settle(now)
 
-    def model_changed(self, element: Changeable) -> None:
+    def amended(self, change: Amended) -> None:
+        """Know what follows from a change of the model; nothing more if that is known already."""
         with self._lock:
-            touched: Sequence[Node] = ()
-            if not isinstance(element, Estimation):
-                node = self.network.find(element)
-                touched = [node]
-                if node.kind in ("constraint", "attribute"):
-                    self.network.changed(node)
-                    touched = self.measurements.renew(node, self.clock())
-                else:
-                    self.state.adaptable.mark(node, is_adaptable(self.state, node))
-            self._amended("changed", [element], touched)
-        self.heard()
-
-    def model_shrank(self, removed: Iterable[Changeable]) -> None:
-        removed = tuple(removed)
-        elements = [one for one in removed if not isinstance(one, Estimation)]
-        with self._lock:
-            for element in elements:
+            self.finish()
+            if change is self._amended:
+                return
+            for element in change.elements if change.how == "removed" else ():
                 if isinstance(element, Action) and element.name in self.records.required:
-                    arguments = (element.name, "abandoned", "it is no longer in the model")
-                    self.apply(self.clock(), "cancel_action", arguments)
-                elif isinstance(element, Component):
-                    self.state.parameters.pop(element.name, None)
-                self.measurements.forget(self.network.find(element))
-            self._amended("removed", removed, shrink(self.state, elements))
-        self.heard()
+                    self.apply(self.now, "cancel_action", (element.name, "abandoned", "it is no longer in the model"))
+            self._lay()
+            present = {node: self.state.status[node.index] for node in self.network.present()}
+            nodes = [node for node in present if node.element in change.elements]
+            self._before = {
+                node: status for node, status in present.items() if node not in nodes or change.how != "removed"
+            }
+            named = [one for one in change.elements if not isinstance(one, Estimation)] or change.elements
+            names = ", ".join(one.name if isinstance(one, Element) else str(one) for one in named)
+            event = Event(
+                self.log.last + 1,
+                self.now,
+                "amend",
+                tuple(amendment(change.how, change.elements, self.serials)),
+                words=f"{names} {change.how} in the model",
+            )
+            self.pending = event, (partial(self._renew, change, nodes),), False, True
+            self.finish()
 
-    def _amended(self, how: str, changed: Sequence[Changeable], touched: Sequence[Node]) -> None:
-        self.finish()
-        self._lay()
-        written = amendment(how, changed, self.serials)
-        named = [one for one in changed if not isinstance(one, Estimation)] or changed
-        names = ", ".join(one.name if isinstance(one, Element) else str(one) for one in named)
-        event = Event(self.log.last + 1, self.clock(), "amend", tuple(written))
-        self._put(event, Outcome(changes=propagate(self.state, touched), words=f"{names} {how} in the model"))
+    def _renew(self, change: Amended, known: Sequence[Node]) -> None:
+        """Relate what is in the model now, and infer all anew; it may be done again."""
+        self.network.renew()
+        if change.how == "removed":
+            for node in known:
+                self.state.forget(node)
+                self.state.parameters.pop(node.name if node.kind == "component" else "", None)
+                for key in (node.index, ~node.index):
+                    self.measurements.alarms.clear(key)
+        self.state.grow()
+        for element in change.elements if change.how != "removed" else ():
+            if isinstance(element, Attribute | Constraint):
+                self.measurements.renew(self.network.find(element), self.now)
+        infer_anew(self.state)
+        self._amended = change
+
+    def _changes(self) -> tuple[StatusChange, ...]:
+        """Return the statuses that are not what they were before the model changed."""
+        now = [
+            (node, self._before.get(node, unset(node)), self.state.status[node.index])
+            for node in self.network.present()
+        ]
+        return tuple(StatusChange(node.kind, node.name, old, new) for node, old, new in now if old is not new)
 
     # ---------------------------------------------------------------- the fold, and what it is at one moment
 
     def repeat(self, event: Event) -> None:
         """Put an event of a log in place, as it was then; the model is as it is now."""
-        self.log.last = event.number - 1
+        self.log.resume(event.number - 1)
         if event.verb == "measure":
             name, value = event.arguments
             self.measure(self.network.attributes[name], value, event.time)
@@ -496,8 +528,9 @@ class Knowledge:
             "reasons": [(name, here[index], *one) for (name, index), one in reasons if index in here],
             "parameters": {name: dict(given) for name, given in self.state.parameters.items()},
             "histories": [
-                (node.name, b64encode(remembered.history(node).packed(keep)).decode())
+                (node.name, b64encode(history.packed(keep)).decode(), history.begins_within(keep))
                 for node in self.network.attributes.values()
+                for history in (remembered.history(node),)
             ],
             "recent": by_ref(remembered.recent.items()),
             "since": by_ref(remembered.since.items()),
@@ -521,8 +554,8 @@ class Knowledge:
             if until is not None:
                 remembered.alarms.set(~node.index, until)
         state.parameters.update({name: MappingProxyType(given) for name, given in written["parameters"].items()})
-        for name, packed in written["histories"]:
-            state.histories[network.attributes[name].index] = History(b64decode(packed))
+        for name, packed, begins in written["histories"]:
+            state.histories[network.attributes[name].index] = History(self._memory, b64decode(packed), begins)
         remembered.recent.update({network.referred(ref).index: tuple(values) for ref, values in written["recent"]})
         remembered.since.update({network.referred(ref).index: since for ref, since in written["since"]})
         self.records.from_json(written["records"])
@@ -531,7 +564,8 @@ class Knowledge:
         for node in network.attributes.values():
             remembered.resume(node, time)
         propagate(state, touched)
-        self.log.last = self.revision = state.version = number
+        self.revision = state.version = number
+        self.log.resume(number)
 
     # ---------------------------------------------------------------- what led to what
 

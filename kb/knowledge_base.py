@@ -2,14 +2,16 @@
 
 import logging
 import math
+import os
 import time
 from collections.abc import Callable, Iterable, Mapping
-from functools import wraps
+from contextlib import AbstractContextManager
+from functools import partial, wraps
 from pathlib import Path
 from threading import RLock
 from types import MappingProxyType
 from typing import Any, Concatenate, Final, ParamSpec, TypeVar
-from weakref import finalize
+from weakref import WeakSet, finalize
 
 from kb import questions
 from kb.amendments import amend
@@ -32,8 +34,10 @@ from kb.records import (
     RESULTS,
     Attempt,
     HistoryView,
+    Memory,
     Process,
     ReconfigurationPlan,
+    Records,
     Reply,
     RequiredAction,
     VetoAnswer,
@@ -48,25 +52,53 @@ _log = logging.getLogger(__name__)
 
 _BY_ITSELF: Final = frozenset({"stale", "dwell", "lapse", "begin", "store"})
 """What time, the model and the store do, in every knowledge base by itself."""
+_TOLD: Final[set[str]] = {"measure", "amend"}
+"""The verbs that can be told: `_telling` adds the others."""
 _OPERATIONS: Final = ("activate", "deactivate", "configure")
+_BACK: Final = 1.0
+"""How far a clock may go back: threads that read it at once tell in any order, and it may be corrected a little [s]."""
 
 P = ParamSpec("P")
 T = TypeVar("T")
 
 
 def _telling(method: Callable[Concatenate["KnowledgeBase", P], T]) -> Callable[Concatenate["KnowledgeBase", P], T]:
-    """Have a method hold the base while it tells something, and subscribers called when it does no longer."""
+    """Have a method hold the base while it tells something, once time has done what it has; subscribers hear then.
+
+    Whoever gives the time, and who is called, is not ours and may wait for another thread: no lock is held then.
+    """
+    _TOLD.add(method.__name__)
 
     @wraps(method)
     def held(self: "KnowledgeBase", *args: P.args, **kwargs: P.kwargs) -> T:
+        now, log = self._time(), self._knowledge.log
         with self._lock:
             self._check_open()
+            self._settle(now)
+            before = log.last
             result = method(self, *args, **kwargs)
+            told = log.last
         if self._publisher.is_heard:
-            self._publisher.deliver()
+            self._publisher.deliver(told if told > before else 0)
         return result
 
     return held  # type: ignore[return-value]  # with self as a name, which is never used
+
+
+def _before_fork() -> None:
+    for lock in tuple(_LOCKS):
+        lock.acquire()
+        _held_over_fork.append(lock)
+
+
+def _after_fork() -> None:
+    while _held_over_fork:
+        _held_over_fork.pop().release()
+
+
+_LOCKS: Final[WeakSet[Any]] = WeakSet()
+_held_over_fork: Final[list[Any]] = []
+os.register_at_fork(before=_before_fork, after_in_parent=_after_fork, after_in_child=_after_fork)
 
 
 class KnowledgeBase:
@@ -78,19 +110,29 @@ class KnowledgeBase:
             seconds since 1970-01-01 UTC.
         store: a file that keeps the log; the base continues from what is in it. See `flush` and `close`.
         keep: how many measurements of each attribute the store keeps; the newest.
+        memory: how much of the past is held in memory.
+
+    Time does not go back: while the clock shows less than it did, by up to a second, it stands still, so that facts
+    keep the order in which they are told. A clock that goes back further, or gives no time, is refused.
 
     Facts may be told from any thread; each call holds the base until what follows from it is inferred. Each is in or
     out: whatever interrupts a call, the base answers as if it had been told, or had not.
 
     Attributes:
         model: as it is now.
-        log: every event, in order.
+        log: the events, in order; the newest, see `Log.begins`.
         history: what is on record and not asked every day.
         actions, functions, components, designs, configurations, attributes: read-only views by name.
     """
 
     def __init__(
-        self, model: Model, *, clock: Callable[[], float] = time.time, store: str | Path | None = None, keep: int = KEPT
+        self,
+        model: Model,
+        *,
+        clock: Callable[[], float] = time.time,
+        store: str | Path | None = None,
+        keep: int = KEPT,
+        memory: Memory | None = None,
     ) -> None:
         if not isinstance(model, Model):
             raise InvalidValue(f"a knowledge base is made of a kb.Model, not of {model!r}")
@@ -98,29 +140,36 @@ class KnowledgeBase:
             raise InvalidValue(f"the clock is a function that returns the time in seconds, not {clock!r}")
         if type(keep) is not int or keep < 1:
             raise InvalidValue(f"keep is a whole number of measurements from 1, not {keep!r}")
+        if not isinstance(memory, Memory | None):
+            raise InvalidValue(f"how much is held in memory is said by a kb.Memory, not by {memory!r}")
         self.model = model
-        self._clock, self._lock = clock, RLock()
+        self._time = _Time(clock, model)
+        self._lock = RLock()
         self._store = None if store is None else Store(store, model, keep)
-        self._knowledge = known = Knowledge(model, clock, self._lock)
+        self._knowledge = known = Knowledge(model, self._time, self._lock, memory or Memory())
+        self._time.known = known
+        known.now = now = self._time()
         if self._store is not None and not self._store.is_new:
-            self._store.restore(known, clock())
+            self._store.restore(known, now)
+            known.log.time = -math.inf  # its clock may have begun anew
         elif model.facts:
-            known.begin(model.facts, clock())
+            known.begin(model.facts, now)
         self._publisher = Publisher(known.log, self._lock)
         known.heard = self._publisher.deliver
-        self._reading = _Reading(known, clock, self._lock, self._publisher)
+        self._held = _holding(known, self._lock)
         self._world: World | None = None
         self._keep, self._is_closed = keep, False
         self.log: Log = known.log
-        self.history = HistoryView(known.records)
+        self.log.settle = partial(_settle, self._held)
+        self.history = HistoryView(known.records, self.reading)
         views = views_of(self, known.network)
         self.actions, self.functions, self.components, self.designs, self.configurations, self.attributes = views
         model.watch(known)
+        _LOCKS.add(self._lock)
         if self._store is not None:
             self._store.start(known, self._lock)
             finalize(self, self._store.close)
-            with self.reading():
-                pass  # what time has done meanwhile
+            self._catch_up()  # with what time has done meanwhile
 
     # ---------------------------------------------------------------- asked
 
@@ -137,13 +186,18 @@ class KnowledgeBase:
     explain_choice = questions.explain_choice
     situation = questions.suppose
 
-    def reading(self) -> "_Reading":
+    def reading(self) -> AbstractContextManager[State]:
         """Give the facts and statuses, to be read only; nothing changes within the `with` statement."""
-        return self._reading
+        if self.model.pending is not None:
+            self.model.settle()
+        due = self._knowledge.measurements.alarms.next
+        if due != math.inf and due <= self._time():
+            self._catch_up()
+        return self._held
 
     def __repr__(self) -> str:
-        with self._lock:
-            return f"<KnowledgeBase {self.model.name!r}: {outline(self._knowledge.state)}>"
+        with self.reading() as state:
+            return f"<KnowledgeBase {self.model.name!r}: {outline(state)}>"
 
     def _repr_html_(self) -> str:
         with self._reading as state:
@@ -161,49 +215,43 @@ class KnowledgeBase:
     @property
     def now(self) -> float:
         """The time by the clock [s]."""
-        return self._clock()
+        return self._time()
 
     @property
     def revision(self) -> int:
         """Grows whenever a fact changed that can matter to a planner: a measurement only if a status changed by it."""
-        with self._reading:
+        with self.reading():
             return self._knowledge.revision
 
     @property
     def required_actions(self) -> tuple[RequiredAction, ...]:
         """The actions that are required now, in the order of their requests."""
-        with self._reading:
-            return tuple(self._knowledge.records.required.values())
+        return tuple(self._records().required.values())
 
     @property
     def plans(self) -> tuple[ReconfigurationPlan, ...]:
         """Every plan, in the order in which they were made."""
-        with self._reading:
-            return tuple(self._knowledge.records.plans.values())
+        return tuple(self._records().plans.values())
 
     @property
     def latest_plan(self) -> ReconfigurationPlan | None:
         """The plan that was made last."""
-        with self._reading:
-            return next(reversed(self._knowledge.records.plans.values()), None)
+        return next(reversed(self._records().plans.values()), None)
 
     @property
     def pending_plan(self) -> ReconfigurationPlan | None:
         """The latest plan that has not ended."""
-        with self._reading:
-            return next(reversed(self._knowledge.records.open_plans.values()), None)
+        return next(reversed(self._records().open_plans.values()), None)
 
     @property
     def open_plans(self) -> tuple[ReconfigurationPlan, ...]:
         """The plans that have not ended, in the order in which they were made."""
-        with self._reading:
-            return tuple(self._knowledge.records.open_plans.values())
+        return tuple(self._records().open_plans.values())
 
     @property
     def processes(self) -> tuple[Process, ...]:
         """Every process that a component ran as, in the order in which they were started."""
-        with self._reading:
-            return tuple(self._knowledge.records.processes.values())
+        return tuple(self._records().processes.values())
 
     def query(self, sparql: str, timeout: float = 10.0) -> list[tuple[Answer, ...]]:
         """Answer a SPARQL query over the model, all that was told, and the statuses that follow from it.
@@ -224,7 +272,7 @@ class KnowledgeBase:
         with self._lock:
             if self._world is None:
                 self._world = World(self._knowledge, self._store, self._keep)
-        return self._world.ask(sparql, timeout, self._reading)
+        return self._world.ask(sparql, timeout, self._held)
 
     # ---------------------------------------------------------------- told: what is so
 
@@ -239,14 +287,13 @@ class KnowledgeBase:
         of: Any = node.element
         is_plain = type(value) is float and math.isfinite(value) and of.low <= value <= of.high
         number = value if is_plain else questions.number(f"{attribute} cannot be measured as", value, node)
+        known, now = self._knowledge, self._time()
         with self._lock:
             self._check_open()
-            known, now = self._knowledge, self._clock()
-            if now >= known.measurements.alarms.next:
-                known.advance(now)
-            known.measure(node, number, now)
+            self._settle(now)
+            told = known.measure(node, number, known.now).number
         if self._publisher.is_heard:
-            self._publisher.deliver()
+            self._publisher.deliver(told)
 
     @_telling
     def component_failed(self, component: str, reason: str = "") -> None:
@@ -319,7 +366,7 @@ class KnowledgeBase:
         node = self._node(element, ELEMENTS)
         if wanted not in STATUSES[node.kind]:
             raise InvalidValue(f"a {node.kind} is never {wanted!s}; it can be {', '.join(STATUSES[node.kind])}")
-        if end is not None and end <= (now := self._clock()):
+        if end is not None and end <= (now := self._knowledge.now):
             raise InvalidValue(f"a status is asserted until later than now, {now!r} s by the clock; not {until!r}")
         self._tell("assert_status", node.ref, str(wanted), reason, end)
 
@@ -362,7 +409,7 @@ class KnowledgeBase:
         """
         known = self._knowledge
         node = _found(known.network.actions, "action", action)
-        wanted, now = self._preference(preference), self._advanced()
+        wanted, now = self._preference(preference), known.now
         if node.name in known.records.required:
             return Reply(True, f"{node.name} is required already")
         if known.state.status[node.index] is Status.UNFEASIBLE:
@@ -387,7 +434,7 @@ class KnowledgeBase:
         node = _found(known.network.actions, "action", action)
         check_result(result)
         text("the reason why an action ends", reason)
-        now = self._advanced()
+        now = known.now
         if node.name in known.records.required:
             cause = known.cause_of_end(node, result) if cause is None else cause
             known.apply(now, "cancel_action", (node.name, result, reason), cause)
@@ -429,7 +476,7 @@ class KnowledgeBase:
             _owned(_found(network.configurations, "configuration", name), _found(network.components, "component", of))
             for of, name in _pairs(configurations)
         ]
-        now = self._advanced()
+        now = known.now
         for node in (*chosen, *given):
             if known.state.status[node.index] is Status.UNFEASIBLE:
                 raise Unselectable(f"{node.kind} {node.name} cannot be selected: {why(known.state, node, now)}")
@@ -450,17 +497,10 @@ class KnowledgeBase:
         """
         if result not in RESULTS:
             check_result(result)
-        records = self._knowledge.records
-        if isinstance(plan, int):
-            plan = records.plan_of(plan)
-        is_ours = isinstance(plan, ReconfigurationPlan) and (
-            plan.end is not None or plan in records.open_plans.values()
-        )
-        if not is_ours:
-            raise KnowledgeBaseError(f"{plan!r} is not a plan of this knowledge base; finish one of kb.plans")
-        if plan.end is not None:
+        made = self._knowledge.records.plan_of(plan)
+        if made.end is not None:
             return False
-        self._knowledge.apply(self._advanced(), "finish_plan", (plan.number, result), plan.cause)
+        self._knowledge.apply(self._knowledge.now, "finish_plan", (made.number, result), made.cause)
         return True
 
     @_telling
@@ -518,8 +558,9 @@ class KnowledgeBase:
         if configuration is not None:
             of = _found(known.network.configurations, "configuration", configuration).name
         given = MappingProxyType(dict(checked_parameters(name, parameters or {})))
-        made = plan if isinstance(plan, ReconfigurationPlan) else known.records.plan_of(plan)
-        self._tell("record_attempt", made.number, name, operation, of, given, number)
+        if type(number) is not int or number < 1:
+            raise InvalidValue(f"the number of an attempt is a whole number from 1, not {number!r}")
+        self._tell("record_attempt", known.records.plan_of(plan).number, name, operation, of, given, number)
         return next(reversed(known.records.attempts.values()))
 
     @_telling
@@ -533,7 +574,9 @@ class KnowledgeBase:
             check_result(result)
         if reason != "":
             text("the reason why an attempt ends", reason)
-        serial = attempt if isinstance(attempt, int) else attempt.serial
+        serial = attempt.serial if isinstance(attempt, Attempt) else attempt
+        if type(serial) is not int:
+            raise InvalidValue(f"{attempt!r} is no attempt; give one of kb.history.attempts, or its serial number")
         record = self._knowledge.records.attempts.get(serial)
         if record is None or record.end is not None:
             return False
@@ -554,16 +597,27 @@ class KnowledgeBase:
         """Tell an event again; the clock of this base should show its time.
 
         What time does comes by itself, and so does what the model states and what is said of the store.
+
+        Raises:
+            InvalidValue: it is no event that can be told; nothing has changed.
         """
-        if event.verb in _BY_ITSELF:
-            with self._reading:
-                pass  # what time has done
-        elif event.verb == "amend":
-            amend(self.model, self._knowledge.serials, *event.arguments)
-        elif event.verb in ("request_action", "cancel_action", "select"):
-            getattr(self, event.verb)(*event.arguments, cause=event.cause)
-        else:
-            getattr(self, event.verb)(*event.arguments)
+        verb = event.verb if isinstance(event, Event) else None
+        if verb in _BY_ITSELF:
+            self._catch_up()
+            return
+        if verb not in _TOLD:
+            known = ", ".join(sorted(_TOLD))
+            raise InvalidValue(f"{event!r} cannot be told; an event that can has one of the verbs {known}")
+        tell: Callable[..., object] = partial(amend, self.model, self._knowledge.serials)
+        if verb != "amend":
+            tell = getattr(self, event.verb)
+        caused = {"cause": event.cause} if verb in ("request_action", "cancel_action", "select") else {}
+        try:
+            tell(*event.arguments, **caused)
+        except (AttributeError, LookupError, TypeError) as error:
+            if isinstance(error, KnowledgeBaseError):
+                raise
+            raise InvalidValue(f"{verb} cannot be told with {event.arguments!r}: {error}") from None
 
     def subscribe(self, callback: Callable[[Event], None]) -> Callable[[], None]:
         """Have a function called with every event, in order; returns how to stop that.
@@ -598,25 +652,35 @@ class KnowledgeBase:
 
     # ---------------------------------------------------------------- helpers
 
-    def _tell(self, verb: str, *arguments: Any) -> None:  # noqa: ANN401  # of the verb
-        self._knowledge.apply(self._advanced(), verb, arguments)
+    def _records(self) -> Records:
+        with self.reading():
+            return self._knowledge.records
 
-    def _advanced(self) -> float:
-        """Let time do what it has done until now, and return that [s]."""
-        now, known = self._clock(), self._knowledge
-        if known.pending is not None:
-            known.finish()
-        if now >= known.measurements.alarms.next:
-            known.advance(now)
-        return now
+    def _tell(self, verb: str, *arguments: Any) -> None:  # noqa: ANN401  # of the verb
+        self._knowledge.apply(self._knowledge.now, verb, arguments)
+
+    def _settle(self, now: float) -> None:
+        """Have time do what it has done by now, and put in place what was interrupted."""
+        known = self._knowledge
+        known.now = max(now, known.log.time)
+        if known.pending is not None or known.now >= known.measurements.alarms.next:
+            known.settle(now)
+
+    def _catch_up(self) -> None:
+        """Have time do what it has done by now."""
+        now = self._time()
+        with self._lock:
+            self._settle(now)
+        if self._publisher.is_heard:
+            self._publisher.deliver()
 
     def _check_open(self) -> None:
         if self._store is not None and self._store.is_orphan:
             self._store.check_owner()
         if self._is_closed:
+            closed = "this knowledge base is closed: its store is given back, so nothing more can be told"
             raise KnowledgeBaseError(
-                "this knowledge base is closed: its store is given back, so nothing more can be told. "
-                "Tell before you close it, or make a new one of the same model and store"
+                f"{closed}. Tell before you close it, or make a new one of the same model and store"
             )
 
     def _component(self, name: str) -> Node:
@@ -637,32 +701,64 @@ class KnowledgeBase:
         )
 
 
-class _Reading:
-    """Holds a base while it is read: what was interrupted is put in place first, and what time has done."""
+class _Time:
+    """The time of a base: that by its clock, or that of the last event if that is later [s].
 
-    __slots__ = ("_clock", "_knowledge", "_lock", "_publisher")
+    Attributes:
+        clock: as given.
+        known: whose time it is.
+    """
 
-    def __init__(self, knowledge: Knowledge, clock: Callable[[], float], lock: Any, publisher: Publisher) -> None:  # noqa: ANN401  # an RLock has no type
-        self._knowledge, self._clock, self._lock, self._publisher = knowledge, clock, lock, publisher
+    known: Knowledge
 
-    def __enter__(self) -> State:
-        self._lock.acquire()
+    def __init__(self, clock: Callable[[], float], model: Model) -> None:
+        self.clock, self._model = clock, model
+
+    def __call__(self) -> float:
+        if self._model.pending is not None:
+            self._model.settle()
+        now, last = self.clock(), self.known.log.time
+        if type(now) is float and last <= now < math.inf:
+            return now
         try:
-            known = self._knowledge
+            shown = finite_number(now)
+        except InvalidValue as error:
+            raise InvalidValue(f"the clock gives {now!r} for the time in seconds: {error}; nothing was told") from None
+        if shown < last - _BACK:
+            raise InvalidValue(
+                f"the clock went back, from {last!r} s to {shown!r} s, and facts keep their order: give the knowledge "
+                "base a clock that is not set back, e.g. time.monotonic; nothing was told"
+            )
+        return max(shown, last)
+
+
+def _settle(held: AbstractContextManager[State]) -> None:
+    with held:
+        pass
+
+
+def _holding(known: Knowledge, lock: Any) -> AbstractContextManager[State]:  # noqa: ANN401  # an RLock has no type
+    """Return what holds a base while it is read; what was interrupted is put in place first.
+
+    An interrupt comes between two steps of Python and never within one of C. So the lock is taken and noted in one
+    step, and given back by its own method: there is no instant at which it stays taken.
+    """
+    once = (True,)
+
+    def enter(_: object) -> State:
+        taken: list[bool] = []
+        try:
+            taken.extend(map(lock.acquire, once))
             if known.pending is not None:
                 known.finish()
-            due = known.measurements.alarms.next
-            if due != math.inf and due <= (now := self._clock()):
-                known.advance(now)
+            return known.state
         except BaseException:
-            self._lock.release()
+            if taken:
+                lock.release()
             raise
-        return known.state
 
-    def __exit__(self, *_: object) -> None:
-        self._lock.release()
-        if self._publisher.is_heard:
-            self._publisher.deliver()
+    held: AbstractContextManager[State] = type("Reading", (), {"__enter__": enter, "__exit__": lock.__exit__})()
+    return held
 
 
 def _found(table: Mapping[str, Node], kind: str, name: Any) -> Node:  # noqa: ANN401  # whatever is given as a name

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 from kb.elements import Attribute, Constraint
 from kb.network import Node, is_steady
+from kb.records import Memory
 from kb.state import History, State
 from kb.status import OPERATORS, Status
 
@@ -47,9 +48,10 @@ class Alarms:
             time = self._times.get(key)
             if time == set_for:
                 return time, key
-            heapq.heappop(queue)
-            if time is not None:
-                heapq.heappush(queue, (time, key))
+            if time is None:
+                heapq.heappop(queue)
+            else:
+                heapq.heapreplace(queue, (time, key))  # in one step, so that no alarm is lost
         self.next = queue[0][0] if queue else math.inf
         return None
 
@@ -65,8 +67,8 @@ class Judged(NamedTuple):
 class Measurements:
     """What is remembered of measurements beside the latest; nothing here changes a state."""
 
-    def __init__(self, state: State) -> None:
-        self._state = state
+    def __init__(self, state: State, memory: Memory) -> None:
+        self._state, self._memory = state, memory
         self.alarms = Alarms()
         self.recent: dict[int, tuple[float, ...]] = {}
         self.since: dict[int, float] = {}
@@ -74,7 +76,7 @@ class Measurements:
     def history(self, attribute: Node) -> History:
         found = self._state.histories.get(attribute.index)
         if found is None:
-            found = self._state.histories[attribute.index] = History()
+            found = self._state.histories[attribute.index] = History(self._memory)
         return found
 
     def with_latest(self, attribute: Node, value: float) -> tuple[float, ...]:
@@ -159,10 +161,6 @@ class Measurements:
         steady = [one for one in attribute.constraints if is_steady(one)]
         judged = [self.judge(one, value, recent, self._state.verdict[one.index], now) for one in steady]
         self.put_judged([Judged(node, None, wait) for node, _, wait in judged], now)
-
-    def forget(self, node: Node) -> None:
-        for key in (node.index, ~node.index):
-            self.alarms.clear(key)
 
     def _begin(self, node: Node, now: float) -> None:
         self.alarms.clear(node.index)

@@ -13,9 +13,12 @@ knowledge bases are at work on it: the next question that they are asked sees it
 """
 
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import fields, replace
+from functools import partial
 from pathlib import Path
+from threading import RLock
 from types import MappingProxyType, UnionType
 from typing import Any, Final, Protocol, Self, TypeVar, get_args
 from weakref import ref
@@ -53,7 +56,7 @@ from kb.elements import (
     pid,
 )
 from kb.exceptions import AmbiguousName, DuplicateName, InvalidValue, ModelError, UnknownName
-from kb.facts import TABLES, Contents, Fact, RequiredFact, SelectedFact, StatusFact, tables_of
+from kb.facts import TABLES, Amended, Contents, Fact, RequiredFact, SelectedFact, StatusFact, tables_of
 from kb.files import SUFFIXES, ModelFileError, write_text
 from kb.notebook import table as html_table
 from kb.records import check_result
@@ -67,16 +70,16 @@ _SELECTABLE: Final = (FunctionDesign, Configuration)
 
 
 class Observer(Protocol):
-    """What is informed of every change of a model, after it."""
+    """What is informed of every change of a model."""
 
-    def model_grew(self, added: Iterable[Changeable]) -> None:
-        """Elements, with the constraints on them, were declared; all at once or not at all."""
+    def prepare(self) -> None:
+        """Something will change now; if this raises anything, it does not."""
 
-    def model_changed(self, element: Changeable) -> None:
-        """An element is not what it was."""
+    def amended(self, change: Amended) -> None:
+        """Something has changed, as a whole; what was interrupted comes again."""
 
-    def model_shrank(self, removed: Iterable[Changeable]) -> None:
-        """Elements, with the constraints on them, were removed."""
+    def heard(self) -> None:
+        """All who watch have been informed."""
 
 
 class Elements(Mapping[str, ElementT]):
@@ -116,6 +119,7 @@ class Model:
     Attributes:
         notes: what a file said that has no meaning in a model, and what was made of it; `check` reports it.
         places: where the elements that come from files stand there, as file:line:column.
+        pending: a change that is being made, or was interrupted; see `settle`.
     """
 
     def __init__(self, name: str) -> None:
@@ -125,6 +129,9 @@ class Model:
         self._estimations: dict[Estimation, None] = {}
         self._facts: list[Fact] = []
         self._observers: list[ref[Observer]] = []
+        self._changing = RLock()
+        self._batch: list[Changeable] | None = None
+        self.pending: Amended | None = None
         self.notes: list[str] = []
         self.places: dict[Element | Constraint, str] = {}
         self.attributes: Mapping[str, Attribute] = self._elements(Attribute)
@@ -237,8 +244,7 @@ class Model:
             self._of_kind("constrained", element, Constrainable)
         if name in table:
             raise DuplicateName(f"{kind} {name!r} is declared already; names are unique within a kind")
-        table[name] = element
-        self._grew([element, *(self._constrained((element,), one) for one in wanted)])  # type: ignore[arg-type]  # constrainable, if any
+        self._declare(element, *(_constraint((element,), one) for one in wanted))  # type: ignore[arg-type]  # constrainable, if any
         return element
 
     def constrain(self, elements: Iterable[Constrainable], expression: Expression) -> Constraint:
@@ -249,14 +255,15 @@ class Model:
             raise ModelError(f"{checked} constrains nothing; name at least one element")
         for element in targets:
             self._owned("constrained", element, Constrainable)
-        self._grew([constraint := self._constrained(targets, checked)])
+        self._declare(constraint := _constraint(targets, checked))
         return constraint
 
     def constrain_all(self, element: Constrainable, constraints: Iterable[Expression]) -> tuple[Constraint, ...]:
         """Add each constraint to an element, or none if one of them is refused."""
         self._owned("constrained", element, Constrainable)
-        added = tuple(self._constrained((element,), one) for one in self._expressions(constraints))
-        self._grew(added)
+        added = tuple(_constraint((element,), one) for one in self._expressions(constraints))
+        if added:
+            self._declare(*added)
         return added
 
     def add_estimation(
@@ -266,8 +273,7 @@ class Model:
         self._owned("the causer of an estimation", causer, Estimable)
         affected = self._reference(Attribute, attribute)
         estimation = Estimation(affected, finite_number(value), choice("estimation kind", EstimationKind, kind), causer)
-        self._estimations[estimation] = None
-        self._grew([estimation])
+        self._declare(estimation)
         return estimation
 
     def add_fact(self, fact: Fact) -> None:
@@ -341,10 +347,7 @@ class Model:
                 kind = KINDS[type(element)]
                 raise ModelError(f"{field!r} of {kind} {called(element)!r} cannot change; what can: {allowed}")
         values = {field: checks[field](field, called(element), value) for field, value in fields.items()}
-        for field, new in values.items():
-            object.__setattr__(element, field, new)
-        for observer in self._watching():
-            observer.model_changed(element)
+        self._amend("changed", [element], partial(_set, element, values))
 
     def remove(self, element: Changeable | str) -> None:
         """Take an element, or the only one that has a name, out of the model, with what constrains or estimates it.
@@ -358,25 +361,39 @@ class Model:
         users = _users_of(self, element) if isinstance(element, Element) else []
         if users:
             raise ModelError(f"{called(element)!r} is needed by {', '.join(users)}; remove that first")
-        removed: list[Changeable] = [element]
-        for constraint in self.constraints:
-            if element in constraint.constrained:
-                rest = tuple(one for one in constraint.constrained if one is not element)
-                if rest:
-                    object.__setattr__(constraint, "constrained", rest)
-                else:
-                    removed.append(constraint)
+        rests = {
+            one: tuple(other for other in one.constrained if other is not element)
+            for one in self.constraints
+            if element in one.constrained
+        }
+        removed: list[Changeable] = [element, *(one for one, rest in rests.items() if not rest)]
         removed += [one for one in self.estimations if one.causer is element]
-        for one in removed:
-            if isinstance(one, Constraint):
-                del self._constraints[one]
-            elif isinstance(one, Estimation):
-                del self._estimations[one]
-            else:
-                del self._tables[type(one)][one.name]
-        self._facts = [fact for fact in self._facts if not _concerns(fact, removed)]
-        for observer in self._watching():
-            observer.model_shrank(removed)
+        facts = [fact for fact in self._facts if not _concerns(fact, removed)]
+
+        def put() -> None:
+            for constraint, rest in rests.items():
+                if rest:
+                    _set(constraint, {"constrained": rest})
+            for one in removed:
+                self._table(one).pop(_key(one), None)
+            self._facts = facts
+
+        self._amend("removed", removed, put)
+
+    def settle(self) -> None:
+        """Complete a change that was interrupted, unless another thread is at it."""
+        mine: list[bool] = []
+        try:
+            mine.extend(map(self._changing.acquire, (False,)))  # taken and noted in one step, whatever interrupts
+            change = self.pending
+            if mine[0] and change is not None:
+                change.put()
+                for observer in self._watching():
+                    observer.amended(change)
+                self.pending = None
+        finally:
+            if mine and mine[0]:
+                self._changing.release()
 
     def __eq__(self, other: object) -> bool:
         """Tell whether two models have the same name and say the same, in the same order within each kind."""
@@ -430,14 +447,48 @@ class Model:
             self._reference(Attribute, expression.attribute)
         return wanted
 
-    def _constrained(self, targets: tuple[Constrainable, ...], one: Expression) -> Constraint:
-        constraint = Constraint(one.attribute, one.operator, one.value, targets, one.hysteresis, one.dwell)
-        self._constraints[constraint] = None
-        return constraint
+    @contextmanager
+    def at_once(self) -> Iterator[None]:
+        """Have all that is declared within the `with` statement be one change, or nothing if something is refused."""
+        batch = self._batch = []
+        try:
+            yield
+            self._batch = None
+            self._declare(*batch)
+        except BaseException:
+            self._batch = None
+            if self.pending is None:
+                for one in batch:
+                    self._table(one).pop(_key(one), None)
+            raise
 
-    def _grew(self, added: Sequence[Changeable]) -> None:
-        for observer in self._watching():
-            observer.model_grew(added)
+    def _declare(self, *added: Changeable) -> None:
+        def put() -> None:
+            for one in added:
+                self._table(one)[_key(one)] = one
+
+        if self._batch is None:
+            self._amend("declared", added, put)
+        else:
+            self._batch.extend(added)
+            put()
+
+    def _amend(self, how: str, elements: Sequence[Changeable], put: Callable[[], None]) -> None:
+        """Change something; it is in or out, for whoever watches too, once it is `pending`."""
+        self.settle()
+        observers = self._watching()
+        for observer in observers:
+            observer.prepare()
+        with self._changing:
+            self.pending = Amended(how, tuple(elements), put)
+            self.settle()
+        for observer in observers:
+            observer.heard()
+
+    def _table(self, one: Changeable) -> dict[Any, Any]:
+        if isinstance(one, Element):
+            return self._tables[type(one)]
+        return self._constraints if isinstance(one, Constraint) else self._estimations
 
     def _watching(self) -> list[Observer]:
         return [observer for one in tuple(self._observers) if (observer := one()) is not None]
@@ -465,6 +516,19 @@ class Model:
             found, name = self._tables[type(element)].get(element.name) is element, repr(element.name)
         if not found:
             raise ModelError(f"{name} is not in model {self.name!r}, or no longer")
+
+
+def _key(one: Changeable) -> object:
+    return one.name if isinstance(one, Element) else one
+
+
+def _set(one: Changeable, values: Mapping[str, object]) -> None:
+    for field, value in values.items():
+        object.__setattr__(one, field, value)
+
+
+def _constraint(targets: tuple[Constrainable, ...], one: Expression) -> Constraint:
+    return Constraint(one.attribute, one.operator, one.value, targets, one.hysteresis, one.dwell)
 
 
 def _is_folder(file: Path) -> bool:

@@ -1,10 +1,10 @@
 """What depends on what in a model, as a network of nodes that grows and shrinks with the model."""
 
 import math
-from bisect import bisect_right, insort
+from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Mapping
 from operator import itemgetter
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from kb.elements import (
     KINDS,
@@ -90,12 +90,6 @@ class Thresholds:
                 self._turns.append((_turn(node), node))
         self._turns.sort(key=_FIRST)
 
-    def add(self, node: Node) -> None:
-        if is_steady(node):
-            self.steady.append(node)
-        else:
-            insort(self._turns, (_turn(node), node), key=_FIRST)
-
     def crossed(self, old: float, new: float) -> list[Node]:
         """Return the constraints that are not for the new value what they were for the old one."""
         low, high = sorted((bisect_right(self._turns, old, key=_FIRST), bisect_right(self._turns, new, key=_FIRST)))
@@ -124,11 +118,17 @@ def _turn(node: Node) -> float:
     return value if node.element.operator in (">=", "<") else math.nextafter(value, math.inf)
 
 
+class _Related(NamedTuple):
+    constraints: list[Node]
+    parts: list[Node]
+    wholes: list[Node]
+
+
 class Network:
     """One node per element of a model, by name within its kind; constraints by themselves.
 
     Attributes:
-        revision: grows with every node that is added or removed.
+        revision: grows whenever the model is related anew.
     """
 
     def __init__(self, model: Contents) -> None:
@@ -145,11 +145,7 @@ class Network:
         self.actions: Mapping[str, Node] = self._tables[Action]
         self.constraints: Mapping[Constraint, Node] = self._tables[Constraint]
         self._kinds = {kind: self._tables[cls] for cls, kind in KINDS.items() if issubclass(cls, Element)}
-        for elements in tables_of(model).values():
-            for element in elements.values():
-                self.add(element)
-        for constraint in model.constraints:
-            self.add(constraint)
+        self.renew()
 
     def find(self, element: Element | Constraint) -> Node:
         """Return the node of an element of this model."""
@@ -183,52 +179,55 @@ class Network:
             raise UnknownName(f"constraint on {kind} {name!r}", position[0], map(str, range(len(constraints))))
         return constraints[position[0]]
 
-    def add(self, element: Element | Constraint) -> Node:
+    def renew(self) -> None:
+        """Relate all that is in the model now, as it is now; it may be done again.
+
+        An element keeps its node. The place in the arrays of one that went stays empty.
+        """
         self.revision += 1
-        node = Node(len(self.nodes), KINDS[type(element)], element)
-        self.nodes.append(node)
-        if isinstance(element, Constraint):
-            self._tables[Constraint][element] = node
-            attribute = self.attributes[element.attribute]
-            node.parts.append(attribute)
-            attribute.constraints.append(node)
-            if attribute in self._thresholds:
-                self._thresholds[attribute].add(node)
-            for constrained in dict.fromkeys(element.constrained):
-                target = self._tables[type(constrained)][constrained.name]
-                target.constraints.append(node)
-                node.wholes.append(target)
-            return node
-        self._tables[type(element)][element.name] = node
-        if isinstance(element, Configuration):
-            _join(node, self.components[element.component])
-        elif isinstance(element, FunctionDesign):
-            for name in element.components:
-                _join(self.components[name], node)
-            _join(node, self.functions[element.function])
-        elif isinstance(element, Action):
-            for name in dict.fromkeys(element.functions):
-                _join(self.functions[name], node)
+        self._thresholds.clear()
+        elements: list[Element | Constraint] = []
+        for table in tables_of(self.model).values():
+            elements += table.values()
+        elements += self.model.constraints
+        related = {self._node(one): _Related([], [], []) for one in elements}
+
+        def join(part: Node, whole: Node) -> None:
+            related[whole].parts.append(part)
+            related[part].wholes.append(whole)
+
+        for node, of in related.items():
+            element = node.element
+            if isinstance(element, Constraint):
+                attribute = self.attributes[element.attribute]
+                of.parts.append(attribute)
+                targets = [self._tables[type(one)][one.name] for one in dict.fromkeys(element.constrained)]
+                of.wholes.extend(targets)
+                for one in (attribute, *targets):
+                    related[one].constraints.append(node)
+            elif isinstance(element, Configuration):
+                join(node, self.components[element.component])
+            elif isinstance(element, FunctionDesign):
+                for name in element.components:
+                    join(self.components[name], node)
+                join(node, self.functions[element.function])
+            elif isinstance(element, Action):
+                for name in dict.fromkeys(element.functions):
+                    join(self.functions[name], node)
+        for nodes in self._tables.values():
+            for key in [key for key, node in nodes.items() if node not in related]:
+                del nodes[key]
+        for node, of in related.items():
+            node.name, node.constraints, node.parts, node.wholes = _name(node.element), *of
+
+    def _node(self, element: Element | Constraint) -> Node:
+        table, key = self._tables[type(element)], element if isinstance(element, Constraint) else element.name
+        node = table.get(key)
+        if node is None or node.element is not element:
+            node = Node(len(self.nodes), KINDS[type(element)], element)
+            self.nodes.append(node)
+            table[key] = node
         return node
-
-    def remove(self, node: Node) -> list[Node]:
-        """Take out a node; returns what depended on it. Its place in the arrays stays empty."""
-        self.revision += 1
-        element = node.element
-        del self._tables[type(element)][element if isinstance(element, Constraint) else element.name]
-        wholes = list(node.wholes)
-        for whole in wholes:
-            (whole.constraints if node.kind == "constraint" else whole.parts).remove(node)
-        for part in node.parts:
-            (part.constraints if part.kind == "attribute" else part.wholes).remove(node)
-            self._thresholds.pop(part, None)
-        for constraint in node.constraints:
-            constraint.wholes.remove(node)
-        return wholes
-
-    def changed(self, node: Node) -> None:
-        node.name = _name(node.element)
-        self._thresholds.pop(node if node.kind == "attribute" else node.parts[0], None)
 
     def thresholds(self, attribute: Node) -> Thresholds:
         found = self._thresholds.get(attribute)
@@ -239,8 +238,3 @@ class Network:
 
 def _name(element: Element | Constraint) -> str:
     return element.name if isinstance(element, Element) else str(element)
-
-
-def _join(part: Node, whole: Node) -> None:
-    whole.parts.append(part)
-    part.wholes.append(whole)

@@ -113,14 +113,16 @@ def explain(base: Readable, element: Meant) -> Explanation:
     A name that several kinds share means the action before the function, component, design, configuration and
     attribute. Of an attribute it is said what is known of it, and what depends on it.
     """
+    now = base.now
     with base.reading() as state:
-        return explained(state, meant(base, state, element, _EXPLAINED), base.now)
+        return explained(state, meant(base, state, element, _EXPLAINED), now)
 
 
 def why(base: Readable, element: Meant) -> str:
     """Say in a sentence why an element has its status; quicker than `explain`, for it looks for no remedies."""
+    now = base.now
     with base.reading() as state:
-        return explained_shortly(state, meant(base, state, element, _EXPLAINED), base.now)
+        return explained_shortly(state, meant(base, state, element, _EXPLAINED), now)
 
 
 def explain_choice(base: Readable, element: Meant) -> ChoiceExplanation:
@@ -128,8 +130,9 @@ def explain_choice(base: Readable, element: Meant) -> ChoiceExplanation:
 
     Of a name that both kinds share the function is meant.
     """
+    now = base.now
     with base.reading() as state:
-        return explained_choice(state, meant(base, state, element, ("function", "component")), base.now)
+        return explained_choice(state, meant(base, state, element, ("function", "component")), now)
 
 
 def outline(state: State) -> str:

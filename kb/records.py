@@ -1,6 +1,8 @@
 """What is put on record: actions that were requested, plans, processes, attempts, and answers about plans."""
 
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, fields
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple
@@ -10,10 +12,34 @@ from kb.exceptions import InvalidValue
 from kb.facts import PlanFact, ProcessFact, RequiredActionFact
 from kb.notebook import table
 
-KEPT_RECORDS: Final = 10_000
-"""How many attempts and how many answers are remembered; the newest."""
-
 RESULTS: Final = ("completed", "failed", "abandoned")
+
+
+@dataclass(frozen=True, slots=True)
+class Memory:
+    """How much of the past a knowledge base holds in memory; what is so now is never forgotten.
+
+    At least so much is held, and at most twice that.
+
+    Attributes:
+        events: how many measurements, and how many other events, of the log; the newest.
+        measurements: how many of each attribute; the newest.
+        records: how many plans, requests, processes, attempts and answers that have ended, of each; the newest.
+        span: what is older than this is forgotten too [s].
+    """
+
+    events: int = 100_000
+    measurements: int = 100_000
+    records: int = 10_000
+    span: float = math.inf
+
+    def __post_init__(self) -> None:
+        for name in ("events", "measurements", "records"):
+            most = getattr(self, name)
+            if type(most) is not int or most < 1:
+                raise InvalidValue(f"{name} of a memory is a whole number from 1, not {most!r}")
+        if not isinstance(self.span, int | float) or not self.span > 0:
+            raise InvalidValue(f"the span of a memory is a time in seconds above 0, not {self.span!r}")
 
 
 class Reply(NamedTuple):
@@ -187,14 +213,16 @@ class Records:
         plans: by their own number.
         open_plans: those that have not ended.
         processes: by number of the event that they began with.
-        attempts: by their serial number; the newest.
-        answers: by number of the event; the newest.
+        attempts: by their serial number.
+        answers: by number of the event.
         ended: why requests have ended since the last plan, in words; the newest.
         last_end: when a request ended last [s], and the number of that event.
+        begins: the time from which on nothing that has ended is forgotten [s].
         rejected: how many readings of diagnostics could not be used.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, memory: Memory) -> None:
+        self._memory = memory
         self.requests: dict[int, RequiredAction] = {}
         self.required: dict[str, RequiredAction] = {}
         self.plans: dict[int, ReconfigurationPlan] = {}
@@ -204,10 +232,28 @@ class Records:
         self.answers: dict[int, VetoAnswer] = {}
         self.ended: tuple[str, ...] = ()
         self.last_end: tuple[float, int] | None = None
+        self.begins = -math.inf
         self.rejected = 0
+        self._full = dict.fromkeys(("requests", "plans", "processes", "attempts", "answers"), 2 * memory.records)
+
+    def put(self, name: str, number: int, record: Any) -> None:  # noqa: ANN401  # of the table of that name
+        """Put something on record; of what has ended, the oldest is forgotten when there is much."""
+        table: dict[int, Any] = getattr(self, name)
+        table[number] = record
+        if len(table) > self._full[name]:
+            self._forget(name, table)
+
+    def _forget(self, name: str, table: dict[int, Any]) -> None:
+        ended = [(number, end) for number, one in table.items() if (end := _ended(one)) is not None]
+        horizon = max((end for _, end in ended), default=0.0) - self._memory.span
+        old = [one for one in ended[: -self._memory.records] if one[0] != next(reversed(table))]
+        gone = dict(old + [one for one in ended[:-1] if one[1] < horizon])
+        self.begins = max(self.begins, *gone.values(), -math.inf)
+        setattr(self, name, {number: one for number, one in table.items() if number not in gone})
+        self._full[name] = len(table) - len(gone) + self._memory.records
 
     def request(self, record: RequiredAction) -> None:
-        self.requests[record.number] = record
+        self.put("requests", record.number, record)
         if record.end is None:
             self.required[record.action] = record
 
@@ -218,7 +264,7 @@ class Records:
         self.last_end = end["end"], event
 
     def plan(self, record: ReconfigurationPlan) -> None:
-        self.plans[record.number] = record
+        self.put("plans", record.number, record)
         self.ended = ()
         if record.end is None:
             self.open_plans[record.number] = record
@@ -228,15 +274,6 @@ class Records:
             if other.end is None:
                 finish(other, result=result if other is record else "abandoned", end=end)
         self.open_plans = {number: one for number, one in self.open_plans.items() if one.end is None}
-
-    def attempt(self, record: Attempt) -> None:
-        self.attempts[record.serial] = record
-        self.attempts.pop(record.serial - KEPT_RECORDS, None)
-
-    def answer(self, number: int, record: VetoAnswer) -> None:
-        self.answers[number] = record
-        if len(self.answers) > KEPT_RECORDS:
-            del self.answers[next(iter(self.answers))]
 
     def begin_request(self, fact: RequiredActionFact, number: int, now: float) -> None:
         """Put a request on record that a model states; one that is open began now if nothing else is stated."""
@@ -254,16 +291,23 @@ class Records:
     def begin(self, fact: PlanFact | ProcessFact, number: int, now: float) -> None:
         start = _start(fact, now)
         if isinstance(fact, ProcessFact):
-            self.processes[number] = Process(fact.component, fact.pid, start, fact.end, number)
+            self.put("processes", number, Process(fact.component, fact.pid, start, fact.end, number))
             return
         steps, reason = (fact.activate, fact.deactivate, fact.parameters), "stated by the model"
-        self.plan(ReconfigurationPlan(*steps, reason, start, _end(fact, now), fact.result, number=len(self.plans) + 1))
+        self.plan(
+            ReconfigurationPlan(
+                *steps, reason, start, _end(fact, now), fact.result, number=next(reversed(self.plans), 0) + 1
+            )
+        )
 
     def plan_of(self, plan: object) -> ReconfigurationPlan:
-        found = self.plans.get(plan) if isinstance(plan, int) else plan
-        if isinstance(found, ReconfigurationPlan):
+        """Return a plan that is on record, given by itself or its number."""
+        number = plan.number if isinstance(plan, ReconfigurationPlan) else plan
+        found = self.plans.get(number) if type(number) is int else None
+        if found is not None and plan in (found, number):
             return found
-        raise InvalidValue(f"{plan!r} is no plan; give one of kb.plans")
+        numbers = f"{next(iter(self.plans))} to {next(reversed(self.plans))}" if self.plans else "none yet"
+        raise InvalidValue(f"{plan!r} is not a plan of this knowledge base; give one of kb.plans (numbers: {numbers})")
 
     def to_json(self) -> dict[str, Any]:
         """Return all of it as values that JSON can hold, except what has to do with the plans of other bases."""
@@ -286,26 +330,35 @@ class Records:
             tuples = {name: tuple(values[name]) for name in ("activate", "deactivate", "parameters")}
             self.plan(ReconfigurationPlan(**{**values, **tuples, "plain": frozenset(values["plain"])}))
         for values in written["processes"]:
-            self.processes[values["number"]] = Process(**values)
+            self.put("processes", values["number"], Process(**values))
         for values in written["attempts"]:
-            self.attempt(Attempt(**{**values, "plan": self.plans[values["plan"]]}))
+            self.put("attempts", values["serial"], Attempt(**{**values, "plan": self.plans[values["plan"]]}))
         for number, values in written["answers"]:
-            self.answer(number, VetoAnswer(**{**values, "plan": self.plans[values["plan"]]}))
+            self.put("answers", number, VetoAnswer(**{**values, "plan": self.plans[values["plan"]]}))
         self.ended = tuple(written["ended"])
         last_end = written["last_end"]
         self.last_end = None if last_end is None else (last_end[0], last_end[1])
 
 
 class HistoryView:
-    """What is not asked every day, of all that is on record."""
+    """What is not asked every day, of all that is on record; what has ended is forgotten at some time, see `Memory`."""
 
-    def __init__(self, records: Records) -> None:
-        self._records = records
+    def __init__(self, records: Records, reading: Callable[[], AbstractContextManager[object]]) -> None:
+        self._records, self._reading = records, reading
+
+    def _read(self) -> Records:
+        with self._reading():
+            return self._records
+
+    @property
+    def begins(self) -> float:
+        """The time from which on nothing is missing here [s]; `-math.inf` while nothing is forgotten."""
+        return self._records.begins
 
     @property
     def actions(self) -> tuple[RequiredAction, ...]:
-        """Every action that was ever required, in the order of the requests."""
-        return tuple(self._records.requests.values())
+        """The actions that were required, in the order of the requests."""
+        return tuple(self._read().requests.values())
 
     @property
     def rejected(self) -> int:
@@ -314,13 +367,13 @@ class HistoryView:
 
     @property
     def attempts(self) -> tuple[Attempt, ...]:
-        """The commands that were given, in order, with what came of each; the newest 10,000."""
-        return tuple(self._records.attempts.values())
+        """The commands that were given, in order, with what came of each."""
+        return tuple(self._read().attempts.values())
 
     @property
     def answers(self) -> tuple[VetoAnswer, ...]:
-        """What was answered about plans before they were executed, in order; the newest 10,000."""
-        return tuple(self._records.answers.values())
+        """What was answered about plans before they were executed, in order."""
+        return tuple(self._read().answers.values())
 
 
 def check_result(result: str) -> None:
@@ -331,6 +384,10 @@ def check_result(result: str) -> None:
 def finish(record: RequiredAction | ReconfigurationPlan | Process | Attempt, **end: Any) -> None:  # noqa: ANN401  # what a field holds
     for name, value in end.items():
         object.__setattr__(record, name, value)
+
+
+def _ended(record: RequiredAction | ReconfigurationPlan | Process | Attempt | VetoAnswer) -> float | None:
+    return record.time if isinstance(record, VetoAnswer) else record.end
 
 
 def _start(fact: RequiredActionFact | PlanFact | ProcessFact, now: float) -> float:

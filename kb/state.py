@@ -4,6 +4,7 @@ A layer answers from its own changes first and from the state below otherwise, s
 copies nothing. What a layer holds can be put in place in the state below, at once or again.
 """
 
+import math
 from array import array
 from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Mapping
@@ -11,7 +12,9 @@ from operator import attrgetter
 from typing import Any, Final, Generic, NamedTuple, Protocol, TypeVar
 
 from kb.elements import Parameters
+from kb.exceptions import InvalidValue
 from kb.network import Network, Node
+from kb.records import Memory
 from kb.status import Status
 
 T = TypeVar("T")
@@ -145,12 +148,20 @@ class Users:
 
 
 class History:
-    """Every measurement of one attribute, by time; 16 bytes each."""
+    """The measurements of one attribute, by time, 16 bytes each; the newest, and at most twice as many as wanted.
 
-    __slots__ = ("pairs",)
+    Attributes:
+        pairs: of time and value, in one array, so that a measurement is there as a whole or not.
+        begins: the time from which on every measurement is held [s]; `-math.inf` while none is forgotten.
+        many: how long `pairs` is when something may have to be forgotten.
+    """
 
-    def __init__(self, packed: bytes = b"") -> None:
-        self.pairs = array("d", packed)  # one array, so that a measurement is there as a whole or not
+    __slots__ = ("_memory", "begins", "many", "pairs")
+
+    def __init__(self, memory: Memory, packed: bytes = b"", begins: float | None = None) -> None:
+        self._memory, self.pairs = memory, array("d", packed)
+        self.begins = -math.inf if begins is None else begins
+        self.many = 4 * memory.measurements if memory.span == math.inf else 2
 
     def __len__(self) -> int:
         return len(self.pairs) // 2
@@ -163,9 +174,20 @@ class History:
             place = 2 * self._place(time)
             pairs[place:place] = array("d", (time, value))
 
+    def forget(self) -> None:
+        """Forget what is too much or too old, if that is much; before it is counted what is there."""
+        pairs, memory = self.pairs, self._memory
+        most = 2 * memory.measurements
+        if pairs and (len(pairs) >= 2 * most or pairs[0] < pairs[-2] - 2 * memory.span):
+            excess = min(max(len(pairs) - most, 2 * self._place(pairs[-2] - memory.span)), len(pairs) - 2)
+            self.begins = max(self.begins, pairs[excess])
+            del pairs[:excess]
+
     def at(self, time: float) -> float | None:
         """Return the value that was the latest at a time [s], or None before the first."""
         place = self._place(time)
+        if not place and time < self.begins:
+            raise InvalidValue(f"what was measured by {time!r} s is forgotten; memory begins at {self.begins!r} s")
         return self.pairs[2 * place - 1] if place else None
 
     def samples(self, most: int | None = None) -> tuple[tuple[float, float], ...]:
@@ -175,6 +197,11 @@ class History:
 
     def packed(self, most: int) -> bytes:
         return self.pairs[-2 * most :].tobytes()
+
+    def begins_within(self, most: int) -> float | None:
+        """Return what `begins` is if only the newest are taken, None for never."""
+        begins = self.begins if len(self) <= most else self.pairs[-2 * most]
+        return None if begins == -math.inf else begins
 
     def _place(self, time: float) -> int:
         return bisect_right(range(len(self)), time, key=lambda place: self.pairs[2 * place])
@@ -195,6 +222,11 @@ FACTS: Final[Mapping[str, object]] = {
 """The arrays of base facts, and what is in them where nothing is known."""
 
 _INFERRED: Final[Mapping[str, object]] = {"required": False, "served": 0, "status": Status.FEASIBLE}
+
+
+def unset(node: Node) -> Status:
+    """Return the status of an element where nothing is known."""
+    return Status.NOT_EVALUATED if node.kind == "constraint" else Status.FEASIBLE
 
 
 class State:
@@ -259,11 +291,22 @@ class State:
         count = len(self.network.nodes)
         for name, unset in {**FACTS, **_INFERRED}.items():
             column = self.columns[name]
-            if name == "status":
-                new = self.network.nodes[len(column) :]
-                column += [Status.NOT_EVALUATED if one.kind == "constraint" else unset for one in new]
-            else:
-                column += [unset] * (count - len(column))
+            column += [unset] * (count - len(column))
+
+    def forget(self, node: Node) -> None:
+        """Know nothing of a node any more."""
+        for name, unset in FACTS.items():
+            self.columns[name][node.index] = unset
+        self.histories.pop(node.index, None)
+        for key in [key for key in self.reasons if key[1] == node.index]:
+            del self.reasons[key]
+
+    def forget_inferred(self) -> None:
+        for node in self.network.present():
+            index = node.index
+            self.required[index], self.served[index], self.status[index] = False, 0, unset(node)
+        for marked in (self.users, self.adaptable, self.obsolete, self.lacking):
+            marked.clear()
 
     def reason(self, column: str, node: Node) -> Reason:
         return self.reasons.get((column, node.index), _UNSAID)

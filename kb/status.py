@@ -33,32 +33,15 @@ class Status(StrEnum):
 
 
 STATUSES: Mapping[str, tuple[Status, ...]] = {
-    "constraint": (Status.NOT_EVALUATED, Status.SATISFIED, Status.VIOLATED),
-    "configuration": (Status.UNFEASIBLE, Status.FEASIBLE),
-    "component": (
-        Status.FAILURE,
-        Status.UNFEASIBLE,
-        Status.CONFIGURATION_ERROR,
-        Status.UNSOLVED,
-        Status.SOLVED,
-        Status.FEASIBLE,
-    ),
-    "function design": (
-        Status.UNFEASIBLE,
-        Status.IMPLICIT_CONFIGURATION_ERROR,
-        Status.UNSOLVED,
-        Status.SOLVED,
-        Status.FEASIBLE,
-    ),
-    "function": (
-        Status.UNFEASIBLE,
-        Status.CONFIGURATION_ERROR,
-        Status.IMPLICIT_CONFIGURATION_ERROR,
-        Status.SOLVED,
-        Status.UNSOLVED,
-        Status.FEASIBLE,
-    ),
-    "action": (Status.UNFEASIBLE, Status.IMPLICIT_CONFIGURATION_ERROR, Status.UNSOLVED, Status.SOLVED, Status.FEASIBLE),
+    kind: tuple(Status(word) for word in words.split(", "))
+    for kind, words in {
+        "constraint": "not evaluated, satisfied, violated",
+        "configuration": "unfeasible, feasible",
+        "component": "failure, unfeasible, configuration error, unsolved, solved, feasible",
+        "function design": "unfeasible, implicit configuration error, unsolved, solved, feasible",
+        "function": "unfeasible, configuration error, implicit configuration error, solved, unsolved, feasible",
+        "action": "unfeasible, implicit configuration error, unsolved, solved, feasible",
+    }.items()
 }
 """The statuses that an element of each kind can have, in the order of its table."""
 
@@ -83,15 +66,7 @@ def component_status(
     required: bool,
     active: bool,
 ) -> Status:
-    """Status of a component.
-
-    Args:
-        failed: it is reported failed.
-        constraints: statuses of its own constraints.
-        configurations: status of each of its configurations, and whether that one is selected.
-        required: a selected function design contains it, or it is asserted required.
-        active: it is running.
-    """
+    """Status of a component, from its own constraints and its configurations: their status, and whether selected."""
     choices = tuple(configurations)
     if failed:
         return Status.FAILURE

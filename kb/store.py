@@ -124,7 +124,8 @@ class Store:
                 known.from_json(json.loads(found.snapshot.known), found.snapshot.number, found.snapshot.time)
             for row in found.rows:
                 known.repeat(row.event)
-            known.log.last = self.saved = self._written
+            self.saved = self._written
+            known.log.resume(self.saved)
         found.rows.clear()
         for plan in list(known.records.open_plans.values()):
             known.apply(now, "finish_plan", (plan.number, "abandoned"))
@@ -324,7 +325,7 @@ class Store:
             waiting = last - self._written
             batch = list(known.log.since(self._written))
             if self._needs_snapshot(batch, last):
-                snapshot = (last, known.clock(), json.dumps(known.to_json(self.keep), separators=(",", ":")))
+                snapshot = (last, known.now, json.dumps(known.to_json(self.keep), separators=(",", ":")))
         if last == self.saved or self._is_given_up:
             return
         if waiting > _MOST_WAITING or len(batch) != waiting:
@@ -411,7 +412,7 @@ class Store:
     def _say(self, words: str, level: int) -> None:
         _log.log(level, words)
         with self._lock:
-            self._knowledge.apply(self._knowledge.clock(), "store", (words,))
+            self._knowledge.apply(self._knowledge.now, "store", (words,))
         self._knowledge.heard()
 
 

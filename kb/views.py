@@ -3,6 +3,7 @@
 A view answers from the base it was taken from each time it is asked; nothing can be changed through it.
 """
 
+import math
 from collections.abc import ItemsView, Iterator, Mapping, ValuesView
 from contextlib import AbstractContextManager
 from types import MappingProxyType
@@ -29,23 +30,17 @@ class Readable(Protocol):
 
 
 class ElementView:
-    """What every element has: a name, and its kind in words."""
+    """What every element has: a name, and its kind in words.
 
-    __slots__ = ("_base", "_node")
+    Attributes:
+        base: what it was taken from.
+        node: its place there.
+    """
+
+    __slots__ = ("base", "node")
 
     def __init__(self, base: Readable, node: Node) -> None:
-        self._base = base
-        self._node = node
-
-    @property
-    def base(self) -> Readable:
-        """What it was taken from."""
-        return self._base
-
-    @property
-    def node(self) -> Node:
-        """Its place there."""
-        return self._node
+        self.base, self.node = base, node
 
     @property
     def name(self) -> str:
@@ -268,13 +263,24 @@ class AttributeView(ElementView):
 
     @property
     def history(self) -> tuple[tuple[float, float], ...]:
-        """Every measurement so far, as (time [s], value), by time."""
+        """The measurements so far, as (time [s], value), by time; the newest, see `begins`."""
         with self.base.reading() as state:
             history = state.histories.get(self.node.index)
             return () if history is None else history.samples()
 
+    @property
+    def begins(self) -> float:
+        """The time from which on every measurement is in the history [s]; `-math.inf` while none is forgotten."""
+        with self.base.reading() as state:
+            history = state.histories.get(self.node.index)
+            return -math.inf if history is None else history.begins
+
     def at(self, time: float) -> float | None:
-        """Return what the latest measurement was at a time [s]; None before the first."""
+        """Return what the latest measurement was at a time [s]; None before the first.
+
+        Raises:
+            InvalidValue: that is forgotten.
+        """
         finite_number(time)
         with self.base.reading() as state:
             history = state.histories.get(self.node.index)

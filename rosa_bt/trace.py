@@ -20,7 +20,7 @@ from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 from py_trees.visitors import VisitorBase
 
-from kb import Event, KnowledgeBase, Model, StatusChange
+from kb import Event, InvalidValue, KnowledgeBase, Model, StatusChange
 from kb import Status as ElementStatus
 from rosa_bt.behaviours import KbBehaviour, halt
 from rosa_bt.exceptions import TraceError
@@ -391,7 +391,7 @@ class _Replay(TraceVisitor):
             self._now[0] = event.time
             try:
                 self._kb.tell(event)
-            except (AttributeError, IndexError, TypeError) as error:
+            except InvalidValue as error:
                 raise TraceError(f"{event.verb}{event.arguments!r} cannot be told again: {error}") from error
         self._thread = thread
 

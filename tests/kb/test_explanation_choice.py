@@ -14,7 +14,7 @@ SLOW = settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_to
 
 
 def choice_of(kb, node, **criterion):
-    return explain_choice(state_of(kb), node, kb._clock(), **criterion)
+    return explain_choice(state_of(kb), node, kb._time.clock(), **criterion)
 
 
 @SLOW

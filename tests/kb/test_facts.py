@@ -1,5 +1,7 @@
 """What a model states from the start is what a knowledge base made of it begins with."""
 
+import math
+
 import pytest
 from models import Clock
 
@@ -193,11 +195,29 @@ def test_processes_are_told_by_component_and_number(model):
         kb.component_started("lidar", 1)
 
 
-def test_measurements_told_out_of_order_are_remembered_in_order(model):
+def test_facts_keep_their_order_while_a_clock_is_a_little_behind(model):
     clock = Clock(5.0)
     kb = KnowledgeBase(model, clock=clock)
     kb.measure("light", 0.5)
-    clock.now = 3.0
+    clock.now = 4.5
     kb.measure("light", 0.3)
-    assert kb.attributes["light"].history == ((3.0, 0.3), (5.0, 0.5))
+    assert kb.now == 5.0
+    assert kb.attributes["light"].history == ((5.0, 0.5), (5.0, 0.3))
     assert kb.attributes["light"].value == 0.3
+
+
+@pytest.mark.parametrize("shown", [3.0, -math.inf, math.nan, math.inf, "noon", None, True, [5.0]])
+def test_clock_that_goes_back_or_gives_no_time_is_refused_and_nothing_changes(model, shown):
+    clock = Clock(5.0)
+    kb = KnowledgeBase(model, clock=clock)
+    kb.measure("light", 0.5)
+    before = kb.attributes["light"].history, len(kb.log)
+    clock.now = shown
+    with pytest.raises(InvalidValue, match=r"the clock (went back, from 5\.0 s to 3\.0 s|gives )"):
+        kb.measure("light", 0.3)
+    with pytest.raises(InvalidValue, match="the clock"):
+        kb.component_failed("camera")
+    clock.now = 6.0
+    assert (kb.attributes["light"].history, len(kb.log)) == before
+    kb.measure("light", 0.3)
+    assert kb.attributes["light"].history == ((5.0, 0.5), (6.0, 0.3))

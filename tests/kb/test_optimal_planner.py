@@ -341,7 +341,7 @@ def test_preference_that_is_given_up_leaves_what_works(model):
 
 def test_dry_run_does_not_use_up_the_change_of_a_preference(model):
     kb, _ = at_work(content(model), planner := OptimalPlanner(), {"power": -1.0})
-    manager = ConfigurationManager(kb, Scripted(kb._clock), planner=planner)
+    manager = ConfigurationManager(kb, Scripted(kb._time.clock), planner=planner)
     kb.cancel_action("explore")
     kb.request_action("explore", "accuracy")
     before = planner.latest

@@ -7,8 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from models import Clock
 
-from kb import InvalidValue, KnowledgeBase, KnowledgeBaseError, Model, PriorityPlanner, Status
-from kb.records import KEPT_RECORDS
+from kb import InvalidValue, KnowledgeBase, KnowledgeBaseError, Memory, Model, PriorityPlanner, Status
 
 
 def rover():
@@ -286,14 +285,16 @@ def test_an_attempt_that_was_under_way_is_abandoned_when_a_store_is_opened_again
 
 
 def test_the_newest_attempts_and_answers_are_remembered():
-    kb = KnowledgeBase(rover())
+    kb = KnowledgeBase(rover(), memory=Memory(records=5))
     kb.request_action("explore")
     plan = kb.select({"see": "by camera"})
-    for number in range(1, KEPT_RECORDS + 3):
-        kb.record_attempt(plan, "camera", "activate", number=number)
+    for number in range(1, 40):
+        kb.finish_attempt(kb.record_attempt(plan, "camera", "activate", number=number), "failed")
         kb.record_answer(plan, is_vetoed=False, reason=str(number))
-    assert [one.number for one in kb.history.attempts] == list(range(3, KEPT_RECORDS + 3))
-    assert [one.reason for one in kb.history.answers] == [str(number) for number in range(3, KEPT_RECORDS + 3)]
+        assert [one.number for one in kb.history.attempts][-5:] == list(range(1, number + 1))[-5:]
+        assert [one.reason for one in kb.history.answers][-5:] == [str(one) for one in range(1, number + 1)][-5:]
+        assert len(kb.history.attempts) <= 11  # with the one that was under way
+        assert len(kb.history.answers) <= 10
 
 
 WRONG = [

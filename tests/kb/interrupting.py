@@ -1,0 +1,77 @@
+"""An interrupt at any instruction of a call, as Ctrl-C comes: between two steps of Python, wherever the program is."""
+
+import dis
+import sys
+import threading
+from functools import cache
+from pathlib import Path
+
+import kb as package
+
+ROOM = str(Path(package.__file__).parent)
+
+
+class Interrupted(BaseException):
+    """What nobody expects."""
+
+
+@cache
+def out_of_reach(code):
+    """Return where nothing can come: a way out of `with` or a function, on which Python looks for no signal."""
+    steps, found = list(dis.get_instructions(code)), set()
+    for place, step in enumerate(steps):
+        if step.opname in ("RETURN_VALUE", "RETURN_CONST"):
+            found.add(step.offset)
+        following = steps[place : place + 3]
+        if [one.opname for one in following] == ["LOAD_CONST"] * 3 and not any(one.argval for one in following):
+            found.update(one.offset for one in steps[place : place + 5])
+    return found
+
+
+LOOKS = ("CALL", "RESUME", "JUMP_BACKWARD")
+"""After such instructions Python looks for signals."""
+
+
+def interrupted_at(step, call, *, harsher=False):
+    """Interrupt a call at one of the instructions that it runs in the package; returns whether it came that far.
+
+    As signals are, it is at one after which Python looks for them; or, harsher, at any.
+    """
+    count, before, is_interrupted = 0, {}, False
+
+    def trace(frame, event, _):
+        nonlocal count, is_interrupted
+        if not frame.f_code.co_filename.startswith(ROOM):
+            return None
+        frame.f_trace_opcodes, frame.f_trace_lines = True, False
+        if event == "opcode":
+            is_looked = before.get(frame, "RESUME").startswith(LOOKS)
+            if (harsher or is_looked) and frame.f_lasti not in out_of_reach(frame.f_code):
+                count += 1
+                if count == step:
+                    sys.settrace(None)
+                    is_interrupted = True
+                    raise Interrupted
+            before[frame] = dis.opname[frame.f_code.co_code[frame.f_lasti]]
+        return trace
+
+    sys.settrace(trace)
+    try:
+        call()
+    except Interrupted:
+        pass
+    finally:
+        sys.settrace(None)
+    return is_interrupted
+
+
+def is_free(kb):
+    """Tell whether another thread can tell and ask at once."""
+    done = threading.Event()
+
+    def ask():
+        kb.is_feasible("rest")
+        done.set()
+
+    threading.Thread(target=ask, daemon=True).start()
+    return done.wait(5.0)

@@ -1,0 +1,179 @@
+"""Who listens hinders nobody: not when interrupted, not by answering without end, not by asking another base."""
+
+import logging
+import os
+import threading
+
+import pytest
+from models import Clock
+
+from kb import KnowledgeBase, KnowledgeBaseError, Model
+
+
+def base(**given):
+    model = Model("rover")
+    light = model.environmental_attribute("light", max_age=5.0)
+    model.action("explore", constraints=[light >= 0.5])
+    model.component("camera")
+    return KnowledgeBase(model, clock=Clock(1.0), **given)
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit, GeneratorExit])
+def test_others_go_on_hearing_when_one_is_interrupted(error):
+    kb, heard, interrupted = base(), [], []
+
+    def interrupting(event):
+        interrupted.append(event.number)
+        if event.number == 1:
+            raise error
+
+    kb.subscribe(interrupting)
+    kb.subscribe(lambda event: heard.append(event.number))
+    with pytest.raises(error):
+        kb.measure("light", 0.1)
+    assert kb.attributes["light"].value == 0.1
+    kb.measure("light", 0.2)
+    kb.component_failed("camera")
+    assert heard == interrupted == [1, 2, 3]
+
+
+def test_one_that_answers_without_end_is_cut_and_named_and_others_hear_all(caplog):
+    kb, heard = base(), []
+
+    def answering_without_end(event):
+        kb.measure("light", event.number / 1e6)
+
+    kb.subscribe(lambda event: heard.append(event.number))
+    kb.subscribe(answering_without_end)
+    with caplog.at_level(logging.ERROR, logger="kb"):
+        kb.measure("light", 0.5)
+    assert "answering_without_end" in caplog.text
+    assert "is called no more" in caplog.text
+    count = kb.log.last
+    assert heard == list(range(1, count + 1))
+    kb.measure("light", 0.6)
+    assert heard[-1] == kb.log.last == count + 1
+
+
+def test_two_that_answer_each_other_without_end_are_cut(caplog):
+    one, other = base(), base()
+    one.subscribe(lambda event: other.measure("light", event.number / 1e6))
+    other.subscribe(lambda event: one.measure("light", event.number / 1e6))
+    with caplog.at_level(logging.ERROR, logger="kb"):
+        one.measure("light", 0.5)
+    assert "is called no more" in caplog.text
+
+
+def test_one_that_answers_each_of_many_facts_once_is_never_cut(caplog):
+    kb, answers = base(), []
+
+    def answer(event):
+        if event.verb == "measure":
+            answers.append(event.number)
+            kb.component_active("camera", len(answers) % 2 == 1)
+
+    kb.subscribe(answer)
+    for turn in range(3000):
+        kb.measure("light", turn / 1e4)
+    assert len(answers) == 3000
+    assert not caplog.records
+
+
+def test_bases_whose_subscribers_ask_each_other_never_wait_for_each_other():
+    bases = one, other = base(), base()
+    one.subscribe(lambda _: (other.is_feasible("explore"), other.explain("explore"), other.now))
+    other.subscribe(lambda _: (one.is_feasible("explore"), one.explain("explore"), one.now))
+
+    def tell(kb):
+        for turn in range(300):
+            kb.measure("light", turn % 2)
+            kb.model.change("light", max_age=5.0 + turn)
+            with kb.reading():
+                kb.component_active("camera", turn % 2 == 1)
+
+    threads = [threading.Thread(target=tell, args=(kb,), daemon=True) for kb in bases for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(60.0)
+    assert not any(thread.is_alive() for thread in threads)
+
+
+@pytest.mark.parametrize("where", ["clock", "subscriber"])
+def test_no_lock_is_held_while_the_code_of_others_runs(where):
+    kb, answered = base(), []
+
+    def asks_by_another_thread(*_):
+        if not answered:
+            answered.append(None)
+            thread = threading.Thread(target=lambda: answered.append(kb.is_feasible("explore")), daemon=True)
+            thread.start()
+            thread.join(20.0)
+        return 1.0
+
+    if where == "clock":
+        kb._time.clock = asks_by_another_thread
+    else:
+        kb.subscribe(asks_by_another_thread)
+    kb.measure("light", 0.7)
+    assert answered[0] is None
+    assert len(answered) == 2
+
+
+def test_who_holds_a_base_is_heard_once_it_is_held_no_more():
+    kb, heard = base(), []
+    kb.subscribe(lambda event: heard.append(event.number))
+    with kb.reading():
+        kb.measure("light", 0.1)
+        assert heard == []
+    kb.measure("light", 0.2)
+    assert heard == [1, 2]
+
+
+def in_a_fork(child):
+    """Run something in a child of fork; returns its exit code, 0 if it returned True."""
+    pid = os.fork()
+    if not pid:
+        try:
+            os._exit(0 if child() else 1)
+        except BaseException:
+            os._exit(2)
+    return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+
+
+def test_child_of_fork_is_told_to_open_a_store_of_its_own(tmp_path):
+    kb = base(store=tmp_path / "rover.sqlite3")
+    kb.measure("light", 0.7)
+
+    def child():
+        for call in (lambda: kb.measure("light", 0.1), lambda: kb.component_failed("camera"), kb.flush):
+            with pytest.raises(KnowledgeBaseError, match="forked"):
+                call()
+        kb.close()
+        return kb.is_feasible("explore")
+
+    assert in_a_fork(child) == 0
+    kb.measure("light", 0.8)
+    assert kb.flush(20.0)
+    kb.close()
+
+
+def test_child_of_fork_never_waits_for_a_thread_that_it_does_not_have():
+    kb, done = base(), threading.Event()
+
+    def tell():
+        while not done.is_set():
+            kb.measure("light", 0.7)
+            kb.component_active("camera", not kb.components["camera"].is_active)
+
+    thread = threading.Thread(target=tell)
+    thread.start()
+
+    def child():
+        kb.measure("light", 0.9)
+        return kb.is_feasible("explore")
+
+    codes = [in_a_fork(child) for _ in range(20)]
+    done.set()
+    thread.join()
+    assert codes == [0] * 20
