@@ -89,8 +89,13 @@ class Knowledge:
     """
 
     def __init__(
-        self, model: Contents, clock: Callable[[], float], lock: AbstractContextManager[object], memory: Memory
+        self,
+        model: Contents,
+        clock: Callable[[], float],
+        lock: AbstractContextManager[object],
+        memory: Memory | None = None,
     ) -> None:
+        memory = memory or Memory()
         self.model = model
         self.network = network = Network(model)
         self.serials = Serials(model)

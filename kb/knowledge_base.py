@@ -146,7 +146,7 @@ class KnowledgeBase:
         self._time = _Time(clock, model)
         self._lock = RLock()
         self._store = None if store is None else Store(store, model, keep)
-        self._knowledge = known = Knowledge(model, self._time, self._lock, memory or Memory())
+        self._knowledge = known = Knowledge(model, self._time, self._lock, memory)
         self._time.known = known
         known.now = now = self._time()
         if self._store is not None and not self._store.is_new:
