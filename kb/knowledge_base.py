@@ -200,7 +200,7 @@ class KnowledgeBase:
             return f"<KnowledgeBase {self.model.name!r}: {outline(state)}>"
 
     def _repr_html_(self) -> str:
-        with self._reading as state:
+        with self.reading() as state:
             rows = [
                 (
                     node.kind,
