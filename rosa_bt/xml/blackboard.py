@@ -258,7 +258,7 @@ class Blackboard(MutableMapping[str, Any]):
 def _constant(text: str) -> int | float | str:
     """Return what a SubTree's literal is: a whole number, a double, else a text."""
     for kind in (int, float):
-        if re.fullmatch(r"[-+]?[\d.]+(e[-+]?\d+)?", text, re.IGNORECASE | re.ASCII):
+        if re.fullmatch(r"-?[\d.]+(e[-+]?\d+)?", text, re.IGNORECASE | re.ASCII):
             try:
                 return kind(text)
             except ValueError:

@@ -310,6 +310,9 @@ def load_xml(
         XmlError: the file cannot be read, or a tree not be made of it; the message begins with file and line.
     """
     document = Document(text_or_path)
+    for name, element in document.trees.items():
+        if name in _NODES or name in registry:
+            raise element.error(f"{name!r} is the name of a node, so it cannot be that of a tree, too; rename the tree")
     kb = registry.bound.get("kb")
     board = Blackboard(clock or (time.monotonic if kb is None else lambda: float(kb.now)), enums=enums)
     return _Builder(document, registry).tree(document.main(tree), document.root, None, _Place(board))
@@ -335,8 +338,6 @@ class _Builder:
         if tree in place.trees:
             raise asked_by.error(f"a tree is in itself: {' -> '.join([*place.trees, tree])}")
         element = self._document.tree(tree, asked_by)
-        if tree in _NODES or tree in self._registry:
-            raise element.error(f"{tree!r} is the name of a node, so it cannot be that of a tree, too; rename the tree")
         if len(element.children) != 1:
             raise element.error(f"a tree has one child, not {len(element.children)}; put a Sequence around")
         slot = self._slot(element.children[0], replace(place, trees=(*place.trees, tree)))
