@@ -9,8 +9,8 @@ import hmac
 import json
 import os
 import socket
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import AsyncIterator, Mapping
+from contextlib import asynccontextmanager, suppress
 from ipaddress import ip_address
 from secrets import token_urlsafe
 from threading import Thread
@@ -27,6 +27,7 @@ from missions.views.rows import VERSION, Row, encoded
 from missions.views.steering import Steering
 
 if TYPE_CHECKING:
+    from starlette.applications import Starlette
     from starlette.requests import Request
     from starlette.responses import Response
     from starlette.websockets import WebSocket
@@ -112,7 +113,7 @@ class LiveView:
         self._pages: dict[_Page, None] = {}
         self._frame: tuple[int, int, str] = (0, 0, "")
         self._is_closing = False
-        self._beat: asyncio.Event | None = None
+        self._beat = asyncio.Event()
         self._server = uvicorn.Server(
             uvicorn.Config(
                 self._application(),
@@ -125,7 +126,7 @@ class LiveView:
                 timeout_graceful_shutdown=1,
             )
         )
-        self._thread = Thread(target=self._serve, name="live page", daemon=True)
+        self._thread = Thread(target=self._server.run, args=([self._socket],), name="live page", daemon=True)
         self._thread.start()
 
     @property
@@ -154,17 +155,12 @@ class LiveView:
 
     # ---------------------------------------------------------------- the server's own thread
 
-    def _serve(self) -> None:
-        self._server.run(sockets=[self._socket])
-
-    def _application(self) -> Any:  # noqa: ANN401  # a Starlette application, which may not be installed
-        from contextlib import asynccontextmanager
-
+    def _application(self) -> "Starlette":
         from starlette.applications import Starlette
         from starlette.routing import Route, WebSocketRoute
 
         @asynccontextmanager
-        async def beating(_: object) -> Any:  # noqa: ANN401  # as Starlette has it
+        async def beating(_: object) -> AsyncIterator[None]:
             task = asyncio.create_task(self._beat_on())
             yield
             task.cancel()
@@ -174,7 +170,7 @@ class LiveView:
 
     async def _beat_on(self) -> None:
         """Put what is new into one frame for all pages, again and again."""
-        self._beat, silent, closing_s = asyncio.Event(), 0, 0.0
+        silent, closing_s = 0, 0.0
         sent = self._rows.next
         while True:
             start, rows = self._rows.since(sent)
@@ -191,10 +187,12 @@ class LiveView:
             await asyncio.sleep(BEAT_S)
 
     def _framed(self, start: int, rows: list[Row]) -> str:
-        state = {"over": self._is_closing, "pages": len(self._pages), "paused": False, "speed": 1.0}
-        if self._steering is not None:
-            state |= self._steering.state
-        return encoded({"rows": rows, "from": start, "now": self._now, "state": state})
+        return encoded({"rows": rows, "from": start, "now": self._now, "state": self._state})
+
+    @property
+    def _state(self) -> dict[str, Any]:
+        steered = {"paused": False, "speed": 1.0} if self._steering is None else self._steering.state
+        return {"over": self._is_closing, "pages": len(self._pages), **steered}
 
     @property
     def _now(self) -> float:
@@ -232,17 +230,16 @@ class LiveView:
         await websocket.accept()
         page = _Page(websocket)
         self._pages[page] = None
-        listening = asyncio.create_task(self._listen(page))
-        showing = asyncio.create_task(self._show(page))
+        tasks = [asyncio.create_task(one(page)) for one in (self._listen, self._show)]
         try:
-            done, _ = await asyncio.wait({listening, showing}, return_when=asyncio.FIRST_COMPLETED)
+            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
             for task in done:
                 with suppress(WebSocketDisconnect, RuntimeError, OSError):
                     task.result()
         finally:
-            listening.cancel()
-            showing.cancel()
-            self._pages.pop(page, None)
+            for task in tasks:
+                task.cancel()
+            del self._pages[page]
 
     async def _show(self, page: "_Page") -> None:
         """Send what is new as it comes, as fast as this page takes it."""
@@ -263,20 +260,18 @@ class LiveView:
             elif self._is_closing:
                 await page.websocket.close(1000, "the view is closed")
                 return
-            elif self._beat is not None:
+            else:
                 await self._beat.wait()
                 if self._frame[0] == self._frame[1]:
                     await page.send(self._frame[2])
-            else:
-                await asyncio.sleep(BEAT_S)
 
     async def _greet(self, page: "_Page") -> None:
         """Give a page the present."""
         rows, following = self._rows.snapshot()
-        state = {"paused": False, "speed": 1.0} if self._steering is None else self._steering.state
-        greeting = {"hello": self.recorder.header, "rows": rows, "now": self._now, "first": self._rows.first}
-        may = [] if self._steering is None else ["pause", "speed", "inject"]
-        await page.send(encoded({**greeting, "next": following, "may": may, "dropped": page.dropped, "state": state}))
+        greeting = {"hello": self.recorder.header, "rows": rows, "first": self._rows.first, "next": following}
+        greeting |= {"now": self._now, "dropped": page.dropped, "state": self._state}
+        greeting["may"] = [] if self._steering is None else ["pause", "speed", "inject"]
+        await page.send(encoded(greeting))
         page.next = following
 
     async def _listen(self, page: "_Page") -> None:

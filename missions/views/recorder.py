@@ -1,9 +1,11 @@
 """Makes the rows of a page from what a knowledge base and a tree do: the same live, afterwards and for a recording."""
 
-from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from itertools import count
+from collections import Counter, deque
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from importlib.metadata import PackageNotFoundError, version
+from itertools import compress, count
 from math import inf, isfinite
+from operator import ne
 from typing import Any, Final
 
 from py_trees.behaviour import Behaviour
@@ -14,7 +16,7 @@ from py_trees.decorators import Decorator
 from py_trees.trees import BehaviourTree
 from py_trees.visitors import VisitorBase
 
-from kb import Event, KnowledgeBase, RequiredAction
+from kb import Attempt, Event, KnowledgeBase, ReconfigurationPlan, RequiredAction
 from kb.network import Network, Node
 from missions.engine.adaptations import Adaptation, AdaptationLog, is_news
 from missions.views.chain import chain_of
@@ -33,6 +35,7 @@ _SHAPES: Final[Sequence[tuple[tuple[type, ...], str]]] = (
     ((IsActionFeasible, HasStatus), "condition"),
 )
 POSE_PERIOD_S: Final = 0.5
+_REMEMBERED: Final = 2000  # events, for the chains that end with them
 
 
 class Recorder:
@@ -75,7 +78,9 @@ class Recorder:
     ) -> None:
         self.rows = Rows(keep)
         named = {"title": title or kb.model.name, "model": kb.model.name, "units": dict(units or {})}
-        self.header: dict[str, Any] = {**bare_header(), **named, **(header or {})}
+        nothing = dict.fromkeys(("mission", "words", "task", "manager"), "")
+        program = {"version": VERSION, "program": _program(), "live": False}
+        self.header: dict[str, Any] = {**program, **named, **nothing, "seed": None, "settings": {}, **(header or {})}
         self.kb, self._pose, self._what_if = kb, pose, what_if
         self._own = None if header is not None else AdaptationLog(kb, self.adapted, lambda: self._task_plans)
         if self._own is not None:
@@ -83,11 +88,14 @@ class Recorder:
         self._nodes: dict[tuple[str, str], int] = {}
         self._seen_version = self._revision = -1
         self._columns: dict[str, list[Any]] = {name: [] for name in _COLUMNS}
-        self._events: deque[Event] = deque(maxlen=2000)
-        self._counted, self._posed_at = 0, -inf
+        self._events: deque[Event] = deque(maxlen=_REMEMBERED)
+        self._supposed = self._adapted = 0
+        self._posed_at = -inf
         self._task_plans: list[Any] = []
-        self._adapted = 0
+        self._heard: Counter[Any] = Counter()
         self._look(kb.now)
+        for one in kb.required_actions:
+            self.acted(one.number, one)
         self._tree = _TreeRows(self, tree.tree if isinstance(tree, TreeRunner) else tree) if tree else None
         if scene is not None:
             self.show(scene)
@@ -133,19 +141,18 @@ class Recorder:
     # ---------------------------------------------------------------- what the knowledge base tells
 
     def _hear(self, event: Event) -> None:
-        rows, time = self.rows, event.time
-        if event.verb == "measure" and not event.changes:
-            rows.put(time, "value", self._nodes[self._key("attribute", event.subject)], event.arguments[1])
-            return
-        self._events.append(event)
+        time = event.time
         if event.verb == "measure":
-            rows.put(time, "value", self._nodes[self._key("attribute", event.subject)], event.arguments[1])
-        written = plain(event.to_json())
+            if ("attribute", event.subject) not in self._nodes:
+                self._look(time)
+            self.rows.put(time, "value", self._nodes["attribute", event.subject], event.arguments[1])
+            if not event.changes:
+                return
+        self._events.append(event)
         shown = {"verb": event.verb, "words": event.text, "subject": event.subject, "kind": str(event.kind)}
-        for name in ("arguments", "cause", "changes", "effects"):
-            if written.get(name):
-                shown[name] = written[name]
-        rows.put(time, "event", event.number, shown)
+        written = plain(event.to_json())
+        shown |= {name: written[name] for name in ("arguments", "cause", "changes", "effects") if written.get(name)}
+        self.rows.put(time, "event", event.number, shown)
         self._look(time)
         self._note_records(event)
         if self._what_if and any(one.kind != "constraint" for one in event.changes) and is_news(self.kb, event):
@@ -153,11 +160,6 @@ class Recorder:
         if self._own is not None and self._tree is None:
             self._own.ticking(time)
             self._own.settle()
-
-    def _key(self, kind: str, name: str) -> tuple[str, str]:
-        if (kind, name) not in self._nodes:
-            self._look(self.kb.now)
-        return kind, name
 
     def _look(self, time: float) -> None:
         """Write down what is not as it was."""
@@ -168,25 +170,19 @@ class Recorder:
             elif state.version == self._seen_version:
                 return
             self._seen_version = state.version
-            changed: dict[int, None] = {}
+            changed: dict[Node, None] = {}
             for name in _COLUMNS:
                 now, before = state.columns[name], self._columns[name]
-                if now == before:
-                    continue
                 before += [None] * (len(now) - len(before))
-                for index, value in enumerate(now):
-                    if value != before[index]:
-                        self._note(time, name, state.network.nodes[index], value, is_new=before[index] is None)
-                        changed[index] = None
+                for index in compress(range(len(now)), map(ne, now, before)):
+                    node, value = state.network.nodes[index], now[index]
+                    changed[node] = None
+                    if name != "status" and (value or before[index] is not None):
+                        self.rows.put(time, name, index, int(value))
+                    elif name == "status" and node.kind != "attribute":
+                        self.rows.put(time, name, index, str(value))
                 self._columns[name] = list(now)
-            self._explain(time, state.network, changed)
-
-    def _note(self, time: float, column: str, node: Node, value: Any, *, is_new: bool) -> None:  # noqa: ANN401  # of the column
-        if column != "status":
-            if value or not is_new:
-                self.rows.put(time, column, node.index, int(value))
-        elif node.kind != "attribute":
-            self.rows.put(time, column, node.index, str(value))
+            self._explain(time, set(state.network.present()) if changed else set(), changed)
 
     def _describe(self, time: float, network: Network) -> None:
         present = {node.index: node for node in network.present()}
@@ -195,21 +191,16 @@ class Recorder:
             self.rows.put(time, "element", index, None if node is None else described(node, self.header["units"]))
         self._nodes = {(node.kind, node.name): node.index for node in present.values()}
 
-    def _explain(self, time: float, network: Network, changed: Iterable[int]) -> None:
+    def _explain(self, time: float, present: Collection[Node], changed: Iterable[Node]) -> None:
         """Say why each of these is as it is, what would help, and what was chosen for it."""
         chosen_for: dict[Node, None] = {}
-        present = {node.index: node for node in network.present()} if changed else {}
-        for index in changed:
-            node = present.get(index)
-            if node is None or node.kind in ("constraint", "attribute"):
+        for node in changed:
+            if node not in present or node.kind in ("constraint", "attribute"):
                 continue
             found = self.kb.explain(node.element)
-            self.rows.put(time, "why", index, found.sentence)
-            helps = [str(one) for one in found.remedies] if found.remedies else None
-            self.rows.put(time, "help", index, helps)
-            for one in (node, *node.wholes):
-                if one.kind in CHOSEN and one.parts:
-                    chosen_for[one] = None
+            self.rows.put(time, "why", node.index, found.sentence)
+            self.rows.put(time, "help", node.index, [str(one) for one in found.remedies] or None)
+            chosen_for |= dict.fromkeys(one for one in (node, *node.wholes) if one.kind in CHOSEN and one.parts)
         for node in chosen_for:
             self.rows.put(time, "choice", node.index, choice_of(self.kb, node))
 
@@ -221,10 +212,9 @@ class Recorder:
             self.acted(one.number, one)
         elif event.plan is not None or event.verb == "finish_plan":
             for plan in reversed(self.kb.plans):
-                shown = {"words": str(plan), "start": plan.start, "end": plan.end, "result": plan.result}
-                shown |= {"reason": plan.reason, "cause": plan.cause}
-                for word, part in (("activate", plan.activate), ("deactivate", plan.deactivate)):
-                    shown[word] = [names["component", name] for name in part]
+                shown = {"words": str(plan), "cause": plan.cause, **_ending(plan)}
+                for word in ("activate", "deactivate"):
+                    shown[word] = [names["component", name] for name in getattr(plan, word)]
                 shown["configurations"] = [names["configuration", name] for name in plan.parameters]
                 rows.put(time, "plan", plan.number, shown)
                 if plan.end is not None and plan.end < time:
@@ -233,13 +223,9 @@ class Recorder:
             serial = event.arguments[0] if event.verb == "finish_attempt" else None
             attempts = reversed(self.kb.history.attempts)
             made = next((one for one in attempts if serial in (None, one.serial)), None)
-            if made is None:
-                return
-            index = names["component", made.component]
-            shown = {"plan": made.plan.number, "component": index, "operation": made.operation, "start": made.start}
-            rows.put(
-                time, "attempt", made.serial, {**shown, "end": made.end, "result": made.result, "reason": made.reason}
-            )
+            if made is not None:
+                shown = {"plan": made.plan.number, "component": names["component", made.component]}
+                rows.put(time, "attempt", made.serial, {**shown, "operation": made.operation, **_ending(made)})
         if event.verb in ("finish_attempt", "component_configured", "component_active"):
             for name, view in self.kb.components.items():
                 if view.parameters_in_force:
@@ -256,13 +242,12 @@ class Recorder:
     def ticked(self, planning: Iterable[Any]) -> None:
         """End a tick, in which these behaviours may have planned."""
         for one in planning:
-            for plan in one.plans:
-                if plan not in self._task_plans:
-                    self._task_plans.append(plan)
-                    shown = {"asked": plan.at_s, "outcome": str(plan.outcome), "solved": plan.outcome.is_solved}
-                    shown |= {"engine": plan.engine, "steps": [str(step) for step in plan.steps]}
-                    shown |= {"reason": plan.reason, "message": plan.message}
-                    self.put("taskplan", len(self._task_plans), shown)
+            for plan in one.plans[self._heard[one] :]:
+                self._heard[one] += 1
+                self._task_plans.append(plan)
+                shown = {name: getattr(plan, name) for name in ("engine", "reason", "message")}
+                shown |= {"asked": plan.at_s, "outcome": str(plan.outcome), "solved": plan.outcome.is_solved}
+                self.put("taskplan", len(self._task_plans), shown | {"steps": [str(step) for step in plan.steps]})
         if self._pose is not None and self.kb.now >= self._posed_at + POSE_PERIOD_S - 1e-9:
             self._posed_at = self.kb.now
             self.posed(self.kb.now, self._pose())
@@ -274,8 +259,7 @@ class Recorder:
 
     def acted(self, number: int, one: RequiredAction) -> None:
         """Write down an action that was begun, or has ended."""
-        shown = {"action": self._nodes["action", one.action], "start": one.start, "end": one.end}
-        self.put("action", number, {**shown, "result": one.result, "reason": one.reason, "cause": one.cause})
+        self.put("action", number, {"action": self._nodes["action", one.action], "cause": one.cause, **_ending(one)})
 
     def adapted(self, adaptation: Adaptation) -> None:
         """Write down an adaptation that is in force, or has failed, with the chain from cause to effect."""
@@ -297,8 +281,8 @@ class Recorder:
 
     def suppose(self, time: float) -> None:
         """Work out what would be if something else had been measured."""
-        self._counted += 1
-        self.rows.put(time, "whatif", self._counted, {"t": time, "cases": cases(self.kb)})
+        self._supposed += 1
+        self.rows.put(time, "whatif", self._supposed, {"t": time, "cases": cases(self.kb)})
 
     def elements_of(self, behaviour: Behaviour) -> list[int]:
         """Return the indices of the actions that a behaviour is about."""
@@ -343,16 +327,13 @@ class _TreeRows(VisitorBase):
         if not self._below or any(one.children != children for one, children in self._below):
             self._describe()
         if self._seen != self._before:
-            ticked = {}
-            for behaviour, status, feedback in self._seen:
-                ticked[behaviour] = _LETTERS[status], feedback
-            for behaviour in self._ids:
-                now = ticked.get(behaviour)
-                if now is None:
-                    now = _LETTERS[behaviour.status].lower(), behaviour.feedback_message
+            ticked = {behaviour: (_LETTERS[status], feedback) for behaviour, status, feedback in self._seen}
+            for behaviour, uid in self._ids.items():
+                since = _LETTERS[behaviour.status].lower(), behaviour.feedback_message
+                now = ticked.get(behaviour, since)
                 if now != self._known.get(behaviour):
                     self._known[behaviour] = now
-                    recorder.put("node", self._ids[behaviour], list(now))
+                    recorder.put("node", uid, list(now))
             recorder.put("tick", 0, self._count)
             self._before = self._seen
         self._count += 1
@@ -369,8 +350,7 @@ class _TreeRows(VisitorBase):
                 continue
             uid = present[behaviour] = self._ids[behaviour] if behaviour in self._ids else next(self._numbers)
             parents += [(child, uid) for child in reversed(behaviour.children)]
-            if behaviour.children or not isinstance(behaviour, (IsActionFeasible, HasStatus)):
-                self._below.append((behaviour, list(behaviour.children)))
+            self._below.append((behaviour, list(behaviour.children)))
             if isinstance(getattr(behaviour, "plans", None), tuple):
                 self._planning.append(behaviour)
             elements = recorder.elements_of(behaviour)
@@ -395,20 +375,12 @@ def _shape(behaviour: Behaviour) -> str:
     return "other" if behaviour.children else "action"
 
 
-def bare_header() -> dict[str, Any]:
-    """Return the header of a page of which nothing is known yet."""
-    from importlib.metadata import version
+def _program() -> str:
+    try:
+        return f"rosa-taca {version('rosa-taca')}"
+    except PackageNotFoundError:  # it runs from its sources
+        return "rosa-taca"
 
-    return {
-        **{"version": VERSION, "program": f"rosa-taca {version('rosa-taca')}", "live": False, "units": {}},
-        **{
-            "title": "",
-            "words": "",
-            "mission": "",
-            "task": "",
-            "manager": "",
-            "seed": None,
-            "settings": {},
-            "model": "",
-        },
-    }
+
+def _ending(one: RequiredAction | ReconfigurationPlan | Attempt) -> dict[str, Any]:
+    return {name: getattr(one, name) for name in ("start", "end", "result", "reason")}

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Mapping, Sequence
+from math import inf
 from threading import Condition
 from typing import Any, Final
 
@@ -64,18 +65,12 @@ class Steering(Listener):
             self._change.notify_all()
 
     def _inject(self, asked: Mapping[str, Any]) -> None:
-        values = {
-            _known("attribute", name, self._attributes): finite_number(value)
-            for name, value in dict(asked.get("measure", {})).items()
-        }
-        released = [_known("attribute", name, self._attributes) for name in asked.get("release", ())]
-        said = [
-            (what, _known("component", asked[what], self._components)) for what in ("fail", "recover") if what in asked
-        ]
-        self._held.update(values)
-        for name in released:
-            self._held.pop(name, None)
-        self._said += [("measure", name) for name in values] + said
+        measured = dict(asked.get("measure", {}))
+        values = {_known("attribute", one, self._attributes): finite_number(value) for one, value in measured.items()}
+        released = [_known("attribute", one, self._attributes) for one in asked.get("release", ())]
+        told = [(one, _known("component", asked[one], self._components)) for one in ("fail", "recover") if one in asked]
+        self._held = {name: value for name, value in {**self._held, **values}.items() if name not in released}
+        self._said += [("measure", name) for name in values] + told
 
     def alter(self, messages: Sequence[Message], now: float) -> Sequence[Message]:
         """Return what the robot hears in place of what was published by now [s]."""
@@ -93,23 +88,17 @@ class Steering(Listener):
     def tick(self, run: MissionRun) -> None:
         """Wait until the run may go on."""
         with self._change:
-            while True:
-                if self._is_paused:
-                    if self._steps:
-                        self._steps -= 1
-                        return
-                    self._change.wait()
-                    continue
-                now = time.monotonic()
-                if self._start is None:
-                    self._start = now, run.world.now
-                if not self._speed:
-                    return
-                begun, simulated = self._start
-                left = begun + (run.world.now - simulated) / self._speed - now
-                if left <= 0:
-                    return
-                self._change.wait(left)
+            while (left := self._left(run.world.now)) > 0:
+                self._change.wait(None if left == inf else left)
+            self._steps = max(0, self._steps - 1)
+
+    def _left(self, simulated: float) -> float:
+        """Return how long the run has to wait at a simulated time [s]; infinity while it is held."""
+        if self._is_paused or not self._speed:
+            return inf if self._is_paused and not self._steps else 0.0
+        now = time.monotonic()
+        self._start = self._start or (now, simulated)
+        return self._start[0] + (simulated - self._start[1]) / self._speed - now
 
 
 def _with(message: Message, held: Mapping[str, float]) -> Message:
