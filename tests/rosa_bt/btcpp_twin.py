@@ -403,6 +403,57 @@ class Precondition(Decorator):
         return status
 
 
+class LoopInt(Decorator):
+    def clear(self):
+        self.goes_on = False
+
+    def tick(self):
+        if self.status == IDLE:
+            self.goes_on, self.left = False, self.ports["queue"].split(";")
+        if not self.goes_on:
+            if not self.left:
+                return self.ports["if_empty"]
+            self.left = self.left[1:]
+        self.status = RUNNING
+        status = self.tick_child()
+        self.goes_on = status == RUNNING
+        return FAILURE if status == FAILURE else RUNNING
+
+
+class TryCatch(Node):
+    def clear(self):
+        self.index = self.skipped = 0
+
+    def tick(self):
+        self.status, last = RUNNING, len(self.children) - 1
+        while self.index < last:
+            status = self.children[self.index].execute()
+            if status == RUNNING:
+                return RUNNING
+            self.skipped += status == SKIPPED
+            self.index += 1
+            if status == FAILURE:
+                self.reset_all()
+                self.index = last + 1
+            elif self.index == last:
+                all_skipped = self.skipped == last
+                self.reset_all()
+                self.clear()
+                return SKIPPED if all_skipped else SUCCESS
+        if self.children[-1].execute() == RUNNING:
+            return RUNNING
+        self.reset_all()
+        self.clear()
+        return FAILURE
+
+    def halt(self):
+        if self.ports.get("catch_on_halt") == "true" and self.index < len(self.children) - 1:
+            for child in self.children[:-1]:
+                self.reset(child)
+            self.children[-1].execute()
+        super().halt()
+
+
 class Script(Node):
     def tick(self):
         if self.tag == "ScriptCondition":
@@ -423,12 +474,12 @@ KINDS = {
     "AsyncFallback": kind(InOrder, goes_on=FAILURE, is_async=True),
     "ReactiveSequence": Reactive,
     "ReactiveFallback": kind(Reactive, goes_on=FAILURE),
-    **{one.__name__: one for one in (Parallel, ParallelAll, IfThenElse, WhileDoElse)},
+    **{one.__name__: one for one in (Parallel, ParallelAll, IfThenElse, WhileDoElse, TryCatch)},
     "Switch2": Switch,
     **dict.fromkeys(WORDS, Translated),
     "Repeat": Again,
     "RetryUntilSuccessful": kind(Again, once_more=FAILURE, port="num_attempts"),
-    **{one.__name__: one for one in (RunOnce, Delay, Timeout, Precondition)},
+    **{one.__name__: one for one in (RunOnce, Delay, Timeout, Precondition, LoopInt)},
     **dict.fromkeys(("Script", "ScriptCondition"), Script),
     "AlwaysSuccess": kind(Node, tick=lambda self: SUCCESS),
     "AlwaysFailure": kind(Node, tick=lambda self: FAILURE),

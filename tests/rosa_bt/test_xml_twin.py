@@ -23,6 +23,7 @@ ONE = {
     "RetryUntilSuccessful": [f' num_attempts="{number}"' for number in (-1, 0, 1, 2, 3)],
     "Delay": [f' delay_msec="{number}"' for number in (500, 1500, 3000)],
     "Timeout": [f' msec="{number}"' for number in (1000, 2500, 4000)],
+    "LoopInt": [f' queue="1;2" if_empty="{word}"' for word in ("SUCCESS", "FAILURE", "RUNNING", "SKIPPED")],
     "Precondition": [f' if="!x" else="{word}"' for word in ("SUCCESS", "FAILURE", "RUNNING", "SKIPPED")],
 }
 CONSTANT = ("<AlwaysSuccess/>", "<AlwaysFailure/>", '<ScriptCondition code="x"/>', '<Script code="y := !y"/>')
@@ -79,9 +80,10 @@ class Grower:
         return self.around(tag, self.random.choice(ONE[tag]), [self.node(depth)])
 
     def choice(self, depth):
-        tag = self.random.choice(("IfThenElse", "WhileDoElse", "Switch2"))
+        tag = self.random.choice(("IfThenElse", "WhileDoElse", "Switch2", "TryCatch"))
         count = 3 if tag == "Switch2" else self.random.randint(2, 3)
         ports = ' variable="{x}" case_1="1" case_2="other"' if tag == "Switch2" else ""
+        ports += ' catch_on_halt="true"' if tag == "TryCatch" and count == 3 else ""
         return self.around(tag, ports, [self.node(depth) for _ in range(count)])
 
     def tree(self, depth):
