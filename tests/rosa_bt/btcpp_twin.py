@@ -107,7 +107,7 @@ class Leaf(Node):
 
 
 class InOrder(Node):
-    goes_on, remembers, is_async = SUCCESS, False, False
+    goes_on, remembers, is_async, skipped = SUCCESS, False, False, 0
 
     def clear(self):
         self.index = 0
