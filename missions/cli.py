@@ -19,6 +19,7 @@ from missions.commands import (
     report,
     run,
     store,
+    watch,
 )
 
 __all__ = ["app", "main"]
@@ -32,6 +33,7 @@ app = typer.Typer(
 app.command("list")(listing.list_missions)
 app.command("settings")(listing.list_settings)
 app.command("run")(run.run)
+app.command("watch")(watch.watch)
 app.command("bridge")(bridge.bridge)
 app.command("mcp")(mcp.mcp)
 app.command("replay")(recordings.replay)

@@ -12,6 +12,7 @@ from missions.commands import FAILED, open_console
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from missions.engine.mission import Verdict
     from missions.engine.runner import MissionRun
     from missions.views.live import LiveView
     from missions.views.output import OutputFile
@@ -52,6 +53,7 @@ def run(
     allow_control: Annotated[
         bool, typer.Option("--allow-control", help="Let the live page hold, pace and disturb the simulation.")
     ] = False,
+    tui: Annotated[bool, typer.Option("--tui", help="Show the run in the terminal while it runs; q leaves.")] = False,
     realtime: Annotated[bool, typer.Option("--realtime", help="Run no faster than the wall clock.")] = False,
     speed: Annotated[
         float | None, typer.Option(help="Times real time at most, 0 for no limit; --live alone runs at 1.")
@@ -81,7 +83,7 @@ def run(
         files = open_files({"json": json, "plot": plot, "report": report, "timing": timing, "record": lines}, stack)
         narrator = Narrator(console, run_settings.duration_s)
         recorder = Recorder(files["record"]) if "record" in files else Listener()
-        page, is_paced = _page(files, live, mcap), realtime or live is not None
+        page, is_paced = _page(files, live, mcap, tui), realtime or live is not None or tui
         steering = Steering((1.0 if is_paced else 0.0) if speed is None else speed)
         listeners: list[Listener] = [*([narrator] if progress else []), recorder, *([page] if page else []), steering]
         opened = open_run(found, manager=manager, task=task, seed=seed, settings=changed, listeners=tuple(listeners))
@@ -99,12 +101,13 @@ def run(
             from missions.wires.mcap import record_run
 
             opened.listen(stack.enter_context(record_run(mcap, opened, seed, page.recorder)))
+        progress = progress and not tui
         with narrator if progress else nullcontext():
             doing = f"task layer: {task}" if manager == "ours" else f"manager: {manager}"
             console.print(f"[bold]{found.name}[/] ({doing}, seed {seed})")
             start = time.perf_counter()
             try:
-                verdict = opened.run()
+                verdict = _watched(opened, page) if tui and page else opened.run()
             except KeyboardInterrupt:
                 verdict = Verdict("aborted", f"stopped by hand after {opened.world.now:.1f} s")
             wall_s = time.perf_counter() - start
@@ -127,9 +130,25 @@ def run(
         raise typer.Exit(FAILED)
 
 
-def _page(files: "Mapping[str, OutputFile]", live: int | None, mcap: Path | None) -> "RunRecorder | None":
+def _watched(run: "MissionRun", page: "RunRecorder") -> "Verdict":
+    """Run in a thread beside the view in the terminal; leaving the view stops the run."""
+    from concurrent.futures import ThreadPoolExecutor
+
+    from missions.engine.mission import Verdict
+    from missions.views.terminal import RecorderFeed, TerminalView
+
+    feed = RecorderFeed(page.recorder)
+    with ThreadPoolExecutor(1, "mission") as pool:
+        going = pool.submit(run.run)
+        TerminalView(feed, feed.title).run()
+        if not going.done():
+            run.controller.trouble = Verdict("aborted", f"stopped by hand after {run.world.now:.1f} s")
+        return going.result()
+
+
+def _page(files: "Mapping[str, OutputFile]", live: int | None, mcap: Path | None, tui: bool) -> "RunRecorder | None":
     """Return what writes down what there is to see, if anybody will look."""
-    if live is None and mcap is None and "report" not in files:
+    if live is None and mcap is None and not tui and "report" not in files:
         return None
     from missions.views.run_recorder import RunRecorder
 

@@ -77,6 +77,7 @@ LATE_MODULES = {
     "kb/owl/owlready.py",
     "kb/typeql/syntax.py",
     "missions/views/picture.py",
+    "missions/views/terminal.py",
     "missions/testing/plugin.py",
     "rosa_pddl/engines/environment.py",
     "rosa_pddl/engines/label_setting.py",

@@ -1,0 +1,18 @@
+"""`rosa watch`: a live view in a terminal."""
+
+from typing import Annotated
+
+import typer
+
+
+def watch(
+    address: Annotated[str, typer.Argument(metavar="HOST:PORT", help="Of `rosa run --live`, or the link it printed.")],
+    token: Annotated[
+        str, typer.Option(envvar="ROSA_TOKEN", help="The token of the live view, if it asks for one.")
+    ] = "",
+) -> None:
+    """Watch a robot in the terminal: tree, statuses, adaptations with reasons, measurements."""
+    from missions.views.terminal import SocketFeed, TerminalView
+
+    feed = SocketFeed(address, token)
+    TerminalView(feed, feed.title).run()

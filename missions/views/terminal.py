@@ -1,0 +1,239 @@
+"""The view in a terminal, for a robot over ssh: tree, statuses, adaptations with reasons, measurements; at 80 by 24.
+
+It is a fold over the same rows as the page: the last row of each track and key is what there is to see.
+"""
+
+import json
+from collections import deque
+from collections.abc import Iterator, Mapping
+from queue import Empty, SimpleQueue
+from threading import Thread
+from typing import Any, ClassVar, Final, Protocol
+from urllib.parse import urlsplit
+
+from missions.engine.mission import MissionError
+from missions.extras import needs
+from missions.views.recorder import Recorder
+
+with needs("tui", "the view in a terminal"):
+    from rich.text import Text
+    from textual.app import App, ComposeResult
+    from textual.containers import VerticalScroll
+    from textual.widgets import Footer, Header, Static
+
+_PERIOD_S: Final = 0.2
+_SPARKS: Final = "▁▂▃▄▅▆▇█"
+_KEPT: Final = 400
+_STYLES: Final = {
+    **{"R": ("▶", "blue"), "S": ("✓", "green"), "F": ("✕", "red"), "": ("·", "dim")},
+    **{"solved": ("✓", "green"), "feasible": ("○", "green"), "unsolved": ("…", "yellow")},
+    **{"unfeasible": ("✕", "red"), "failure": ("✕", "red")},
+}
+"""A sign and a colour of a status, of a node or of an element."""
+
+
+class Feed(Protocol):
+    """Where rows come from."""
+
+    def take(self) -> tuple[list[Any], str]:
+        """Return the rows that have come since it was asked last, and what is wrong, if anything is."""
+
+
+class RecorderFeed:
+    """The rows of a robot of this process."""
+
+    def __init__(self, recorder: Recorder) -> None:
+        self.title = str(recorder.header.get("title", ""))
+        self._rows, self._next = recorder.rows, 0
+
+    def take(self) -> tuple[list[Any], str]:
+        first, rows = self._rows.since(self._next)
+        self._next = first + len(rows)
+        return rows, ""
+
+
+class SocketFeed:
+    """The rows of a live view elsewhere: `rosa run … --live`, or `LiveView` in a robot's program.
+
+    Args:
+        address: HOST:PORT, or the link that the live view printed, with its token.
+        token: which the live view asks for.
+
+    Raises:
+        MissionError: this is no address, there is nobody, or the token is refused.
+    """
+
+    def __init__(self, address: str, token: str = "") -> None:
+        with needs("tui", "the view in a terminal"):
+            from websockets.sync.client import connect
+        place = urlsplit(address if "//" in address else f"http://{address}")
+        try:
+            secure, port = place.scheme in ("https", "wss"), place.port
+        except ValueError:
+            port = None
+        if not place.hostname or port is None:
+            raise MissionError(
+                f"{address!r} is no address of a live view; write HOST:PORT, or the link that it printed"
+            )
+        query = f"token={token}" if token else place.query
+        self._url = f"{'wss' if secure else 'ws'}://{place.hostname}:{port}/ws" + (f"?{query}" if query else "")
+        self.title = f"{place.hostname}:{port}"
+        self._connect = connect
+        self._heard: SimpleQueue[list[Any]] = SimpleQueue()
+        self._wrong = ""
+        try:
+            with self._connect(self._url, max_size=None, open_timeout=5):
+                pass
+        except Exception as error:  # nobody, no WebSocket, a token that is refused
+            raise MissionError(f"no live view at {self.title}: {error}") from None
+        Thread(target=self._hear, name="watch", daemon=True).start()
+
+    def take(self) -> tuple[list[Any], str]:
+        rows: list[Any] = []
+        try:
+            while True:
+                rows += self._heard.get_nowait()
+        except Empty:
+            return rows, self._wrong
+
+    def _hear(self) -> None:
+        try:
+            with self._connect(self._url, max_size=None) as socket:
+                for text in socket:
+                    told = json.loads(text)
+                    self._heard.put(told.get("rows") or [])
+                    dropped = told.get("dropped")
+                    self._wrong = f"{dropped} rows were dropped on the way" if dropped else ""
+        except Exception as error:
+            self._wrong = f"the connection has ended: {error}"
+        else:
+            self._wrong = "the live view has ended"
+
+
+class Fold:
+    """What there is to see now: the last row of each track and key, and the latest values of each measurement."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+        self._last: dict[str, dict[int | str, Any]] = {}
+        self._values: dict[int | str, deque[float]] = {}
+
+    def put(self, row: Any) -> None:  # noqa: ANN401  # a row, of Python or of JSON
+        time, track, key, value = row
+        self.now = max(self.now, time)
+        self._last.setdefault(track, {})[key] = value
+        if track in ("value", "signal") and value is not None:
+            self._values.setdefault(key, deque(maxlen=_KEPT)).append(float(value))
+
+    def track(self, name: str) -> Mapping[int | str, Any]:
+        return self._last.get(name, {})
+
+    def tree(self) -> Iterator[Text]:
+        """Yield the lines of the trees: status, name, feedback."""
+        for tree in self.track("tree").values():
+            depths: dict[int, int] = {}
+            for uid, parent, _, name, _, _ in tree["nodes"]:
+                depths[uid] = depths.get(parent, -1) + 1
+                status, feedback = self.track("node").get(uid) or ("", "")
+                line = Text("  " * depths[uid]) + _signed(status.upper(), name)
+                yield line.append(f"  {feedback}", "dim") if feedback else line
+
+    def known(self) -> Iterator[Text]:
+        """Yield actions, functions and components with status, what is selected for them, and why."""
+        status, elements = self.track("status"), self.track("element")
+        for kind, chosen_by in (("action", ""), ("function", "designs"), ("component", "configurations")):
+            yield Text(f"{kind}s", "bold")
+            for key, one in elements.items():
+                if one is None or one["kind"] != kind:
+                    continue
+                line = _signed(str(status.get(key, "")), one["name"])
+                if self.track("required").get(key):
+                    line.append(" required", "bold")
+                if self.track("active").get(key):
+                    line.append(" runs", "blue")
+                chosen = [
+                    elements[part]["name"] for part in one.get(chosen_by) or () if self.track("selected").get(part)
+                ]
+                line.append(f" {', '.join(chosen)}" if chosen else "", "cyan")
+                why = self.track("why").get(key) if status.get(key) in ("unfeasible", "failure") else ""
+                yield line.append(f"  {why}", "dim") if why else line
+
+    def adaptations(self) -> Iterator[Text]:
+        """Yield what was adapted, the latest first: when, why, what."""
+        for one in reversed(list(self.track("adaptation").values())):
+            yield (
+                Text(f"{one['t']:7.1f} s  ", "dim")
+                + Text(str(one["changed"]), "bold")
+                + Text(f"\n{'':11}{one['cause']}", "dim")
+            )
+
+    def measurements(self, width: int) -> Iterator[Text]:
+        """Yield each measurement with its value and its course."""
+        elements = self.track("element")
+        for key, values in self._values.items():
+            name, unit = (elements[key]["name"], elements[key]["unit"]) if key in elements else (str(key), "")
+            stale = " stale" if self.track("stale").get(key) else ""
+            yield Text(f"{name[:20]:<20} {values[-1]:>8.4g} {unit}", "bold").append(stale, "red")
+            yield Text(_course(values, max(10, width)), "blue")
+
+
+def _signed(status: str, text: str) -> Text:
+    sign, style = _STYLES.get(status, ("!", "yellow") if status else ("·", "dim"))
+    return Text(f"{sign} ", style) + Text(text)
+
+
+def _course(values: deque[float], width: int) -> str:
+    shown = list(values)[-width:]
+    low, high = min(shown), max(shown)
+    step = (high - low) / (len(_SPARKS) - 1) or 1.0
+    return "".join(_SPARKS[int((one - low) / step)] for one in shown)
+
+
+class TerminalView(App[None]):
+    """Shows a feed until it is left with `q`."""
+
+    CSS = """
+    Screen { layout: grid; grid-size: 2 2; }
+    VerticalScroll { border: round $primary; padding: 0 1; }
+    VerticalScroll:focus { border: round $accent; }
+    """
+    BINDINGS: ClassVar[Any] = [("q", "quit", "leave"), ("tab", "focus_next", "next pane"), ("p", "hold", "hold")]
+    PANES: Final = ("tree", "known", "adaptations", "measurements")
+
+    def __init__(self, feed: Feed, title: str) -> None:
+        super().__init__()
+        self.title, self._feed, self._fold, self._is_held = title, feed, Fold(), False
+
+    def compose(self) -> ComposeResult:
+        """Lay out the panes."""
+        yield Header()
+        for name in self.PANES:
+            pane = VerticalScroll(Static(id=name))
+            pane.border_title = name
+            yield pane
+        yield Footer()
+
+    def on_mount(self) -> None:
+        """Begin to look."""
+        self.set_interval(_PERIOD_S, self.look)
+
+    def action_hold(self) -> None:
+        """Hold the view still, or let it go on; the robot goes on anyway."""
+        self._is_held = not self._is_held
+
+    def look(self) -> None:
+        """Take in what has come, and show it."""
+        rows, wrong = self._feed.take()
+        for row in rows:
+            self._fold.put(row)
+        outcome = self._fold.track("result").get(0)
+        over = f"over: {outcome['outcome']}, {outcome['reason']}" if outcome else ""
+        self.sub_title = "  ".join(
+            filter(None, (f"{self._fold.now:.1f} s", "held" if self._is_held else "", over, wrong))
+        )
+        if self._is_held:
+            return
+        lines = {"tree": self._fold.tree(), "known": self._fold.known(), "adaptations": self._fold.adaptations()}
+        lines["measurements"] = self._fold.measurements(self.size.width // 2 - 6)
+        for name, shown in lines.items():
+            self.query_one(f"#{name}", Static).update(Text("\n").join(shown))

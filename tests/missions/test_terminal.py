@@ -1,0 +1,89 @@
+"""The view in a terminal at 80 by 24: beside a run, and of a live view elsewhere."""
+
+import asyncio
+
+import pytest
+from textual.widgets import Static
+
+from missions.baselines import open_run
+from missions.engine.mission import MissionError
+from missions.engine.registry import find_mission
+from missions.views.live import LiveView
+from missions.views.run_recorder import RunRecorder
+from missions.views.terminal import RecorderFeed, SocketFeed, TerminalView
+
+
+@pytest.fixture(scope="module")
+def recorder():
+    """What there was to see of a battery drop."""
+    page = RunRecorder(what_if=False)
+    run = open_run(
+        find_mission("suave_extended"),
+        manager="ours",
+        task="bt",
+        seed=0,
+        settings={"duration_s": "160"},
+        listeners=(page,),
+    )
+    page.begin(run, 0, {})
+    page.end(run, run.run())
+    return page.recorder
+
+
+def shown(feed, *keys, rounds=1):
+    """Return what the panes show after some looks and key presses, and the line at the top."""
+
+    async def look():
+        app = TerminalView(feed, "robot")
+        async with app.run_test(size=(80, 24)) as pilot:
+            for _ in range(rounds):
+                await pilot.pause(0.3)
+            for key in keys:
+                await pilot.press(key)
+                await pilot.pause(0.3)
+            panes = {name: str(app.query_one(f"#{name}", Static).content) for name in app.PANES}
+            return panes, app.sub_title, max(pane.region.right for pane in app.query("VerticalScroll"))
+
+    return asyncio.run(look())
+
+
+def test_tree_statuses_adaptations_and_measurements_are_shown(recorder):
+    panes, title, right = shown(RecorderFeed(recorder))
+    assert "recharge if feasible" in panes["tree"]
+    assert "✕ inspect_pipeline" in panes["known"]
+    assert "battery_level" in panes["known"], "the reason"
+    assert "recharge required" in panes["known"]
+    assert "inspect_pipeline -> recharge" in panes["adaptations"]
+    assert panes["adaptations"].index("recharge") < panes["adaptations"].index("12.6"), "the latest first"
+    assert "water_visibility" in panes["measurements"]
+    assert "█" in panes["measurements"]
+    assert "over: " in title
+    assert right <= 80
+
+
+def test_view_is_held_and_goes_on(recorder):
+    _, held, _ = shown(RecorderFeed(recorder), "p")
+    _, again, _ = shown(RecorderFeed(recorder), "p", "p")
+    assert "held" in held
+    assert "held" not in again
+
+
+def test_live_view_elsewhere_is_watched(recorder):
+    with LiveView(recorder.kb, port=0, recorder=recorder, token="secret") as view:
+        address = view.url.removeprefix("http://").partition("/")[0]
+        with pytest.raises(MissionError, match="no live view at"):
+            SocketFeed(address)
+        panes, *_ = shown(SocketFeed(address, "secret"), rounds=5)
+        assert "inspect_pipeline -> recharge" in panes["adaptations"]
+        assert shown(SocketFeed(view.url), rounds=3)[0]["tree"] == panes["tree"]
+
+
+@pytest.mark.parametrize("address", ["", "robot", "robot:port", "http://", "127.0.0.1:99999"])
+def test_what_is_no_address_is_told(address):
+    with pytest.raises(MissionError, match="HOST:PORT"):
+        SocketFeed(address)
+
+
+def test_nobody_there_is_told():
+    with pytest.raises(MissionError, match=r"no live view at 127\.0\.0\.1:9"):
+        SocketFeed("127.0.0.1:9")
