@@ -293,6 +293,16 @@ def tree_of(count):
     return page_of({**document, "differences": [], "live": None, "note": ""}, "large")
 
 
+def test_robot_whose_clock_counts_from_1970_is_shown_the_time_of_day(visits):
+    header, day = recorded("suave_extended").header, 1_700_000_000.0
+    rows = [[day, "scene", 0, []], [day + 60, "signal", "depth [m]", 2.0], [day + 60, "now", 0, "end"]]
+    document = {"version": 1, "runs": [{"header": header, "rows": rows}], "differences": [], "live": None, "note": ""}
+    page = visits.show(visits.file(page_of(document, "by day")))
+    assert page.locator(".clock").inner_text().startswith("22:14:20.0 UTC")
+    page.keyboard.press("Home")
+    assert page.locator(".clock").inner_text().startswith("22:13:20.0 UTC")
+
+
 def test_tree_of_a_thousand_nodes_makes_only_what_is_in_sight(visits):
     page = visits.show(visits.file(tree_of(1000)))
     assert page.locator("#tree h2").inner_text().endswith("1000 NODES")

@@ -1,13 +1,13 @@
 // Adaptations: what caused each, what was decided, what was changed, and how soon; and the chain of the one that is chosen.
 import { useEffect, useRef } from "preact/hooks";
-import { pretty, seconds } from "./format.js";
+import { clock, pretty } from "./format.js";
 import { Panel, reveal } from "./parts.jsx";
 import { adaptation, adaptations, chain, choose, chosen, runs, seek, selected, shown, time } from "./state.js";
 
 const Item = ({ id, one }) => (
   <li class={one.t > time.value ? "later" : ""}>
     <button class={`adaptation plain ${one.kind}`} aria-pressed={chosen.value === id} onClick={() => choose(id)}>
-      <span><b>{seconds(one.t)}</b> <span class="kind">{one.kind}</span></span>
+      <span><b>{clock(one.t)}</b> <span class="kind">{one.kind}</span></span>
       <span>{pretty(one.cause)}</span>
       <span class="changed">{pretty(one.changed)}</span>
       <small>{one.reaction === null ? "never in force" : `in force after ${one.reaction.toFixed(2)} s`}</small>
@@ -28,7 +28,7 @@ function Differences({ all }) {
     <details open class="differences">
       <summary>What differs ({all.length})</summary>
       {all.map((one, index) => (
-        <button key={index} class="plain" onClick={() => go(one)}><b>{seconds(one.t)}</b> {pretty(one.words)}</button>
+        <button key={index} class="plain" onClick={() => go(one)}><b>{clock(one.t)}</b> {pretty(one.words)}</button>
       ))}
     </details>
   );
@@ -57,7 +57,7 @@ function Step({ number, t, what, words, elements }) {
   return (
     <li class={t > time.value ? "later" : ""}>
       <button class="plain" onClick={go}>
-        <span class="badge">{number}</span> <small>{seconds(t)} · {what}</small>
+        <span class="badge">{number}</span> <small>{clock(t)} · {what}</small>
         <span class="words">{pretty(words)}</span>
       </button>
     </li>
@@ -69,9 +69,9 @@ export function Chain() {
   if (!adaptation.value) return null;
   const { t, decided } = adaptation.value;
   return (
-    <section class="chain" aria-label={`adaptation at ${seconds(t)}, from its cause to its effect`}>
+    <section class="chain" aria-label={`adaptation at ${clock(t)}, from its cause to its effect`}>
       <button class="close" aria-label="let go of this adaptation" title="Esc" onClick={() => (chosen.value = null)}>✕</button>
-      <p><b>{seconds(t)}</b> {pretty(decided)}</p>
+      <p><b>{clock(t)}</b> {pretty(decided)}</p>
       <ol>{chain.value.map((one, index) => <Step key={index} number={index + 1} {...one} />)}</ol>
     </section>
   );

@@ -2,7 +2,7 @@
 import { batch, useComputed } from "@preact/signals";
 import { useRef } from "preact/hooks";
 import { Adaptations, Chain } from "./adaptations.jsx";
-import { seconds, withUnit } from "./format.js";
+import { clock, withUnit } from "./format.js";
 import { KEYS } from "./keys.js";
 import { Knowledge } from "./knowledge.jsx";
 import { complaint, connection, dropped, may, order, state } from "./live.js";
@@ -104,7 +104,7 @@ function Head({ note }) {
 /** What a screen reader is told: the adaptation that came last. */
 function Told() {
   const latest = useComputed(() => adaptations.value.findLast(([, one]) => one.t <= time.value)?.[1]).value;
-  return <p class="unseen" aria-live="polite">{latest && `Adaptation at ${seconds(latest.t)}: ${latest.cause}; ${latest.changed}`}</p>;
+  return <p class="unseen" aria-live="polite">{latest && `Adaptation at ${clock(latest.t)}: ${latest.cause}; ${latest.changed}`}</p>;
 }
 
 export function App({ differences, note }) {

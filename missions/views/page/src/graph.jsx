@@ -6,7 +6,7 @@ import { at, chosen, stepsOf } from "./state.js";
 import { markOf, useSize } from "./parts.jsx";
 import { colour, theme } from "./theme.js";
 
-const LEGIBLE = 0.5; // of its size; a box that is smaller has no words
+const [READABLE, LEGIBLE] = [0.8, 0.45]; // of its size: what is drawn first; a box that is smaller has no words
 const TONES = { good: "--good", bad: "--bad", active: "--accent", warn: "--warn", idle: "--edge" };
 const brief = (text, most = 21) => (text.length > most ? `${text.slice(0, most - 1)}…` : text);
 
@@ -83,7 +83,7 @@ export function Graph() {
     for (const place of places) if (isSeen(place)) drawBox(context, place, scale >= LEGIBLE);
   });
 
-  useEffect(() => size.subscribe(([wide]) => wide && fit(LEGIBLE)), []);
+  useEffect(() => size.subscribe(([wide]) => wide && fit(READABLE)), []);
   useEffect(() => {
     const wanted = chosen.value !== null && drawing.value.places.find(({ node }) => stepsOf("nodes", node.uid).length);
     if (wanted) view.value = { scale: 1, x: size.value[0] / 2 - wanted.x - BOX.width / 2, y: size.value[1] / 2 - wanted.y };

@@ -1,7 +1,7 @@
 // Actions, functions with their designs, components with their configurations: how each stands at the instant shown, and why.
 import { useSignal } from "@preact/signals";
 import { useEffect, useRef } from "preact/hooks";
-import { plainly, pretty, seconds } from "./format.js";
+import { clock, figure, pretty } from "./format.js";
 import { Mark, Name, Panel, reveal, Search, Standing } from "./parts.jsx";
 import { at, chosen, elements, run, selected, time, useAt } from "./state.js";
 
@@ -59,14 +59,14 @@ function Details({ of }) {
   const needs = element.functions ?? element.components ?? [];
   return (
     <dl class="details" aria-label={`${kind} ${name}`}>
-      <Fact title={kind}><Standing of={of} /> {since !== undefined && <small>since {seconds(since)}</small>}</Fact>
+      <Fact title={kind}><Standing of={of} /> {since !== undefined && <small>since {clock(since)}</small>}</Fact>
       {why && <Fact title="why">{pretty(why)}</Fact>}
       {help?.length > 0 && <Fact title="what would help"><ul>{help.map((one) => <li key={one}>{pretty(one)}</li>)}</ul></Fact>}
       {needs.length > 0 && <Fact title="needs">{needs.map((one) => <Part key={one} of={one} />)}</Fact>}
       {constraints.length > 0 && <Fact title="as long as">{constraints.map((one) => <Condition key={one} of={one} />)}</Fact>}
       {parameters.length > 0 && (
         <Fact title={inForce ? "parameters in force" : "parameters"}>
-          <code>{parameters.map(([key, value]) => `${key} = ${plainly(value)}`).join(", ")}</code>
+          <code>{parameters.map(([key, value]) => `${key} = ${typeof value === "number" ? figure(value) : value}`).join(", ")}</code>
         </Fact>
       )}
       {choice && <Choice {...choice} />}

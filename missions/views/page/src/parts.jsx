@@ -10,11 +10,10 @@ const MARKS = {
   unfeasible: ["✕", "bad"], failure: ["✕", "bad"], violated: ["✕", "bad"], failed: ["✕", "bad"],
   unsolved: ["!", "warn"], "configuration error": ["!", "warn"], "implicit configuration error": ["!", "warn"],
 };
-const UNKNOWN = ["?", "idle"];
 
 /** The mark of a status as [shape, tone, words]. */
 export function markOf(status = "") {
-  const [shape, tone, words = status || "unknown"] = MARKS[status] ?? MARKS[status.toUpperCase()] ?? UNKNOWN;
+  const [shape, tone, words = status || "unknown"] = MARKS[status] ?? MARKS[status.toUpperCase()] ?? ["?", "idle"];
   return [shape, tone, words];
 }
 

@@ -3,7 +3,7 @@ import { useComputed } from "@preact/signals";
 import { useMemo } from "preact/hooks";
 import { adaptations, choose, chosen, end, revision, run, runs, shown, time, useAt } from "./state.js";
 import { countUntil } from "./track.js";
-import { extent, figure, seconds } from "./format.js";
+import { clock, extent, figure } from "./format.js";
 import { Panel, stepsBy, useSize } from "./parts.jsx";
 
 const MARGIN = 28; // [px]
@@ -89,7 +89,7 @@ function Decided({ id, one, place }) {
   if (!spot) return null;
   return (
     <circle class={`decided ${chosen.value === id ? "is-chosen" : ""}`} cx={spot[0]} cy={spot[1]} r="5" onClick={() => choose(id)}>
-      <title>{`${seconds(one.t)}: ${one.cause}`}</title>
+      <title>{`${clock(one.t)}: ${one.cause}`}</title>
     </circle>
   );
 }

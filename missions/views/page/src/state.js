@@ -14,6 +14,10 @@ export const run = computed(() => runs.value[shown.value]);
 export const start = computed(() => (revision.value, Math.min(...runs.value.map((one) => one.start))));
 export const end = computed(() => (revision.value, Math.max(...runs.value.map((one) => one.end), start.value + 0.001)));
 
+/** How far along the axis of time t is: as a part of it, and as a style says it. */
+export const part = (t) => (t - start.value) / (end.value - start.value);
+export const percent = (t) => `${(100 * part(t)).toFixed(3)}%`;
+
 /** What a key of a track is at the instant shown; a view that reads it is drawn anew only when that changes. */
 export const at = (track, key) => (revision.value, run.value.of(track, key).at(time.value));
 export const useAt = (track, key) => useComputed(() => at(track, key)).value;

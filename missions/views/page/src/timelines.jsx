@@ -1,14 +1,12 @@
 // Everything over time on one axis: what was measured, done, chosen, planned; the line of the instant; the chosen chain.
 import { useEffect, useMemo, useRef } from "preact/hooks";
-import { seconds } from "./format.js";
+import { clock } from "./format.js";
 import { Panel, reveal, stepsBy } from "./parts.jsx";
 import { AttributePlot, SignalPlot } from "./plots.jsx";
 import { actionNames, hueOf } from "./scene.jsx";
-import { chosen, elements, end, revision, run, runs, seek, start, time } from "./state.js";
+import { chosen, elements, end, part, percent, revision, run, runs, seek, start, time } from "./state.js";
 
 const SAME = 0.05; // part of the axis on which the marks of a chain are one
-const part = (t) => (t - start.value) / (end.value - start.value);
-const percent = (t) => `${(100 * part(t)).toFixed(3)}%`;
 
 /** A bar {from, until [s], text, words, hue}; one that is still open goes to the end of its run. */
 const bar = (one, from, until, text = "", words = "", hue = undefined) =>
@@ -45,7 +43,7 @@ function lanes() {
 
 const Bar = ({ from, until, text, words, hue }) => (
   <li class={from === until ? "point" : ""} style={{ left: percent(from), width: percent(start.value + until - from), background: hue }}
-    title={`${seconds(from)} – ${seconds(until)} ${text} ${words}`}>
+    title={`${clock(from)} – ${clock(until)} ${text} ${words}`}>
     {text || <span class="unseen">{words || "on"}</span>}
   </li>
 );

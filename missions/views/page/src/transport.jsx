@@ -1,10 +1,8 @@
 // The instant: the slider over the whole run with its adaptations, and the buttons that move it.
 import { isPlaying, speed, SPEEDS, togglePlay } from "./player.js";
-import { at, adaptations, chosen, choose, end, follow, isFollowing, leap, run, seek, start, step, time } from "./state.js";
-import { seconds } from "./format.js";
+import { at, adaptations, chosen, choose, end, follow, isFollowing, leap, percent, run, seek, start, step, time } from "./state.js";
+import { clock } from "./format.js";
 import { connection } from "./live.js";
-
-const part = (t) => `${(100 * (t - start.value)) / (end.value - start.value)}%`;
 
 /** What is done at the instant shown, in words. */
 export function doing() {
@@ -15,10 +13,10 @@ export function doing() {
 function Ticks() {
   return (
     <div class="ticks" aria-hidden="true">
-      {run.value.last("disturbance").map(([key, { t, words }]) => <i key={key} style={{ left: part(t) }} title={words} />)}
+      {run.value.last("disturbance").map(([key, { t, words }]) => <i key={key} style={{ left: percent(t) }} title={words} />)}
       {adaptations.value.map(([key, one]) => (
         <button key={key} class={`tick ${one.kind} ${chosen.value === key ? "is-chosen" : ""}`} tabIndex={-1}
-          style={{ left: part(one.t) }} title={`${seconds(one.t)}: ${one.cause}`} onClick={() => choose(key)} />
+          style={{ left: percent(one.t) }} title={`${clock(one.t)}: ${one.cause}`} onClick={() => choose(key)} />
       ))}
     </div>
   );
@@ -43,10 +41,10 @@ export function Transport() {
       </div>
       <div class="slider">
         <Ticks />
-        <input id="instant" type="range" aria-label="instant shown" aria-valuetext={`${seconds(time.value)}, ${doing()}`}
+        <input id="instant" type="range" aria-label="instant shown" aria-valuetext={`${clock(time.value)}, ${doing()}`}
           min={start.value} max={end.value} step="any" value={time.value} onInput={({ target }) => seek(target.valueAsNumber)} />
       </div>
-      <output class="clock">{seconds(time.value)} <small>/ {seconds(end.value)}</small></output>
+      <output class="clock">{clock(time.value)} <small>/ {clock(end.value)}</small></output>
     </footer>
   );
 }

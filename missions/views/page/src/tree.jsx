@@ -1,7 +1,7 @@
 // The tree at the instant shown, as an outline of which only the rows in sight are made, or drawn; and the node that is chosen.
 import { useComputed, useSignal } from "@preact/signals";
 import { useEffect } from "preact/hooks";
-import { seconds } from "./format.js";
+import { clock } from "./format.js";
 import { firstOfChain, isOpen, nodes, pick, query, ROW, rows, selectedNode, stateOf, toggle, toggleAll } from "./forest.js";
 import { Graph } from "./graph.jsx";
 import { Badges, Mark, Name, Panel, Search, Standing, useSize } from "./parts.jsx";
@@ -97,7 +97,7 @@ function Plan() {
   const plan = run.value.keys("taskplan").map((key) => at("taskplan", key)).findLast(Boolean);
   return plan && (
     <details class="chosen">
-      <summary>Plan of {seconds(plan.asked)}: {plan.outcome} <small>{plan.reason}</small></summary>
+      <summary>Plan of {clock(plan.asked)}: {plan.outcome} <small>{plan.reason}</small></summary>
       <ol>{plan.steps.map((step, index) => <li key={index}>{index + 1}. <code>{step}</code></li>)}</ol>
     </details>
   );

@@ -1,7 +1,7 @@
 // What if a measurement were another: of the cases stored with a report for an instant, or asked of the base while it runs.
 import { signal } from "@preact/signals";
 import { useEffect } from "preact/hooks";
-import { extent, figure, seconds, withUnit } from "./format.js";
+import { clock, extent, figure, withUnit } from "./format.js";
 import { answer, ask, may, order } from "./live.js";
 import { Mark, Panel } from "./parts.jsx";
 import { at, elements, revision, run, time } from "./state.js";
@@ -83,7 +83,7 @@ function Stored() {
       {[...offered].map((one) => <Measurement key={one} of={one} element={run.value.element(one)} hint={told(one)} />)}
       {fitting && <p>If <span class="name">{nameOf(key)}</span> were {interval(fitting)}{fitting.now && ", as it is"}:</p>}
       {fitting && <Outcome {...fitting} />}
-      <p class="muted">Of the cases stored for {seconds(found.t)}: one measurement another, all else as it was then.</p>
+      <p class="muted">Of the cases stored for {clock(found.t)}: one measurement another, all else as it was then.</p>
     </>
   );
 }
