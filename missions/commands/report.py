@@ -30,7 +30,7 @@ def report(
 
     if len(sources) > 2:
         raise MissionError(f"one run is shown, or two beside each other, not {len(sources)}")
-    if len(sources) == 1 and (sources[0].is_dir() or not sources[0].exists()):
+    if len(sources) == 1 and not sources[0].is_file() and sources[0].suffix not in (".html", ".mcap"):
         from missions.experiments.results import read_store
 
         kept = read_store(sources[0])

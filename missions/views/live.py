@@ -15,7 +15,7 @@ from ipaddress import ip_address
 from secrets import token_urlsafe
 from threading import Thread
 from typing import TYPE_CHECKING, Any, Final, Self
-from urllib.parse import urlsplit
+from urllib.parse import quote, urlsplit
 
 from kb import KnowledgeBase, KnowledgeBaseError
 from missions.engine.mission import MissionError
@@ -105,10 +105,14 @@ class LiveView:
         self._socket = _listening(host, port)
         port = self._socket.getsockname()[1]
         self._hosts = {f"{name}:{port}" for name in ("127.0.0.1", "localhost", "[::1]", host)}
-        shown_host = host if host not in ("0.0.0.0", "::") else socket.gethostname()
-        self.url = f"http://{shown_host}:{port}/" + (f"?token={self._token}" if self._token else "")
+        shown_host = socket.gethostname() if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
+        query = f"?token={quote(self._token)}" if self._token else ""
+        self.url = f"http://{shown_host}:{port}/{query}"
         self.recorder = recorder or Recorder(kb, tree, **{"keep": KEEP, "what_if": False, **shown})
         self.recorder.header["live"] = True
+        live = {"socket": f"/ws{query}"}
+        document = {"version": VERSION, "runs": [], "differences": [], "live": live, "note": ""}
+        self._page = page_of(document, str(self.recorder.header["title"]))
         self._rows = self.recorder.rows
         self._pages: dict[_Page, None] = {}
         self._frame: tuple[int, int, str] = (0, 0, "")
@@ -215,9 +219,7 @@ class LiveView:
         refusal = self._refusal(request.headers, request.query_params.get("token", ""))
         if refusal:
             return PlainTextResponse(refusal + "\n", status_code=403, headers=_HEADERS)
-        path = "/ws" + (f"?token={self._token}" if self._token else "")
-        document = {"version": VERSION, "runs": [], "differences": [], "live": {"socket": path}, "note": ""}
-        return HTMLResponse(page_of(document, str(self.recorder.header["title"])), headers=_HEADERS)
+        return HTMLResponse(self._page, headers=_HEADERS)
 
     async def _answer_socket(self, websocket: "WebSocket") -> None:
         from starlette.responses import PlainTextResponse

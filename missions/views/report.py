@@ -2,8 +2,8 @@
 
 import json
 import re
+from collections import defaultdict
 from collections.abc import Iterator, Mapping
-from difflib import SequenceMatcher
 from html import escape
 from importlib.resources import files
 from pathlib import Path
@@ -108,6 +108,10 @@ class _Moment(NamedTuple):
     time: float
     cause: str
 
+    @property
+    def why(self) -> str:
+        return f", because {self.cause}" if self.cause else ""
+
 
 def differences(one: Recorded, other: Recorded) -> list[dict[str, Any]]:
     """Return how two runs differ, in order of time: what only one did, and what the other did sooner or later, and why.
@@ -123,20 +127,19 @@ def differences(one: Recorded, other: Recorded) -> list[dict[str, Any]]:
         for name, shown in _settings(one.header, other.header)
     ]
     found: list[tuple[float, str]] = []
-    pair = [list(_moments(run)) for run in (one, other)]
-    before, after = ([(each.kind, each.words) for each in moments] for moments in pair)
-    for tag, low, high, start, end in SequenceMatcher(a=before, b=after, autojunk=False).get_opcodes():
-        if tag == "equal":
-            for mine, theirs in zip(pair[0][low:high], pair[1][start:end], strict=True):
-                late = theirs.time - mine.time
-                if abs(late) >= _LATER_S:
-                    when = f"{abs(late):.1f} s {'later' if late > 0 else 'sooner'} in B"
-                    found.append((min(mine.time, theirs.time), f"{mine.words}: {when}"))
-        else:
-            for letter, moments in (("A", pair[0][low:high]), ("B", pair[1][start:end])):
-                for each in moments:
-                    why = f", because {each.cause}" if each.cause else ""
-                    found.append((each.time, f"only in {letter}: {each.words}{why}"))
+    moments: defaultdict[tuple[str, str], tuple[list[_Moment], list[_Moment]]] = defaultdict(lambda: ([], []))
+    for place, run in enumerate((one, other)):
+        for each in _moments(run):
+            moments[each.kind, each.words][place].append(each)
+    for mine, theirs in moments.values():
+        rest = _unmet(mine, theirs), _unmet(theirs, mine)
+        for of_a, of_b in zip(*rest, strict=False):
+            first = min(of_a, of_b, key=lambda each: each.time)
+            when = f"{abs(of_b.time - of_a.time):.1f} s {'sooner' if first is of_b else 'later'} in B"
+            found.append((first.time, f"{first.words}: {when}{first.why}"))
+        paired = min(map(len, rest))
+        for letter, left in zip("AB", rest, strict=True):
+            found += [(each.time, f"only in {letter}: {each.words}{each.why}") for each in left[paired:]]
     found.sort()
     told = [
         {"t": time, "words": words, "a": _adaptation_at(one, time), "b": _adaptation_at(other, time)}
@@ -147,6 +150,11 @@ def differences(one: Recorded, other: Recorded) -> list[dict[str, Any]]:
     return asked + told
 
 
+def _unmet(moments: list[_Moment], others: list[_Moment]) -> list[_Moment]:
+    """Return the moments of which none of the others is within a second."""
+    return [one for one in moments if all(abs(one.time - other.time) >= _LATER_S for other in others)]
+
+
 def _settings(one: Mapping[str, Any], other: Mapping[str, Any]) -> Iterator[tuple[str, tuple[Any, Any]]]:
     for name in ("mission", "task", "manager", "seed"):
         if one.get(name) != other.get(name):
@@ -154,7 +162,7 @@ def _settings(one: Mapping[str, Any], other: Mapping[str, Any]) -> Iterator[tupl
     mine, theirs = one.get("settings", {}), other.get("settings", {})
     for name in sorted(mine.keys() | theirs.keys()):
         if mine.get(name) != theirs.get(name):
-            yield f"setting {name}", (mine.get(name, "as it is"), theirs.get(name, "as it is"))
+            yield f"setting {name}", (mine.get(name, "the default"), theirs.get(name, "the default"))
 
 
 def _moments(run: Recorded) -> Iterator[_Moment]:
@@ -162,7 +170,7 @@ def _moments(run: Recorded) -> Iterator[_Moment]:
     for time, _, event in run.track("event"):
         cause = events.get(event.get("cause"), {}).get("words", "")
         if event["kind"] in ("action update", "reconfiguration plan"):
-            yield _Moment(event["kind"], event["words"], time, cause)
+            yield _Moment(event["kind"], event["words"].partition(": ")[0], time, cause)
         elif event["kind"] == "monitoring data":
             for kind, name, _, new in event.get("changes", ()):
                 if kind in ("action", "function design", "configuration") and new in ("unfeasible", "feasible"):
