@@ -27,7 +27,7 @@ const Button = ({ words, press, children }) => <button aria-label={words} title=
 export function Transport() {
   const [playing, words] = isPlaying.value ? ["❚❚", "pause (Space)"] : ["▶︎", "play (Space)"];
   return (
-    <footer class="transport" role="group" aria-label="instant">
+    <section class="transport" aria-label="instant">
       <div class="buttons">
         <Button words="previous adaptation (p)" press={() => leap(-1)}>«</Button>
         <Button words="previous change (←)" press={() => step(-1)}>‹</Button>
@@ -45,6 +45,6 @@ export function Transport() {
           min={start.value} max={end.value} step="any" value={time.value} onInput={({ target }) => seek(target.valueAsNumber)} />
       </div>
       <output class="clock">{clock(time.value)} <small>/ {clock(end.value)}</small></output>
-    </footer>
+    </section>
   );
 }
