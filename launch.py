@@ -4,7 +4,8 @@
     python3 launch.py rosa run suave_extended
     python3 launch.py pytest
 
-Installs what the command needs: what running needs for `rosa` and `python`, what testing needs for anything else.
+Installs what the command needs: what running needs for `rosa` and `python`, with the extras that its options ask for,
+and what testing needs for anything else.
 Needs nothing but Python >= 3.11 and pip. The versions installed are those of constraints.txt.
 """
 
@@ -22,13 +23,25 @@ ROOT = Path(__file__).resolve().parent
 VENV = ROOT / ".venv"
 BIN = VENV / ("Scripts" if os.name == "nt" else "bin")
 MARK = VENV / "set-up-for"
-RUNNING, TESTING = "running", "testing"
-EXTRA = {RUNNING: "", TESTING: "[dev]"}
-TAKES = {RUNNING: "about 20 s", TESTING: "about a minute"}  # measured on two cores, packages near by
+TESTING = "dev"
+EXTRAS = {
+    **{"--live": "live", "--tui": "tui", "watch": "tui", "--groot2": "groot2", "mcp": "mcp", "bridge": "ros2"},
+    **{"replay": "mcap", "record": "mcap", "--cluster": "cluster"},
+}
+"""What words of a command line of `rosa` need beside what running needs; so does a file that ends in .mcap."""
 STEP = re.compile(r"\s*(Collecting|Building|Preparing|Installing)\b[^(]{0,60}")
 
 
-def set_up(purpose: str) -> None:
+def extras(arguments: list[str]) -> set[str]:
+    """Return the extras that a command needs; all of them for a command that is no `rosa` or `python`."""
+    if arguments[0] not in ("rosa", "python"):
+        return {TESTING}
+    words = [one.partition("=")[0] for one in arguments[1:]]
+    mcap = {"mcap"} if any(one.endswith(".mcap") for one in arguments) else set()
+    return mcap | {EXTRAS[one] for one in words if one in EXTRAS}
+
+
+def set_up(wished: set[str]) -> None:
     """Make the virtual environment and install this project in it; without the mark the next call does it anew."""
     try:
         inputs = b"".join((ROOT / name).read_bytes() for name in ("pyproject.toml", "constraints.txt", "launch.py"))
@@ -36,16 +49,18 @@ def set_up(purpose: str) -> None:
         sys.exit(f"launch.py: cannot read {error.filename}: {error.strerror}; get it back from the repository")
     wanted = hashlib.sha256(inputs + sys.version.encode()).hexdigest()
     there = MARK.read_text().split() if MARK.is_file() and (BIN / "python").exists() else []
-    if there[:1] == [wanted] and there[1:] in ([purpose], [TESTING]):
+    keeps = there[:1] == [wanted]
+    if keeps and (TESTING in there or wished <= set(there)):
         return
     if VENV.exists() and not VENV.is_dir():
         sys.exit(f"launch.py: {VENV} is in the way; it has to be a folder, so move it elsewhere and run this again")
+    # measured on two cores, packages near by
+    needs, takes = ("testing", "about a minute") if TESTING in wished else ("running", "about 20 s")
     print(
-        f"Setting up .venv with what {purpose} needs: once, {TAKES[purpose]}, longer where the network is slow",
+        f"Setting up .venv with what {needs} needs: once, {takes}, longer where the network is slow",
         file=sys.stderr,
         flush=True,
     )
-    keeps = there[:1] == [wanted]
     python = str(BIN / "python")
     if find_spec("pip"):  # the outer pip serves, so a Python without ensurepip does too
         if not keeps:
@@ -57,8 +72,9 @@ def set_up(purpose: str) -> None:
         pip = [python, "-m", "pip"]
     else:
         sys.exit("launch.py: this Python has no pip; install it (Debian: apt-get install python3-pip)")
-    install(pip, f"{ROOT}{EXTRA[purpose]}")
-    MARK.write_text(f"{wanted} {purpose}")
+    chosen = sorted(wished.union(there[1:]) if keeps else wished)
+    install(pip, f"{ROOT}[{','.join(chosen)}]" if chosen else str(ROOT))
+    MARK.write_text(" ".join([wanted, *chosen]))
 
 
 def install(pip: list[str], project: str) -> None:
@@ -94,7 +110,7 @@ def main() -> None:
         return
     if len(sys.argv) < 2:
         sys.exit(__doc__)
-    set_up(RUNNING if sys.argv[1] in ("rosa", "python") else TESTING)
+    set_up(extras(sys.argv[1:]))
     command = BIN / sys.argv[1]
     if not command.exists():
         sys.exit(f"launch.py: no command {sys.argv[1]!r} in .venv; try: rosa, pytest, ruff, mypy, python")

@@ -49,7 +49,7 @@ def bridge(
     """Manage a robot in ROS 2: hear its diagnostics, switch its nodes, run its tree, answer its ROSA services."""
     from py_trees.behaviours import Running
 
-    from kb import ConfigurationManager, Event, KnowledgeBase
+    from kb import ConfigurationManager, Event, EventKind, KnowledgeBase
     from missions.engine.mission import Percepts
     from missions.wires.bridge import Bridge
     from rosa_bt import TreeRunner
@@ -58,7 +58,7 @@ def bridge(
     console, percepts = open_console(), Percepts()
 
     def say(event: Event) -> None:
-        if event.verb != "measure" or event.changes:
+        if event.kind is not EventKind.RECORD and (event.verb != "measure" or event.changes):
             console.print(event.text, highlight=False, markup=False, soft_wrap=True)
 
     with closing(KnowledgeBase(model, store=store, clock=time.time)) as kb:
@@ -72,8 +72,9 @@ def bridge(
             end = math.inf if seconds is None else time.monotonic() + seconds
             try:
                 while time.monotonic() < end:
-                    manager.update()
-                    runner.update()
+                    if connected.is_connected:
+                        manager.update()
+                        runner.update()
                     time.sleep(_TICK_S / 2)
             except KeyboardInterrupt:
                 console.print("stopped by hand")

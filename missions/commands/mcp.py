@@ -57,7 +57,8 @@ def _connect(kb: "KnowledgeBase", config: Path, token: str, stack: ExitStack) ->
 
     def manage() -> None:
         while not over.wait(_TURN_S):
-            manager.update()
+            if bridge.is_connected:
+                manager.update()
 
     thread = Thread(target=manage, name="manager", daemon=True)
     thread.start()

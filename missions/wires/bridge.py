@@ -94,6 +94,7 @@ class Bridge:
         managed: its nodes as the managed system of a `ConfigurationManager`.
         heard: how many messages were used.
         refused: how many were not, by what was wrong.
+        is_connected: whether the robot is there; a program commands nothing while it is not.
 
     Raises:
         MissionError, kb.UnknownName: the settings name what there is not.
@@ -106,7 +107,7 @@ class Bridge:
         settings: BridgeSettings | None = None,
         percepts: Percepts | None = None,
     ) -> None:
-        self.heard, self.refused = 0, Counter[str]()
+        self.heard, self.refused, self.is_connected = 0, Counter[str](), False
         self._kb, self._node, chosen = kb, node, settings or BridgeSettings()
         self.managed = RosComponents(kb, node, chosen.components)
         self._percepts = percepts
@@ -163,6 +164,7 @@ class Bridge:
 
     def _changed(self, is_connected: bool, text: str) -> None:
         _log.log(logging.INFO if is_connected else logging.WARNING, "%s", text)
+        self.is_connected = is_connected
         if is_connected:
             self.managed.ask()
             return
