@@ -45,6 +45,7 @@ _PAST: Final = 20_000
 """How many rows of the past are given in one answer."""
 _LONGEST: Final = 65_536
 """The longest message that a page may send [bytes]."""
+_MOST_PAGES: Final = 200
 _MISTAKES: Final = 20
 """After so many messages that mean nothing a page is shown out."""
 _PATIENCE_S: Final = 2.0
@@ -124,6 +125,7 @@ class LiveView:
                 ws="websockets-sansio",
                 ws_max_size=_LONGEST,
                 ws_per_message_deflate=False,
+                limit_concurrency=_MOST_PAGES,
                 lifespan="on",
                 log_level="critical",
                 server_header=False,

@@ -19,6 +19,7 @@ from py_trees.visitors import VisitorBase
 from kb import Attempt, Event, KnowledgeBase, ReconfigurationPlan, RequiredAction
 from kb.network import Network, Node
 from missions.engine.adaptations import Adaptation, AdaptationLog, is_news
+from missions.engine.mission import MissionError
 from missions.views.chain import chain_of
 from missions.views.facts import CHOSEN, cases, choice_of, described, plain
 from missions.views.rows import VERSION, Recorded, Rows
@@ -61,6 +62,9 @@ class Recorder:
         kb: what is known of it.
         rows: what there was to see.
         header: what was run.
+
+    Raises:
+        MissionError: the tree is none that ticks.
     """
 
     def __init__(
@@ -93,6 +97,8 @@ class Recorder:
         self._posed_at = -inf
         self._task_plans: list[Any] = []
         self._heard: Counter[Any] = Counter()
+        if isinstance(tree, Behaviour):
+            raise MissionError(f"{tree.name!r} is a behaviour; give the TreeRunner or py_trees tree that ticks it")
         self._look(kb.now)
         for one in kb.required_actions:
             self.acted(one.number, one)

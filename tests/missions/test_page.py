@@ -305,3 +305,14 @@ def test_notebook_shows_the_page_in_a_frame():
     shown = Recorder(rover.kb, rover.runner)._repr_html_()
     assert shown.startswith("<iframe srcdoc=")
     assert "<script" not in shown
+
+
+def test_behaviour_is_no_tree_that_ticks_and_an_open_action_is_there_from_the_start():
+    rover = Rover()
+    with pytest.raises(MissionError, match="give the TreeRunner or py_trees tree that ticks it"):
+        Recorder(rover.kb, rover.runner.tree.root)
+    rover.kb.measure("light", 0.9)
+    rover.work(1.0)
+    late = Recorder(rover.kb, rover.runner).recorded
+    (action,) = late.last("action").values()
+    assert (action["action"], action["end"]) == (names(late)["explore"], None)
