@@ -92,13 +92,14 @@ function Chosen() {
   );
 }
 
-/** The steps of the task plan that was made last, if anything planned. */
+/** The steps of the task plan that was made last, if anything planned, and which are under way. */
 function Plan() {
   const plan = run.value.keys("taskplan").map((key) => at("taskplan", key)).findLast(Boolean);
+  const doing = nodes.value.filter(({ kind }) => kind === "plan").map(({ uid }) => stateOf(uid)[1]).join();
   return plan && (
-    <details class="chosen">
+    <details class="chosen" open>
       <summary>Plan of {clock(plan.asked)}: {plan.outcome} <small>{plan.reason}</small></summary>
-      <ol>{plan.steps.map((step, index) => <li key={index}>{index + 1}. <code>{step}</code></li>)}</ol>
+      <ol>{plan.steps.map((step) => <li key={step} aria-current={doing.includes(step) && "step"}><code>{step}</code></li>)}</ol>
     </details>
   );
 }
