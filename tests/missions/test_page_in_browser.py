@@ -293,22 +293,25 @@ def test_adaptations_are_told_to_screen_readers(shown):
     assert told.startswith("Adaptation at 151.0 s: battery_level is just below 0.25; inspect_pipeline -> recharge")
 
 
+def page_with(rows):
+    """Return a page of a run of which only these rows are known, in the order of their times."""
+    run = {"header": recorded("suave_extended").header, "rows": sorted(rows, key=lambda row: row[0])}
+    return page_of({"version": 1, "runs": [run], "differences": [], "live": None, "note": ""}, "by hand")
+
+
 def tree_of(count):
     """Return a report whose tree has that many nodes, all of which change at the second instant."""
     nodes = [[0, None, "Sequence", "root", "sequence", []]]
     nodes += [[uid, (uid - 1) // 5, "Action", f"node {uid}", "action", []] for uid in range(1, count)]
-    rows = [[0.0, "tree", 0, {"name": "large", "nodes": nodes}], [0.0, "tick", 0, 0]]
+    rows = [[0.0, "tree", 0, {"name": "large", "nodes": nodes}], [0.0, "tick", 0, 0], [3.0, "now", 0, "end"]]
     rows += [[t, "node", uid, ["RSF"[(uid + int(t)) % 3], ""]] for t in (0.0, 1.0, 2.0) for uid in range(count)]
-    header = recorded("suave_extended").header
-    document = {"version": 1, "runs": [{"header": header, "rows": [*rows, [3.0, "now", 0, "end"]]}]}
-    return page_of({**document, "differences": [], "live": None, "note": ""}, "large")
+    return page_with(rows)
 
 
 def test_robot_whose_clock_counts_from_1970_is_shown_the_time_of_day(visits):
-    header, day = recorded("suave_extended").header, 1_700_000_000.0
+    day = 1_700_000_000.0
     rows = [[day, "scene", 0, []], [day + 60, "signal", "depth [m]", 2.0], [day + 60, "now", 0, "end"]]
-    document = {"version": 1, "runs": [{"header": header, "rows": rows}], "differences": [], "live": None, "note": ""}
-    page = visits.show(visits.file(page_of(document, "by day")))
+    page = visits.show(visits.file(page_with(rows)))
     assert page.locator(".clock").inner_text().startswith("22:14:20.0 UTC")
     page.keyboard.press("Home")
     assert page.locator(".clock").inner_text().startswith("22:13:20.0 UTC")
@@ -332,12 +335,20 @@ def test_tree_that_changed_is_shown_as_it_was(visits):
     changed = [root, step, [2, 0, "Plan", "new plan", "plan", []], [3, 2, "Action", "new step", "action", []]]
     rows = [[0.0, "tree", 0, {"name": "", "nodes": [root, step]}], [0.0, "node", 1, ["R", "begins"]]]
     rows += [[5.0, "tree", 0, {"name": "", "nodes": changed}], [5.0, "node", 1, ["S", ""]], [9.0, "now", 0, "end"]]
-    runs = [{"header": recorded("suave_extended").header, "rows": rows}]
-    page = visits.show(visits.file(page_of({"runs": runs, "differences": [], "live": None, "note": ""}, "changing")))
+    page = visits.show(visits.file(page_with(rows)))
     assert page.get_by_role("treeitem").count() == len(changed)
     slide(page, 4.9)
     assert [one.split()[-3:] for one in page.get_by_role("treeitem").all_inner_texts()][1] == ["old", "step", "begins"]
     assert page.get_by_role("treeitem").count() == len([root, step])
+
+
+def test_actions_that_are_done_at_the_same_time_have_a_lane_each(visits):
+    action = {"kind": "action", "functions": [], "constraints": []}
+    rows = [[0.0, "element", key, {**action, "name": name}] for key, name in enumerate(("drive", "film"))]
+    for key, start in ((0, 1.0), (1, 2.0)):
+        rows.append([start, "action", key, {"action": key, "start": start, "end": 5.0, "result": "completed"}])
+    page = visits.show(visits.file(page_with([*rows, [9.0, "now", 0, "end"]])))
+    assert page.locator(".lane .name").all_inner_texts() == ["action drive", "action film"]
 
 
 def test_what_was_printed_has_every_node_and_is_light(visits):

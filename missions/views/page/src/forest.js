@@ -5,7 +5,7 @@ import { at, chain, revision, run, selected } from "./state.js";
 
 export const ROW = 24; // height of a row of the outline [px]
 export const BOX = { width: 176, height: 24, across: 216, down: 32 }; // a node of the drawing, and from one to the next [px]
-export const collapsed = signal(new Set()); // uids
+const collapsed = signal(new Set()); // uids
 export const query = signal("");
 export const selectedNode = signal(null); // uid
 

@@ -9,9 +9,7 @@ dark.addEventListener("change", () => (system.value = dark.matches ? "dark" : "l
 
 export const theme = computed(() => (isPrinting.value ? "light" : (wanted.value ?? system.value)));
 
-export function toggleTheme() {
-  wanted.value = theme.value === "dark" ? "light" : "dark";
-}
+export const toggleTheme = () => (wanted.value = theme.value === "dark" ? "light" : "dark");
 
 const colours = new Map();
 

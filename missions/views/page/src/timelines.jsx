@@ -20,11 +20,13 @@ function barsOf(one, names) {
     one.of(track, key).spans(one.end).filter(([, , value]) => value).map(([from, until]) => bar(one, from, until, text));
   const chosenFor = ([, { name, designs, configurations }]) =>
     [name, (designs ?? configurations ?? []).flatMap((each) => held("selected", each, one.name(each)))];
+  const done = last("action").map(({ action, start: from, end: until, result }) =>
+    bar(one, from, until, one.name(action), result ?? "", hueOf(names, one.name(action))));
+  const isParallel = done.some(({ from }, index) => from < done[index - 1]?.until);
   const switched = known.filter(([key]) => one.of("active", key).times.length > 1);
   return [
     ["disturbances", last("disturbance").map(({ t, words }) => bar(one, t, t, "", words, "var(--bad)"))],
-    ["actions", last("action").map(({ action, start: from, end: until, result }) =>
-      bar(one, from, until, one.name(action), result ?? "", hueOf(names, one.name(action))))],
+    ...(isParallel ? Object.entries(Object.groupBy(done, ({ text }) => `action ${text}`)) : [["actions", done]]),
     ...known.filter(([, { kind }]) => kind === "function" || kind === "component").map(chosenFor),
     ...switched.map(([key, { name }]) => [`${name} runs`, held("active", key, "")]),
     ["reconfiguration plans", last("plan").map(({ words, start: from, end: until, result }) =>
