@@ -23,7 +23,7 @@ ROOT = Path(__file__).resolve().parent
 VENV = ROOT / ".venv"
 BIN = VENV / ("Scripts" if os.name == "nt" else "bin")
 MARK = VENV / "set-up-for"
-TESTING = "dev"
+RUNNING, TESTING = {"optimal", "plot", "sim"}, "dev"
 EXTRAS = {
     **{"--live": "live", "--tui": "tui", "watch": "tui", "--groot2": "groot2", "mcp": "mcp", "bridge": "ros2"},
     **{"replay": "mcap", "record": "mcap", "--cluster": "cluster"},
@@ -38,7 +38,7 @@ def extras(arguments: list[str]) -> set[str]:
         return {TESTING}
     words = [one.partition("=")[0] for one in arguments[1:]]
     mcap = {"mcap"} if any(one.endswith(".mcap") for one in arguments) else set()
-    return mcap | {EXTRAS[one] for one in words if one in EXTRAS}
+    return RUNNING | mcap | {EXTRAS[one] for one in words if one in EXTRAS}
 
 
 def set_up(wished: set[str]) -> None:

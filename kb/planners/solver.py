@@ -9,10 +9,15 @@ from dataclasses import replace
 from itertools import accumulate
 from typing import Any, Final
 
-from ortools.sat.python import cp_model
-
+from kb.exceptions import KnowledgeBaseError
 from kb.planners.choice import Optimum, number
 from kb.planners.encoding import Effect, Picks, Problem, Slot
+
+try:
+    from ortools.sat.python import cp_model
+except ImportError as error:
+    missing = "the best configuration is proven with OR-tools, which is not installed"
+    raise KnowledgeBaseError(f"{missing}; pip install 'rosa-taca[optimal]' brings it") from error
 
 EFFORT: Final = 0.3
 """How much work is done by default at most, in CP-SAT's deterministic time: about a second of a processor."""

@@ -8,6 +8,7 @@ from missions.engine.mission import Mission, MissionError, split_settings
 from missions.engine.registry import Registry
 from missions.engine.runner import Listener, MissionRun
 from missions.engine.settings import Setting, own_values, read_values
+from missions.extras import needs
 
 MANAGERS: Registry[type[Manager]] = Registry(
     "manager",
@@ -76,7 +77,8 @@ def open_run(
     given, values = own_values(options, settings or {})
     run_settings, world_settings = split_settings(mission, values)
     rng = numpy.random.default_rng(seed)
-    world = mission.world.open(world_settings, rng)
+    with needs("sim", f"the world of {mission.name}"):
+        world = mission.world.open(world_settings, rng)
     if managed_by is None:
         return rosa_run(mission, task, world, run_settings, listeners)
     from missions.baselines.controller import BaselineController

@@ -68,10 +68,14 @@ def run(
     from missions.engine.registry import find_mission
     from missions.engine.runner import Listener
     from missions.engine.settings import own_values
+    from missions.extras import needs
     from missions.views.console import Narrator, Recorder, print_result
     from missions.views.output import as_json, open_files, summary, timing_of
     from missions.views.steering import Steering
 
+    if plot is not None:
+        with needs("plot", "a picture of the run"):
+            import matplotlib  # noqa: F401  # it is found out before the run that it is missing
     found = find_mission(mission)
     changed = _assignments(settings or []) | ({} if rules is None else {"rules": rules})
     _, of_mission = own_values(options_of(manager), changed)

@@ -14,6 +14,7 @@ from missions.engine.controller import check_task
 from missions.engine.mission import Mission, MissionError, split_settings
 from missions.engine.registry import find_mission
 from missions.engine.settings import own_values, read_values
+from missions.extras import needs
 from missions.suave.world import Sea
 
 Settings = Mapping[str, str]
@@ -182,7 +183,9 @@ def _check_settings(mission: Mission, manager: str, settings: Settings) -> None:
     given, values = own_values(options, settings)
     read_values(options, given)
     _, world = split_settings(mission, values)
-    with closing(mission.world.open(world, numpy.random.default_rng(0))) as opened:
+    with needs("sim", f"the world of {mission.name}"):
+        opened = mission.world.open(world, numpy.random.default_rng(0))
+    with closing(opened):
         if manager != OURS and not isinstance(opened, Sea):
             raise MissionError(f"mission {mission.name} does not happen in the sea; run it under {OURS}, not {manager}")
 

@@ -1,0 +1,77 @@
+"""What is optional is not needed for the rest, and says which extra it is when it is missing."""
+
+import subprocess
+import sys
+
+import pytest
+
+MISSING = """
+import sys
+class Missing:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {missing!r}:
+            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+sys.meta_path.insert(0, Missing())
+"""
+RUN = "import sys; sys.argv = ['rosa', *{arguments!r}]; from missions.cli import main; main()"
+OPTIONAL = {
+    "mujoco",
+    "ortools",
+    "matplotlib",
+    "starlette",
+    "textual",
+    "zmq",
+    "mcap",
+    "rosbags",
+    "cyclonedds",
+    "mcp",
+    "dask",
+}
+
+
+def without(missing, program):
+    text = MISSING.format(missing=missing) + program
+    return subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, check=False)
+
+
+def test_a_robot_needs_none_of_the_extras():
+    done = without(
+        OPTIONAL,
+        """
+from kb import ConfigurationManager, KnowledgeBase
+import rosa_bt, rosa_pddl, missions
+from missions.suave_extended import MISSION
+kb = KnowledgeBase(MISSION.model(), clock=lambda: 0.0)
+kb.measure("battery_level", 1.0)
+print(kb.selectable_actions())
+""",
+    )
+    assert done.returncode == 0, done.stderr
+    assert "recharge" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("library", "arguments", "extra"),
+    [
+        ("mujoco", ["run", "suave_extended"], "sim"),
+        ("mujoco", ["run", "agv"], "sim"),
+        ("mujoco", ["run", "uav"], "sim"),
+        ("matplotlib", ["run", "suave", "--plot", "x.png"], "plot"),
+        ("starlette", ["run", "suave", "--live", "0"], "live"),
+        ("rosbags", ["run", "suave", "--record", "x.mcap"], "mcap"),
+        ("textual", ["run", "suave", "--tui"], "tui"),
+        ("mcp", ["mcp", "suave"], "mcp"),
+    ],
+)
+def test_missing_extra_is_named(library, arguments, extra, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    done = without({library}, RUN.format(arguments=arguments))
+    assert done.returncode == 2, done.stderr
+    assert f"pip install 'rosa-taca[{extra}]'" in " ".join(done.stderr.split())
+    assert not list(tmp_path.iterdir()), "nothing half-done stays behind"
+
+
+def test_missing_solver_is_named():
+    done = without({"ortools"}, "from kb import OptimalPlanner; OptimalPlanner()")
+    assert "KnowledgeBaseError" in done.stderr
+    assert "pip install 'rosa-taca[optimal]'" in done.stderr
