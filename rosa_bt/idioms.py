@@ -11,7 +11,7 @@ from rosa_bt.behaviours import IsActionFeasible, RosaAction
 from rosa_bt.composites import DoUntilUnfeasible, Posture, SafeSwitch
 from rosa_bt.decorators import ForAction
 from rosa_bt.exceptions import TreeChangeError
-from rosa_bt.xml.controls import ReactiveSequence
+from rosa_bt.xml.controls import CONTROLS
 
 
 def feasible_then_act(task: Behaviour) -> Behaviour:
@@ -40,7 +40,9 @@ def _is_guarded(action: RosaAction) -> bool:
     node: Behaviour = action
     while (parent := node.parent) is not None:
         before: Sequence[Behaviour] = ()
-        if isinstance(parent, ReactiveSequence) or (isinstance(parent, composites.Sequence) and not parent.memory):
+        if isinstance(parent, CONTROLS["ReactiveSequence"]) or (
+            isinstance(parent, composites.Sequence) and not parent.memory
+        ):
             before = parent.children[: parent.children.index(node)]
         asked = [one.action for child in before for one in child.iterate() if isinstance(one, IsActionFeasible)]
         if action.action in asked or (isinstance(parent, ForAction) and parent.action == action.action):

@@ -1,10 +1,11 @@
 """The control nodes, each with the semantics of BehaviorTree.CPP 4.10, not of py_trees' namesake."""
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Generator, Mapping
 from types import MappingProxyType
-from typing import ClassVar, Final
+from typing import Any, ClassVar, Final
 
+from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 from py_trees.ports import PortInformation
 
@@ -12,120 +13,69 @@ from rosa_bt.xml.nodes import DONE, FAILURE, MAX_NODES, RUNNING, SKIPPED, SUCCES
 
 
 class _InOrder(Control):
-    """One child after the other; `current_child` is where it has got to, None is the beginning."""
+    """One child after the other; `current_child` is where it has got to, None is the beginning.
+
+    Attributes:
+        goes_on: the outcome of a child after which the next one is ticked.
+        is_async: RUNNING between two children of which the first ended in its first tick.
+        keeps_place: also when a child ends it, and when it is halted.
+    """
 
     goes_on: ClassVar[Status]
     is_async: ClassVar = False
+    keeps_place: ClassVar = False
     _skipped = 0
 
     def initialise(self) -> None:
         self._skipped = 0
 
     def forget(self) -> None:
-        self.current_child = None
+        if not self.keeps_place:
+            self.current_child = None
 
     def decide(self) -> Ticking:
         slots = self.slots
-        index = self.children.index(self.current_child) if self.current_child in self.children else 0
-        while index < len(slots):
+        start = self.children.index(self.current_child) if self.current_child in self.children else 0
+        for index in range(start, len(slots)):
             slot = slots[index]
+            self.current_child = slot.node
             was_idle = slot.status is SKIPPED
             verdict = yield from slot.tick()
             self._skipped += verdict is SKIPPED
             if verdict is RUNNING:
-                self.current_child = slot.node
                 return RUNNING
             if verdict not in (self.goes_on, SKIPPED):
-                self._give_up(index)
+                self.forget()
+                for one in slots[index if self.keeps_place else 0 :]:
+                    one.reset()
                 return verdict
-            index += 1
-            if index < len(slots):
-                self.current_child = slots[index].node
-                if self.is_async and was_idle and verdict is not SKIPPED:
-                    return RUNNING
+            if self.is_async and was_idle and verdict is not SKIPPED and index + 1 < len(slots):
+                self.current_child = slots[index + 1].node
+                return RUNNING
         self.reset_children()
         self.current_child = None
         skipped, self._skipped = self._skipped, 0
         return SKIPPED if skipped == len(slots) else self.goes_on
 
-    def _give_up(self, index: int) -> None:
-        self.reset_children()
-        self.current_child = None
 
-
-class Sequence(_InOrder):
-    """Until one fails; goes on where it was while a child is running."""
-
-    goes_on = SUCCESS
-
-
-class AsyncSequence(Sequence):
-    """Like Sequence; RUNNING between two children of which the first succeeded in its first tick."""
-
-    is_async = True
-
-
-class SequenceWithMemory(AsyncSequence):
-    """Like AsyncSequence; keeps its place when a child fails and when it is halted."""
-
-    def forget(self) -> None:
-        """Keep the place."""
-
-    def _give_up(self, index: int) -> None:
-        slots = self.slots
-        self.current_child = slots[index].node
-        for slot in slots[index:]:
-            slot.reset()
-
-
-class Fallback(_InOrder):
-    """Until one succeeds; goes on where it was while a child is running."""
-
-    goes_on = FAILURE
-
-
-class AsyncFallback(Fallback):
-    """Like Fallback; RUNNING between two children of which the first failed in its first tick."""
-
-    is_async = True
-
-
-class _Reactive(Control):
+class Reactive(Control):
     """Every child from the first at each tick; one that is running halts and resets the others."""
 
     goes_on: ClassVar[Status]
 
     def decide(self) -> Ticking:
-        all_skipped = True
-        slots = self.slots
+        skipped, slots = 0, self.slots
         for slot in slots:
-            self.current_child = slot.node
             verdict = yield from slot.tick()
-            all_skipped &= verdict is SKIPPED
             if verdict is RUNNING:
-                for other in slots:
-                    if other is not slot:
-                        other.reset()
+                self.reset_children(but=slot)
                 return RUNNING
             if verdict is SKIPPED:
+                skipped += 1
                 slot.reset()
             elif verdict is not self.goes_on:
-                self.reset_children()
-                return verdict
-        self.reset_children()
-        return SKIPPED if all_skipped else self.goes_on
-
-
-class ReactiveSequence(_Reactive):
-    """Until one fails or is running."""
-
-    goes_on = SUCCESS
-
-
-class ReactiveFallback(_Reactive):
-    """Until one succeeds or is running."""
-
-    goes_on = FAILURE
+                return self.end(verdict)
+        return self.end(SKIPPED if skipped == len(slots) else self.goes_on)
 
 
 class Together(Control):
@@ -142,13 +92,14 @@ class Together(Control):
             raise NodeError(f"{self.name!r} has {len(self.children)} children; {port} cannot be more")
         return number
 
-    def _go_on(self, slot: Slot) -> Ticking:
+    def _go_on(self, slot: Slot) -> Generator[Behaviour, None, bool]:
+        """Tick a child unless it has finished; return whether it was skipped."""
         if slot in self._ended:
-            return self._ended[slot]
+            return False
         verdict = yield from slot.tick()
         if verdict in DONE:
             self._ended = {**self._ended, slot: verdict}
-        return verdict
+        return verdict is SKIPPED
 
     def _ended_with(self, verdict: Status) -> int:
         return sum(self._ended.get(slot) is verdict for slot in self.slots)
@@ -167,7 +118,7 @@ class Parallel(Together):
         counts_skipped = self.ports.get("success_count") < 0
         skipped = 0
         for slot in self.slots:
-            skipped += (yield from self._go_on(slot)) is SKIPPED
+            skipped += yield from self._go_on(slot)
             succeeded, failed = self._ended_with(SUCCESS), self._ended_with(FAILURE)
             if succeeded + skipped * counts_skipped >= successes:
                 return self.end(SUCCESS)
@@ -185,58 +136,41 @@ class ParallelAll(Together):
         failures = self._number("max_failures")
         skipped = 0
         for slot in self.slots:
-            skipped += (yield from self._go_on(slot)) is SKIPPED
+            skipped += yield from self._go_on(slot)
+        failed = self._ended_with(FAILURE)
         if skipped == len(self.children):
             return SKIPPED
-        if skipped + self._ended_with(SUCCESS) + self._ended_with(FAILURE) < len(self.children):
+        if skipped + failed + self._ended_with(SUCCESS) < len(self.children):
             return RUNNING
-        return self.end(FAILURE if self._ended_with(FAILURE) >= failures else SUCCESS)
+        return self.end(FAILURE if failed >= failures else SUCCESS)
 
 
 class _Conditional(Control):
-    """The first child is a condition for the others."""
+    """The first child is a condition: for the second, which is ticked if it succeeds, and the third, if it fails.
+
+    It is asked once, and what was chosen goes on to its end; or at each tick, and the other one is reset.
+    """
 
     CHILDREN = 2, 3
-
-    def _ask(self) -> Ticking:
-        verdict = yield from self.slots[0].tick()
-        if verdict is SKIPPED:
-            raise NodeError(f"the condition of {self.name!r} was skipped, so there is nothing to choose by")
-        return verdict
-
-
-class IfThenElse(_Conditional):
-    """The condition once, then the second child or the third to its end."""
-
     FORGETS = ("_chosen",)
+    asks_always: ClassVar = False
     _chosen = 0
 
     def decide(self) -> Ticking:
         slots = self.slots
-        if self._chosen == 0:
-            verdict = yield from self._ask()
+        if self.asks_always or not self._chosen:
+            verdict = yield from slots[0].tick()
             if verdict is RUNNING:
                 return RUNNING
-            if verdict is FAILURE and len(slots) == 2:
-                return FAILURE  # the condition stays finished: an action is not started again
-            self._chosen = 1 if verdict is SUCCESS else 2
-        verdict = yield from slots[self._chosen].tick()
-        return verdict if verdict is RUNNING else self.end(verdict)
-
-
-class WhileDoElse(_Conditional):
-    """The condition at each tick; the second child while it succeeds, the third while it fails."""
-
-    def decide(self) -> Ticking:
-        verdict = yield from self._ask()
-        if verdict is RUNNING:
-            return RUNNING
-        chosen = 1 if verdict is SUCCESS else 2
-        for index, other in enumerate(self.slots):
-            if index not in (0, chosen):
+            if verdict is SKIPPED:
+                raise NodeError(f"the condition of {self.name!r} was skipped, so there is nothing to choose by")
+            chosen = 1 if verdict is SUCCESS else 2
+            for other in slots[3 - chosen : 4 - chosen] if self.asks_always else ():
                 other.reset()
-        if chosen < len(self.slots):
-            verdict = yield from self.slots[chosen].tick()
+            if chosen == len(slots):  # once: the condition stays finished, so an action is not started again
+                return self.end(FAILURE) if self.asks_always else FAILURE
+            self._chosen = chosen
+        verdict = yield from slots[self._chosen].tick()
         return verdict if verdict is RUNNING else self.end(verdict)
 
 
@@ -270,12 +204,6 @@ class Switch(Control):
             return abs(float(enums.get(one, one)) - float(enums.get(other, other))) <= sys.float_info.epsilon
         except ValueError:
             return False
-
-
-def _switch(cases: int) -> type[Switch]:
-    names = ["variable", *(f"case_{number}" for number in range(1, cases + 1))]
-    ports = {name: PortInformation(str, required=False) for name in names}
-    return type(f"Switch{cases}", (Switch,), {"PORTS": ports, "CHILDREN": (cases + 1, cases + 1)})
 
 
 class TryCatch(Control):
@@ -316,10 +244,23 @@ class TryCatch(Control):
         super().stop(new_status)
 
 
-_KINDS: Final[list[type[Control]]] = [
-    *(Sequence, AsyncSequence, SequenceWithMemory, ReactiveSequence, Fallback, AsyncFallback, ReactiveFallback),
-    *(Parallel, ParallelAll, IfThenElse, WhileDoElse, TryCatch),
-    *map(_switch, range(2, 7)),
-]
-CONTROLS: Final = {kind.__name__: kind for kind in _KINDS}
+def _switch(cases: int) -> dict[str, Any]:
+    names = ["variable", *(f"case_{number}" for number in range(1, cases + 1))]
+    return {"PORTS": {name: PortInformation(str, required=False) for name in names}, "CHILDREN": (cases + 1, cases + 1)}
+
+
+_KINDS: Final[dict[str, tuple[type[Control], dict[str, Any]]]] = {
+    "Sequence": (_InOrder, {"goes_on": SUCCESS}),
+    "AsyncSequence": (_InOrder, {"goes_on": SUCCESS, "is_async": True}),
+    "SequenceWithMemory": (_InOrder, {"goes_on": SUCCESS, "is_async": True, "keeps_place": True}),
+    "ReactiveSequence": (Reactive, {"goes_on": SUCCESS}),
+    "Fallback": (_InOrder, {"goes_on": FAILURE}),
+    "AsyncFallback": (_InOrder, {"goes_on": FAILURE, "is_async": True}),
+    "ReactiveFallback": (Reactive, {"goes_on": FAILURE}),
+    **{kind.__name__: (kind, {}) for kind in (Parallel, ParallelAll, TryCatch)},
+    "IfThenElse": (_Conditional, {}),
+    "WhileDoElse": (_Conditional, {"asks_always": True}),
+    **{f"Switch{cases}": (Switch, _switch(cases)) for cases in range(2, 7)},
+}
+CONTROLS: Final[dict[str, type[Control]]] = {tag: type(tag, (base,), how) for tag, (base, how) in _KINDS.items()}
 """By tag."""

@@ -22,16 +22,8 @@ class _Translated(OneChild):
         return self.outcomes.get(verdict, verdict)
 
 
-_TRANSLATED: Final[dict[str, dict[Status, Status]]] = {
-    "Inverter": {SUCCESS: FAILURE, FAILURE: SUCCESS},
-    "ForceSuccess": {FAILURE: SUCCESS},
-    "ForceFailure": {SUCCESS: FAILURE},
-    "KeepRunningUntilFailure": {SUCCESS: RUNNING, SKIPPED: RUNNING},
-}
-
-
 class _Again(OneChild):
-    """The child again and again: in the same tick if it has been RUNNING, at the next tick if it ended in its first."""
+    """The child again, so many times, -1 is for ever: in the same tick if it has been RUNNING, else at the next."""
 
     once_more: ClassVar[Status]
     port: ClassVar[str]
@@ -60,21 +52,31 @@ class _Again(OneChild):
         return times == -1 or self._count < times
 
 
-class Repeat(_Again):
-    """Until the child fails, or has succeeded so many times; -1 is for ever."""
-
-    once_more, port = SUCCESS, "num_cycles"
-    PORTS: ClassVar = {"num_cycles": PortInformation(int)}
+def _again(once_more: Status, port: str) -> dict[str, Any]:
+    return {"once_more": once_more, "port": port, "PORTS": {port: PortInformation(int)}}
 
 
-class RetryUntilSuccessful(_Again):
-    """Until the child succeeds, or has failed so many times; -1 is for ever."""
+class Gate(OneChild):
+    """The child when it is due, otherwise something instead of it."""
 
-    once_more, port = FAILURE, "num_attempts"
-    PORTS: ClassVar = {"num_attempts": PortInformation(int)}
+    def is_due(self) -> bool:
+        return True
+
+    def instead(self) -> Status:
+        return RUNNING
+
+    def note(self, verdict: Status) -> None:
+        """Hear what the child returned."""
+
+    def decide(self) -> Ticking:
+        if not self.is_due():
+            return self.instead()
+        verdict = yield from self.child.tick()
+        self.note(verdict)
+        return verdict
 
 
-class RunOnce(OneChild):
+class RunOnce(Gate):
     """The child to its end, once; after that skipped, or with then_skip="false" the same outcome again."""
 
     PORTS: ClassVar = {"then_skip": PortInformation(bool, default_value=True)}
@@ -84,16 +86,17 @@ class RunOnce(OneChild):
     def runs(self) -> bool:  # type: ignore[override]  # here it depends on what was done
         return self._outcome is SKIPPED
 
-    def decide(self) -> Ticking:
-        if not self.runs:
-            return SKIPPED if self.ports.get("then_skip") else self._outcome
-        verdict = yield from self.child.tick()
-        if verdict in DONE:
-            self._outcome = verdict
-        return verdict
+    def is_due(self) -> bool:
+        return self.runs
+
+    def instead(self) -> Status:
+        return SKIPPED if self.ports.get("then_skip") else self._outcome
+
+    def note(self, verdict: Status) -> None:
+        self._outcome = verdict if verdict in DONE else SKIPPED
 
 
-class Timed(OneChild):
+class Timed(Gate):
     """A decorator that looks at the clock; the time counts from the tick in which it begins."""
 
     port: ClassVar[str]
@@ -105,12 +108,16 @@ class Timed(OneChild):
         if ports.is_literal(self.port) and ports.get(self.port) < 0:
             raise PortError(f"the port {self.port!r} takes no negative number, as {ports.get(self.port)} is")
 
-    def is_over(self) -> bool:
+    def is_due(self) -> bool:
         """Begin if need be, and tell whether the time is over."""
         now = self.ports.clock()
         if self._since is None:
             self._since = now
         return bool(now - self._since >= self.ports.get(self.port) / 1000 - 1e-9)
+
+    def note(self, verdict: Status) -> None:
+        if verdict in DONE:
+            self.forget()
 
 
 class Delay(Timed):
@@ -118,14 +125,6 @@ class Delay(Timed):
 
     port = "delay_msec"
     PORTS: ClassVar = {"delay_msec": PortInformation(int)}
-
-    def decide(self) -> Ticking:
-        if not self.is_over():
-            return RUNNING
-        verdict = yield from self.child.tick()
-        if verdict in DONE:
-            self.forget()
-        return verdict
 
 
 class Timeout(Timed):
@@ -136,20 +135,18 @@ class Timeout(Timed):
     FORGETS = ("_since", "_is_spent")
     _is_spent = False
 
-    def decide(self) -> Ticking:
-        if self.is_over() and not self._is_spent and self.ports.get("msec") > 0:
-            self._is_spent = True
-            if self.child.status is RUNNING:
-                self.child.reset()
-                self.forget()
-                return FAILURE
-        verdict = yield from self.child.tick()
-        if verdict in DONE:
-            self.forget()
-        return verdict
+    def is_due(self) -> bool:
+        is_late = super().is_due() and not self._is_spent and self.ports.get("msec") > 0
+        self._is_spent |= is_late
+        return not (is_late and self.child.status is RUNNING)
+
+    def instead(self) -> Status:
+        self.child.reset()
+        self.forget()
+        return FAILURE
 
 
-class Precondition(OneChild):
+class Precondition(Gate):
     """The child if a script says so, which is asked until it has begun; otherwise what `else` says."""
 
     PORTS: ClassVar = {"if": PortInformation(str), "else": PortInformation(Outcome, default_value=Outcome.FAILURE)}
@@ -160,34 +157,34 @@ class Precondition(OneChild):
         super().__init__(name, slots, ports)
         self._condition = parse_script(ports.get("if"))
 
-    def decide(self) -> Ticking:
-        otherwise: Status = self.ports.get("else").value
+    def is_due(self) -> bool:
         self._is_begun = self._is_begun or truth(self._condition(self.ports.blackboard))
-        if not self._is_begun:
-            return otherwise
-        verdict = yield from self.child.tick()
+        return self._is_begun
+
+    def instead(self) -> Status:
+        return Status(self.ports.get("else").value)
+
+    def note(self, verdict: Status) -> None:
         self._is_begun = verdict not in DONE
-        return verdict
 
 
-class _Updated(OneChild):
+class _Updated(Gate):
     """The child, to its end, each time that an entry was written since this asked last; else SKIPPED, or RUNNING."""
 
     PORTS: ClassVar = {"entry": PortInformation(object)}
     FORGETS = ("_goes_on",)
     runs = False
-    instead: ClassVar[Status]
     _goes_on = False
     _version = 0
 
-    def decide(self) -> Ticking:
+    def is_due(self) -> bool:
+        before = self._version
         if not self._goes_on:
-            before, self._version = self._version, self.ports.version("entry", self._version)
-            if self._version == before:
-                return self.instead
-        verdict = yield from self.child.tick()
+            self._version = self.ports.version("entry", before)
+        return self._goes_on or self._version != before
+
+    def note(self, verdict: Status) -> None:
         self._goes_on = verdict is RUNNING
-        return verdict
 
 
 class _Loop(OneChild):
@@ -222,18 +219,25 @@ class _Loop(OneChild):
         return FAILURE if verdict is FAILURE else RUNNING
 
 
-def _loop(name: str, of: type) -> type[_Loop]:
+_LOOPS: Final = {"Int": int, "Double": float, "Bool": bool, "String": str}
+
+
+def _loop(of: type) -> dict[str, Any]:
     ports = {"queue": PortInformation(object), "value": PortInformation(of, required=False)}
-    ports["if_empty"] = PortInformation(Outcome, default_value=Outcome.SUCCESS)
-    return type(name, (_Loop,), {"PORTS": ports, "of": of})
+    return {"of": of, "PORTS": {**ports, "if_empty": PortInformation(Outcome, default_value=Outcome.SUCCESS)}}
 
 
-_LOOPS: Final = {"LoopInt": int, "LoopDouble": float, "LoopBool": bool, "LoopString": str}
-DECORATORS: Final[dict[str, type[OneChild]]] = {
-    **{tag: type(tag, (_Translated,), {"outcomes": outcomes}) for tag, outcomes in _TRANSLATED.items()},
-    **{kind.__name__: kind for kind in (Repeat, RetryUntilSuccessful, RunOnce, Delay, Timeout, Precondition)},
-    "SkipUnlessUpdated": type("SkipUnlessUpdated", (_Updated,), {"instead": SKIPPED}),
-    "WaitValueUpdate": type("WaitValueUpdate", (_Updated,), {"instead": RUNNING}),
-    **{name: _loop(name, of) for name, of in _LOOPS.items()},
+_KINDS: Final[dict[str, tuple[type[OneChild], dict[str, Any]]]] = {
+    "Inverter": (_Translated, {"outcomes": {SUCCESS: FAILURE, FAILURE: SUCCESS}}),
+    "ForceSuccess": (_Translated, {"outcomes": {FAILURE: SUCCESS}}),
+    "ForceFailure": (_Translated, {"outcomes": {SUCCESS: FAILURE}}),
+    "KeepRunningUntilFailure": (_Translated, {"outcomes": {SUCCESS: RUNNING, SKIPPED: RUNNING}}),
+    "Repeat": (_Again, _again(SUCCESS, "num_cycles")),
+    "RetryUntilSuccessful": (_Again, _again(FAILURE, "num_attempts")),
+    **{kind.__name__: (kind, {}) for kind in (RunOnce, Delay, Timeout, Precondition)},
+    "SkipUnlessUpdated": (_Updated, {"instead": lambda self: SKIPPED}),
+    "WaitValueUpdate": (_Updated, {}),
+    **{f"Loop{name}": (_Loop, _loop(of)) for name, of in _LOOPS.items()},
 }
+DECORATORS: Final[dict[str, type[OneChild]]] = {tag: type(tag, (base,), how) for tag, (base, how) in _KINDS.items()}
 """By tag."""

@@ -2,9 +2,10 @@
 
 from typing import ClassVar, Final
 
+from py_trees.common import Status
 from py_trees.ports import PortInformation
 
-from rosa_bt.xml.decorators import Timed
+from rosa_bt.xml.decorators import Gate, Timed
 from rosa_bt.xml.nodes import DONE, FAILURE, RUNNING, SKIPPED, SUCCESS, Control, OneChild, Ticking
 
 
@@ -81,64 +82,65 @@ class RoundRobin(Control):
         return self.end(SKIPPED if skipped == len(slots) else FAILURE)
 
 
-class RateController(Timed):
-    """The child at its start, while it is running, and when a period has passed since it last succeeded."""
-
-    port = "hz"
-    PORTS: ClassVar = {"hz": PortInformation(float, default_value=10.0)}
-    _is_first = True
-
-    def initialise(self) -> None:
-        self._is_first, self._since = True, self.ports.clock()
-
-    def is_over(self) -> bool:
-        frequency: float = self.ports.get("hz")
-        return self._since is not None and (self.ports.clock() - self._since) * frequency >= 1 - 1e-9
-
-    def decide(self) -> Ticking:
-        if not (self._is_first or self.child.status is RUNNING or self.is_over()):
-            return RUNNING
-        self._is_first = False
-        verdict = yield from self.child.tick()
-        if verdict is SUCCESS:
-            self._since = self.ports.clock()
-        return verdict
-
-
-class SingleTrigger(OneChild):
-    """The child to its end, once until this node is reset; FAILURE after that."""
+class _Anew(Gate):
+    """A gate that is open when this node starts."""
 
     _is_first = True
 
     def initialise(self) -> None:
         self._is_first = True
 
-    def decide(self) -> Ticking:
-        if not self._is_first:
-            return FAILURE
-        verdict = yield from self.child.tick()
+    def is_due(self) -> bool:
+        is_due, self._is_first = self._is_first or self.child.status is RUNNING or self.is_asked_for(), False
+        return is_due
+
+    def is_asked_for(self) -> bool:
+        return False
+
+
+class RateController(_Anew, Timed):
+    """The child at its start, while it is running, and when a period has passed since it last succeeded."""
+
+    port = "hz"
+    PORTS: ClassVar = {"hz": PortInformation(float, default_value=10.0)}
+
+    def initialise(self) -> None:
+        super().initialise()
+        self._since = self.ports.clock()
+
+    def is_asked_for(self) -> bool:
+        frequency: float = self.ports.get("hz")
+        return self._since is not None and (self.ports.clock() - self._since) * frequency >= 1 - 1e-9
+
+    def note(self, verdict: Status) -> None:
+        if verdict is SUCCESS:
+            self._since = self.ports.clock()
+
+
+class SingleTrigger(_Anew):
+    """The child to its end, once until this node is reset; FAILURE after that."""
+
+    def instead(self) -> Status:
+        return FAILURE
+
+    def note(self, verdict: Status) -> None:
         self._is_first = verdict not in DONE
-        return verdict
 
 
-class GoalUpdatedController(OneChild):
+class GoalUpdatedController(_Anew):
     """The child at its start, while it is running, and when `goal` or `goals` has changed."""
 
     PORTS: ClassVar = {name: PortInformation(object, required=False) for name in ("goal", "goals")}
-    _known_goals: object = None
-    _is_due = True
+    _known: object = None
 
     def initialise(self) -> None:
-        self._is_due, self._known_goals = True, self._goals()
+        super().initialise()
+        self._known = self._goals()
 
-    def decide(self) -> Ticking:
-        goals = self._goals()
-        if goals != self._known_goals:
-            self._is_due, self._known_goals = True, goals
-        if not (self._is_due or self.child.status is RUNNING):
-            return RUNNING
-        self._is_due = False
-        return (yield from self.child.tick())
+    def is_due(self) -> bool:
+        known, self._known = self._known, self._goals()
+        self._is_first |= known != self._known
+        return super().is_due()
 
     def _goals(self) -> list[object]:
         return [self.ports.get(name) if self.ports.exists(name) else None for name in ("goal", "goals")]

@@ -179,9 +179,10 @@ class XmlNode(Behaviour):
         self.reset_children()
         return verdict
 
-    def reset_children(self) -> None:
+    def reset_children(self, but: Slot | None = None) -> None:
         for slot in self.slots:
-            slot.reset()
+            if slot is not but:
+                slot.reset()
 
     def _take(self, slots: Sequence[Slot], ports: Ports) -> None:
         self._slots = list(slots)
@@ -195,6 +196,11 @@ class Control(XmlNode, Composite):
     def __init__(self, name: str, slots: Sequence[Slot], ports: Ports) -> None:
         Composite.__init__(self, name, [slot.node for slot in slots])
         self._take(slots, ports)
+
+    def tip(self) -> Behaviour | None:
+        """Return the node that has decided last: below the last child that has the outcome of this one."""
+        deciding = [child for child in self.children if child.status is self.status]
+        return deciding[-1].tip() if deciding and self.status is not SKIPPED else Behaviour.tip(self)
 
 
 class OneChild(XmlNode, Decorator):
