@@ -78,7 +78,7 @@ def test_page_that_is_open_for_days_lets_go_of_what_is_old_but_not_of_what_holds
         pytest.skip("node is not here")
     program = f"""
         import {{ Run }} from "{(PAGE / "src" / "run.js").as_uri()}";
-        const run = new Run({{ header: {{ live: true }}, rows: [[0, "status", 0, "feasible"]] }});
+        const run = new Run({{ header: {{}}, rows: [[0, "status", 0, "feasible"]] }}, 200_000);
         run.add([[0, "action", 1, {{ end: null }}], [1, "adaptation", 1, {{ t: 1 }}]]);
         for (let i = 0; i < 1_000_000; i += 1) run.add([[i / 10, "value", 0, i]]);
         const held = ["status", "value"].map((track) => run.of(track, 0).at(run.start));

@@ -360,6 +360,16 @@ def test_what_was_printed_has_every_node_and_is_light(visits):
     assert page.evaluate("() => getComputedStyle(document.body).backgroundColor") != "rgb(13, 17, 20)"
 
 
+def test_report_that_a_live_view_wrote_claims_no_knowledge_base_to_ask(visits):
+    header = recorded("suave_extended").header | {"live": True, "manager": ""}
+    runs = [{"header": header, "rows": recorded("suave_extended").rows}]
+    text = page_of({"version": 1, "runs": runs, "differences": [], "live": None, "note": "cut off at 300 s"}, "live")
+    page = visits.show(visits.file(text))
+    assert "Of the cases stored" in page.locator("#whatif").inner_text()
+    assert "manager" not in page.locator(".head").inner_text()
+    assert page.get_by_role("alert").inner_text() == "cut off at 300 s"
+
+
 @pytest.fixture
 def running(tmp_path):
     """The extended mission, while it runs."""

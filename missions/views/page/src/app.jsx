@@ -85,7 +85,8 @@ function Sides() {
 
 function Head({ note }) {
   const { title, words, task, manager, seed } = run.value.header;
-  const facts = [words, task && `task layer: ${task}`, manager !== "ours" && `manager: ${manager}`, seed !== null && `seed ${seed}`];
+  const other = manager !== "ours" && manager && `manager: ${manager}`;
+  const facts = [words, task && `task layer: ${task}`, other, seed !== null && `seed ${seed}`];
   const isDark = theme.value === "dark";
   return (
     <header class="head">

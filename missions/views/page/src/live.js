@@ -4,7 +4,7 @@ import { readLink } from "./link.js";
 import { Run } from "./run.js";
 import { isFollowing, revision, run, runs, time } from "./state.js";
 
-const PAST = 20_000; // rows the server gives in one answer
+const [PAST, MOST] = [20_000, 200_000]; // rows the server gives in one answer, and rows to keep
 const PATIENCE_MS = [500, 1000, 2000, 4000, 8000];
 export const connection = signal("none"); // none (a report), connecting, connected, lost, refused
 export const dropped = signal(0);
@@ -45,7 +45,7 @@ function greet({ hello, rows, now, first, next, may: allowed, state: is }) {
   const isSameRun = JSON.stringify(run.value?.header) === JSON.stringify(hello) && run.value.next <= next;
   const known = isSameRun ? run.value.next : first;
   if (isSameRun) run.value.add(rows);
-  else runs.value = [new Run({ header: hello, rows })];
+  else runs.value = [new Run({ header: hello, rows }, MOST)];
   if (!isSameRun) isFollowing.value = !readLink();
   run.value.next = next;
   may.value = allowed;

@@ -1,4 +1,4 @@
-// Plays what is past, as fast as asked for, until the end or until somebody moves the instant.
+// Plays what is past, as fast as asked for, until the end.
 import { effect, signal } from "@preact/signals";
 import { end, isFollowing, seek, start, time } from "./state.js";
 

@@ -1,9 +1,7 @@
-// A run is its header and rows [t, track, key, value]: from t on, the value of that key of that track. Nothing else is known
-// of it, in a report as live; what there is at an instant is the last value of each key.
+// A run is its header and rows [t, track, key, value]: from t on, that key of that track has that value, until the next.
 import { Track } from "./track.js";
 
 const EMPTY = new Track();
-const MOST = 200_000; // rows of a mission that still runs; then what is older than the middle is let go of
 const NUMBERED = new Set(["event", "action", "plan", "attempt", "taskplan", "adaptation", "whatif", "disturbance", "problem"]);
 
 export class Run {
@@ -14,8 +12,9 @@ export class Run {
   moments = new Track(); // when anything was decided or became known
   amended = new Track(); // when there came to be other elements
 
-  constructor({ header, rows }) {
-    this.header = header;
+  /** Of a mission that still runs, what is older than its middle is let go of after `most` rows. */
+  constructor({ header, rows }, most = Infinity) {
+    Object.assign(this, { header, most });
     this.add(rows);
   }
 
@@ -30,7 +29,7 @@ export class Run {
       this.reach(t);
     }
     this.#count += rows.length;
-    if (this.header.live && this.#count > MOST) this.#forget((this.start + this.end) / 2);
+    if (this.#count > this.most) this.#forget((this.start + this.end) / 2);
   }
 
   /** Let go of what was before t, but for what holds then. */
@@ -38,7 +37,7 @@ export class Run {
     for (const [track, keys] of this.#tracks) {
       for (const [key, one] of keys) {
         one.forget(t);
-        if (NUMBERED.has(track) && one.times.at(-1) < t && one.last.end !== null) keys.delete(key);
+        if (NUMBERED.has(track) && one.times.at(-1) < t && one.last?.end !== null) keys.delete(key);
       }
     }
     this.moments.forget(t);

@@ -116,7 +116,7 @@ export function Tree() {
   );
   const View = isDrawn.value ? Graph : Outline;
   return (
-    <Panel id="tree" title={`Tree · ${nodes.value.length} nodes`} aside={aside}>
+    <Panel id="tree" title={`Tree · ${nodes.value.length} node${nodes.value.length === 1 ? "" : "s"}`} aside={aside}>
       {nodes.value.length > 0 ? <View /> : <p class="body muted">No tree at this instant.</p>}
       <Plan />
       <Chosen />

@@ -2,14 +2,14 @@
 import { signal } from "@preact/signals";
 import { useEffect } from "preact/hooks";
 import { clock, extent, figure, withUnit } from "./format.js";
-import { answer, ask, may, order } from "./live.js";
+import { answer, ask, connection, may, order } from "./live.js";
 import { Mark, Panel } from "./parts.jsx";
 import { at, elements, revision, run, time } from "./state.js";
 
 const STEPS = 200; // of a slider
 const OWN = new Set(["action", "function", "component", "function design", "configuration"]); // whose statuses are told
 const moved = signal({}); // values by attribute; in a report one at a time
-const isLive = () => run.value.header.live;
+const isLive = () => connection.value !== "none";
 const nameOf = (element) => (element === null ? "nothing" : run.value.name(element));
 const limitsOf = ({ thresholds }) => thresholds.map((one) => run.value.element(one).value);
 
