@@ -5,7 +5,7 @@ What is made follows ROSA's convention: a type `action` with one object for each
 """
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from decimal import Decimal
 from typing import Any, Final
 
@@ -13,7 +13,7 @@ from rosa_pddl.domain import ACTION_TYPE, FEASIBLE, Domain, UpThing
 from rosa_pddl.exceptions import PddlError, nearest
 from rosa_pddl.problem import limits_of
 from rosa_pddl.reader import build_domain
-from rosa_pddl.syntax import Node, Source, listed, parse, typed
+from rosa_pddl.syntax import Node, Source, formula, listed, typed
 
 _CONNECTIVES: Final = frozenset({"and", "or", "not", "imply", "when"})
 _NUMERIC: Final = frozenset({"<", ">", "<=", ">=", "assign", "increase", "decrease", "scale-up", "scale-down"})
@@ -323,11 +323,7 @@ def _parsed(text: str, place: str) -> Node:
     """Return a formula, which stands at no line of a file."""
     if not text.strip().startswith("("):
         raise PddlError(f"found {text!r}, expected a formula such as '({text.strip() or 'lit ?room'})'", place)
-    return _unplaced(parse(text, f"{place}, in {text!r}").root)
-
-
-def _unplaced(node: Node) -> Node:
-    return replace(node, children=tuple(map(_unplaced, node.children)), line=0, column=0)
+    return formula(text, f"{place}, in {text!r}")
 
 
 def _typed(node: Node, place: str) -> _Scope:

@@ -331,7 +331,7 @@ def translated(
     up_problem, usage = _instantaneous(domain)
     kept = [atom for atoms in (alive or {}).values() for atom in atoms]
     task = fast_downward.translate(
-        fast_downward.written_domain(domain, up_problem, alive),
+        fast_downward.written_domain(up_problem, alive),
         fast_downward.written_problem(problem, problem.wanted if alive is None else None, kept),
         process,
         limit_s=limit_s,

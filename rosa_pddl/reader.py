@@ -352,7 +352,6 @@ class _ActionReader:
         self._resources, self._name, self._has_cost = resources, name, has_cost
         parameter = formulas.manager.ParameterExp
         self._scope = {f"?{one.name}": parameter(one) for one in action.parameters}
-        self._added: set[str] = set()
         self.cost: UpThing = None
 
     def read(self, schema: Node, parts: Mapping[str, Node]) -> None:
@@ -428,7 +427,7 @@ class _ActionReader:
             self._action.add_effect(*when, fluent, not is_deleted, holds, forall=variables)
 
     def _read_increase(self, node: Node, when: tuple[UpThing, ...]) -> None:
-        """Read what an action costs, or uses up of a resource: once each, and what is fixed before."""
+        """Read what an action costs, or uses up of a resource, as far as that is fixed before; several add up."""
         formulas, place = self._formulas, self._name
         if len(node.children) != 3 or not node.children[1].head:
             raise self._source.error(node, f"found {start_of(node)!r}, expected (increase (NAME) AMOUNT)")
@@ -440,14 +439,10 @@ class _ActionReader:
             what = "costs are" if is_cost else "uses are"
             message = f"{start_of(node)!r} in {place} is less than nothing; {what} 0 or more"
             raise self._source.unsupported(node, message)
-        if target.head in self._added:
-            what = "cost" if is_cost else "use"
-            raise self._source.error(node, f"found a second {what} {start_of(node)!r}, expected one; add them up")
-        self._added.add(target.head)
         _check_amount(formulas, self._resources, amount, node, place, is_sum=not is_cost)
         value = formulas.number(amount, self._scope)
         if is_cost:
-            self.cost = value
+            self.cost = value if self.cost is None else formulas.manager.Plus(self.cost, value)
         else:
             self._action.add_increase_effect(*when, formulas.atom(target, self._scope), value)
 

@@ -1,16 +1,17 @@
 """When to plan anew, the dialogue with the planner, and why there is no plan."""
 
 import logging
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 from math import inf
-from typing import Literal, Protocol
+from typing import Literal, Protocol, TypeAlias
 
 from rosa_pddl.belief import ExpectedEffects
 from rosa_pddl.domain import Domain, State, Step
 from rosa_pddl.exceptions import PlannerSettingError, PlanningBudgetError
+from rosa_pddl.formulas import Condition
 from rosa_pddl.goals import Goal, Goals, PlanningTask, Relevance
 from rosa_pddl.outcomes import Outcome, PlanningResult
 from rosa_pddl.plan_monitor import PlanExecution, PlanMonitor
@@ -243,64 +244,64 @@ class PlannerClient:
             return PlanningResult(Outcome.ENGINE_CRASHED, engine=engine, message=f"{type(error).__name__}: {error}")
 
 
-class Diagnosis:
-    """Further questions to the planner after it found no plan, and what their answers say.
+Diagnosis: TypeAlias = Generator[Problem, PlanningResult, list[str]]
+"""Yields what to ask a planner next, is sent the answer, and returns sentences in the end."""
 
-    First each goal alone, if there are several; then all of them, were every action feasible, or nothing limited.
+
+def diagnosis(problem: Problem, goals: Sequence[Condition | Goal], *, is_thorough: bool = False) -> Diagnosis:
+    """Ask on after there was no plan for goals, and return why, as far as the planner knows.
+
+    First each goal alone, if there are several; then all of them, were every action feasible, or nothing limited. A
+    thorough one asks of which actions alone that would be enough, or which of them cannot be spared.
     """
+    domain, found = problem.domain, list[str]()
+    answered = [(str(goals[0]), Outcome.UNSOLVABLE_PROVEN)] if len(goals) == 1 else []
+    for goal in goals if len(goals) > 1 else ():
+        answered.append((goal.text, (yield replace(problem, goals=(goal.expression,))).outcome))
+    found += _of_singles(answered)
+    feasible = {one: domain.feasible_atom(one) for one in domain.rosa_actions if domain.tracks_feasibility}
+    out = {name: atom for name, atom in feasible.items() if atom not in problem.state}
+    if out:
+        outcome = (yield replace(problem, state=problem.state.union(out.values()))).outcome
+        if outcome.is_solved:
+            needed = (yield from _needed(problem, out)) if is_thorough else ""
+            found.append(f"unfeasible now: {', '.join(out)}; there would be a plan if {needed or 'they'} were feasible")
+        elif not outcome.is_trouble:
+            found.append("there would be no plan even if every action were feasible")
+    if limited := ", ".join(resource.name for resource in domain.limited):
+        outcome = (yield replace(problem, domain=unlimited(domain))).outcome
+        if not outcome.is_trouble:
+            would = "would" if outcome.is_solved else "would not"
+            found.append(f"there {would} be a plan without the limits of {limited}")
+    return found
 
-    def __init__(self, problem: Problem, goals: Sequence[Goal], why: str, *, is_open: bool) -> None:
-        domain, state, costs = problem.domain, problem.state, problem.costs
-        self.problem, self._why, self._is_open = problem, why, is_open
-        self._singles = goals if len(goals) > 1 else ()
-        feasible = {domain.feasible_atom(one): one for one in domain.rosa_actions if domain.tracks_feasibility}
-        self._unfeasible = ", ".join(name for atom, name in feasible.items() if atom not in state)
-        self._limited = ", ".join(resource.name for resource in domain.limited)
-        wanted = tuple(goal.expression for goal in goals)
-        self._questions = [Problem(domain, state, (goal.expression,), costs) for goal in self._singles]
-        if self._unfeasible:
-            self._questions.append(Problem(domain, state.union(feasible), wanted, costs))
-        if self._limited:
-            self._questions.append(Problem(unlimited(domain), state, wanted, costs))
-        self._answers: list[Outcome] = []
 
-    @property
-    def next_question(self) -> Problem | None:
-        """What to ask next; None if enough is known, or it was the planner that failed."""
-        asked = len(self._answers)
-        return self._questions[asked] if self._is_open and asked < len(self._questions) else None
+def _needed(problem: Problem, out: Mapping[str, str]) -> Generator[Problem, PlanningResult, str]:
+    """Find the actions, given with their atoms, of which one is enough, or else several that are all needed."""
+    single = []
+    for name, atom in out.items():
+        if (yield replace(problem, state=problem.state | {atom})).outcome.is_solved:
+            single.append(name)
+    needed = dict(out)
+    for name in out if not single else ():
+        fewer = {other: atom for other, atom in needed.items() if other != name}
+        if (yield replace(problem, state=problem.state.union(fewer.values()))).outcome.is_solved:
+            needed = fewer
+    return " or ".join(single) or " and ".join(needed)
 
-    def answer(self, result: PlanningResult) -> None:
-        self._answers.append(result.outcome)
 
-    def __str__(self) -> str:
-        if not self._is_open:
-            return self._why
-        answers = iter(self._answers)
-        parts = [self._why, *self._of_singles([(goal.text, next(answers)) for goal in self._singles])]
-        if self._unfeasible:
-            if (outcome := next(answers)).is_solved:
-                parts.append(f"unfeasible now: {self._unfeasible}; there would be a plan if they were feasible")
-            elif not outcome.is_trouble:
-                parts.append("there would be no plan even if every action were feasible")
-        if self._limited and not (outcome := next(answers)).is_trouble:
-            are = "would" if outcome.is_solved else "would not"
-            parts.append(f"there {are} be a plan without the limits of {self._limited}")
-        return "; ".join(parts)
-
-    @staticmethod
-    def _of_singles(answered: Sequence[tuple[str, Outcome]]) -> Iterator[str]:
-        if answered and all(outcome.is_solved for _, outcome in answered):
-            yield "each goal can be reached alone, but not all together"
-            return
-        for words, is_so in (
-            ("out of reach", lambda outcome: not outcome.is_solved and not outcome.is_trouble),
-            ("in reach alone", lambda outcome: outcome.is_solved),
-            ("not known", lambda outcome: outcome.is_trouble),
-        ):
-            texts = [text for text, outcome in answered if is_so(outcome)]
-            if texts:
-                yield f"{words}: {', '.join(texts)}"
+def _of_singles(answered: Sequence[tuple[str, Outcome]]) -> Iterator[str]:
+    if answered and all(outcome.is_solved for _, outcome in answered):
+        yield "each goal can be reached alone, but not all together"
+        return
+    for words, is_so in (
+        ("out of reach", lambda outcome: not outcome.is_solved and not outcome.is_trouble),
+        ("in reach alone", lambda outcome: outcome.is_solved),
+        ("not known", lambda outcome: outcome.is_trouble),
+    ):
+        texts = [text for text, outcome in answered if is_so(outcome)]
+        if texts:
+            yield f"{words}: {', '.join(texts)}"
 
 
 @dataclass(frozen=True)
@@ -369,7 +370,7 @@ class Replanning:
         self._relevance = Relevance(effects.domain, goals)
         self._last_asked_s: float | None = None
         self._wanted: Decision | None = None
-        self._diagnosis: Diagnosis | None = None
+        self._diagnosis: tuple[Problem, str, Diagnosis] | None = None
         self._asked_in = effects.domain
         self._dead_end: _DeadEnd | None = None
         self._was_stale = False
@@ -439,9 +440,7 @@ class Replanning:
             return None
         question, result = answer
         if question.decision is None:
-            assert self._diagnosis is not None
-            self._diagnosis.answer(result)
-            self._diagnose(self._diagnosis, state)
+            self._diagnose(result, state)
             return None
         decision = question.decision
         result, promised = self._task.read(result, self._goals)
@@ -480,9 +479,13 @@ class Replanning:
                 self.want(Decision(f"{outcome} after {reason}: retry {count} of {self._policy.retries}", True))
         elif not is_fresh:
             self.want(Decision("the state changed during planning", is_needed=True))
+        elif outcome.is_trouble:
+            self._conclude(state, question.problem.costs, [why])
         else:
-            unsolved = Problem(domain, state, costs=question.problem.costs)
-            self._diagnose(Diagnosis(unsolved, self._goals.hard, why, is_open=not outcome.is_trouble), state)
+            goals = tuple(goal.expression for goal in self._goals.hard)
+            unsolved = Problem(domain, state, goals, question.problem.costs)
+            self._diagnosis = unsolved, why, diagnosis(unsolved, self._goals.hard)
+            self._diagnose(None, state)
         safe = result.safe_step
         # what keeps changing must not keep from what is safe
         is_due = (is_fresh or was_stale or outcome.is_passing) and safe not in self.setbacks.left_out
@@ -507,14 +510,20 @@ class Replanning:
             until_s = min(until_s, self._clock() + left_s)
         self._dead_end = _DeadEnd(state, self._effects.domain, numbers, why, until_s)
 
-    def _diagnose(self, diagnosis: Diagnosis, state: State) -> None:
+    def _diagnose(self, answer: PlanningResult | None, state: State) -> None:
         """Ask on, or conclude that there is no plan; when the state has changed it is better to plan anew."""
-        problem = diagnosis.problem
+        assert self._diagnosis is not None
+        problem, why, asking = self._diagnosis
         if problem.domain is not self._effects.domain or not self._is_same(problem.state, state):
-            self.want(Decision("the state changed", is_needed=True))
-        elif diagnosis.next_question is not None:
-            self._diagnosis = diagnosis
-            self._client.ask(diagnosis.next_question, None)
-        else:
             self._diagnosis = None
-            self._give_up(state, problem.costs, "; ".join(map(str, (diagnosis, *self._effects.unmet))))
+            self.want(Decision("the state changed", is_needed=True))
+            return
+        try:
+            # nothing but None may be sent to what has not begun
+            self._client.ask(next(asking) if answer is None else asking.send(answer), None)
+        except StopIteration as concluded:
+            self._diagnosis = None
+            self._conclude(state, problem.costs, [why, *concluded.value])
+
+    def _conclude(self, state: State, numbers: Mapping[str, float], why: Sequence[str]) -> None:
+        self._give_up(state, numbers, "; ".join(map(str, (*why, *self._effects.unmet))))

@@ -183,6 +183,15 @@ def parse(text: str, file: str, expected: str = "(define ...)") -> Source:
     return Source(file, root)
 
 
+def formula(text: str, file: str) -> Node:
+    """Parse a text that stands at no line of a file."""
+    return _unplaced(parse(text, file).root)
+
+
+def _unplaced(node: Node) -> Node:
+    return replace(node, children=tuple(map(_unplaced, node.children)), line=0, column=0)
+
+
 def _tokens(text: str) -> Iterator[tuple[str, int, int]]:
     line, line_start = 1, 0
     for match in _TOKEN.finditer(text):

@@ -1,6 +1,6 @@
 """What a formula, an effect and a plan mean in a state: the judge of every plan, independent of the planner."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from itertools import permutations, product
 from math import inf
@@ -306,12 +306,12 @@ def _atoms(domain: Domain, formula: UpThing, binding: Binding) -> Iterator[str]:
             yield from _atoms(domain, part, binding)
 
 
-def text_of(domain: Domain, formula: UpThing, binding: Binding, name: Callable[[str], str] | None = None) -> str:
+def text_of(domain: Domain | None, formula: UpThing, binding: Binding) -> str:
     """Return a formula as PDDL text, its parameters replaced by what they are bound to.
 
-    It is in the names of the files, or in what is made of the names of unified-planning's problem.
+    It is in the names of the files, or without a domain in those of unified-planning's problem.
     """
-    name = name or domain.outside.__getitem__
+    name = str if domain is None else domain.outside.__getitem__
     if formula.is_parameter_exp():
         return binding.get(formula.parameter().name, f"?{formula.parameter().name}")
     if formula.is_variable_exp():
@@ -320,7 +320,9 @@ def text_of(domain: Domain, formula: UpThing, binding: Binding, name: Callable[[
         return name(formula.object().name)
     if formula.is_bool_constant():
         return "(and)" if formula.is_true() else "(or)"
-    parts = [text_of(domain, part, binding, name) for part in formula.args]
+    if formula.is_constant():
+        return str(formula.constant_value())
+    parts = [text_of(domain, part, binding) for part in formula.args]
     if formula.is_iff():
         return f"(and (imply {parts[0]} {parts[1]}) (imply {parts[1]} {parts[0]}))"
     if formula.is_fluent_exp():
@@ -333,4 +335,7 @@ def text_of(domain: Domain, formula: UpThing, binding: Binding, name: Callable[[
     return "(" + " ".join([head, *parts]) + ")"
 
 
-_HEADS = {"EQUALS": "=", "IMPLIES": "imply"}
+_HEADS = {
+    **{"EQUALS": "=", "IMPLIES": "imply", "LE": "<=", "LT": "<"},
+    **{"PLUS": "+", "MINUS": "-", "TIMES": "*", "DIV": "/"},
+}

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -24,7 +24,8 @@ from rosa_pddl import (
 )
 from rosa_pddl.exceptions import nearest
 from rosa_pddl.formulas import Condition, conditions
-from rosa_pddl.problem import unlimited, without_feasibility
+from rosa_pddl.problem import without_feasibility
+from rosa_pddl.replanning import diagnosis
 
 FAILED: Final = "failed"
 
@@ -63,15 +64,14 @@ class Question:
     def unfeasible(self) -> tuple[str, ...]:
         return tuple(action for action in self.domain.rosa_actions if not self.kb.is_feasible(action))
 
-    def supposing(self, unfeasible: Iterable[str], goals: Sequence[Condition] | None = None) -> Problem:
-        """Return the problem in which just these ROSA actions are unfeasible, and perhaps something else is wanted."""
+    def supposing(self, unfeasible: Iterable[str]) -> Problem:
+        """Return the problem in which just these ROSA actions are unfeasible."""
         left_out = set(unfeasible)
         state = without_feasibility(self.domain, self.state)
         if self.domain.tracks_feasibility:
             kept = [action for action in self.domain.rosa_actions if action not in left_out]
             state |= {self.domain.feasible_atom(action) for action in kept}
-        wanted = self.goals if goals is None else goals
-        return Problem(self.domain, state, tuple(goal.expression for goal in wanted), self.numbers)
+        return Problem(self.domain, state, tuple(goal.expression for goal in self.goals), self.numbers)
 
 
 @dataclass(frozen=True)
@@ -196,8 +196,8 @@ def answer(question: Question, timeout_s: float) -> Answer:
     """
     with closing(_planner(question, timeout_s, warm=False)) as planner:
         result = planner.plan(question.problem)
-        obstacles = _Diagnosis(question, planner).obstacles() if _is_unsolvable(result) else []
-        return Answer(question, result, tuple(obstacles))
+        has_proof = not result.outcome.is_solved and not result.outcome.is_trouble
+        return Answer(question, result, _obstacles(question, planner) if has_proof else ())
 
 
 def certified(question: Question, timeout_s: float, failures: int | None) -> Certificate:
@@ -212,67 +212,12 @@ def _planner(question: Question, timeout_s: float, *, warm: bool) -> Planner:
     return Planner(engine, timeout_s, warm=warm, fallback=fallback)
 
 
-class _Diagnosis:
-    """Why there is no plan, by planning for less, with more being feasible, and without limits.
-
-    What the planner cannot answer in its time is not told.
-    """
-
-    def __init__(self, question: Question, planner: Planner) -> None:
-        self._question, self._plan = question, planner.plan
-
-    def obstacles(self) -> list[str]:
-        question, out = self._question, self._question.unfeasible
-        own = question.why_not()
-        known = [own] if own else []
-        if not out:
-            return [self._unreachable(out, "whatever is done"), *known]
-        if _is_unsolvable(self._plan(question.supposing(()))):
-            return [self._unreachable((), "even if every action were feasible"), *known]
-        if needed := self._needed():
-            known.append(f"there would be a plan if {needed} were feasible")
-        return [self._unreachable(out, "as it is"), *known]
-
-    def _unreachable(self, unfeasible: Sequence[str], how: str) -> str:
-        """Say what cannot be reached while these actions are unfeasible, and whether that is for the limits."""
-        question = self._question
-        limits = _listed([resource.name for resource in question.domain.limited], "and")
-        if limits:
-            free = replace(question, domain=unlimited(question.domain))
-            result = self._plan(free.supposing(unfeasible))
-            if result.outcome.is_solved:
-                how = f"{how} within the limits of {limits}"
-            elif _is_unsolvable(result):
-                question, how = free, f"{how}, with or without the limits of {limits}"
-        goals = question.goals
-        lost = [one for one in goals if _is_unsolvable(self._plan(question.supposing(unfeasible, [one])))]
-        if lost:
-            return f"{_listed(list(map(str, lost)), 'and')} cannot be reached, {how}"
-        if len(goals) > 1:
-            return f"each part of the goal may be reached by itself, but not all of them together, {how}"
-        return f"the goal cannot be reached, {how}"
-
-    def _needed(self) -> str:
-        """Return the unfeasible actions of which one is enough; or else several, none of which can be spared."""
-        out = self._question.unfeasible
-
-        def enough(feasible: Sequence[str]) -> bool:
-            left_out = [action for action in out if action not in feasible]
-            return self._plan(self._question.supposing(left_out)).outcome.is_solved
-
-        single = [action for action in out if enough([action])]
-        if single or not enough(out):
-            return _listed(single, "or")
-        needed = list(out)
-        for action in out:
-            fewer = [one for one in needed if one != action]
-            needed = fewer if enough(fewer) else needed
-        return _listed(needed, "and")
-
-
-def _is_unsolvable(result: PlanningResult) -> bool:
-    return not result.outcome.is_solved and not result.outcome.is_trouble
-
-
-def _listed(names: Sequence[str], word: str) -> str:
-    return "".join(names) if len(names) < 2 else f"{', '.join(names[:-1])} {word} {names[-1]}"
+def _obstacles(question: Question, planner: Planner) -> tuple[str, ...]:
+    """Return why there is no plan; what the planner cannot answer in its time is not told."""
+    asking = diagnosis(question.problem, question.goals, is_thorough=True)
+    try:
+        asked = next(asking)
+        while True:
+            asked = asking.send(planner.plan(asked))
+    except StopIteration as concluded:
+        return tuple(filter(None, (*concluded.value, question.why_not())))

@@ -179,7 +179,7 @@ def translator() -> Path | None:
 # dropped afterwards.
 
 
-def written_domain(domain: Domain, up_problem: UpThing, alive: Collection[str] | None) -> str:
+def written_domain(up_problem: UpThing, alive: Collection[str] | None) -> str:
     """Write the domain file, with the instantaneous actions of `up_problem`, some of whose predicates are kept alive.
 
     None writes what is planned once only.
@@ -192,7 +192,7 @@ def written_domain(domain: Domain, up_problem: UpThing, alive: Collection[str] |
     kept = [fluent for fluent in predicates if fluent.name in (alive or ())]
     signatures += [f"({_MAY}{fluent.name} {_typed(fluent.signature)})" for fluent in kept]
     parts.append(f"(:predicates ({_DONE}) {' '.join(signatures)})")
-    parts += [_action(domain, action) for action in up_problem.actions]
+    parts += [_action(action) for action in up_problem.actions]
     if alive is not None:
         parts += [_keeper(fluent) for fluent in kept]
         parts.append(_as_action(_FINISH, (), "(and)", f"({_DONE})"))
@@ -204,7 +204,7 @@ def written_problem(problem: Problem, goals: Iterable[UpThing] | None, alive: It
     domain = problem.domain
     facts = [_inside(domain, atom) for atom in sorted(problem.state)]
     facts += [f"({_MAY}{_inside(domain, atom)[1:]}" for atom in alive]
-    goal = f"({_DONE})" if goals is None else f"(and {' '.join(_formula(domain, goal) for goal in goals)})"
+    goal = f"({_DONE})" if goals is None else f"(and {' '.join(map(formula_of, goals))})"
     return "\n".join(["(define (problem p) (:domain d) (:init", *facts, f") (:goal {goal}))"])
 
 
@@ -224,9 +224,9 @@ def _keeper(fluent: UpThing) -> str:
     return _as_action(_KEEP + fluent.name, fluent.signature, f"({_MAY}{atom}", f"({atom}")
 
 
-def _action(domain: Domain, action: UpThing) -> str:
-    conditions = " ".join(_formula(domain, condition) for condition in action.preconditions)
-    effects = " ".join(text for effect in action.effects for text in _effect(domain, effect))
+def _action(action: UpThing) -> str:
+    conditions = " ".join(map(formula_of, action.preconditions))
+    effects = " ".join(text for effect in action.effects for text in literals_of(effect))
     return _as_action(action.name, action.parameters, f"(and {conditions})", f"(and {effects})")
 
 
@@ -234,23 +234,25 @@ def _as_action(name: str, parameters: Iterable[UpThing], precondition: str, effe
     return f"(:action {name} :parameters ({_typed(parameters)}) :precondition {precondition} :effect {effect})"
 
 
-def _effect(domain: Domain, effect: UpThing) -> Iterator[str]:
+def literals_of(effect: UpThing) -> Iterator[str]:
+    """Write what an effect makes true and what it makes false, on their conditions; nothing for a number."""
     if not effect.fluent.type.is_bool_type():
         return
-    atom, value = _formula(domain, effect.fluent), effect.value
+    atom, value = formula_of(effect.fluent), effect.value
     for truth, literal in ((True, atom), (False, f"(not {atom})")):
-        needed = [] if effect.condition.is_true() else [_formula(domain, effect.condition)]
+        needed = [] if effect.condition.is_true() else [formula_of(effect.condition)]
         if value.is_bool_constant():
             if bool(value.constant_value()) is not truth:
                 continue
         else:
-            needed.append(_formula(domain, value) if truth else f"(not {_formula(domain, value)})")
+            needed.append(formula_of(value) if truth else f"(not {formula_of(value)})")
         text = f"(when (and {' '.join(needed)}) {literal})" if needed else literal
         yield f"(forall ({_typed(effect.forall)}) {text})" if effect.forall else text
 
 
-def _formula(domain: Domain, formula: UpThing) -> str:
-    return text_of(domain, formula, {}, name=str)
+def formula_of(formula: UpThing) -> str:
+    """Write a formula in the names of unified-planning's problem."""
+    return text_of(None, formula, {})
 
 
 # ---------------------------------------------------------------- what the translator writes

@@ -1,10 +1,10 @@
 """The engine `label-setting` for those who plan with unified-planning itself; `register_engine` makes it known.
 
-Imported late, as unified-planning is slow to import.
+Imported late, as unified-planning is slow to import. A problem is put into the words of PDDL and read as files are, so
+what may be planned for, and what is refused, is the same.
 """
 
-import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from typing import IO, Any
 
 from unified_planning import engines
@@ -14,14 +14,14 @@ from unified_planning.model import ProblemKind
 from unified_planning.plans import ActionInstance, SequentialPlan
 
 from rosa_pddl.domain import Domain, UpThing
+from rosa_pddl.engines.fast_downward import formula_of, literals_of
 from rosa_pddl.engines.unified_planning import LABEL_SETTING
-from rosa_pddl.exceptions import UnsupportedPddlError
-from rosa_pddl.formulas import NUMBERS
+from rosa_pddl.exceptions import PddlError
 from rosa_pddl.outcomes import Outcome, PlanningResult
 from rosa_pddl.planner import Planner
 from rosa_pddl.problem import Problem, initial_state
-from rosa_pddl.reader import lineage_of, resources_of, schema_of
-from rosa_pddl.resource_usage import sum_of
+from rosa_pddl.reader import build_domain
+from rosa_pddl.syntax import Node, Source, formula, listed
 
 _FEATURES = (
     *("ACTION_BASED", "SIMPLE_NUMERIC_PLANNING", "GENERAL_NUMERIC_PLANNING", "FLAT_TYPING", "HIERARCHICAL_TYPING"),
@@ -40,7 +40,6 @@ _STATUS = {
     Outcome.UNSUPPORTED: engines.PlanGenerationResultStatus.UNSUPPORTED_PROBLEM,
 }
 _LONG_S = 1e6
-_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 
 
 class LabelSetting(engines.Engine, OneshotPlannerMixin):  # type: ignore[misc]  # unified-planning ships no types
@@ -93,7 +92,7 @@ class LabelSetting(engines.Engine, OneshotPlannerMixin):  # type: ignore[misc]  
         try:
             domain = _domain_of(problem)
             result = planner.plan(Problem(domain, initial_state(domain)))
-        except UnsupportedPddlError as error:
+        except (PddlError, UPException) as error:
             result = PlanningResult(Outcome.UNSUPPORTED, message=str(error))
         status = _STATUS.get(result.outcome, engines.PlanGenerationResultStatus.INTERNAL_ERROR)
         plan = _plan(problem, result) if result.outcome.is_solved else None
@@ -113,103 +112,61 @@ def _plan(problem: UpThing, result: PlanningResult) -> SequentialPlan:
     return SequentialPlan(instances, problem.environment)
 
 
-def _domain_of(up_problem: UpThing) -> Domain:
+def _domain_of(problem: UpThing) -> Domain:
     """Return a problem with instantaneous actions as a domain; the problem stays as it is."""
-    where = f"problem {up_problem.name or 'without a name'}"
-    read = up_problem.clone()
-    inside, outside = _names(read, where)
-    _fill_in_numbers(read, where)
-    _check_numbers(read, where)
-    schemas = {action.name: schema_of(action, outside, where) for action in read.actions}
-    domain = Domain(
-        name=str(up_problem.name),
-        file=where,
-        problem_file=where,
-        rosa_actions=(),
-        schemas=tuple(schemas),
-        up_problem=read,
-        schema_of=schemas,
-        outside=outside,
-        inside=inside,
-        goals=(),
-        places={},
-        types={thing.name: tuple(lineage_of(thing.type, outside)) for thing in read.all_objects},
-        resources=resources_of(read, outside),
+    where = f"problem {problem.name or 'without a name'}"
+    costs = next((one for one in problem.quality_metrics if one.is_minimize_action_costs()), None)
+    predicates = [one for one in problem.fluents if one.type.is_bool_type()]
+    numbers = [one for one in problem.fluents if not one.type.is_bool_type()]
+    values = [(_node(one), value) for one, value in problem.initial_values.items()]
+    domain = listed(
+        "define",
+        listed("domain", "d"),
+        listed(":types", *(word for one in problem.user_types for word in (one.name, "-", _above(one)))),
+        listed(":constants", *_typed(problem.all_objects)),
+        listed(":predicates", *(listed(one.name, *_typed(one.signature, "?")) for one in predicates)),
+        listed(":functions", *(listed(one.name, *_typed(one.signature, "?")) for one in numbers), listed("total-cost")),
+        *(_action(one, costs and costs.get_action_cost(one)) for one in problem.actions),
     )
-    _check_amounts(domain)
-    return domain
+    stated = listed(
+        "define",
+        listed("problem", str(problem.name)),
+        listed(":domain", "d"),
+        listed(":init", *(atom for atom, value in values if value.is_true()), *_numbers(values)),
+        listed(":goal", listed("and", *map(_node, problem.goals))),
+        *([listed(":metric", "minimize", listed("total-cost"))] if costs else []),
+    )
+    return build_domain(Source(where, domain), Source(where, stated))
 
 
-def _names(read: UpThing, where: str) -> tuple[Mapping[tuple[str, str], str], Mapping[str, str]]:
-    """Return the names by kind and what they are in lower case, and the names by themselves and in lower case."""
-    kinds = {"predicate": read.fluents, "object": read.all_objects, "action": read.actions, "type": read.user_types}
-    inside: dict[tuple[str, str], str] = {}
-    outside = {thing.name: thing.name for things in kinds.values() for thing in things} | {"object": "object"}
-    lower: dict[str, str] = {}
-    for kind, things in kinds.items():
-        for thing in things:
-            name = thing.name
-            if not _NAME.fullmatch(name):
-                message = f"the {kind} {name!r} has no name of PDDL: a letter first, then letters, digits, '_' or '-'"
-                raise UnsupportedPddlError(f"{message}; rename it", where)
-            if kind != "type" and lower.setdefault(name.lower(), name) != name:
-                message = f"{name!r} and {lower[name.lower()]!r} are the same to PDDL, which ignores case"
-                raise UnsupportedPddlError(f"{message}; rename one", where)
-            inside[kind, name.lower()] = name
-    return inside, {**outside, **lower}
+def _above(kind: UpThing) -> str:
+    return str(kind.father.name) if kind.father else "object"
 
 
-def _fill_in_numbers(read: UpThing, where: str) -> None:
-    """State the numbers that are there by default."""
-    try:
-        values = read.initial_values
-    except UPException as error:
-        raise UnsupportedPddlError(f"a fluent has no value in the beginning: {error}", where) from error
-    for expression, value in values.items():
-        if not expression.type.is_bool_type():
-            read.set_initial_value(expression, value)
+def _numbers(values: Iterable[tuple[Node | str, UpThing]]) -> Iterator[Node]:
+    yield from (listed("=", atom, _node(value)) for atom, value in values if not value.is_bool_constant())
 
 
-def _check_numbers(read: UpThing, where: str) -> None:
-    """Assure that what actions do with numbers is to add to such without arguments, and that no condition has any."""
-    for action in read.actions:
-        _refuse_numbers(action.preconditions, action.name, where)
-        for effect in action.effects:
-            if effect.fluent.type.is_bool_type():
-                _refuse_numbers([effect.condition, effect.value], action.name, where)
-            elif not effect.is_increase() or effect.fluent.args or effect.is_conditional() or effect.forall:
-                message = f"the effect '{effect}' of {action.name} is not planned for; {NUMBERS}"
-                raise UnsupportedPddlError(message, where)
+def _typed(things: Iterable[UpThing], mark: str = "") -> Iterator[str]:
+    for one in things:
+        yield from (mark + one.name, "-", one.type.name)
 
 
-def _refuse_numbers(formulas: list[UpThing], name: str, where: str) -> None:
-    for formula in formulas:
-        if any(_is_number(part) for part in _parts(formula)):
-            raise UnsupportedPddlError(f"the condition '{formula}' of {name} computes with numbers; {NUMBERS}", where)
+def _action(action: UpThing, cost: UpThing) -> Node:
+    numeric = [effect for effect in action.effects if not effect.fluent.type.is_bool_type()]
+    effects = [formula(text, action.name) for effect in action.effects for text in literals_of(effect)]
+    for effect in numeric:
+        change = listed(effect.kind.name.lower(), _node(effect.fluent), _node(effect.value))
+        change = change if effect.condition.is_true() else listed("when", _node(effect.condition), change)
+        effects.append(listed("forall", listed(*_typed(effect.forall, "?")), change) if effect.forall else change)
+    if cost is not None:
+        effects.append(listed("increase", listed("total-cost"), _node(cost)))
+    needed = listed("and", *map(_node, action.preconditions))
+    parameters = listed(*_typed(action.parameters, "?"))
+    parts = (":parameters", parameters, ":precondition", needed, ":effect", listed("and", *effects))
+    return listed(":action", action.name, *parts)
 
 
-def _check_amounts(domain: Domain) -> None:
-    """Assure that what is limited is used up, and that no amount depends on what actions change."""
-    changed = {resource.fluent for resource in domain.resources}
-    amounts = [amount for resource in domain.resources for amount in resource.uses.values()]
-    amounts += [limit.amount for resource in domain.resources for limit in resource.limits]
-    for metric in domain.up_problem.quality_metrics:
-        if metric.is_minimize_action_costs():
-            amounts += [cost for cost in map(metric.get_action_cost, domain.up_problem.actions) if cost is not None]
-    for amount in amounts:
-        sum_of(domain, amount)
-        if changed & amount.environment.free_vars_extractor.get(amount):
-            message = f"the amount '{amount}' depends on what actions change; {NUMBERS}"
-            raise UnsupportedPddlError(message, domain.file)
-    for goal in domain.up_problem.goals:
-        _refuse_numbers([goal], "the goal", domain.file)
-
-
-def _parts(formula: UpThing) -> Iterator[UpThing]:
-    yield formula
-    for part in formula.args:
-        yield from _parts(part)
-
-
-def _is_number(part: UpThing) -> bool:
-    return bool(part.type.is_int_type() or part.type.is_real_type())
+def _node(expression: UpThing) -> Node | str:
+    text = formula_of(expression)
+    return formula(text, text) if text.startswith("(") else text

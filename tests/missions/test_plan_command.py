@@ -120,31 +120,36 @@ ALL_BROKEN = "battery_level=0.2,c_thruster_1=failed,recover_thrusters=failed"
         (
             ["--mission", "suave", "--feasible", "search_pipeline"],
             [
-                "(pipeline_inspected pipeline) cannot be reached, as it is",
-                "there would be a plan if inspect_pipeline were feasible",
+                "out of reach: (pipeline_inspected pipeline)",
+                "unfeasible now: inspect_pipeline; there would be a plan if inspect_pipeline were feasible",
             ],
         ),
         (
             ["--mission", "suave", "--feasible", "", "--goal", "(pipeline_inspected pipeline)"],
             [
-                "(pipeline_inspected pipeline) cannot be reached, as it is",
+                "out of reach: (pipeline_inspected pipeline)",
+                "unfeasible now: search_pipeline, inspect_pipeline; "
                 "there would be a plan if search_pipeline and inspect_pipeline were feasible",
             ],
         ),
         (
             ["--mission", "suave_extended", "--situation", ALL_BROKEN],
             [
-                "(pipeline_inspected pipeline) cannot be reached, as it is",
+                "out of reach: (pipeline_inspected pipeline)",
+                "unfeasible now: search_pipeline, inspect_pipeline, recharge; "
                 "there would be a plan if recharge were feasible",
             ],
         ),
         (
             [*EXTENDED, "--goal", "(pipeline_found pipeline) (search_pipeline_action recharge)"],
-            ["(search_pipeline_action recharge) cannot be reached, whatever is done"],
+            ["out of reach: (search_pipeline_action recharge)", "in reach alone: (pipeline_found pipeline)"],
         ),
         (
             [*EXTENDED, "--feasible", "recharge", "--goal", "(search_pipeline_action recharge)"],
-            ["(search_pipeline_action recharge) cannot be reached, even if every action were feasible"],
+            [
+                "out of reach: (search_pipeline_action recharge)",
+                "there would be no plan even if every action were feasible",
+            ],
         ),
     ],
 )
@@ -162,7 +167,7 @@ def test_goals_that_exclude_one_another_are_told_so(rosa, tmp_path):
     (tmp_path / "p.pddl").write_text("(define (problem p) (:domain lamp) (:init) (:goal (and (on) (off))))")
     code, out, _ = rosa("d.pddl", "p.pddl")
     assert code == 1
-    assert "each part of the goal may be reached by itself, but not all of them together, whatever is done" in out
+    assert "each goal can be reached alone, but not all together" in out
 
 
 def test_files_with_a_limit_are_planned_within_it_and_told_when_no_plan_keeps_it(rosa, tmp_path):

@@ -19,14 +19,13 @@ from rosa_pddl import (
     parse_domain,
 )
 
-GO, GOAL, NOISE = "(increase (noise) 1)", "(<= (noise) 9)", "(increase (noise) 2)"
+GO, GOAL = "(increase (noise) 1)", "(<= (noise) 9)"
 REFUSED = {
     "less than nothing": (GO, "(increase (noise) -1)", "domain", 10, "is less than nothing; uses are 0 or more"),
     "given back": (GO, "(decrease (noise) 1)", "domain", 10, "in go computes with numbers; numbers may be costs only"),
     "with arguments": (GO, "(increase (effort ?w) 1)", "domain", 10, "adds to a number with arguments"),
     "by what changes": (GO, "(increase (noise) (energy))", "domain", 10, "an amount that depends on (energy)"),
     "cost by what changes": ("(total-cost) (length ?w)", "(total-cost) (noise)", "domain", 9, "depends on (noise)"),
-    "twice": (GO, f"{GO} {NOISE}", "domain", 10, "found a second use '(increase (noise) 2)', expected one"),
     "if": (GO, f"(when (at ?from) {GO})", "domain", 10, "is no number which no condition changes"),
     "squared": (GO, "(increase (noise) (* (effort ?w) (effort ?w)))", "domain", 10, "(effort ?w)), which is no sum"),
     "no number": (GO, "(increase (noise) ?w)", "domain", 10, "has the amount ?w, which is no number"),

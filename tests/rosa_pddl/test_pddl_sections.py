@@ -117,11 +117,6 @@ REFUSED = {
     "effect over all": (("(at end (done ?t))", "(over all (done ?t))"), 9, "or '(at end ...)' around it"),
     "timed in an instant": ((":precondition (ok ?t)", ":precondition (at start (ok ?t))"), 12, "leave out 'at start'"),
     "times within or": (("(at start (ok ?t))", "(or (at start (ok ?t)) (at end (ok ?t)))"), 8, "around it"),
-    "two costs": (
-        ("(increase (total-cost) 2)", "(increase (total-cost) 2) (increase (total-cost) 1)"),
-        13,
-        "add them up",
-    ),
 }
 UNSUPPORTED = {
     "condition at another time": (
