@@ -2,11 +2,13 @@
 
 import subprocess
 import sys
+from importlib.metadata import version
 
 import pytest
 
 MISSING = """
 import sys
+from importlib.metadata import version
 class Missing:
     def find_spec(self, name, path=None, target=None):
         if name.partition(".")[0] in {missing!r}:
@@ -75,3 +77,8 @@ def test_missing_solver_is_named():
     done = without({"ortools"}, "from kb import OptimalPlanner; OptimalPlanner()")
     assert "KnowledgeBaseError" in done.stderr
     assert "pip install 'rosa-taca[optimal]'" in done.stderr
+
+
+def test_version_is_said():
+    done = subprocess.run([sys.executable, "-m", "missions", "--version"], capture_output=True, text=True, check=True)
+    assert done.stdout == f"rosa-taca {version('rosa-taca')}\n"
