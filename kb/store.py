@@ -133,16 +133,17 @@ class Store:
             known.apply(now, "finish_attempt", (serial, "abandoned", "nobody saw what came of it"))
         self.left = tuple(known.records.required)
 
-    def events(self, after: int = 0, *, measurements: bool = True) -> list[Event]:
-        """Return the events in the file after one, with the measurements that are kept or without.
+    def events(self, after: int = 0, most: int = -1, *, measurements: bool = True) -> list[Event]:
+        """Return the events in the file after one, at most so many, with the measurements that are kept or without.
 
         Once it is closed, none but the newest measurements are there, which the state holds.
         """
         self.check_owner()
         with self._using, _blamed(self.path):
             if self._closing:
-                return [event for event in self._past if event.number > after]
-            return self._events(after, "" if measurements else "AND verb <> 'measure'")
+                past = [event for event in self._past if event.number > after]
+                return past[:most] if most >= 0 else past
+            return self._events(after, "" if measurements else "AND verb <> 'measure'", most)
 
     def check(self) -> int:
         """Check all of it; returns how many events it holds, or raises StoreError."""
@@ -162,8 +163,8 @@ class Store:
                 "Make a knowledge base with a store of its own here"
             )
 
-    def _events(self, after: int, only: str) -> list[Event]:
-        return [row.event for row in history(self._connection, after, self._written, only)]
+    def _events(self, after: int, only: str, most: int = -1) -> list[Event]:
+        return [row.event for row in history(self._connection, after, self._written, only, most)]
 
     def _matched(self, model: Model | None) -> tuple[Model, Serials]:
         """Return the model that is gone on with, as it was amended, and the numbers in it."""

@@ -213,11 +213,11 @@ def survey(connection: sqlite3.Connection, mark: Mark | None, *, is_whole: bool)
     return Survey(declared, since, own, snapshot, rows, number, tail, acknowledged, bool(is_open), problem)
 
 
-def history(connection: sqlite3.Connection, after: int, until: int, only: str = "") -> Iterator[Row]:
+def history(connection: sqlite3.Connection, after: int, until: int, only: str = "", most: int = -1) -> Iterator[Row]:
     """Yield records; each is checked, and with the one before it where that is still there."""
-    order = f"SELECT * FROM events WHERE number > ? AND number <= ? {only} ORDER BY number"
+    order = f"SELECT * FROM events WHERE number > ? AND number <= ? {only} ORDER BY number LIMIT ?"
     before: Row | None = None
-    for row in (Row(*one) for one in connection.execute(order, (after, until))):
+    for row in (Row(*one) for one in connection.execute(order, (after, until, most))):
         follows = before is None or before.number + 1 != row.number or before.digest == row.before
         if not is_sound(row) or not follows:
             raise ValueError(f"event {row.number} is not as it was written")

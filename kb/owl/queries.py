@@ -29,7 +29,6 @@ _ESCAPE: Final = re.compile(r"\\(u[0-9A-Fa-f]{4}|U[0-9A-Fa-f]{8}|.)", re.DOTALL)
 _ESCAPED: Final[Mapping[str, str]] = dict(zip("tbnrf\"'\\", "\t\b\n\r\f\"'\\", strict=True))
 _UNFIT: Final = re.compile(r"""["'\\\n\r\x00\ud800-\udfff]""")
 
-_CLOSES: Final[Mapping[str, str]] = {"{": "}", "(": ")", "[": "]"}
 _INSTEAD: Final[Mapping[str, str]] = {
     "ASK": "SELECT ... LIMIT 1 has a row if the answer is yes",
     "CONSTRUCT": "SELECT what each triple is made of",
@@ -97,7 +96,6 @@ def read_question(given: str) -> Question:
     tokens = [_Token(found.lastgroup or "", found[0], found.start()) for found in _TOKEN.finditer(given)]
     told = [one for one in tokens if one.kind not in ("space", "comment")]
     _only_asks(given, told)
-    _is_closed(given, told)
     _is_supported(given, told)
     _filters_what_is_there(given, told)
     _selects_what_is_there(given, told)
@@ -153,34 +151,13 @@ def stopped(timeout: float) -> KnowledgeBaseError:
 def _only_asks(given: str, told: Iterable[_Token]) -> None:
     words = iter(told)
     for token in words:
+        if token.text.upper() in _VERBS:
+            return
         if token.text.upper() not in ("PREFIX", "BASE"):
-            if token.text.upper() in _VERBS:
-                return
-            raise _wrong(
-                given, token.offset, f"a query begins with SELECT, not with {token.text}; queries change nothing"
-            )
-        for inner in words:
-            if inner.kind == "iri":
-                break
+            message = f"a query begins with SELECT, not with {token.text}; queries change nothing"
+            raise _wrong(given, token.offset, message)
+        next((inner for inner in words if inner.kind == "iri"), None)
     raise InvalidValue("a query begins with SELECT, after its prefixes; there is none")
-
-
-def _is_closed(given: str, told: Iterable[_Token]) -> None:
-    waiting: list[_Token] = []
-    for token in told:
-        if token.kind != "mark":
-            continue
-        if token.text in "\"'":
-            raise _wrong(given, token.offset, "a text begins here and does not end")
-        if token.text in _CLOSES:
-            waiting.append(token)
-        elif token.text in _CLOSES.values():
-            if not waiting or _CLOSES[waiting[-1].text] != token.text:
-                raise _wrong(given, token.offset, f"{token.text} closes nothing")
-            waiting.pop()
-    if waiting:
-        missing = waiting[-1]
-        raise _wrong(given, missing.offset, f"{missing.text} is never closed; {_CLOSES[missing.text]} is missing")
 
 
 def _is_supported(given: str, told: Sequence[_Token]) -> None:
@@ -224,7 +201,7 @@ def _filters_what_is_there(given: str, told: Sequence[_Token]) -> None:
 def _selects_what_is_there(given: str, told: Sequence[_Token]) -> None:
     """Refuse what owlready2 would answer with any value: variables from nowhere, and those beside an aggregate."""
     opens = next((number for number, one in enumerate(told) if one.text == "{"), len(told))
-    closes = max((number for number, one in enumerate(told) if one.text == "}"), default=opens)
+    closes = max((number for number, one in enumerate(told) if one.text == "}"), default=len(told))
     if opens == len(told):
         return
     head, tail = told[:opens], told[closes + 1 :]

@@ -62,9 +62,10 @@ class Worker:
         with self._or_ended():
             self._line.send((method, arguments))
 
-    def write(self, context: str, given: Iterable[Individual]) -> None:
+    def write(self, context: str, given: Iterable[Individual]) -> Iterator[None]:
         for some in parts(given):
             self.tell("write", context, some)
+            yield
 
     def ask(self, query: str, timeout: float, deadline: float) -> list[tuple[Answer, ...]]:
         """Answer a query, for which a time [s] was allowed, before a deadline of the monotonic clock [s]."""

@@ -8,15 +8,16 @@ import json
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
+from itertools import chain
 from threading import Lock
-from types import MappingProxyType
+from types import MappingProxyType, SimpleNamespace
 from typing import Any, Final
 from weakref import finalize
 
-from kb.elements import KINDS, Action, Attribute, Component, Configuration, Parameters
+from kb.elements import KINDS, Action, Attribute, Changeable, Component, Configuration, Parameters
 from kb.events import Event
 from kb.exceptions import InvalidValue, UnknownName
-from kb.facts import ActiveFact, Fact, RequiredFact, SelectedFact, StatusFact
+from kb.facts import TABLES, ActiveFact, Fact, RequiredFact, SelectedFact, StatusFact
 from kb.knowledge import Knowledge
 from kb.owl.individuals import (
     PARAMETER,
@@ -35,6 +36,7 @@ from kb.owl.rdfxml import BASE, metamodel
 from kb.owl.worker import Worker, give_back, take
 from kb.records import Attempt, Process, ReconfigurationPlan, RequiredAction, VetoAnswer
 from kb.state import State
+from kb.status import Status
 from kb.store import Store
 
 Values = dict[str, tuple[Value, ...]]
@@ -52,6 +54,7 @@ _PRESENT: Final[Mapping[str, str]] = {
 }
 """What can be so now, by the facts of the state that say so."""
 _LONGEST: Final = 1_000_000  # query [characters]
+_SLICE: Final = 1000  # events of the store that are read at a time
 _MOST_GROWN: Final = 20_000  # events, besides measurements that are kept, that are added before a world is made anew
 _REQUIRABLE: Final = frozenset({"action", "function", "component"})
 
@@ -64,6 +67,7 @@ class World:
         self._asking = Lock()
         self._workers: list[Worker] = []
         self._is_built = False
+        self._steps: Iterator[None] = iter(())
         self._chronicle = _Chronicle(known)
         self._last, self._revision = -1, -1
         self._grown = 0
@@ -80,9 +84,10 @@ class World:
             worker = self._worker()
             if not worker.is_ready(deadline):
                 raise stopped(timeout)
-            self._renew(worker, reading)
-            if (now := time.monotonic()) > deadline:
-                raise stopped(timeout)
+            for _ in self._renewal(reading):
+                if time.monotonic() > deadline:
+                    raise stopped(timeout)
+            now = time.monotonic()
             return worker.ask(sparql, timeout, max(deadline, now + timeout / 4))
         finally:
             self._asking.release()
@@ -92,13 +97,20 @@ class World:
             for worker in self._workers:
                 worker.end()
             self._workers[:] = [take()]
-            self._is_built = False
+            self._is_built, self._steps = False, iter(())
         return self._workers[0]
 
-    def _renew(self, worker: Worker, reading: AbstractContextManager[State]) -> None:
-        """Have a worker hold all that is known now: what is new is handed over, or all if it has grown too much."""
+    def _renewal(self, reading: AbstractContextManager[State]) -> Iterator[None]:
+        """Have the worker hold all that is known now, in steps; what was stopped on the way is gone on with."""
+        yield from self._steps
+        self._steps = self._more(reading)
+        yield from self._steps
+
+    def _more(self, reading: AbstractContextManager[State]) -> Iterator[None]:
+        """Hand over what is new, or all if it has grown too much."""
+        worker = self._workers[0]
         if not self._is_built or self._grown > 2 * self._keep + _MOST_GROWN:
-            self._anew(worker, reading)
+            yield from self._anew(worker, reading)
             return
         with reading as state:
             events = list(self._known.log.since(self._last))
@@ -107,30 +119,34 @@ class World:
                 return
             is_lost = len(events) < self._known.log.last - self._last  # more happened than memory holds
             if not is_lost:
-                model = self._model() if is_amended else []
+                model = self._model() if is_amended else None
                 records, inferred = self._chronicle.of_records(), self._inferred(state)
                 self._seen(state)
         if is_lost:
-            self._anew(worker, reading)
+            yield from self._anew(worker, reading)
             return
         self._is_built = False  # until all of it is there
-        if model:
-            self._write_model(worker, model)
-        worker.write("told", [*self._chronicle.of_events(events), *records])
-        self._infer(worker, inferred)
+        if model is not None:
+            yield from self._replace(worker, "model", model)
+        yield from worker.write("told", chain(self._chronicle.of_events(events), records))
+        yield from self._replace(worker, "inferred", inferred)
+        self._is_built = True
         self._grown += len(events)
 
-    def _anew(self, worker: Worker, reading: AbstractContextManager[State]) -> None:
+    def _anew(self, worker: Worker, reading: AbstractContextManager[State]) -> Iterator[None]:
         self._is_built = False
-        past = [] if self._store is None else self._store.events(measurements=False)
+        past: list[Event] = []
+        while self._store is not None and (
+            some := self._store.events(past[-1].number if past else 0, _SLICE, measurements=False)
+        ):
+            past += some
+            yield
         self._chronicle = chronicle = _Chronicle(self._known)
         with reading as state:
-            saved = past[-1].number if past else 0
-            past += self._known.log.since(saved, measurements=False)
-            network = state.network
+            past += self._known.log.since(past[-1].number if past else 0, measurements=False)
             measured = [
                 (node.name, sample)
-                for node in network.attributes.values()
+                for node in state.network.attributes.values()
                 if node.index in state.histories
                 for sample in state.histories[node.index].samples(self._keep)
             ]
@@ -138,41 +154,44 @@ class World:
             model, records, inferred = self._model(), chronicle.of_records(), self._inferred(state)
             present = list(chronicle.of_state(state))
             self._seen(state)
-        begins = [Individual("", model[0].id, {"historyBegins": (float(past[0].time),)})] if past else []
-        worker.tell("open", f"{BASE}{model[0].id}")
+        own = next(model)
+        begins = [Individual("", own.id, {"historyBegins": (float(past[0].time),)})] if past else []
+        worker.tell("open", f"{BASE}{own.id}")
         worker.tell("describe", metamodel())
-        self._write_model(worker, model)
-        worker.write("told", (chronicle.measurement(name, value, time) for name, (time, value) in measured))
-        worker.write("told", [*begins, *chronicle.of_events(past), *records])
-        worker.write("told", chronicle.older(present))
-        self._infer(worker, inferred)
-        self._grown = 0
+        yield from self._replace(worker, "model", chain([own], model))
+        yield from worker.write("told", (chronicle.measurement(name, value, time) for name, (time, value) in measured))
+        yield from worker.write("told", chain(begins, chronicle.of_events(past), records))
+        yield from worker.write("told", chronicle.older(present))
+        yield from self._replace(worker, "inferred", inferred)
+        self._is_built, self._grown = True, 0
 
-    def _write_model(self, worker: Worker, model: Iterable[Individual]) -> None:
-        """Replace the model; what it states to be so is told, and is no part of it."""
-        worker.tell("clear", "model")
-        worker.write("model", (one for one in model if not one.id.startswith(f"{STATED}.")))
-
-    def _infer(self, worker: Worker, inferred: Iterable[Individual]) -> None:
-        worker.tell("clear", "inferred")
-        worker.write("inferred", inferred)
-        self._is_built = True
+    def _replace(self, worker: Worker, context: str, given: Iterable[Individual]) -> Iterator[None]:
+        """Replace the model, or what is inferred; what a model states to be so is told, and is no part of it."""
+        worker.tell("clear", context)
+        yield from worker.write(context, (one for one in given if not one.id.startswith(f"{STATED}.")))
 
     def _seen(self, state: State) -> None:
         self._last, self._revision = self._known.log.last, state.network.revision
 
-    def _model(self) -> list[Individual]:
-        return list(individuals(self._known.model, self._known.serials))
+    def _model(self) -> Iterator[Individual]:
+        """Describe the model as it is now, whatever becomes of it before that is read."""
+        model = self._known.model
+        parts: Any = {word: dict(getattr(model, word)) for word in TABLES}
+        now: Any = SimpleNamespace(
+            name=model.name, constraints=model.constraints, estimations=model.estimations, facts=model.facts, **parts
+        )
+        return individuals(now, self._known.serials)
 
-    def _inferred(self, state: State) -> list[Individual]:
-        found = []
-        for node in state.network.present():
-            if node.kind != "attribute":
-                values: Values = {"status": (str(state.status[node.index]),)}
-                if node.kind in _REQUIRABLE:
-                    values["isRequired"] = (state.required[node.index],)
-                found.append(Individual("", element_id(node.element, self._known.serials), values))
-        return found
+    def _inferred(self, state: State) -> Iterator[Individual]:
+        nodes = [node for node in state.network.present() if node.kind != "attribute"]
+        now = [(node.kind, node.element, state.status[node.index], state.required[node.index]) for node in nodes]
+        return (self._status(*one) for one in now)
+
+    def _status(self, kind: str, element: Changeable, status: Status, is_required: bool) -> Individual:
+        values: Values = {"status": (str(status),)}
+        if kind in _REQUIRABLE:
+            values["isRequired"] = (is_required,)
+        return Individual("", element_id(element, self._known.serials), values)
 
 
 class _Chronicle:

@@ -80,7 +80,7 @@ class Optimum:
         switching: the costs that are taken off: value + switching is what is estimated; None without a choice.
         bound: what no choice can be worth more than; None without a choice.
         resolution: two choices that differ by no more than this were taken for equally good; 0 where all was exact.
-        is_proven: no choice is better, and none that is as good comes first.
+        is_proven: no choice is better by more than the resolution, and none that is as good comes first.
         reason: how sure that is, or why there is no choice, in words.
     """
 

@@ -204,10 +204,17 @@ class _Search:
         if found.switching and not problem.criterion.goal:
             best = f"the one that is cheapest to switch to ({number(found.switching)}), and then the first by priority"
         worth = f", worth {found.worth}{self._otherwise(value)}" if problem.criterion.goal else ""
-        if found.is_proven:
+        rounded = (
+            f" by more than {number(found.resolution)}, to which its worth was rounded" if found.resolution else ""
+        )
+        if found.is_proven and not rounded:
             return f"of all choices{within} this is {best}{worth}"
+        if found.is_proven:
+            return f"no choice{within} is better than this one{rounded}{worth}"
         if not found.gap:
-            return f"no choice{within} is better than this one{worth}; {effort} did not prove that it comes first"
+            return (
+                f"no choice{within} is better than this one{rounded}{worth}; {effort} did not prove that it comes first"
+            )
         assert found.bound is not None
         left = f"none is worth more than {number(found.bound)} (a gap of {number(found.gap)})"
         return f"this is {best}{within} that {effort} found{worth}; {left}"

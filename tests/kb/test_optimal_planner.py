@@ -418,6 +418,8 @@ def test_numbers_too_far_apart_to_be_exact_are_rounded_and_it_is_said(model):
     found = solve(encode(state_of(kb), Criterion({"accuracy": 1.0})))
     assert 0.0 < found.resolution < 1.0
     assert found.value == pytest.approx(1e9 + 2.5, abs=found.resolution)
+    assert found.is_proven
+    assert f"no choice is better than this one by more than {found.resolution:.12g}, to which" in found.reason
 
 
 def test_component_that_nobody_switches_costs_only_to_be_configured(model):
