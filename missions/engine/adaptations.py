@@ -168,27 +168,29 @@ class AdaptationLog:
 
     def ticking(self, time: float) -> None:
         """Say that the task layer is about to be ticked [s]: it can be led by what was heard until now."""
-        self._last_tick, self._this_tick = self._this_tick, time
-        self._plans_before = len(self._plans())
-        heard, self._heard = self._heard, []
-        turns = [news for news, is_turn in heard if is_turn]
-        self._before_tick = turns or [news for news, _ in heard]
-        self._turns.extend((time, news) for news in turns)
+        with self._kb.reading():  # facts may be told by other threads than the one that ticks
+            self._last_tick, self._this_tick = self._this_tick, time
+            self._plans_before = len(self._plans())
+            heard, self._heard = self._heard, []
+            turns = [news for news, is_turn in heard if is_turn]
+            self._before_tick = turns or [news for news, _ in heard]
+            self._turns.extend((time, news) for news in turns)
 
     def settle(self) -> None:
         """Put together what was decided, and complete what has ended; called after each turn of the manager."""
-        self._settle_task_plans(is_reported=self._settle_actions())
-        while self._made:
-            self._put_down(self._made.pop(0))
-        if self._kb.pending_plan is None:  # the manager has answered all news, with a plan or without
-            self._to_answer.clear()
-            if self._task is not None and self._task.is_over(self._kb, self._last_tick):
-                self._end_task()
-            if self._kb.required_actions:  # a change of action that needed no plan is over
-                self._is_switching = False
-        for one in [one for one in self._under_way if one.is_over(self._kb, self._last_tick)]:
-            self._under_way.remove(one)
-            self._report(one.close())
+        with self._kb.reading():
+            self._settle_task_plans(is_reported=self._settle_actions())
+            while self._made:
+                self._put_down(self._made.pop(0))
+            if self._kb.pending_plan is None:  # the manager has answered all news, with a plan or without
+                self._to_answer.clear()
+                if self._task is not None and self._task.is_over(self._kb, self._last_tick):
+                    self._end_task()
+                if self._kb.required_actions:  # a change of action that needed no plan is over
+                    self._is_switching = False
+            for one in [one for one in self._under_way if one.is_over(self._kb, self._last_tick)]:
+                self._under_way.remove(one)
+                self._report(one.close())
 
     def finish(self) -> None:
         """Tell of an action that was given up and that none has followed; called when a run ends short of its goal."""

@@ -1,5 +1,6 @@
 """Makes the rows of a page from what a knowledge base and a tree do: the same live, afterwards and for a recording."""
 
+import logging
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
@@ -25,6 +26,8 @@ from missions.views.facts import CHOSEN, cases, choice_of, described, plain
 from missions.views.rows import VERSION, Recorded, Rows
 from rosa_bt import HasStatus, IsActionFeasible, TreeRunner
 from rosa_bt.composites import DoUntilUnfeasible, SafeSwitch
+
+_log = logging.getLogger(__name__)
 
 _COLUMNS: Final = ("status", "required", "selected", "active", "stale")
 _LETTERS: Final = {Status.RUNNING: "R", Status.SUCCESS: "S", Status.FAILURE: "F", Status.INVALID: ""}
@@ -82,7 +85,7 @@ class Recorder:
     ) -> None:
         self.rows = Rows(keep)
         named = {"title": title or kb.model.name, "model": kb.model.name, "units": dict(units or {})}
-        nothing = dict.fromkeys(("mission", "words", "task", "manager"), "")
+        nothing = {**dict.fromkeys(("mission", "words", "task"), ""), "manager": "ours"}
         program = {"version": VERSION, "program": _program(), "live": False}
         self.header: dict[str, Any] = {**program, **named, **nothing, "seed": None, "settings": {}, **(header or {})}
         self.kb, self._pose, self._what_if = kb, pose, what_if
@@ -279,7 +282,7 @@ class Recorder:
             "changed": adaptation.change,
             "reaction": adaptation.reaction_s,
             "in_force": plain(adaptation.in_force_s),
-            "chain": chain_of(adaptation, self._events, self._task_plans, self._nodes, nodes),
+            "chain": chain_of(adaptation, tuple(self._events), self._task_plans, self._nodes, nodes),
         }
         self.put("adaptation", self._adapted, shown)
         if self._what_if:
@@ -323,12 +326,22 @@ class _TreeRows(VisitorBase):
 
     def initialise(self) -> None:
         self._seen = []
-        self._recorder.ticking()
+        self._harmlessly(self._recorder.ticking)
 
     def run(self, behaviour: Behaviour) -> None:
         self._seen.append((behaviour, behaviour.status, behaviour.feedback_message))
 
     def finalise(self) -> None:
+        self._harmlessly(self._note)
+
+    def _harmlessly(self, look: Callable[[], None]) -> None:
+        """Look at the tree; a robot goes on whatever becomes of that."""
+        try:
+            look()
+        except Exception:
+            _log.exception("a tick is not shown in full")
+
+    def _note(self) -> None:
         recorder = self._recorder
         if not self._below or any(one.children != children for one, children in self._below):
             self._describe()

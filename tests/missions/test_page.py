@@ -3,6 +3,7 @@
 import html
 import json
 import re
+import threading
 from functools import cache
 
 import pytest
@@ -316,3 +317,40 @@ def test_behaviour_is_no_tree_that_ticks_and_an_open_action_is_there_from_the_st
     late = Recorder(rover.kb, rover.runner).recorded
     (action,) = late.last("action").values()
     assert (action["action"], action["end"]) == (names(late)["explore"], None)
+
+
+def test_robot_goes_on_when_what_its_recorder_asks_fails(caplog):
+    rover = Rover()
+    recorder = Recorder(rover.kb, rover.runner, pose=lambda: 1 / 0)
+    rover.kb.measure("light", 0.9)
+    rover.work(1.0)
+    assert [one.action for one in rover.kb.required_actions] == ["explore"]
+    assert "a tick is not shown in full" in caplog.text
+    assert recorder.recorded.last("node")
+
+
+def test_facts_told_by_other_threads_while_the_robot_ticks_are_all_shown(caplog):
+    rover = Rover()
+    recorder = Recorder(rover.kb, rover.runner, what_if=False)
+    count, threads = 400, []
+
+    def tell(name, low, high):
+        for number in range(count):
+            rover.kb.measure(name, low if number % 2 else high)
+
+    for name in ("light", "energy"):
+        threads += [threading.Thread(target=tell, args=(name, 0.1, 0.9))]
+    for thread in threads:
+        thread.start()
+    while any(thread.is_alive() for thread in threads):
+        rover.work(rover.clock.now + 0.5)
+    rover.work(rover.clock.now + 1.0)
+    run, found = recorder.recorded, {}
+    for _, key, _value in run.track("value"):
+        found[key] = found.get(key, 0) + 1
+    assert found == {names(run)[name]: count for name in ("light", "energy")}
+    with rover.kb.reading() as state:
+        for node in state.network.present():
+            if node.kind != "attribute":
+                assert run.last("status")[node.index] == state.status[node.index]
+    assert caplog.text == ""
