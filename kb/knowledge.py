@@ -10,10 +10,10 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from functools import partial
 from types import MappingProxyType
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from kb.amendments import amendment
-from kb.elements import Action, Attribute, Constraint, Element, Estimation
+from kb.elements import Action, Attribute, Constraint, Element, Estimation, Parameters
 from kb.events import RECORDS, Event, Log, StatusChange
 from kb.explanation.choice import note_nothing
 from kb.explanation.reasons import reading, why_selected
@@ -43,26 +43,6 @@ _ENDED: Final = 4
 """How many requests that have ended a plan names as its reason at most."""
 
 _STATUSES: Final = ("asserted", "verdict")
-
-
-class Outcome(NamedTuple):
-    """What an event makes of what is known, before it is put in place.
-
-    Attributes:
-        touched: the nodes whose facts it changes in the layer, from which to infer.
-        puts: what else is to be put in place; each may be called again.
-        changes: the statuses that have changed already.
-        effects, plan, words: see `Event`.
-        matters: whether it can matter to a planner; None if only changed statuses do.
-    """
-
-    touched: Sequence[Node] = ()
-    puts: Sequence[Put] = ()
-    changes: Sequence[StatusChange] = ()
-    effects: tuple[tuple[str, str, bool], ...] = ()
-    plan: ReconfigurationPlan | None = None
-    words: str = ""
-    matters: bool | None = True
 
 
 _Pending = tuple[Event, Sequence[Put], bool, bool]
@@ -125,8 +105,8 @@ class Knowledge:
         if verb not in RECORDS:
             self._lay()
         event = Event(self.log.last + 1, time, verb, arguments, (), cause)
-        outcome: Outcome | None = getattr(self, f"_{verb}")(event, *arguments)
-        return None if outcome is None else self._put(event, outcome)
+        made: Event | None = getattr(self, f"_{verb}")(event, *arguments)
+        return made
 
     def measure(self, node: Node, value: float, time: float) -> Event:
         """Make an event of a measurement; the quickest of all, for it is the most frequent."""
@@ -156,16 +136,17 @@ class Knowledge:
         layer.value[index], layer.time[index], layer.stale[index] = value, time, False
         judged = [measurements.judge(one, value, recent, state.verdict[one.index], time) for one in thresholds.steady]
         touched = [*self._judged(judged), *touched]
-        puts = (put, partial(measurements.put_judged, judged, time))
-        return self._put(event, Outcome(touched, puts, words=words, matters=None))
+        put_judged = partial(measurements.put_judged, judged, time)
+        return self._put(event, touched, put, put_judged, words=words, matters=None)
 
     def settle(self, now: float) -> None:
         """Put in place what was interrupted, and have time do what it has done by now [s]."""
         if self.pending is not None:
             self.finish()
-        self.now = max(now, self.log.time)
-        if self.now >= self.measurements.alarms.next:
-            self.advance(self.now)
+        last = self.log.time
+        self.now = now = now if now >= last else last
+        if now >= self.measurements.alarms.next:
+            self.advance(now)
 
     def advance(self, now: float) -> None:
         """Make events of what time has done until now, each at its own instant."""
@@ -208,15 +189,35 @@ class Knowledge:
         for witness in self.log.witnesses:
             witness(event)
 
-    def _put(self, event: Event, outcome: Outcome) -> Event:
-        touched, puts, changes, effects, plan, words, matters = outcome
+    def _put(
+        self,
+        event: Event,
+        touched: Sequence[Node] = (),
+        *puts: Put,
+        changes: Sequence[StatusChange] = (),
+        effects: tuple[tuple[str, str, bool], ...] = (),
+        plan: ReconfigurationPlan | None = None,
+        words: str = "",
+        matters: bool | None = True,
+    ) -> Event:
+        """Put an event in place, with all that it makes of what is known.
+
+        Args:
+            event: as it was told.
+            touched: the nodes whose facts it changes in the layer, from which to infer.
+            puts: what else is to be put in place; each may be called again.
+            changes: the statuses that have changed already; this and what follows is as in `Event`.
+            effects: what is selected or no longer.
+            plan: what was made.
+            words: what, in words.
+            matters: whether it can matter to a planner; None if only changed statuses do.
+        """
         if touched:
             changes = [*changes, *propagate(self._layer, touched)]
         if changes or effects or plan is not None or words:
             event = Event(*event[:4], tuple(changes), event.cause, effects, plan, words)
         is_laid = bool(touched) if event.verb == "measure" else event.verb not in RECORDS
-        matters = bool(changes) if matters is None else matters
-        self.pending = event, puts, is_laid, matters
+        self.pending = event, puts, is_laid, bool(changes) if matters is None else matters
         self.finish()
         return event
 
@@ -234,7 +235,7 @@ class Knowledge:
 
     # ---------------------------------------------------------------- what time does
 
-    def _stale(self, event: Event, name: str) -> Outcome:
+    def _stale(self, event: Event, name: str) -> Event:
         node = self.network.attributes[name]
         self._layer.stale[node.index] = True
         element, measured = node.element, self.state.time[node.index]
@@ -242,104 +243,94 @@ class Knowledge:
         age = 0.0 if measured is None else event.time - measured
         words = f"{name} is stale: measured {age:.1f} s ago, at most {element.max_age:g} s"
         put = partial(self.measurements.put_stale, node)
-        return Outcome(node.constraints, (put,), words=words, matters=None)
+        return self._put(event, node.constraints, put, words=words, matters=None)
 
-    def _dwell(self, event: Event, ref: Ref) -> Outcome | None:
+    def _dwell(self, event: Event, ref: Ref) -> Event | None:
         node = self.network.referred(ref)
         attribute = node.parts[0].index
         value, recent = self.state.value[attribute], self.measurements.recent.get(attribute, ())
         judged = self.measurements.judge(node, value, recent, self.state.verdict[node.index], event.time)
-        touched = self._judged([judged])
-        if not touched:
-            self.measurements.put_judged([judged], event.time)
-            return None
         put = partial(self.measurements.put_judged, [judged], event.time)
-        return Outcome(touched, (put,), words=f"{node.name} is {judged.verdict}, after its dwell", matters=None)
+        if touched := self._judged([judged]):
+            words = f"{node.name} is {judged.verdict}, after its dwell"
+            return self._put(event, touched, put, words=words, matters=None)
+        put()
+        return None
 
-    def _lapse(self, _: Event, ref: Ref, status: str) -> Outcome:
-        node = self.network.referred(ref)
-        words = f"{node.name} is no longer asserted {status}: its time is over"
-        return self._asserted(node, None, "", None, words)
+    def _lapse(self, event: Event, ref: Ref, status: str) -> Event:
+        return self._asserted(event, ref, None, words=f"no longer asserted {status}: its time is over")
 
     # ---------------------------------------------------------------- what is so
 
-    def _component_failed(self, _: Event, name: str, reason: str) -> Outcome:
-        node = self.network.components[name]
-        self._layer.failed[node.index] = True
-        self._layer.give_reason("failed", node, reason)
-        return Outcome([node])
+    def _component_failed(self, event: Event, name: str, reason: str) -> Event:
+        return self._stated(event, self.network.components[name], "failed", True, reason)
 
-    def _component_recovered(self, _: Event, name: str) -> Outcome:
+    def _component_recovered(self, event: Event, name: str) -> Event:
         node, layer = self.network.components[name], self._layer
         if layer.asserted[node.index] is Status.FAILURE:
             layer.asserted[node.index] = None
             layer.give_reason("asserted", node)
-        layer.failed[node.index] = False
-        layer.give_reason("failed", node)
-        return Outcome([node])
+        return self._stated(event, node, "failed", False)
 
-    def _component_active(self, _: Event, name: str, active: bool, reason: str) -> Outcome:
-        node = self.network.components[name]
-        self._layer.active[node.index] = active
-        self._layer.give_reason("active", node, "" if active else reason)
-        return Outcome([node])
+    def _component_active(self, event: Event, name: str, active: bool, reason: str) -> Event:
+        return self._stated(event, self.network.components[name], "active", active, "" if active else reason)
 
-    def _assert_status(self, _: Event, ref: Ref, status: str, reason: str, until: float | None) -> Outcome:
-        node = self.network.referred(ref)
-        words = f"{node.name} is asserted {status}{Reason(reason, until)}"
-        return self._asserted(node, Status(status), reason, until, words)
+    def _stated(self, event: Event, node: Node, column: str, is_so: bool, reason: str = "") -> Event:
+        getattr(self._layer, column)[node.index] = is_so
+        self._layer.give_reason(column, node, reason)
+        return self._put(event, [node])
 
-    def _retract_status(self, _: Event, ref: Ref) -> Outcome:
-        node = self.network.referred(ref)
-        return self._asserted(node, None, "", None, f"{node.name} is no longer asserted")
+    def _assert_status(self, event: Event, ref: Ref, status: str, reason: str, until: float | None) -> Event:
+        words = f"asserted {status}{Reason(reason, until)}"
+        return self._asserted(event, ref, Status(status), reason, until, words=words)
 
-    def _asserted(self, node: Node, status: Status | None, reason: str, until: float | None, words: str) -> Outcome:
+    def _retract_status(self, event: Event, ref: Ref) -> Event:
+        return self._asserted(event, ref, None, words="no longer asserted")
+
+    def _asserted(
+        self, event: Event, ref: Ref, status: Status | None, reason: str = "", until: float | None = None, *, words: str
+    ) -> Event:
+        node, alarms = self.network.referred(ref), self.measurements.alarms
         self._layer.asserted[node.index] = status
         self._layer.give_reason("asserted", node, reason, until)
-        alarms, key = self.measurements.alarms, ~node.index
-        put = partial(alarms.clear, key) if until is None else partial(alarms.set, key, until)
-        return Outcome([node], (put,), words=words)
+        put = partial(alarms.clear, ~node.index) if until is None else partial(alarms.set, ~node.index, until)
+        return self._put(event, [node], put, words=f"{node.name} is {words}")
 
-    def _assert_required(self, _: Event, ref: Ref, required: bool | None) -> Outcome:
-        node = self.network.referred(ref)
-        self._layer.asserted_required[node.index] = bool(required)
-        return Outcome([node])
+    def _assert_required(self, event: Event, ref: Ref, required: bool | None) -> Event:
+        return self._stated(event, self.network.referred(ref), "asserted_required", bool(required))
 
-    def _assert_selected(self, _: Event, ref: Ref, selected: bool | None, reason: str) -> Outcome:
+    def _assert_selected(self, event: Event, ref: Ref, selected: bool | None, reason: str) -> Event:
         node, layer = self.network.referred(ref), self._layer
-        layer.selected[node.index] = is_selected = bool(selected)
-        layer.give_reason("selected", node, reason if is_selected else "")
+        layer.selected[node.index] = bool(selected)
         whole = node.wholes[0]
         is_without = not any(layer.selected[part.index] for part in whole.parts)
         layer.give_reason("unselected", whole, reason if is_without else "")
-        return Outcome([node])
+        return self._stated(event, node, "selected", bool(selected), reason if selected else "")
 
-    def _note_no_choice(self, _: Event, reason: str) -> Outcome:
+    def _note_no_choice(self, event: Event, reason: str) -> Event:
         note_nothing(self._layer, reason)
-        return Outcome(matters=False)
+        return self._put(event, matters=False)
 
     # ---------------------------------------------------------------- requests and plans
 
-    def _request_action(self, event: Event, name: str, preference: str | Mapping[str, float] | None) -> Outcome:
+    def _request_action(self, event: Event, name: str, preference: str | Mapping[str, float] | None) -> Event:
         node = self.network.actions[name]
         self._layer.requested[node.index] = True
         weights = MappingProxyType(dict(preference)) if isinstance(preference, Mapping) else preference
         record = RequiredAction(name, weights, event.time, cause=event.cause, number=event.number)
-        return Outcome([node], (partial(self.records.request, record),))
+        return self._put(event, [node], partial(self.records.request, record))
 
-    def _cancel_action(self, event: Event, name: str, result: str, reason: str) -> Outcome:
+    def _cancel_action(self, event: Event, name: str, result: str, reason: str) -> Event:
         node, record = self.network.actions[name], self.records.required[name]
         self._layer.requested[node.index] = False
         words = f"{name} is {result}: {reason}" if reason else f"{name} is {result}"
         ended = (*self.records.ended, words)[-_ENDED:] if reason else self.records.ended
-        put = partial(
-            self.records.end_request, record, ended, event.number, result=result, end=event.time, reason=reason
-        )
-        return Outcome([node], (put,))
+        end = {"result": result, "end": event.time, "reason": reason}
+        return self._put(event, [node], partial(self.records.end_request, record, ended, event.number, **end))
 
     def _select(
         self, event: Event, designs: Mapping[str, str], configurations: Mapping[str, str], reason: str
-    ) -> Outcome | None:
+    ) -> Event | None:
         layer, network = self._layer, self.network
         chosen = [network.designs[name] for name in designs.values()]
         given = [network.configurations[name] for name in configurations.values()]
@@ -357,60 +348,56 @@ class Knowledge:
             number = next(reversed(self.records.plans), 0) + 1
             plan = planned(self.state, selection, why, event.time, event.cause, number)
             put = partial(self.records.plan, plan)
-            return Outcome((), (put,), selection.changes, effects, plan, matters=False)
-        if not effects and not self._has_new_reasons():
+            return self._put(event, (), put, changes=selection.changes, effects=effects, plan=plan, matters=False)
+        known, reasons = self.state.reasons, layer.reasons.items()
+        if not effects and all(reason == known.get(key, Reason()) for key, reason in reasons):
             return None
-        return Outcome((), (), selection.changes, effects, matters=bool(effects))
+        return self._put(event, changes=selection.changes, effects=effects, matters=bool(effects))
 
-    def _has_new_reasons(self) -> bool:
-        known = self.state.reasons
-        return any(reason != known.get(key, Reason()) for key, reason in self._layer.reasons.items())
-
-    def _finish_plan(self, event: Event, number: int, result: str) -> Outcome:
-        plan = self.records.plans[number]
-        put = partial(self.records.end_plan, plan, result, event.time)
-        return Outcome(puts=(put,), matters=result != "failed")
+    def _finish_plan(self, event: Event, number: int, result: str) -> Event:
+        put = partial(self.records.end_plan, self.records.plans[number], result, event.time)
+        return self._put(event, (), put, matters=result != "failed")
 
     # ---------------------------------------------------------------- records
 
-    def _component_configured(self, _: Event, name: str, parameters: Mapping[str, Any]) -> Outcome:
-        put = partial(self.state.parameters.__setitem__, name, MappingProxyType(dict(parameters)))
-        return Outcome(puts=(put,), matters=False)
+    def _component_configured(self, event: Event, name: str, parameters: Mapping[str, Any]) -> Event:
+        return self._recorded(event, self._configure(name, MappingProxyType(dict(parameters))))
 
-    def _component_started(self, event: Event, name: str, pid: int) -> Outcome:
+    def _component_started(self, event: Event, name: str, pid: int) -> Event:
         process = Process(name, pid, event.time, number=event.number)
-        put = partial(self.records.put, "processes", event.number, process)
-        return Outcome(puts=(put,), matters=False)
+        return self._recorded(event, partial(self.records.put, "processes", event.number, process))
 
-    def _component_ended(self, event: Event, name: str, pid: int | None) -> Outcome | None:
-        ended = [
-            one
-            for one in self.records.processes.values()
-            if one.component == name and one.end is None and pid in (None, one.pid)
-        ]
-        puts = [partial(finish, one, end=event.time) for one in ended]
-        return Outcome(puts=puts, matters=False) if ended else None
+    def _component_ended(self, event: Event, name: str, pid: int | None) -> Event | None:
+        running = [one for one in self.records.processes.values() if one.component == name and one.end is None]
+        ended = [partial(finish, one, end=event.time) for one in running if pid in (None, one.pid)]
+        return self._recorded(event, *ended) if ended else None
 
-    def _record_attempt(self, event: Event, plan: int, *command: Any) -> Outcome:  # noqa: ANN401  # see `Attempt`
+    def _record_attempt(self, event: Event, plan: int, *command: Any) -> Event:  # noqa: ANN401  # see `Attempt`
         component, operation, configuration, parameters, number = command
         serial, made = next(reversed(self.records.attempts), 0) + 1, self.records.plans[plan]
         given = MappingProxyType(dict(parameters))
         attempt = Attempt(made, component, operation, configuration, given, number, event.time, serial=serial)
-        return Outcome(puts=(partial(self.records.put, "attempts", serial, attempt),), matters=False)
+        return self._recorded(event, partial(self.records.put, "attempts", serial, attempt))
 
-    def _finish_attempt(self, event: Event, serial: int, result: str, reason: str) -> Outcome:
+    def _finish_attempt(self, event: Event, serial: int, result: str, reason: str) -> Event:
         attempt = self.records.attempts[serial]
         puts = [partial(finish, attempt, result=result, reason=reason, end=event.time)]
         if attempt.operation == "configure" and result == "completed":
-            puts.append(partial(self.state.parameters.__setitem__, attempt.component, attempt.parameters))
-        return Outcome(puts=tuple(puts), matters=False)
+            puts.append(self._configure(attempt.component, attempt.parameters))
+        return self._recorded(event, *puts)
 
-    def _record_answer(self, event: Event, plan: int, is_vetoed: bool, reason: str) -> Outcome:
+    def _record_answer(self, event: Event, plan: int, is_vetoed: bool, reason: str) -> Event:
         answer = VetoAnswer(self.records.plans[plan], event.time, is_vetoed, reason)
-        return Outcome(puts=(partial(self.records.put, "answers", event.number, answer),), matters=False)
+        return self._recorded(event, partial(self.records.put, "answers", event.number, answer))
 
-    def _store(self, _: Event, __: str) -> Outcome:
-        return Outcome(matters=False)
+    def _store(self, event: Event, _: str) -> Event:
+        return self._recorded(event)
+
+    def _configure(self, component: str, parameters: Parameters) -> partial[None]:
+        return partial(self.state.parameters.__setitem__, component, parameters)
+
+    def _recorded(self, event: Event, *puts: Put) -> Event:
+        return self._put(event, (), *puts, matters=False)
 
     # ---------------------------------------------------------------- the model
 
@@ -447,7 +434,7 @@ class Knowledge:
             self.records.begin(fact, number, now)
 
     def prepare(self) -> None:
-        """Have time do what it has done by now, before the model changes; what a clock raises stops that."""
+        """Have time do what it has done by now, as before the model changes; what a clock raises stops that."""
         now = self.clock()
         with self._lock:
             self.settle(now)

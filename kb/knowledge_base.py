@@ -73,8 +73,9 @@ def _telling(method: Callable[Concatenate["KnowledgeBase", P], T]) -> Callable[C
     def held(self: "KnowledgeBase", *args: P.args, **kwargs: P.kwargs) -> T:
         now, log = self._time(), self._knowledge.log
         with self._lock:
-            self._check_open()
-            self._settle(now)
+            if self._store is not None:
+                self._check_open()
+            self._knowledge.settle(now)
             before = log.last
             result = method(self, *args, **kwargs)
             told = log.last
@@ -160,7 +161,7 @@ class KnowledgeBase:
         self._world: World | None = None
         self._keep, self._is_closed = keep, False
         self.log: Log = known.log
-        self.log.settle = partial(_settle, self._held)
+        self.log.settle = partial(_settle, model, self._held)
         self.history = HistoryView(known.records, self.reading)
         views = views_of(self, known.network)
         self.actions, self.functions, self.components, self.designs, self.configurations, self.attributes = views
@@ -173,7 +174,14 @@ class KnowledgeBase:
 
     # ---------------------------------------------------------------- asked
 
-    is_feasible = questions.is_feasible
+    def is_feasible(self, action: str) -> bool:
+        """Tell whether an action can be done now: its status is not "unfeasible"."""
+        known = self._knowledge
+        if self.model.pending is None and known.pending is None and known.measurements.alarms.next == math.inf:
+            node = named(known.network.actions, "action", action)
+            return known.state.status[node.index] is not Status.UNFEASIBLE  # one reading needs no lock
+        return questions.is_feasible(self, action)
+
     selectable_actions = questions.selectable_actions
     selectable_designs = questions.selectable_designs
     selectable_configurations = questions.selectable_configurations
@@ -289,8 +297,9 @@ class KnowledgeBase:
         number = value if is_plain else questions.number(f"{attribute} cannot be measured as", value, node)
         known, now = self._knowledge, self._time()
         with self._lock:
-            self._check_open()
-            self._settle(now)
+            if self._store is not None:
+                self._check_open()
+            known.settle(now)
             told = known.measure(node, number, known.now).number
         if self._publisher.is_heard:
             self._publisher.deliver(told)
@@ -659,23 +668,14 @@ class KnowledgeBase:
     def _tell(self, verb: str, *arguments: Any) -> None:  # noqa: ANN401  # of the verb
         self._knowledge.apply(self._knowledge.now, verb, arguments)
 
-    def _settle(self, now: float) -> None:
-        """Have time do what it has done by now, and put in place what was interrupted."""
-        known = self._knowledge
-        known.now = max(now, known.log.time)
-        if known.pending is not None or known.now >= known.measurements.alarms.next:
-            known.settle(now)
-
     def _catch_up(self) -> None:
         """Have time do what it has done by now."""
-        now = self._time()
-        with self._lock:
-            self._settle(now)
+        self._knowledge.prepare()
         if self._publisher.is_heard:
             self._publisher.deliver()
 
     def _check_open(self) -> None:
-        if self._store is not None and self._store.is_orphan:
+        if self._store is not None:
             self._store.check_owner()
         if self._is_closed:
             closed = "this knowledge base is closed: its store is given back, so nothing more can be told"
@@ -732,7 +732,10 @@ class _Time:
         return max(shown, last)
 
 
-def _settle(held: AbstractContextManager[State]) -> None:
+def _settle(model: Model, held: AbstractContextManager[State]) -> None:
+    """Put in place what was interrupted."""
+    if model.pending is not None:
+        model.settle()
     with held:
         pass
 

@@ -39,8 +39,15 @@ class ElementView:
 
     __slots__ = ("base", "node")
 
+    base: Readable
+    node: Node
+
     def __init__(self, base: Readable, node: Node) -> None:
-        self.base, self.node = base, node
+        object.__setattr__(self, "base", base)
+        object.__setattr__(self, "node", node)
+
+    def __setattr__(self, name: str, _: object) -> None:
+        raise AttributeError(f"{name} of {self!r} cannot be set: a view is to be read")
 
     @property
     def name(self) -> str:
