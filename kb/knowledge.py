@@ -127,7 +127,9 @@ class Knowledge:
         elif value != before:
             touched = thresholds.crossed(before, value)
         words = f"{node.name} is {reading(value, thresholds.around(value), node)}" if self.in_words else ""
-        event = Event(self.log.last + 1, time, "measure", (node.name, value), (), None, (), None, words)
+        event = tuple.__new__(  # which is quicker
+            Event, (self.log.last + 1, time, "measure", (node.name, value), (), None, (), None, words)
+        )
         if not touched and not thresholds.steady:
             self.pending = event, (put,), False, False
             self.finish()
@@ -143,10 +145,9 @@ class Knowledge:
         """Put in place what was interrupted, and have time do what it has done by now [s]."""
         if self.pending is not None:
             self.finish()
-        last = self.log.time
-        self.now = now = now if now >= last else last
-        if now >= self.measurements.alarms.next:
-            self.advance(now)
+        self.now = max(now, self.log.time)
+        if self.now >= self.measurements.alarms.next:
+            self.advance(self.now)
 
     def advance(self, now: float) -> None:
         """Make events of what time has done until now, each at its own instant."""

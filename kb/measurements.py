@@ -94,7 +94,7 @@ class Measurements:
             self.recent[index] = recent
         if element.max_age != math.inf:  # type: ignore[union-attr]  # it is an attribute
             self._expire(attribute, time)
-        history = self.history(attribute)
+        history = state.histories.get(index) or self.history(attribute)
         if len(history.pairs) == count:
             history.add(time, value)
 
