@@ -1,4 +1,4 @@
-"""`rosa bridge`: the knowledge base of a robot in ROS 2, connected by rosbridge, in the time of the wall clock."""
+"""`rosa bridge`: the knowledge base of a robot in ROS 2, connected with it, in the time of the wall clock."""
 
 import math
 import time
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from kb import Model
     from missions.engine.mission import Mission
     from missions.wires.bridge import BridgeSettings
-    from missions.wires.rosbridge import Node
+    from missions.wires.node import Node
 
 _TICK_S: Final = 0.1
 
@@ -38,7 +38,11 @@ def bridge(
     serve: Annotated[
         int | None, typer.Option(metavar="PORT", help="Serve rosbridge here instead of connecting.")
     ] = None,
-    host: Annotated[str, typer.Option(help="Where to serve; anything but this machine needs a token.")] = "127.0.0.1",
+    dds: Annotated[bool, typer.Option("--dds", help="By DDS instead, without a bridge.")] = False,
+    rclpy: Annotated[bool, typer.Option("--rclpy", help="By rclpy instead, where ROS 2 is installed.")] = False,
+    host: Annotated[
+        str, typer.Option(help="Where to serve, which elsewhere needs a token; or the network interface of DDS.")
+    ] = "127.0.0.1",
     token: Annotated[str, typer.Option(envvar="ROSA_TOKEN", help="Given to the other side, or asked of it.")] = "",
     answer: Annotated[
         bool, typer.Option("--answer", help="Leave deciding to others, who ask ROSA's services.")
@@ -63,7 +67,7 @@ def bridge(
 
     with closing(KnowledgeBase(model, store=store, clock=time.time)) as kb:
         kb.subscribe(say)
-        node = _node(settings, serve, host, token)
+        node = _node(settings, serve, host, token, dds=dds, rclpy=rclpy)
         with closing(Bridge(kb, node, settings, percepts)) as connected:
             node.watch(lambda _, text: console.print(text, highlight=False, markup=False))
             manager = ConfigurationManager(kb, connected.managed)
@@ -123,11 +127,23 @@ def _settings(config: Path | None, url: str | None, attributes: list[str]) -> "B
     return replace(settings, url=url or settings.url, attributes={**settings.attributes, **given})
 
 
-def _node(settings: "BridgeSettings", serve: int | None, host: str, token: str) -> "Node":
-    if serve is None:
-        from missions.wires.rosbridge import Rosbridge
+def _node(settings: "BridgeSettings", serve: int | None, host: str, token: str, *, dds: bool, rclpy: bool) -> "Node":
+    from missions.engine.mission import MissionError
 
-        return Rosbridge(settings.url, token)
-    from missions.wires.rosbridge_server import RosbridgeServer
+    if dds + rclpy + (serve is not None) > 1:
+        raise MissionError("a robot is reached by one wire: --serve, --dds, --rclpy, or none of them for its rosbridge")
+    if dds:
+        from missions.wires.dds import DdsNode
 
-    return RosbridgeServer(serve, host, token)
+        return DdsNode(host=host)
+    if rclpy:
+        from missions.wires.rclpy_node import RclpyNode
+
+        return RclpyNode()
+    if serve is not None:
+        from missions.wires.rosbridge_server import RosbridgeServer
+
+        return RosbridgeServer(serve, host, token)
+    from missions.wires.rosbridge import Rosbridge
+
+    return Rosbridge(settings.url, token)

@@ -7,7 +7,6 @@ manager = ConfigurationManager(kb, bridge.managed)
 
 import logging
 import tomllib
-from collections import Counter
 from collections.abc import Generator, Iterator, Mapping
 from concurrent.futures import Future
 from contextlib import suppress
@@ -19,8 +18,10 @@ from typing import Final
 from kb import ComponentKind, Event, EventKind, KnowledgeBase, KnowledgeBaseError
 from kb.elements import Parameters
 from missions.engine.mission import MissionError, Percepts
-from missions.wires.rosa_services import RosaServices, parameter_messages
-from missions.wires.rosbridge import Message, Node, RosError
+from missions.wires.node import Message, Node, Refusals, RosError
+from missions.wires.ros import INFO
+from missions.wires.ros import LOG as LOG_TYPE
+from missions.wires.rosa_services import LOG, RosaServices, log_message, parameter_messages
 
 _log = logging.getLogger(__name__)
 _KINDS: Final = {
@@ -107,7 +108,11 @@ class Bridge:
         settings: BridgeSettings | None = None,
         percepts: Percepts | None = None,
     ) -> None:
+<<<<<<< HEAD
         self.heard, self.refused, self.is_connected = 0, Counter[str](), False
+=======
+        self.heard, self.refused = 0, Refusals()
+>>>>>>> 1e3cecf (ROS 2 by DDS and by rclpy, with one contract over all nodes; refusals are logged, as the types have no field for them)
         self._kb, self._node, chosen = kb, node, settings or BridgeSettings()
         self.managed = RosComponents(kb, node, chosen.components)
         self._percepts = percepts
@@ -135,7 +140,7 @@ class Bridge:
             self._kb.measure(name, value)  # type: ignore[arg-type]  # it is checked there
             self.heard += 1
         except (LookupError, TypeError, ValueError, KnowledgeBaseError) as error:
-            self.refused[f"{name}: {type(error).__name__}: {error}"[:200]] += 1
+            self.refused.add(f"{name}: {type(error).__name__}: {error}")
 
     def _receive(self, message: Message) -> None:
         problems = self._kb.receive(message)
@@ -143,7 +148,7 @@ class Bridge:
         if self._percepts is not None:
             self._percepts.receive({"status": list(_statuses(message))})
         for problem in problems:
-            self.refused[str(problem)[:200]] += 1
+            self.refused.add(str(problem))
 
     def _publish(self, event: Event) -> None:
         kind = _KINDS.get(event.kind)
@@ -153,14 +158,7 @@ class Bridge:
         if event.kind is not EventKind.MONITORING_DATA or event.changes:
             changes = "".join(f"; {one.name} is {one.new}" for one in event.changes)
             why = f" because {event.plan.reason}" if event.plan is not None and event.plan.reason else ""
-            whole, part = divmod(round(event.time * 1e9), 10**9)
-            told = {
-                "stamp": {"sec": whole, "nanosec": part},
-                "level": 20,
-                "name": "rosa_kb",
-                "msg": f"{event.text}{why}{changes}",
-            }
-            self._node.publish("/rosa/log", "rcl_interfaces/msg/Log", {**told, "file": "", "function": "", "line": 0})
+            self._node.publish(LOG, LOG_TYPE, log_message(event.time, INFO, f"{event.text}{why}{changes}"))
 
     def _changed(self, is_connected: bool, text: str) -> None:
         _log.log(logging.INFO if is_connected else logging.WARNING, "%s", text)

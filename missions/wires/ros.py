@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from missions.extras import needs
@@ -23,13 +24,8 @@ INFO, WARN = 20, 30
 """Levels of rcl_interfaces/Log."""
 FRAME, BODY = "map", "base_link"
 """The world frame, z up, and the robot's, by REP 105."""
-_NAV2: Final = {
-    "nav2_msgs/msg/BehaviorTreeStatusChange": (
-        "builtin_interfaces/Time timestamp\nstring node_name\nuint16 uid\nstring previous_status\nstring current_status"
-    ),
-    TREE_LOG: "builtin_interfaces/Time timestamp\nnav2_msgs/BehaviorTreeStatusChange[] event_log",
-}
-"""Definitions of Nav2's messages, which ROS 2's core does not have."""
+_DEFINITIONS: Final = Path(__file__).with_name("definitions.txt")
+"""Messages and services that ROS 2's core, as `rosbags` has it, lacks."""
 
 
 class Types:
@@ -39,8 +35,16 @@ class Types:
         with needs("mcap", "recordings as MCAP and rosbag2"):
             from rosbags.typesys import Stores, get_types_from_msg, get_typestore
         self.store: Typestore = get_typestore(Stores.ROS2_HUMBLE)
-        for name, text in _NAV2.items():
-            self.store.register(get_types_from_msg(text, name))
+        for line in _DEFINITIONS.read_text(encoding="utf-8").splitlines():
+            if line.startswith("#"):
+                continue
+            name, text = line.split(":", 1)
+            package, base = name.split("/")
+            parts = text.split("->")
+            for ending, part in zip(("_Request", "_Response") if len(parts) > 1 else ("",), parts, strict=True):
+                fields = part.strip().replace(", ", "\n") or "uint8 structure_needs_at_least_one_member"
+                (made,) = get_types_from_msg(fields, f"{package}/msg/{base}").values()
+                self.store.register({f"{package}/{'srv' if ending else 'msg'}/{base}{ending}": made})
 
     def definition(self, kind: str) -> str:
         """Return the definition of a type with those that it is made of, as files of recordings hold it."""

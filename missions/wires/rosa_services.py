@@ -1,13 +1,18 @@
 """ROSA's own services: what the original's node `rosa_kb` answers, so that trees and planners elsewhere ask us."""
 
+import logging
 from collections.abc import Callable, Iterable, Mapping
 from datetime import UTC, datetime
 from typing import Any, Final
 
 from kb import KnowledgeBase, KnowledgeBaseError, ReconfigurationPlan
 from kb.records import Process
-from missions.wires.rosbridge import Message, Node, RosError
+from missions.wires.node import Message, Node, RosError
+from missions.wires.ros import LOG as LOG_TYPE
+from missions.wires.ros import WARN
 
+LOG: Final = "/rosa/log"
+_log = logging.getLogger(__name__)
 BY_TYPE: Final = (
     (bool, 1, "bool_value"),
     (int, 2, "integer_value"),
@@ -28,7 +33,7 @@ class RosaServices:
     """
 
     def __init__(self, kb: KnowledgeBase, node: Node) -> None:
-        self._kb = kb
+        self._kb, self._node = kb, node
         table: Mapping[str, tuple[str, Callable[[Message], Message]]] = {
             "action/request": ("ActionQuery", self._request),
             "action/insert": ("ActionQuery", lambda one: self._insert("action", one)),
@@ -65,9 +70,28 @@ class RosaServices:
             "functional_requirement/insert": ("FunctionalRequirementQuery", self._insert_requirement),
             "query": ("Query", self._query),
         }
+        unknown = []
         for name, (kind, answer) in table.items():
             package = "ros_typedb_msgs" if kind == "Query" else "rosa_msgs"
-            node.serve(f"/rosa_kb/{name}", f"{package}/srv/{kind}", _answering(answer))
+            try:
+                node.serve(f"/rosa_kb/{name}", f"{package}/srv/{kind}", self._answering(name, answer))
+            except RosError:  # this node does not have its type
+                unknown.append(name)
+        if unknown:
+            _log.warning("of /rosa_kb/ is not served, as their types are not there: %s", ", ".join(unknown))
+
+    def _answering(self, name: str, answer: Callable[[Message], Message]) -> Callable[[Message], Message]:
+        """Have each answer say `success`; why something is refused, for which it has no field, is logged."""
+
+        def answered(request: Message) -> Message:
+            try:
+                return {**answer(request), "success": True}
+            except (KnowledgeBaseError, RosError) as error:
+                told = log_message(self._kb.now, WARN, f"/rosa_kb/{name} is refused: {error}")
+                self._node.publish(LOG, LOG_TYPE, told)
+                return {"success": False}
+
+        return answered
 
     # ---------------------------------------------------------------- actions
 
@@ -273,16 +297,11 @@ def _value_message(value: Any) -> Message:  # noqa: ANN401  # of a parameter
     return {"type": code, field: value}
 
 
-def _answering(answer: Callable[[Message], Message]) -> Callable[[Message], Message]:
-    """Have each answer say `success`; what is refused says why in `reason`, and its fields are empty."""
-
-    def answered(request: Message) -> Message:
-        try:
-            return {**answer(request), "success": True}
-        except (KnowledgeBaseError, RosError) as error:
-            return {"success": False, "reason": str(error)}
-
-    return answered
+def log_message(time_s: float, level: int, text: str) -> Message:
+    """Return rcl_interfaces/Log."""
+    whole, part = divmod(round(time_s * 1e9), 10**9)
+    told = {"stamp": {"sec": whole, "nanosec": part}, "level": level, "name": "rosa_kb", "msg": text}
+    return {**told, "file": "", "function": "", "line": 0}
 
 
 def _part(one: Message, key: str) -> Message:

@@ -1,110 +1,42 @@
-"""ROS 2 by rosbridge (protocol v2: JSON over WebSocket): a node on a robot's rosbridge.
-
-It and the server are a `Node`: messages are dicts in the shape of ROS 2's JSON. Nothing here waits for the network:
-what is heard is handed on in the thread of its connection, what is sent goes through a queue with an end.
-"""
+"""ROS 2 by rosbridge (protocol v2: JSON over WebSocket): a node on a robot's rosbridge."""
 
 import json
 import logging
-import math
 import time
-from collections import Counter, deque
-from collections.abc import Callable, Mapping
+from collections import deque
+from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
 from itertools import count
-from threading import Condition, Event, Lock, Thread
-from typing import Any, Final, Protocol
+from threading import Event, Lock, Thread
+from typing import Any, Final
 from urllib.parse import urlsplit
 
 from missions.engine.mission import MissionError
 from missions.extras import needs
-
-Message = dict[str, Any]
-Heard = Callable[[Message], object]
-Answer = Callable[[Message], Message]
+from missions.wires.node import NONSENSE, QUEUED, Answer, Heard, Message, Outbox, Refusals, RosError, plain
 
 PORT: Final = 9090
 LARGEST: Final = 2**20
 """Of a message [bytes]."""
-_QUEUED: Final = 10_000
 _FIRST_WAIT_S, _LONGEST_WAIT_S = 0.25, 8.0
-LOOPBACK: Final = ("127.0.0.1", "localhost", "::1")
 _log = logging.getLogger(__name__)
 
 
-class RosError(Exception):
-    """A call has failed, or a request is refused; the text says why."""
-
-
-class Node(Protocol):
-    """What talks ROS 2: by rosbridge, by rclpy or by DDS. Types are named as ROS 2 does, e.g. "std_msgs/msg/String"."""
-
-    def subscribe(self, topic: str, kind: str, heard: Heard) -> None:
-        """Have a function called with each message of a topic."""
-
-    def publish(self, topic: str, kind: str, message: Message) -> None:
-        """Publish a message."""
-
-    def call(self, service: str, kind: str, request: Message) -> "Future[Message]":
-        """Call a service; the future ends with the answer, or with `RosError`."""
-
-    def serve(self, service: str, kind: str, answer: Answer) -> None:
-        """Answer the calls of a service; a `RosError` refuses one."""
-
-    def watch(self, changed: Callable[[bool, str], object]) -> None:
-        """Have a function called with whether there is a connection, and a sentence, when that changes."""
-
-    def close(self) -> None:
-        """Let go of everything."""
-
-
-def plain(value: object) -> object:
-    """Return a value as rosbridge writes it: NaN and infinities are null."""
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    if isinstance(value, Mapping):
-        return {key: plain(one) for key, one in value.items()}
-    return [plain(one) for one in value] if isinstance(value, list | tuple) else value
-
-
-class Peer:
-    """One connection: sends in a thread of its own, so that a peer that is slow or gone holds up nobody."""
+class Peer(Outbox):
+    """One connection."""
 
     def __init__(self, socket: Any) -> None:  # noqa: ANN401  # websockets is imported late
+        super().__init__(socket.send)
         self.socket = socket
-        self.dropped = 0
-        self._queue: deque[str] = deque()
-        self._news, self._is_closed = Condition(), False
-        self._thread = Thread(target=self._send_all, name="rosbridge-send", daemon=True)
-        self._thread.start()
 
     def send(self, message: Message) -> None:
-        with self._news:
-            if len(self._queue) >= _QUEUED:
-                self._queue.popleft()
-                self.dropped += 1
-            self._queue.append(json.dumps(plain(message)))
-            self._news.notify()
+        self.put(json.dumps(plain(message)))
 
     def close(self) -> None:
-        with self._news:
-            self._is_closed = True
-            self._news.notify()
+        super().close()
         with suppress(Exception):  # it may be gone
             self.socket.close()
-
-    def _send_all(self) -> None:
-        while True:
-            with self._news:
-                self._news.wait_for(lambda: self._queue or self._is_closed)
-                if self._is_closed:
-                    return
-                text = self._queue.popleft()
-            try:
-                self.socket.send(text)
-            except Exception:  # the one that reads finds out too, and ends it
-                return
 
 
 class Rosbridge:
@@ -126,7 +58,7 @@ class Rosbridge:
             import websockets.sync.client as client
         if urlsplit(url).scheme not in ("ws", "wss") or not urlsplit(url).hostname:
             raise MissionError(f"{url!r} is no address of a rosbridge; write ws://HOST:{PORT}")
-        self.refused: Counter[str] = Counter()
+        self.refused = Refusals()
         self._connect = client.connect
         self._url, self._headers = url, {"Authorization": f"Bearer {token}"} if token else {}
         self._lock, self._ids, self._closing = Lock(), count(1), Event()
@@ -135,7 +67,7 @@ class Rosbridge:
         self._advertised: dict[str, str] = {}
         self._served: dict[str, tuple[str, Answer]] = {}
         self._open: dict[str, Future[Message]] = {}
-        self._unsent: deque[Message] = deque(maxlen=_QUEUED)
+        self._unsent: deque[Message] = deque(maxlen=QUEUED)
         self._watching: list[Callable[[bool, str], object]] = []
         self._thread = Thread(target=self._run, name="rosbridge", daemon=True)
         self._thread.start()
@@ -255,8 +187,7 @@ class Rosbridge:
         try:
             message = read(text)
             if message["op"] == "publish":
-                for heard in self._subscribed[text_of(message, "topic")][1]:
-                    heard(dict_of(message, "msg"))
+                self.refused.hand_on(dict_of(message, "msg"), self._subscribed[text_of(message, "topic")][1])
             elif message["op"] == "service_response":
                 future = self._open.pop(text_of(message, "id"), None)
                 if future is not None:
@@ -267,15 +198,11 @@ class Rosbridge:
             elif message["op"] == "status" and message.get("level") in ("error", "warning"):
                 _log.warning("%s says: %s", self._url, message.get("msg"))
         except NONSENSE as error:
-            self.refused[f"{type(error).__name__}: {error}"[:200]] += 1
+            self.refused.add(error)
 
     def _tell(self, is_connected: bool, text: str) -> None:
         for changed in self._watching:
             changed(is_connected, text)
-
-
-NONSENSE: Final = (ValueError, LookupError, TypeError, AttributeError, RecursionError)
-"""What a message raises that is none; nothing has been done by then."""
 
 
 def read(text: str | bytes) -> Message:

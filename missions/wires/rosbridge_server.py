@@ -4,7 +4,6 @@ It is a `Node` too: what is published, subscribed and served here meets what the
 """
 
 import logging
-from collections import Counter
 from concurrent.futures import Future
 from hmac import compare_digest
 from itertools import count
@@ -14,21 +13,8 @@ from urllib.parse import parse_qs, urlsplit
 
 from missions.engine.mission import MissionError
 from missions.extras import needs
-from missions.wires.rosbridge import (
-    LARGEST,
-    LOOPBACK,
-    NONSENSE,
-    PORT,
-    Answer,
-    Heard,
-    Message,
-    Peer,
-    answered,
-    dict_of,
-    finish,
-    read,
-    text_of,
-)
+from missions.wires.node import LOOPBACK, NONSENSE, Answer, Heard, Message, Refusals
+from missions.wires.rosbridge import LARGEST, PORT, Peer, answered, dict_of, finish, read, text_of
 
 _REFUSALS_TOLD: Final = 100
 """To one client; more are only counted."""
@@ -77,7 +63,7 @@ class RosbridgeServer:
         if host not in LOOPBACK and not token:
             raise MissionError(f"{host} is not this machine only: give a token that clients have to give too")
         self._token = token
-        self.refused: Counter[str] = Counter()
+        self.refused = Refusals()
         self._lock, self._ids = RLock(), count(1)
         self._peers: set[_Client] = set()
         self._heard: dict[str, list[Heard]] = {}
@@ -168,8 +154,7 @@ class RosbridgeServer:
             message = read(text)
             getattr(self, f"_op_{message['op']}", self._op_unknown)(peer, message)
         except NONSENSE as error:
-            why = f"{type(error).__name__}: {error}"[:200]
-            self.refused[why] += 1
+            why = self.refused.add(error)
             peer.refusals += 1
             if peer.refusals <= _REFUSALS_TOLD:
                 peer.send({"op": "status", "level": "error", "msg": why})
@@ -191,8 +176,7 @@ class RosbridgeServer:
 
     def _op_publish(self, peer: _Client, message: Message) -> None:
         topic, content = text_of(message, "topic"), dict_of(message, "msg")
-        for heard in self._heard.get(topic, ()):
-            heard(content)
+        self.refused.hand_on(content, self._heard.get(topic, ()))
         self.publish(topic, "", content)
 
     def _op_advertise_service(self, peer: _Client, message: Message) -> None:

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from threading import Timer
 
 import pytest
 
@@ -69,9 +70,16 @@ def rover():
 
 
 def start(rover, *arguments):
-    command = [sys.executable, "-m", "missions", "bridge", "rover:model", "--config", "bridge.toml"]
-    command += ["--url", f"ws://127.0.0.1:{rover.server.port}", *arguments]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))}
+    return bridge("--url", f"ws://127.0.0.1:{rover.server.port}", *arguments)
+
+
+def bridge(*arguments, **variables):
+    command = [sys.executable, "-m", "missions", "bridge", "rover:model", "--config", "bridge.toml", *arguments]
+    environment = {
+        **os.environ,
+        **variables,
+        "PYTHONPATH": os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH")))),
+    }
     return subprocess.Popen(
         command, cwd=EXAMPLE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment
     )
@@ -125,3 +133,52 @@ setTimeout(() => process.exit(3), 60000);
             program.terminate()
             program.stdout.read()
     assert (done.returncode, done.stdout.split()) == (0, ["patrol", "return_to_dock"]), done.stderr
+
+
+def test_rover_is_managed_over_dds_by_types_that_are_not_ours():
+    domain = str(100 + os.getpid() % 100)
+    only_here = '<CycloneDDS><Domain><General><Interfaces><NetworkInterface address="127.0.0.1" multicast="true"/>'
+    only_here += "</Interfaces></General></Domain></CycloneDDS>"
+    variables = {
+        **os.environ,
+        "ROS_DOMAIN_ID": domain,
+        "CYCLONEDDS_URI": only_here.replace("Domain>", f'Domain Id="{domain}">', 1),
+    }
+    side = [sys.executable, str(Path(__file__).with_name("dds_rover.py"))]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    with (
+        subprocess.Popen(side, env=variables, **pipes) as robot,
+        bridge("--tree", "rover:tree", "--dds", ROS_DOMAIN_ID=domain) as program,
+    ):
+        heard = []
+
+        def until(*wanted):
+            missing = set(wanted)
+            while missing:
+                line = robot.stdout.readline()
+                assert line, f"{missing} never happened; it said {heard[-20:]}"
+                heard.append(line.strip())
+                missing.discard(line.strip())
+
+        def say(text):
+            robot.stdin.write(f"{text}\n")
+            robot.stdin.flush()
+
+        watchdog = Timer(60, robot.kill)
+        watchdog.start()
+        try:
+            until("/front/camera 3", "/navigator 3", "/front/camera gain 1.0")
+            say("light 0.1")
+            until("/front/camera gain 8.0")
+            say("failed camera")
+            until("/front/camera 2", "/lidar 3")
+            say("battery 0.1")
+            until("/lidar 2", "action_update")
+            assert {"insert_monitoring_data", "insert_reconfiguration_plan"} <= set(heard)
+        finally:
+            watchdog.cancel()
+            robot.stdin.close()
+            program.terminate()
+            said = program.stdout.read()
+    assert "patrol is abandoned" in said
+    assert "return_to_dock is requested" in said

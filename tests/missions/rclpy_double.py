@@ -1,0 +1,338 @@
+"""rclpy, rosidl_runtime_py and message packages as they are in ROS 2 Humble, as far as the product uses them.
+
+Names, parameters and checks of types are those of the real ones; whatever else is used raises. Nodes of one process
+meet; callbacks run in the thread that spins, and what a callback raises ends it, as there.
+"""
+
+import sys
+from contextlib import contextmanager
+from enum import IntEnum
+from queue import Empty, Queue
+from threading import RLock
+from types import ModuleType, SimpleNamespace
+
+from missions.wires import ros
+
+_IDL = {"bool": "boolean", "byte": "octet", "char": "uint8", "float32": "float", "float64": "double"}
+_LOCK = RLock()
+_NODES, _CLASSES = [], {}
+
+
+class ReliabilityPolicy(IntEnum):
+    SYSTEM_DEFAULT = 0
+    RELIABLE = 1
+    BEST_EFFORT = 2
+
+
+class QoSProfile:
+    def __init__(self, **kwargs):
+        assert "depth" in kwargs, "History and/or depth settings are required."
+        assert set(kwargs) <= {"depth", "reliability", "history", "durability"}, "Unknown argument"
+        self.depth = kwargs["depth"]
+        self.reliability = kwargs.get("reliability", ReliabilityPolicy.RELIABLE)
+
+
+class ExternalShutdownException(Exception): ...
+
+
+class ShutdownException(Exception): ...
+
+
+class Context:
+    def __init__(self):
+        self.is_open = False
+
+    def ok(self):
+        return self.is_open
+
+
+def init(*, args=None, context=None, domain_id=None):
+    assert not context.is_open, "Context.init() must only be called once"
+    context.is_open = True
+
+
+def shutdown(*, context=None, uninstall_handlers=None):
+    assert context.is_open, "Cannot shutdown a ROS adapter that is not running"
+    context.is_open = False
+
+
+def create_node(node_name, *, context=None, namespace=None):
+    assert context.is_open, "the given context is not valid"
+    return Node(node_name, context=context)
+
+
+class Future:
+    def __init__(self):
+        self._done, self._result, self._exception, self._callbacks = False, None, None, []
+
+    def result(self):
+        if self._exception:
+            raise self._exception
+        return self._result
+
+    def exception(self):
+        return self._exception
+
+    def add_done_callback(self, callback):
+        if self._done:
+            callback(self)
+        self._callbacks.append(callback)
+
+    def set_result(self, result):
+        self._done, self._result = True, result
+        for callback in self._callbacks:
+            callback(self)
+
+
+class Publisher:
+    def __init__(self, msg_type, topic, qos_profile):
+        self.msg_type, self.topic, self.qos_profile = msg_type, topic, qos_profile
+
+    def publish(self, msg):
+        assert isinstance(msg, self.msg_type), "Expected {}, got {}".format(self.msg_type, type(msg))  # noqa: UP032
+        with _LOCK:
+            for node in _NODES:
+                for one in node.subscriptions:
+                    offered = self.qos_profile.reliability == ReliabilityPolicy.RELIABLE
+                    if one.topic == self.topic and (
+                        offered or one.qos_profile.reliability != ReliabilityPolicy.RELIABLE
+                    ):
+                        assert one.msg_type is self.msg_type
+                        node.todo.put(lambda one=one: one.callback(msg))
+
+
+class Client:
+    def __init__(self, node, srv_type, srv_name):
+        self.node, self.srv_type, self.srv_name = node, srv_type, srv_name
+
+    def _server(self):
+        with _LOCK:
+            found = [(node, s) for node in _NODES for s in node.services if s.srv_name == self.srv_name]
+        return found[0] if found else None
+
+    def service_is_ready(self):
+        return self._server() is not None
+
+    def call_async(self, request):
+        if not isinstance(request, self.srv_type.Request):
+            raise TypeError
+        future, (node, service) = Future(), self._server()
+
+        def serve():
+            response = service.callback(request, service.srv_type.Response())
+            assert isinstance(response, service.srv_type.Response)
+            self.node.todo.put(lambda: future.set_result(response))
+
+        node.todo.put(serve)
+        return future
+
+
+class Node:
+    def __init__(self, node_name, *, context=None):
+        self.name, self.context, self.todo = node_name, context, Queue()
+        self.subscriptions, self.publishers, self.services, self.timers = [], [], [], []
+        with _LOCK:
+            _NODES.append(self)
+
+    def create_publisher(self, msg_type, topic, qos_profile):
+        made = Publisher(_message(msg_type), _name(topic), _quality(qos_profile))
+        self.publishers.append(made)
+        return made
+
+    def create_subscription(self, msg_type, topic, callback, qos_profile):
+        made = SimpleNamespace(
+            msg_type=_message(msg_type), topic=_name(topic), callback=callback, qos_profile=_quality(qos_profile)
+        )
+        with _LOCK:
+            self.subscriptions.append(made)
+        return made
+
+    def destroy_subscription(self, subscription):
+        with _LOCK:
+            self.subscriptions.remove(subscription)
+        return True
+
+    def create_client(self, srv_type, srv_name):
+        return Client(self, _service(srv_type), _name(srv_name))
+
+    def create_service(self, srv_type, srv_name, callback):
+        with _LOCK:
+            self.services.append(
+                SimpleNamespace(srv_type=_service(srv_type), srv_name=_name(srv_name), callback=callback)
+            )
+
+    def create_timer(self, timer_period_sec, callback):
+        self.timers.append((float(timer_period_sec), callback))
+
+    def get_publishers_info_by_topic(self, topic_name, no_mangle=False):
+        with _LOCK:
+            return [
+                SimpleNamespace(qos_profile=one.qos_profile)
+                for node in _NODES
+                for one in node.publishers
+                if one.topic == topic_name
+            ]
+
+    def destroy_node(self):
+        with _LOCK:
+            _NODES.remove(self)
+
+
+class SingleThreadedExecutor:
+    def __init__(self, *, context=None):
+        assert context.is_open
+        self.context, self.node, self.is_shut = context, None, False
+
+    def add_node(self, node):
+        self.node = node
+        return True
+
+    def spin(self):
+        waited = 0.0
+        while not self.is_shut:
+            if not self.context.is_open:
+                raise ExternalShutdownException
+            try:
+                self.node.todo.get(timeout=0.02)()
+            except Empty:
+                waited += 0.02
+            for period, callback in self.node.timers if waited >= 0.2 else ():
+                assert period > 0
+                callback()
+                waited = 0.0
+
+    def shutdown(self, timeout_sec=None):
+        self.is_shut = True
+        return True
+
+
+def _message(kind):
+    assert hasattr(kind, "get_fields_and_field_types"), f"{kind} is no class of a message"
+    return kind
+
+
+def _service(kind):
+    assert hasattr(kind, "Request"), f"{kind} is no class of a service"
+    return kind
+
+
+def _name(name):
+    assert name.startswith("/"), f"{name} would be in the node's namespace"
+    return name
+
+
+def _quality(qos_profile):
+    assert isinstance(qos_profile, QoSProfile | int)
+    return qos_profile
+
+
+def get_message(identifier):
+    package, folder, name = identifier.split("/") if identifier.count("/") == 2 else (None, None, None)
+    if package is None:
+        raise ValueError(f"Expected the full name of a message, got '{identifier}'")
+    if f"{package}/{folder}/{name}" not in ros.types().store.fielddefs:
+        raise ModuleNotFoundError(f"No module named '{package}'")
+    return _class(identifier)
+
+
+def get_service(identifier):
+    if identifier.count("/") != 2:
+        raise ValueError(f"Expected the full name of a service, got '{identifier}'")
+    if f"{identifier}_Request" not in ros.types().store.fielddefs:
+        raise ModuleNotFoundError(f"No module named '{identifier.split('/')[0]}'")
+    if identifier not in _CLASSES:
+        halves = {half: _class(f"{identifier}_{half}") for half in ("Request", "Response")}
+        _CLASSES[identifier] = type(identifier.split("/")[-1], (), halves)
+    return _CLASSES[identifier]
+
+
+def _class(kind):
+    """Return the class of a message as rosidl generates it: checked setters, and types of fields in its words."""
+    if kind not in _CLASSES:
+        fields = {
+            name: (node.name, what)
+            for name, (node, what) in ros.types().store.fielddefs[kind][1]
+            if name != "structure_needs_at_least_one_member"
+        }
+        _CLASSES[kind] = type(kind.split("/")[-1], (_Message,), {"_fields": fields, "__slots__": tuple(fields)})
+    return _CLASSES[kind]
+
+
+def _said(node, what):
+    if node == "BASE":
+        name, limit = what
+        return f"{_IDL.get(name, name)}<{limit}>" if limit else _IDL.get(name, name)
+    if node == "NAME":
+        return what.replace("/msg/", "/")
+    (inner, of), length = what
+    one = _said(inner.name, of)
+    return f"{one}[{length}]" if node == "ARRAY" else f"sequence<{one}, {length}>" if length else f"sequence<{one}>"
+
+
+def _empty(node, what):
+    if node == "NAME":
+        return _class(what)()
+    if node == "BASE":
+        return {"bool": False, "byte": b"\x00", "float32": 0.0, "float64": 0.0, "string": ""}.get(what[0], 0)
+    (inner, of), length = what
+    return [_empty(inner.name, of) for _ in range(length)] if node == "ARRAY" else []
+
+
+def _check(node, what, value):
+    if node == "NAME":
+        assert type(value) is _class(what), f"must be a sub message of type {what}"
+    elif node == "BASE":
+        name = what[0]
+        wanted = {"bool": bool, "byte": bytes, "float32": float, "float64": float, "string": str}.get(name, int)
+        assert isinstance(value, wanted), f"must be of type {wanted}, not {value!r}"
+        assert name != "byte" or len(value) == 1, "must be bytes of length 1"
+    else:
+        (inner, of), length = what
+        assert isinstance(value, list), "must be a sequence"
+        assert node != "ARRAY" or len(value) == length
+        for one in value:
+            _check(inner.name, of, one)
+
+
+class _Message:
+    __slots__ = ()
+
+    def __init__(self, **kwargs):
+        unknown = set(kwargs) - set(self._fields)
+        assert not unknown, f"Invalid arguments passed to constructor: {unknown}"
+        for name, field in self._fields.items():
+            setattr(self, name, kwargs.get(name, _empty(*field)))
+
+    def __setattr__(self, name, value):
+        _check(*self._fields[name], value)
+        object.__setattr__(self, name, value)
+
+    @classmethod
+    def get_fields_and_field_types(cls):
+        return {name: _said(*field) for name, field in cls._fields.items()}
+
+
+@contextmanager
+def installed():
+    """Have them imported as if ROS 2 were there."""
+    parts = {
+        "rclpy": {"init": init, "shutdown": shutdown, "create_node": create_node},
+        "rclpy.context": {"Context": Context},
+        "rclpy.qos": {"QoSProfile": QoSProfile, "ReliabilityPolicy": ReliabilityPolicy},
+        "rclpy.executors": {
+            "SingleThreadedExecutor": SingleThreadedExecutor,
+            "ExternalShutdownException": ExternalShutdownException,
+            "ShutdownException": ShutdownException,
+        },
+        "rosidl_runtime_py": {},
+        "rosidl_runtime_py.utilities": {"get_message": get_message, "get_service": get_service},
+    }
+    for name, content in parts.items():
+        module = sys.modules[name] = ModuleType(name)
+        vars(module).update(content)
+        module.__path__ = []
+    try:
+        yield
+    finally:
+        for name in parts:
+            del sys.modules[name]
