@@ -108,11 +108,7 @@ class Bridge:
         settings: BridgeSettings | None = None,
         percepts: Percepts | None = None,
     ) -> None:
-<<<<<<< HEAD
-        self.heard, self.refused, self.is_connected = 0, Counter[str](), False
-=======
-        self.heard, self.refused = 0, Refusals()
->>>>>>> 1e3cecf (ROS 2 by DDS and by rclpy, with one contract over all nodes; refusals are logged, as the types have no field for them)
+        self.heard, self.refused, self.is_connected = 0, Refusals(), False
         self._kb, self._node, chosen = kb, node, settings or BridgeSettings()
         self.managed = RosComponents(kb, node, chosen.components)
         self._percepts = percepts
