@@ -89,7 +89,7 @@ class Publisher:
         self.msg_type, self.topic, self.qos_profile = msg_type, topic, qos_profile
 
     def publish(self, msg):
-        assert isinstance(msg, self.msg_type), "Expected {}, got {}".format(self.msg_type, type(msg))  # noqa: UP032
+        assert isinstance(msg, self.msg_type), f"Expected {self.msg_type}, got {type(msg)}"
         with _LOCK:
             for node in _NODES:
                 for one in node.subscriptions:
