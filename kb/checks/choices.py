@@ -1,15 +1,16 @@
 """Designs of one function and configurations of one component: which one is chosen, and what never is."""
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby, pairwise
 from typing import Final
 
 from kb.checks.findings import Finding, found, listing
-from kb.elements import Attribute, Configuration, Element, FunctionDesign, StalePolicy
+from kb.elements import Configuration, Element
 from kb.explanation.requirements import Interval, bounds
 from kb.facts import Contents, RequiredActionFact
 from kb.network import Network, Node
+from kb.planners.choice import choosable
 
 PREFERRED: Final = 32
 """How many of the alternatives that are preferred to one are compared with it."""
@@ -34,8 +35,8 @@ def doubtful_choices(model: Contents, network: Network) -> Iterator[Finding]:
 
 
 def _priority(node: Node) -> float:
-    assert isinstance(node.element, Configuration | FunctionDesign)
-    return math.inf if node.element.priority is None else node.element.priority
+    priority = choosable(node).priority
+    return math.inf if priority is None else priority
 
 
 def _bounds_in_use(part: Node) -> dict[str, Interval]:
@@ -58,14 +59,12 @@ def _ties(whole: Node) -> Iterator[Finding]:
 def _exclude_one_another(alternatives: Sequence[Bounds]) -> bool:
     """Tell whether there is an attribute that allows one of them at a time, so that a tie does not matter."""
     for attribute in alternatives[0]:
-        known = sorted((one[attribute] for one in alternatives if attribute in one), key=_low)
+        known = sorted(
+            (one[attribute] for one in alternatives if attribute in one), key=lambda one: (one.low, one.low_open)
+        )
         if len(known) == len(alternatives) and all(one.meet(after).is_empty for one, after in pairwise(known)):
             return True
     return False
-
-
-def _low(interval: Interval) -> tuple[float, bool]:
-    return interval.low, interval.low_open
 
 
 def _excluded(component: Node) -> Iterator[Finding]:
@@ -89,57 +88,23 @@ def _is_contradictory(values: Bounds) -> bool:
 
 
 def _dominated(whole: Node) -> Iterator[Finding]:
-    """Yield the parts that are unfeasible whenever none of those preferred to them is feasible."""
+    """Yield the parts for which one that is preferred is feasible whenever they are."""
     ranked = sorted(whole.parts, key=_priority)
     offered = [(part, bounds(part)) for part in ranked[:PREFERRED]]
     for part in ranked:
         needed = _bounds_in_use(part)
-        easier = [  # no failure tells them apart if all that one is made of is in the other too
-            (one, own)
-            for one, own in offered
-            if _priority(one) < _priority(part) and (part.kind == "configuration" or set(one.parts) <= set(part.parts))
-        ]
-        names = "" if _is_contradictory(needed) else _covering(easier, needed)
-        if names:
-            what = f"{part.kind} {part.name}"
-            message = f"{what} of {whole.kind} {whole.name} is never chosen: whenever it is feasible, so is {names}"
-            yield found("never-selected", what, f"{message}, which is preferred")
-
-
-def _covering(preferred: Sequence[tuple[Node, Bounds]], needed: Bounds) -> str:
-    """Name the preferred ones of which at least one is feasible whenever the bounds hold; "" if there are none."""
-    by_attribute: dict[Node, list[tuple[Interval, str]]] = {}
-    for one, own in preferred:
-        if all(name in needed and interval.covers(needed[name]) for name, interval in own.items()):
-            return one.name
-        if len(own) == 1:
-            (interval,) = own.values()
-            by_attribute.setdefault(one.constraints[0].parts[0], []).append((interval, one.name))
-    for attribute, offers in by_attribute.items():
-        wanted = needed.get(attribute.name)
-        if wanted is None and _can_be_violated_by_age(attribute):
+        if _is_contradictory(needed):
             continue
-        if _leave_no_gap([interval for interval, _ in offers], wanted or Interval()):
-            return " or ".join(name for _, name in offers)
-    return ""
-
-
-def _can_be_violated_by_age(attribute: Node) -> bool:
-    element = attribute.element
-    return isinstance(element, Attribute) and element.when_stale is StalePolicy.VIOLATED and element.max_age < math.inf
-
-
-def _leave_no_gap(intervals: Iterable[Interval], wanted: Interval) -> bool:
-    reached: Interval | None = None
-    for one in sorted(intervals, key=_low):
-        is_gap = reached is None or one.low > reached.high
-        if reached is None or is_gap or (one.low == reached.high and one.low_open and reached.high_open):
-            reached = one
-        else:
-            reached = reached.hull(one)
-        if reached.covers(wanted):
-            return True
-    return False
+        for one, own in offered:  # no failure tells them apart if all that one is made of is in the other too
+            is_within = part.kind == "configuration" or set(one.parts) <= set(part.parts)
+            easier = all(name in needed and interval.covers(needed[name]) for name, interval in own.items())
+            if _priority(one) < _priority(part) and is_within and easier:
+                what = f"{part.kind} {part.name}"
+                message = (
+                    f"{what} of {whole.kind} {whole.name} is never chosen: whenever it is feasible, so is {one.name}"
+                )
+                yield found("never-selected", what, f"{message}, which is preferred")
+                break
 
 
 class _Estimated:

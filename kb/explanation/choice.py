@@ -4,12 +4,11 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Final
 
-from kb.elements import Configuration, FunctionDesign
 from kb.explanation.reasons import why
 from kb.inference import is_adaptable
 from kb.network import Node
 from kb.notebook import table
-from kb.planners.choice import first_by_priority
+from kb.planners.choice import choosable, ranked
 from kb.reconfiguration import reselect
 from kb.state import Overlay, State
 from kb.status import Status
@@ -103,18 +102,13 @@ def note_nothing(state: State, reason: str) -> None:
         state.give_reason(_NOTED, node, reason if node in concerned else "")
 
 
-def _possible(state: State, whole: Node) -> list[Node]:
-    return [part for part in whole.parts if state.status[part.index] is not Status.UNFEASIBLE]
-
-
 def _first_designs(state: State) -> list[Node]:
     """Return the first design by priority for each adaptable function, but for what is selected for another reason."""
     chosen = []
     for function in state.adaptable.nodes():
-        possible = _possible(state, function) if function.kind == "function" else []
+        possible = ranked(state, function) if function.kind == "function" else []
         if not any(state.selected[part.index] and state.reason("selected", part).text for part in possible):
-            name = first_by_priority(_element(part) for part in possible)
-            chosen += [part for part in possible if part.name == name]
+            chosen += possible[:1]
     return chosen
 
 
@@ -131,7 +125,7 @@ class _Chooser:
     nothing: str
 
     def __post_init__(self) -> None:
-        self.possible = _possible(self.state, self.node)
+        self.possible = ranked(self.state, self.node)
         self.selected = next((part for part in self.node.parts if self.state.selected[part.index]), None)
         self.said = self.state.reason("selected", self.selected).text if self.selected else ""
         self.first = self._preferred(self.preferred)
@@ -143,12 +137,11 @@ class _Chooser:
             return None
         if name is None and self.said:
             return self.selected if self.selected in self.possible else None
-        name = name or first_by_priority(_element(part) for part in self.possible)
-        return next((part for part in self.possible if part.name == name), None)
+        return next((part for part in self.possible if name in (None, part.name)), None)
 
     def explanation(self) -> ChoiceExplanation:
         others = tuple(
-            Alternative(part.name, self.state.status[part.index], _element(part).priority, self._why_not(part))
+            Alternative(part.name, self.state.status[part.index], choosable(part).priority, self._why_not(part))
             for part in self.node.parts
             if part is not self.chosen
         )
@@ -174,7 +167,7 @@ class _Chooser:
         return self.node.kind == "component" and not self.following.served[self.node.index]
 
     def _advantage(self, chosen: Node) -> str:
-        what, priority = _PARTS[self.node.kind], _element(chosen).priority
+        what, priority = _PARTS[self.node.kind], choosable(chosen).priority
         if self.nothing:
             return f"it was preferred before; now nothing would be: {self.nothing}"
         if chosen is not self.first:
@@ -185,7 +178,7 @@ class _Chooser:
             return self.said
         if len(self.possible) == 1:
             return f"it is the only {what}" if len(self.node.parts) == 1 else f"no other {what} is feasible"
-        if any(_element(other).priority == priority for other in self.possible if other is not chosen):
+        if any(choosable(other).priority == priority for other in self.possible if other is not chosen):
             return f"of those with {_in_words(priority)} it comes first by name"
         return f"{_in_words(priority)} is the lowest of those that are feasible"
 
@@ -201,7 +194,7 @@ class _Chooser:
         if self.said:
             return "it is not part of that choice" if self.first else "it is possible, but not selected yet"
         assert self.first is not None  # something is possible, so something is preferred
-        mine, best = _element(part).priority, _element(self.first).priority
+        mine, best = choosable(part).priority, choosable(self.first).priority
         if mine == best:
             return f"it has {_in_words(mine)} too, and comes after {self.first.name} by name"
         return f"it has {_in_words(mine)}, which comes after {best}"
@@ -215,11 +208,6 @@ class _Chooser:
         if status is Status.SOLVED:
             return f"the {node.kind} works, and is not to be improved while it does"
         return f"nothing is selected anew while the {node.kind} has the status {status}"
-
-
-def _element(part: Node) -> FunctionDesign | Configuration:
-    assert isinstance(part.element, FunctionDesign | Configuration)
-    return part.element
 
 
 def _in_words(priority: float | None) -> str:

@@ -79,7 +79,7 @@ class Interval:
 
 
 def constraints_on(node: Node) -> list[Constraint]:
-    return [one.element for one in node.constraints if isinstance(one.element, Constraint)]
+    return [constraint_of(one) for one in node.constraints]
 
 
 def bounds(*nodes: Node) -> dict[str, Interval]:
@@ -292,9 +292,18 @@ class Requirements:
         return changed + len(box.repairs), len(box.intervals)
 
 
+def attribute_of(node: Node) -> Attribute:
+    assert isinstance(node.element, Attribute)
+    return node.element
+
+
+def constraint_of(node: Node) -> Constraint:
+    assert isinstance(node.element, Constraint)
+    return node.element
+
+
 def _is_counted_violated(state: State, attribute: Node) -> bool:
-    assert isinstance(attribute.element, Attribute)
-    return state.stale[attribute.index] and attribute.element.when_stale is StalePolicy.VIOLATED
+    return state.stale[attribute.index] and attribute_of(attribute).when_stale is StalePolicy.VIOLATED
 
 
 def _is_outside(state: State, attribute: Node, interval: Interval) -> bool:
@@ -309,15 +318,13 @@ def _is_outside(state: State, attribute: Node, interval: Interval) -> bool:
 
 
 def _wanted(node: Node, verdict: Status | None) -> Interval:
-    assert isinstance(node.element, Constraint)
-    return Interval.of(node.element, turning_point(node.element, verdict))
+    return Interval.of(constraint_of(node), turning_point(constraint_of(node), verdict))
 
 
 def _holds(state: State, attribute: Node, node: Node) -> bool:
-    value, constraint = state.value[attribute.index], node.element
+    value, constraint = state.value[attribute.index], constraint_of(node)
     if value is None or _is_counted_violated(state, attribute):
         return False
-    assert isinstance(constraint, Constraint)
     if state.verdict[node.index] is not None:
         return state.verdict[node.index] is not Status.VIOLATED
     return OPERATORS[constraint.operator](value, constraint.value)
@@ -406,9 +413,8 @@ def _remedy(state: State, box: Box) -> Remedy:
         attribute = state.network.attributes[name]
         if _is_outside(state, attribute, interval):
             value, again = state.value[attribute.index], _is_counted_violated(state, attribute)
-            longer, element = not again and value is not None and value in interval, attribute.element
-            assert isinstance(element, Attribute)
-            measured.append(Measured(name, interval, again, longer, element.unit))
+            longer = not again and value is not None and value in interval
+            measured.append(Measured(name, interval, again, longer, attribute_of(attribute).unit))
     return Remedy((*measured, *sorted(box.repairs, key=str)))
 
 

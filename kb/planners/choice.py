@@ -136,12 +136,13 @@ def first_by_priority(candidates: Iterable[FunctionDesign | Configuration]) -> s
 
 def ranked(state: State, whole: Node) -> list[Node]:
     """Return what can be chosen for a function or component, the first by priority first."""
+    possible = (part for part in whole.parts if state.status[part.index] is not Status.UNFEASIBLE)
+    return sorted(possible, key=lambda part: by_priority(choosable(part)))
 
-    def key(part: Node) -> tuple[bool, float, str]:
-        assert isinstance(part.element, FunctionDesign | Configuration)
-        return by_priority(part.element)
 
-    return sorted((part for part in whole.parts if state.status[part.index] is not Status.UNFEASIBLE), key=key)
+def choosable(part: Node) -> FunctionDesign | Configuration:
+    assert isinstance(part.element, FunctionDesign | Configuration)
+    return part.element
 
 
 def choice_by_priority(state: State) -> Choice | None:

@@ -4,7 +4,7 @@ import random
 import sys
 from functools import partial
 
-from models import Clock
+from clocks import Clock
 
 from kb import KnowledgeBase, Model, PriorityPlanner
 

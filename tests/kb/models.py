@@ -3,6 +3,7 @@
 import math
 
 import pytest
+from clocks import Clock as Clock
 from hypothesis import strategies as st
 from naive import Naive
 
@@ -44,16 +45,6 @@ KINDS = {
         Status.FEASIBLE,
     ),
 }
-
-
-class Clock:
-    """Time that passes only when told."""
-
-    def __init__(self, now=0.0):
-        self.now = now
-
-    def __call__(self):
-        return self.now
 
 
 def compare(attribute, operator, value):

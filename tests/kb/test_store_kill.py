@@ -5,7 +5,7 @@ import os
 import pytest
 from store_faults import Damages, survives_a_kill
 
-KILLS, DAMAGES = int(os.environ.get("KILLS", "12")), int(os.environ.get("DAMAGES", "60"))
+KILLS, DAMAGES = int(os.environ.get("KILLS", "8")), int(os.environ.get("DAMAGES", "60"))
 
 
 @pytest.mark.parametrize("number", range(KILLS))
