@@ -7,9 +7,9 @@ from itertools import chain
 from typing import Final
 
 from kb.elements import Attribute, exact
-from kb.explanation.requirements import Remedy, attribute_of, constraint_of, remedies
+from kb.explanation.requirements import Remedy, remedies
 from kb.measurements import turning_point
-from kb.network import Node
+from kb.network import Node, attribute_of, constraint_of
 from kb.notebook import causes
 from kb.state import Reason, State
 from kb.status import OPERATORS, Status

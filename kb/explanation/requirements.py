@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 
 from kb.elements import Attribute, Component, Constraint, Element, Function, StalePolicy, called, exact
 from kb.measurements import turning_point
-from kb.network import Node
+from kb.network import Node, attribute_of, constraint_of
 from kb.state import State
 from kb.status import OPERATORS, Status
 
@@ -290,16 +290,6 @@ class Requirements:
         table = state.network.attributes
         changed = sum(_is_outside(state, table[name], interval) for name, interval in box.intervals.items())
         return changed + len(box.repairs), len(box.intervals)
-
-
-def attribute_of(node: Node) -> Attribute:
-    assert isinstance(node.element, Attribute)
-    return node.element
-
-
-def constraint_of(node: Node) -> Constraint:
-    assert isinstance(node.element, Constraint)
-    return node.element
 
 
 def _is_counted_violated(state: State, attribute: Node) -> bool:
