@@ -106,24 +106,16 @@ _FIRST = itemgetter(0)
 
 def is_steady(node: Node) -> bool:
     """Tell whether what a constraint is depends on earlier measurements too; see `kb.measurements`."""
-    constraint, attribute = constraint_of(node), attribute_of(node.parts[0])
+    constraint, attribute = node.element, node.parts[0].element
+    assert isinstance(constraint, Constraint)
+    assert isinstance(attribute, Attribute)
     return constraint.hysteresis > 0 or constraint.dwell > 0 or attribute.agreement != (1, 1)
 
 
 def _turn(node: Node) -> float:
-    constraint = constraint_of(node)
-    value = constraint.value
-    return value if constraint.operator in (">=", "<") else math.nextafter(value, math.inf)
-
-
-def attribute_of(node: Node) -> Attribute:
-    assert isinstance(node.element, Attribute)
-    return node.element
-
-
-def constraint_of(node: Node) -> Constraint:
     assert isinstance(node.element, Constraint)
-    return node.element
+    value = node.element.value
+    return value if node.element.operator in (">=", "<") else math.nextafter(value, math.inf)
 
 
 class _Related(NamedTuple):

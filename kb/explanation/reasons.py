@@ -6,10 +6,10 @@ from html import escape
 from itertools import chain
 from typing import Final
 
-from kb.elements import Attribute, exact
+from kb.elements import Attribute, Constraint, exact
 from kb.explanation.requirements import Remedy, remedies
 from kb.measurements import turning_point
-from kb.network import Node, attribute_of, constraint_of
+from kb.network import Node
 from kb.notebook import causes
 from kb.state import Reason, State
 from kb.status import OPERATORS, Status
@@ -264,21 +264,22 @@ def _together(causes: Iterable[Explanation]) -> Reasons:
 
 
 def _comparison(state: State, node: Node) -> Comparison:
-    constraint, attribute = constraint_of(node), node.parts[0]
+    constraint, attribute = node.element, node.parts[0]
+    assert isinstance(constraint, Constraint)
     value, time, is_stale = state.value[attribute.index], state.time[attribute.index], state.stale[attribute.index]
-    unit = attribute_of(attribute).unit
+    unit = _attribute(attribute).unit
     return Comparison(constraint.attribute, constraint.operator, constraint.value, value, time, is_stale, unit)
 
 
 def _compared(one: Comparison, node: Node, now: float, verdict: Status | None) -> str:
-    bound = f"{one.operator} {attribute_of(node.parts[0]).amount(exact(one.threshold))}"
+    bound = f"{one.operator} {_attribute(node.parts[0]).amount(exact(one.threshold))}"
     if one.value is None:
         return f"{one.attribute} is not measured (wanted {bound})"
     shown = f"{one.attribute} {reading(one.value, [one.threshold], node.parts[0])}"
     if one.is_stale:
         return f"{shown} {_stale(one.time, node.parts[0], now)}"
     if verdict is Status.NOT_EVALUATED:
-        return f"{shown} is not confirmed: {_votes(attribute_of(node.parts[0]))} have to agree"
+        return f"{shown} is not confirmed: {_votes(_attribute(node.parts[0]))} have to agree"
     holds = OPERATORS[one.operator](one.value, one.threshold)
     fact = f"{shown} {'satisfies' if holds else 'violates'} {bound} ({_age(one.time, now)})"
     if verdict is None or holds == (verdict is Status.SATISFIED):
@@ -288,7 +289,8 @@ def _compared(one: Comparison, node: Node, now: float, verdict: Status | None) -
 
 def _hold(value: float, node: Node, verdict: Status) -> str:
     """Say how long a steady constraint stays as it is although the latest measurement says otherwise."""
-    constraint, attribute = constraint_of(node), attribute_of(node.parts[0])
+    constraint, attribute = node.element, _attribute(node.parts[0])
+    assert isinstance(constraint, Constraint)
     turn = turning_point(constraint, verdict)
     beyond = f"{constraint.operator} {attribute.amount(exact(turn))}"
     is_beyond = verdict is Status.SATISFIED or OPERATORS[constraint.operator](value, turn)
@@ -312,7 +314,7 @@ def _reading(state: State, attribute: Node, now: float) -> str:
 
 def reading(value: float, thresholds: Iterable[float], attribute: Node) -> str:
     """Write a value with its unit, with as few digits as `shortest` does."""
-    return attribute_of(attribute).amount(shortest(value, thresholds))
+    return _attribute(attribute).amount(shortest(value, thresholds))
 
 
 def shortest(value: float, thresholds: Iterable[float]) -> str:
@@ -333,11 +335,16 @@ def _age(time: float | None, now: float) -> str:
 
 
 def _stale(time: float | None, attribute: Node, now: float) -> str:
-    return f"is stale: {_age(time, now)}, at most {exact(attribute_of(attribute).max_age)} s"
+    return f"is stale: {_age(time, now)}, at most {exact(_attribute(attribute).max_age)} s"
 
 
 def _votes(attribute: Attribute) -> str:
     return "{} of the last {} measurements".format(*attribute.agreement)
+
+
+def _attribute(node: Node) -> Attribute:
+    assert isinstance(node.element, Attribute)
+    return node.element
 
 
 def why_selected(state: State, chosen: Sequence[Node], now: float, said: str = "", ended: Iterable[str] = ()) -> str:

@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 
 from kb.elements import Attribute, Component, Constraint, Element, Function, StalePolicy, called, exact
 from kb.measurements import turning_point
-from kb.network import Node, attribute_of, constraint_of
+from kb.network import Node
 from kb.state import State
 from kb.status import OPERATORS, Status
 
@@ -79,7 +79,7 @@ class Interval:
 
 
 def constraints_on(node: Node) -> list[Constraint]:
-    return [constraint_of(one) for one in node.constraints]
+    return [one.element for one in node.constraints if isinstance(one.element, Constraint)]
 
 
 def bounds(*nodes: Node) -> dict[str, Interval]:
@@ -293,7 +293,8 @@ class Requirements:
 
 
 def _is_counted_violated(state: State, attribute: Node) -> bool:
-    return state.stale[attribute.index] and attribute_of(attribute).when_stale is StalePolicy.VIOLATED
+    assert isinstance(attribute.element, Attribute)
+    return state.stale[attribute.index] and attribute.element.when_stale is StalePolicy.VIOLATED
 
 
 def _is_outside(state: State, attribute: Node, interval: Interval) -> bool:
@@ -308,13 +309,15 @@ def _is_outside(state: State, attribute: Node, interval: Interval) -> bool:
 
 
 def _wanted(node: Node, verdict: Status | None) -> Interval:
-    return Interval.of(constraint_of(node), turning_point(constraint_of(node), verdict))
+    assert isinstance(node.element, Constraint)
+    return Interval.of(node.element, turning_point(node.element, verdict))
 
 
 def _holds(state: State, attribute: Node, node: Node) -> bool:
-    value, constraint = state.value[attribute.index], constraint_of(node)
+    value, constraint = state.value[attribute.index], node.element
     if value is None or _is_counted_violated(state, attribute):
         return False
+    assert isinstance(constraint, Constraint)
     if state.verdict[node.index] is not None:
         return state.verdict[node.index] is not Status.VIOLATED
     return OPERATORS[constraint.operator](value, constraint.value)
@@ -403,8 +406,9 @@ def _remedy(state: State, box: Box) -> Remedy:
         attribute = state.network.attributes[name]
         if _is_outside(state, attribute, interval):
             value, again = state.value[attribute.index], _is_counted_violated(state, attribute)
-            longer = not again and value is not None and value in interval
-            measured.append(Measured(name, interval, again, longer, attribute_of(attribute).unit))
+            longer, element = not again and value is not None and value in interval, attribute.element
+            assert isinstance(element, Attribute)
+            measured.append(Measured(name, interval, again, longer, element.unit))
     return Remedy((*measured, *sorted(box.repairs, key=str)))
 
 
