@@ -115,6 +115,7 @@ class BaselineController(Controller):
     def end(self) -> None:
         if self.robot.task is not None:
             self.robot.end("abandoned", "the mission has ended")
+        self._ask(self._manager.close)
 
     def verdict(self, results: Mapping[str, float | None]) -> Verdict:
         is_low = self.robot.measured.get("battery_level", 1.0) < LOW_LEVEL

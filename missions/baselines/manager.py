@@ -152,6 +152,9 @@ class Manager:
     def update(self) -> None:
         """Look at the vehicle and change what needs to be changed; called every `period_s`, and never waits."""
 
+    def close(self) -> None:
+        """Let go of everything; the run is over, however it ended."""
+
     @property
     def is_done(self) -> bool:
         """Whether a manager that decides about tasks has done all of them."""

@@ -50,7 +50,7 @@ class RosaManager(Manager):
         self._service_s = robot.options["service_s"]
         self.period_s = robot.settings.tree_period_s + self._service_s  # each tick asks whether an action is feasible
         self._kb = KnowledgeBase(robot.mission.model(), clock=lambda: robot.now)
-        self._kb.subscribe(self._hear)
+        self._stop = self._kb.subscribe(self._hear)
         self._percepts = Percepts()
         task = build_task("bt", robot.mission, self._kb, self._percepts, lambda: robot.now, 0.0)
         self._runner = TreeRunner(task.root, clock=lambda: robot.now, period=self.period_s)
@@ -69,6 +69,10 @@ class RosaManager(Manager):
 
     def update(self) -> None:
         self._runner.tick()
+
+    def close(self) -> None:
+        self._stop()
+        self._runner.shutdown()
 
     def _after(self, calls: int, what: Callable[[], None]) -> None:
         self.robot.later(calls * self._service_s, what)

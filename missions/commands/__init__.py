@@ -14,12 +14,11 @@ WRONG_USE: Final = 2
 
 
 def open_console() -> "Console":
-    """Return the console for tables and results; a pipe or a file, which has no width of its own, has 160 columns."""
+    """Return the console for results; in a pipe or a file, which has no width, a line is as long as what it says."""
     from rich.console import Console
 
     console = Console(emoji=False)
-    if not console.is_terminal:
-        console.width = 160
+    console.soft_wrap = not console.is_terminal
     return console
 
 

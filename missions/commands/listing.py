@@ -9,35 +9,26 @@ from missions.commands import open_console
 
 def list_missions() -> None:
     """List the missions."""
-    from rich.table import Table
-
     from missions.engine.registry import MISSIONS
 
-    table = Table(box=None, pad_edge=False)
-    table.add_column("mission", no_wrap=True)
-    table.add_column("what happens in it")
+    wide = max(map(len, MISSIONS)) + 2
     for mission in MISSIONS.values():
-        table.add_row(mission.name, mission.summary)
-    open_console().print(table)
+        open_console().print(f"{mission.name:<{wide}}{mission.summary}", markup=False, highlight=False)
 
 
 def list_settings(
     mission: str, manager: Annotated[str, typer.Option(help="List what is to be set of this manager, too.")] = "ours"
 ) -> None:
     """List what `rosa run MISSION --set NAME=VALUE` takes, with default, unit, what is allowed, and source."""
-    from rich.table import Column, Table
-
     from missions.baselines.registry import options_of
     from missions.engine.mission import settings_of
     from missions.engine.registry import find_mission
 
-    short = [Column(name, no_wrap=True) for name in ("name", "default", "unit", "allowed")]
-    short[1].justify = "right"
-    long = [Column(name, ratio=1) for name in ("meaning", "source of the default")]
-    table = Table(*short, *long, box=None, pad_edge=False)
-    found = find_mission(mission)
+    found, console = find_mission(mission), open_console()
     for setting in (*options_of(manager), *settings_of(found)):
         default = found.fixed.get(setting.name, setting.default)
         shown = f"{default:g}" if isinstance(default, float) else str(default)
-        table.add_row(setting.name, shown, setting.unit, setting.allowed, setting.meaning, setting.source)
-    open_console().print(table)
+        row = f"{setting.name:<32} {shown:>9} {setting.unit:<8} {setting.allowed}"
+        console.print(row.rstrip(), style="bold", markup=False, highlight=False)
+        said = f"    {setting.meaning} [{setting.source}]"
+        console.print(said, style="dim", markup=False, highlight=False)

@@ -1,14 +1,12 @@
 """What a run shows on the console: what happens while it happens, and what came of it."""
 
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Self
 
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Column, Table
 
 from kb import DiagnosticProblem
 from missions.engine.adaptations import Adaptation
@@ -54,11 +52,7 @@ class Narrator(_WithBar, Listener):
         self._say(time_s, escape(text))
 
     def adaptation(self, adaptation: Adaptation) -> None:
-        colour = COLOURS[adaptation.kind]
-        reaction = adaptation.reaction_s
-        soon = f"in force {reaction:.2f} s after the news" if reaction is not None else "not carried out"
-        self._say(adaptation.at_s, f"[bold {colour}]{adaptation.kind} adaptation[/]: {escape(adaptation.change)}")
-        self._console.print(f"{'':11}why: {escape(adaptation.why)}; {soon}", highlight=False)
+        _print_adaptation(self._console, adaptation)
 
     def plan(self, plan: "PlanRecord", time_s: float) -> None:
         steps = ", then ".join(step.action or step.schema for step in plan.steps)
@@ -79,7 +73,7 @@ class Narrator(_WithBar, Listener):
         self._progress.update(self._bar, completed=run.world.now, description=f"{doing}  [dim]{seen}[/]")
 
     def _say(self, time_s: float, text: str) -> None:
-        self._console.print(f"[dim]{time_s:7.1f} s[/]  {text}", highlight=False)
+        _say(self._console, time_s, text)
 
 
 class Recorder(Listener):
@@ -136,9 +130,9 @@ class CampaignProgress(_WithBar):
 
 
 def print_result(console: Console, run: MissionRun, verdict: Verdict, wall_s: float, *, with_adaptations: bool) -> None:
-    """Print the figures of a run that has ended and how it ended, and perhaps a table of its adaptations."""
-    if run.adaptations and with_adaptations:
-        console.print(_table_of(run.adaptations))
+    """Print the figures of a run that has ended and how it ended, and perhaps its adaptations."""
+    for adaptation in run.adaptations if with_adaptations else ():
+        _print_adaptation(console, adaptation)
     figures = {**run.results(), "simulated_s": run.world.now, "computed in_s": wall_s}
     shown = [figure_in_words(name, value) for name, value in figures.items()]
     for words, unit, value in [*shown, ("times real time", "", f"{run.world.now / wall_s:.1f}")]:
@@ -153,16 +147,13 @@ def print_result(console: Console, run: MissionRun, verdict: Verdict, wall_s: fl
         console.print(escape(verdict.detail), highlight=False)
 
 
-def _table_of(adaptations: Iterable[Adaptation]) -> Table:
-    columns = (
-        Column(escape("at [s]"), justify="right", no_wrap=True),
-        Column("kind", no_wrap=True),
-        *(Column("what was changed", ratio=4), Column("why", ratio=4)),
-        Column(escape("reaction [s]"), justify="right", no_wrap=True),
-    )
-    table = Table(*columns, expand=True, box=SIMPLE_HEAD, pad_edge=False)
-    for one in adaptations:
-        reaction = "-" if one.reaction_s is None else f"{one.reaction_s:.2f}"
-        why = one.reason if one.reason.startswith(one.trigger) else f"{one.trigger}: {one.reason}"
-        table.add_row(f"{one.at_s:.1f}", one.kind, escape(one.change), escape(why), reaction)
-    return table
+def _print_adaptation(console: Console, adaptation: Adaptation) -> None:
+    reaction = adaptation.reaction_s
+    soon = f"in force {reaction:.2f} s after the news" if reaction is not None else "not carried out"
+    kind = f"[bold {COLOURS[adaptation.kind]}]{adaptation.kind} adaptation[/]"
+    _say(console, adaptation.at_s, f"{kind}: {escape(adaptation.change)}")
+    console.print(f"{'':11}why: {escape(adaptation.why)}; {soon}", highlight=False)
+
+
+def _say(console: Console, time_s: float, text: str) -> None:
+    console.print(f"[dim]{time_s:7.1f} s[/]  {text}", highlight=False)

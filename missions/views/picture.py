@@ -38,6 +38,7 @@ DIAMOND: Final[dict[str, Any]] = {"marker": "D", "markersize": 4.5, "color": ALA
 ROUND: Final[dict[str, Any]] = {"marker": "o", "linestyle": ""}
 SIDES: Final = np.array([-1, 1])
 LONELY_M: Final = 1.0  # so far from the way, a name is in nobody's way
+CROWDED, CROWD_PX = 5, 40.0  # so many marks, so near to one of them [px], are told apart by a lens
 CROWD: Final = 20  # of more places, only those that the way leads along are named
 LONGEST, FACTS = 420, 3  # letters of a reason, and figures in the title, that there is room for; the JSON has all
 PIXELS: Final = IdentityTransform()
@@ -109,7 +110,7 @@ def _title(figure: Figure, data: Mapping[str, Any], results: Mapping[str, float 
     figure.text(0.015, 1 - 32 / HEIGHT, name, fontsize=13, fontweight="bold", va="center")
     facts = [f"{data['outcome'].replace('_', ' ')} after {data['duration_s']:.0f} s"]
     for key, value in list(results.items())[:FACTS]:
-        words, unit, shown = figure_in_words(key, None if value is None else round(value, 1))
+        words, unit, shown = figure_in_words(key, value)
         facts.append(" ".join(filter(None, (words, shown, unit))))
     figure.text(0.988, 1 - 32 / HEIGHT, "   ·   ".join(facts), fontsize=9.5, ha="right", va="center")
 
@@ -131,41 +132,50 @@ def _legend(figure: Figure, timeline: RunTimeline) -> None:
 
 
 class _Room:
-    """Finds room on a map for what is written there, near what it names and off the path; in [px]."""
+    """Finds room on a map, its axes, for what is written there, near what it names and off the path; in [px]."""
 
     def __init__(self, axes: Axes, xy: Array) -> None:
-        self._axes, self._path = axes, axes.transData.transform(xy)
+        self.axes, self._path = axes, axes.transData.transform(xy)
         self._taken: Array = np.empty((0, 2, 2))
 
+    def keep_off(self, box: Array) -> None:
+        """Write nothing in a box, given by its corners (2, 2)."""
+        self._taken = np.vstack([self._taken, [box]])
+
+    def hidden(self, box: Array, other: Array) -> float:
+        """Return how much of the path a box would hide, and more if it would hide another one."""
+        path = np.all((self._path > box[0]) & (self._path < box[1]), axis=1).sum()
+        return float(path) + 1e6 * bool(np.all((box[0] < other[1]) & (other[0] < box[1])))
+
     def name(self, xy: Array, text: str, marker: str, size: float, color: str = INK) -> None:
-        self._axes.plot(*xy, marker, color=color, markersize=size, zorder=6, mec="white", mew=0.7)
+        self.axes.plot(*xy, marker, color=color, markersize=size, zorder=6, mec="white", mew=0.7)
         x, y = self.lead(xy, 8.8 * len(text) + 4, 18)
-        label = self._axes.text(x, y, text, ha="center", va="center", color=color)
+        label = self.axes.text(x, y, text, ha="center", va="center", color=color)
         label.set(transform=PIXELS, zorder=7, path_effects=[withStroke(linewidth=2.5, foreground="white")])
 
     @property
     def scale(self) -> float:
         """How long a metre is [px]."""
-        return float(np.ptp(self._axes.bbox.intervalx) / np.ptp(self._axes.get_xlim()))
+        return float(np.ptp(self.axes.bbox.intervalx) / np.ptp(self.axes.get_xlim()))
 
     def note(self, xy: Array, text: str, color: str) -> None:
         x, y = self.lead(xy, LETTER * len(text) + 12, 24)
-        label = self._axes.text(x, y, text, ha="center", va="center", fontsize=8)
+        label = self.axes.text(x, y, text, ha="center", va="center", fontsize=8)
         frame = {"boxstyle": "round,pad=0.25", "facecolor": "white", "edgecolor": color, "linewidth": 1.4}
         label.set(transform=PIXELS, zorder=7, bbox=frame)
 
     def ring(self, xy: Array, color: str) -> None:
-        self._axes.plot(*xy, "o", color=color, markersize=13, zorder=5.5, mfc="none", mew=2)
+        self.axes.plot(*xy, "o", color=color, markersize=13, zorder=5.5, mfc="none", mew=2)
 
     def lead(self, xy: Array, width: float, height: float) -> Array:
         """Take a box of a size near a point [m], draw a line from there to its edge, and return its centre."""
-        anchor, half = self._axes.transData.transform(xy), np.array([width, height]) / 2
+        anchor, half = self.axes.transData.transform(xy), np.array([width, height]) / 2
         turns = np.arange(0.25, 6.5, np.pi / 8)
         tries = [anchor + (half + 6 + far) * (np.cos(turn), np.sin(turn)) for far in REACH for turn in turns]
         centre = min(tries, key=lambda centre: self._cost(anchor, centre, half))
         self._taken = np.vstack([self._taken, [[centre - half, centre + half], [anchor - 5, anchor + 5]]])
         edge = centre + (anchor - centre) * min(1.0, *(half / np.maximum(np.abs(anchor - centre), 1e-9)))
-        self._axes.plot(*np.stack([anchor, edge]).T, transform=PIXELS, color=MUTED, linewidth=0.8, zorder=5)
+        self.axes.plot(*np.stack([anchor, edge]).T, transform=PIXELS, color=MUTED, linewidth=0.8, zorder=5)
         return np.asarray(centre)
 
     def _cost(self, anchor: Array, centre: Array, half: Array) -> float:
@@ -173,7 +183,7 @@ class _Room:
         hidden = np.all((self._path > low) & (self._path < high), axis=1).sum()
         met = np.all((low < self._taken[:, 1]) & (high > self._taken[:, 0]), axis=1).sum()
         crossed = np.all((lead > self._taken[:, 0]) & (lead < self._taken[:, 1]), axis=2).sum()
-        outside = np.any((low < self._axes.bbox.min) | (high > self._axes.bbox.max))
+        outside = np.any((low < self.axes.bbox.min) | (high > self.axes.bbox.max))
         return float(np.hypot(*(centre - anchor)) + 5 * hidden + 20 * crossed + 300 * met + 1000 * outside)
 
 
@@ -183,15 +193,16 @@ def _map(axes: Axes, timeline: RunTimeline, places: Mapping[str, Array], shown: 
     middle, half = (shown.min(axis=0) + shown.max(axis=0)) / 2, np.maximum(half, half[::-1] * box / box[::-1])
     axes.set(xlim=middle[0] + half[0] * SIDES, ylim=middle[1] + half[1] * SIDES, facecolor="#f6f9fb")
     axes.set(aspect="equal", xlabel="east x [m]", ylabel="north y [m]")
-    links, hues = np.stack([timeline.xy[:-1], timeline.xy[1:]], axis=1), timeline.hues
-    turns = np.cumsum([before != after for before, after in pairwise(timeline.actions)])
-    lines = LineCollection(list(links), capstyle="round", zorder=4)
-    lines.set(color=[hues.get(names.split(", ")[0], FAINT) for names in timeline.actions[:-1]])
-    lines.set(linewidth=1.8 + 2.8 * (1 - turns / max([1, *turns[-1:]])))  # an earlier passage stays in sight below
-    axes.add_collection(lines, autolim=False)
+    _way(axes, timeline, places)
     room = _Room(axes, timeline.xy)
+    marks = _marks(timeline, 1 / room.scale)
+    crowd = _crowd(axes, [xy for _, xy in marks])
+    if crowd is not None:
+        lens = _lens(room, crowd)
+        _way(lens, timeline, places)
+        _mark(_Room(lens, timeline.xy), timeline, [one for one in marks if _is_within(crowd, one[1])])
+        marks = [one for one in marks if not _is_within(crowd, one[1])]
     for name, points in places.items():
-        axes.plot(*points.T, color="#c9ced3", linewidth=10, solid_capstyle="round", zorder=2)
         inside = points[np.all(np.abs(points - middle) < half, axis=1)]
         lonely = [np.hypot(*(timeline.xy - point).T).min() for point in inside]
         if len(places) > CROWD and np.median(lonely) > LONELY_M:
@@ -202,15 +213,75 @@ def _map(axes: Axes, timeline: RunTimeline, places: Mapping[str, Array], shown: 
         )
     room.name(timeline.xy[0], "start", "o", 8)
     _choices(room, timeline)
-    for number, one in enumerate(timeline.adaptations, start=1):
-        size = BADGES.get(one["kind"], BADGES["parameter"])[0]
-        _badge(axes, room.lead(timeline.where(one["at_s"]), size, size), number, one["kind"])
+    _mark(room, timeline, marks)
+
+
+def _way(axes: Axes, timeline: RunTimeline, places: Mapping[str, Array]) -> None:
+    links, hues = np.stack([timeline.xy[:-1], timeline.xy[1:]], axis=1), timeline.hues
+    turns = np.cumsum([before != after for before, after in pairwise(timeline.actions)])
+    lines = LineCollection(list(links), capstyle="round", zorder=4)
+    lines.set(color=[hues.get(names.split(", ")[0], FAINT) for names in timeline.actions[:-1]])
+    lines.set(linewidth=1.8 + 2.8 * (1 - turns / max([1, *turns[-1:]])))  # an earlier passage stays in sight below
+    axes.add_collection(lines, autolim=False)
+    for points in places.values():
+        axes.plot(
+            *points.T, color="#c9ced3", linewidth=10, solid_capstyle="round", zorder=2, scalex=False, scaley=False
+        )
+
+
+def _marks(timeline: RunTimeline, least_m: float) -> list[tuple[int | str, Array]]:
+    """Return what is marked along the way, and where (2,) [m]: adaptations by their number, then times."""
     step = next(one for one in (5, 10, 30, 60, 120, 300, 600, 1800, 7200, 10**9) if timeline.end / one <= 10)
+    marks: list[tuple[int | str, Array]] = []
+    for number, one in enumerate(timeline.adaptations, start=1):
+        marks.append((number, timeline.where(one["at_s"])))
     marked = timeline.xy[0]
     for time in range(step, int(timeline.times[-1]) + 1, step):
-        if np.hypot(*(timeline.where(time) - marked)) * room.scale > 1:  # where it stands, one mark is enough
+        if np.hypot(*(timeline.where(time) - marked)) > least_m:  # where it stands, one mark is enough
             marked = timeline.where(time)
-            room.name(marked, f"{time} s", "o", 4.5, MUTED)
+            marks.append((f"{time} s", marked))
+    return marks
+
+
+def _mark(room: _Room, timeline: RunTimeline, marks: Sequence[tuple[int | str, Array]]) -> None:
+    for what, xy in marks:
+        if isinstance(what, int):
+            kind = timeline.adaptations[what - 1]["kind"]
+            size = BADGES.get(kind, BADGES["parameter"])[0]
+            _badge(room.axes, room.lead(xy, size, size), what, kind)
+        else:
+            room.name(xy, what, "o", 4.5, MUTED)
+
+
+def _crowd(axes: Axes, marked: Sequence[Array]) -> Array | None:
+    """Return the corners (2, 2) [m] of where marks crowd so that a lens is needed to tell them apart, if they do."""
+    at = axes.transData.transform(np.reshape(marked, (-1, 2)))
+    near = np.hypot(*(at[:, None] - at[None]).T) < CROWD_PX
+    if not len(at) or near.sum(axis=1).max() < CROWDED:
+        return None
+    inside = at[near[np.argmax(near.sum(axis=1))]]
+    corners = np.stack([inside.min(axis=0) - CROWD_PX / 4, inside.max(axis=0) + CROWD_PX / 4])
+    return np.asarray(axes.transData.inverted().transform(corners))
+
+
+def _is_within(corners: Array, xy: Array) -> bool:
+    return bool(np.all((corners[0] <= xy) & (xy <= corners[1])))
+
+
+def _lens(room: _Room, corners: Array) -> Axes:
+    """Return axes in the emptiest corner of a map that show a part of it larger."""
+    axes, size = room.axes, np.array([0.4, 0.5])
+    places = [np.array([x, y]) for x in (0.01, 0.99 - size[0]) for y in (0.01, 0.99 - size[1])]
+    boxes = [axes.transAxes.transform(np.stack([place, place + size])) for place in places]
+    chosen = min(range(4), key=lambda one: room.hidden(boxes[one], axes.transData.transform(corners)))
+    lens = axes.inset_axes((*places[chosen], *size), facecolor="white", zorder=5)
+    middle, half = corners.mean(axis=0), np.ptp(corners, axis=0) / 2
+    shape = np.ptp(boxes[chosen], axis=0)
+    half = np.maximum(half, half[::-1] * shape / shape[::-1])
+    lens.set(xlim=middle[0] + half[0] * SIDES, ylim=middle[1] + half[1] * SIDES, xticks=[], yticks=[])
+    axes.indicate_inset_zoom(lens, edgecolor=MUTED, zorder=4.5)
+    room.keep_off(boxes[chosen])
+    return lens
 
 
 def _choices(room: _Room, timeline: RunTimeline) -> None:
@@ -261,7 +332,10 @@ def _timelines(figure: Figure, timeline: RunTimeline) -> float:
     left, right = _margins(lanes, limits)
     others = [one for one in timeline.disturbances if not any(one["what"].startswith(bare(name)) for name in panels)]
     rows = [_events(timeline, "disturbances", others, 8.4, right - left)] if others else []
-    tall = min(150, PANELS // max(1, len(panels)))
+    most, each = PANELS, 150
+    if not np.isfinite(timeline.xy).any():  # there is no map, and room for more than the list needs
+        most, each = max(PANELS, 2 * PANELS - 60 * (len(timeline.planned) + len(timeline.adaptations))), 280
+    tall = min(each, most // max(1, len(panels)))
     rows += [(tall, partial(_panel, timeline=timeline, names=[name, *others])) for name, others in panels.items()]
     rows += [_events(timeline, "adaptations", timeline.adaptations, 0, right - left)] if timeline.adaptations else []
     rows += [
@@ -275,7 +349,7 @@ def _timelines(figure: Figure, timeline: RunTimeline) -> float:
         show(axes)
         for one in timeline.adaptations:
             axes.axvline(one["at_s"], color="#999999", linewidth=0.7, zorder=1.5)
-        for one in timeline.disturbances:
+        for one in others:
             axes.axvline(one["at_s"], color=ALARM, linewidth=0.8, dashes=(4, 3), alpha=0.7, zorder=1.6)
         axes.tick_params(labelbottom=number == len(rows), bottom=number == len(rows))
         axes.set_xlabel("time [s]" if number == len(rows) else "")

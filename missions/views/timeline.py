@@ -21,6 +21,9 @@ HUES: Final = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#8c6d31",
 STEPS: Final = 3
 """How many steps of a plan there is room for; the result in JSON has all of them."""
 
+REPORTED_S: Final = 2.0
+"""How long after it has happened a failure may be reported, at most."""
+
 STRAY: Final = 0.1
 """Part of the samples that may lie between one action and what is configured for the next."""
 
@@ -116,10 +119,18 @@ def timeline_of(run: MissionRun, data: Mapping[str, Any]) -> RunTimeline:
         {name: np.array([sample.signals.get(name, np.nan) for sample in samples], dtype=float) for name in signals},
         _limits(model),
         data["adaptations"],
-        data["disturbances"],
+        sorted([*data["disturbances"], *_failures(run, data["disturbances"])], key=lambda one: float(one["at_s"])),
         [(one["name"], one["end_s"]) for one in data["actions"] if one["result"] == "completed"],
         [_first_plan(one) for one in data["plans"][:1]],
     )
+
+
+def _failures(run: MissionRun, disturbances: Events) -> Iterator[Mapping[str, Any]]:
+    """Yield the failures of components that were reported, but for those that a disturbance just before stands for."""
+    for event in run.controller.kb.log.since(0) if run.controller.kb else ():
+        times = (event.time - one["at_s"] for one in disturbances)
+        if event.verb == "component_failed" and not any(0 <= since <= REPORTED_S for since in times):
+            yield {"at_s": event.time, "what": event.text}
 
 
 def _first_plan(plan: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -1,5 +1,6 @@
 """The picture of a run: that it is there, is always the same, and shows what happened."""
 
+from copy import copy
 from dataclasses import replace
 from functools import cache
 from io import BytesIO
@@ -48,10 +49,58 @@ def test_map_list_and_time_axis_carry_the_number_of_every_adaptation():
     assert {"parameter", "structural"} <= set(kinds)
     figure = picture(run, data)
     numbers = {str(number) for number in range(1, len(kinds) + 1)}
+    map_axes = axes_beside(figure, "start")
+    on_map = [word for axes in (map_axes, *map_axes.child_axes) for word in words(axes) if word in numbers]
+    assert sorted(on_map) == sorted(numbers)
     carriers = [axes for axes in figure.axes if numbers <= set(words(axes))]
-    assert len(carriers) == 3
-    assert axes_beside(figure, "start") in carriers
     assert axes_beside(figure, "adaptations") in carriers
+    assert len({*carriers} - {map_axes}) == 2
+
+
+def test_what_crowds_on_the_map_is_shown_larger_in_a_corner_and_hides_nothing():
+    run, data = short_run()
+    map_axes = axes_beside(picture(run, data), "start")
+    (lens,) = map_axes.child_axes
+    assert lens.get_aspect() in ("auto", 1)
+    seen, whole = lens.get_window_extent(), map_axes.transData
+    path = whole.transform([sample.position[:2] for sample, _ in run.trace])
+    assert not any(seen.contains(*point) for point in path)
+    scales = [axes.bbox.width / np.ptp(axes.get_xlim()) for axes in (map_axes, lens)]
+    assert scales[1] > 2 * scales[0]
+    assert scales[1] == pytest.approx(lens.bbox.height / np.ptp(lens.get_ylim()))
+
+
+def test_title_rounds_a_figure_once(monkeypatch):
+    run, data = short_run()
+    monkeypatch.setattr(run, "results", lambda: {"speed_m_s": 0.511})
+    assert any("0.51" in text.get_text() for text in picture(run, data).texts)
+
+
+def test_failure_that_only_diagnostics_tell_of_is_marked_as_a_disturbance():
+    run, data = short_run()
+    quiet = {**data, "disturbances": []}
+    assert "c_thruster_1 has failed" in words(axes_beside(picture(run, quiet), "disturbances"))
+    assert "c_thruster_1 has failed" not in words(axes_beside(picture(run, data), "disturbances"))
+
+
+def test_run_without_a_place_has_taller_panels_instead_of_a_map():
+    run, data = short_run()
+    tall = panel(picture(run, data), "water visibility").bbox.height
+    trace = [(replace(sample, position=(np.nan,) * 3), seen) for sample, seen in run.trace]
+    nowhere = copy(run)
+    nowhere.trace = trace
+    figure = picture(nowhere, data)
+    assert panel(figure, "water visibility").bbox.height > 1.2 * tall
+    assert "start" not in [word for axes in figure.axes for word in words(axes)]
+
+
+def test_disturbance_that_its_signal_shows_crosses_no_other_row():
+    run, data = short_run()
+    figure = picture(run, data)
+    lines = [line for line in axes_beside(figure, "adaptations").lines if line.get_color() == "#d55e00"]
+    others = [one["at_s"] for one in data["disturbances"] if not one["what"].startswith(("water", "battery"))]
+    assert others
+    assert [line.get_xdata()[0] for line in lines] == others
 
 
 @pytest.mark.parametrize("signal", ["water visibility", "battery level"])
