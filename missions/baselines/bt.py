@@ -12,8 +12,6 @@ mission (reactive)
     └── unground search and inspection -> mode normal -> recharge -> mode inactive
 """
 
-from collections.abc import Callable
-
 import numpy as np
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
@@ -21,6 +19,7 @@ from py_trees.composites import Selector, Sequence
 
 from missions.baselines.manager import Manager, Robot
 from missions.baselines.modes import SystemModes
+from missions.engine.mission import Condition
 
 SEARCH, FOLLOW, MOTION = "f_generate_search_path", "f_follow_pipeline", "f_maintain_motion"
 RECHARGE = "f_generate_recharge_path"
@@ -43,17 +42,6 @@ class TreeManager(Manager):
 
     def update(self) -> None:
         self._root.tick_once()
-
-
-class _Holds(Behaviour):
-    """Condition: SUCCESS if something holds."""
-
-    def __init__(self, name: str, holds: Callable[[], bool]) -> None:
-        super().__init__(name)
-        self._holds = holds
-
-    def update(self) -> Status:
-        return Status.SUCCESS if self._holds() else Status.FAILURE
 
 
 class _RequestMode(Behaviour):
@@ -104,14 +92,14 @@ def _tree(robot: Robot, modes: SystemModes) -> Behaviour:
         return Selector(name, memory=memory, children=list(children))
 
     def altitude(mode: str, least_m: float) -> Behaviour:
-        clear = _Holds(f"visibility >= {least_m} m?", lambda: robot.measured.get("water_visibility", 9.0) >= least_m)
+        clear = Condition(f"visibility >= {least_m} m?", lambda: robot.measured.get("water_visibility", 9.0) >= least_m)
         return sequence(mode, clear, request(SEARCH, mode))
 
     motion = selector(
         "motion",
         sequence(
             "thrusters ok",
-            _Holds("all thrusters ok?", lambda: all(word in ("RECOVERED", "OK") for word in robot.reported.values())),
+            Condition("all thrusters ok?", lambda: {"RECOVERED", "OK"}.issuperset(robot.reported.values())),
             request(MOTION, "fd_all_thrusters"),
         ),
         request(MOTION, "fd_recover_thrusters"),
@@ -128,8 +116,8 @@ def _tree(robot: Robot, modes: SystemModes) -> Behaviour:
     )
     work = sequence(
         "work",
-        _Holds("battery ok?", lambda: bool(np.float32(robot.measured.get("battery_level", 1.0)) >= LOW_LEVEL)),
-        selector("find", _Holds("found?", lambda: "pipeline_found" in robot.noticed), search, memory=True),
+        Condition("battery ok?", lambda: bool(np.float32(robot.measured.get("battery_level", 1.0)) >= LOW_LEVEL)),
+        selector("find", Condition("found?", lambda: "pipeline_found" in robot.noticed), search, memory=True),
         sequence(
             "inspect", request(FOLLOW, "fd_follow_pipeline"), do("inspect_pipeline", "pipeline_inspected", FOLLOW)
         ),

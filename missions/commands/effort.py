@@ -21,12 +21,12 @@ def effort(
     function designs, component configurations, constraints (one that is
     shared counts once), estimations.
     """
-    from missions.experiments.effort import as_data, print_survey, survey
+    from missions.experiments.effort import as_data, lines_of, survey
     from missions.views.output import as_json, open_files
 
     with ExitStack() as stack:
         files = open_files({"json": json}, stack)
         found = survey(models or ())
-        print_survey(found)
+        typer.echo("\n".join(lines_of(found)))
         if "json" in files:
             files["json"].finish(as_json(as_data(found)))

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, Self
 
 from py_trees.behaviour import Behaviour
+from py_trees.common import Status
 
 from kb import KnowledgeBase, ManagedSystem, Model
 from missions.engine.settings import MissionError as MissionError
@@ -64,6 +65,17 @@ class Percepts:
     def count(self, key: str) -> int:
         """How often something was spoken of."""
         return self._times[key]
+
+
+class Condition(Behaviour):
+    """SUCCESS while a function says so, FAILURE while not."""
+
+    def __init__(self, name: str, holds: Callable[[], bool]) -> None:
+        super().__init__(name)
+        self._holds = holds
+
+    def update(self) -> Status:
+        return Status.SUCCESS if self._holds() else Status.FAILURE
 
 
 class Reaction(Protocol):

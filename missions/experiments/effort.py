@@ -5,18 +5,15 @@ a model has a statement for each.
 """
 
 import tomllib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from itertools import product
 from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeVar
 
 from py_trees.behaviour import Behaviour
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
 
-from kb import KnowledgeBase, KnowledgeBaseError, Model, UnknownName
+from kb import KnowledgeBase, Model, UnknownName
 from kb.elements import Attribute, Component, Function
 from kb.files import SUFFIXES
 from missions.agv.model import agv_model
@@ -27,6 +24,7 @@ from missions.baselines.registry import open_run
 from missions.engine.mission import Mission, MissionError, Percepts
 from missions.engine.registry import MISSIONS, find_mission
 from missions.suave.world import SEA
+from missions.views.names import built
 
 T = TypeVar("T")
 MODES_FILE: Final = Path(modes_module.__file__).with_name("modes.toml")
@@ -218,8 +216,8 @@ def survey(names: Iterable[str] = ()) -> Survey:
     """
     asked = dict.fromkeys(names) or dict.fromkeys(MISSIONS)
     found = {name: None if Path(name).suffix.lower() in SUFFIXES else _mission(name) for name in asked}
-    built = {name: _model(name, one) if one else Model.load(name.split(",")) for name, one in found.items()}
-    models = [ModelEffort(name, count(model), MODELS.get(name)) for name, model in built.items()]
+    made = {name: _model(name, one) if one else Model.load(name.split(",")) for name, one in found.items()}
+    models = [ModelEffort(name, count(model), MODELS.get(name)) for name, model in made.items()]
     counted = {name: count_tree(one) for name, one in found.items() if one is not None and one.world is SEA}
     trees = [TreeEffort(name, one, TREES.get(name), TASK_NODES.get(name)) for name, one in counted.items()]
     adaptations = product(range(MOST_ADAPTATIONS + 1), repeat=2)
@@ -278,13 +276,7 @@ def _model(name: str, mission: Mission) -> Model:
 
 
 def _built(title: str, kind: type[T], build: Callable[..., object], *given: object) -> T:
-    """Call what an author wrote; what the knowledge base raises stays as it is."""
-    try:
-        made = build(*given)
-    except KnowledgeBaseError:
-        raise
-    except Exception as error:  # whatever the author's code may raise
-        raise MissionError(f"cannot build {title}: {type(error).__name__}: {error}") from error
+    made = built(build, given, title)
     if not isinstance(made, kind):
         raise MissionError(f"{title} is {made!r}, not a {kind.__name__}")
     return made
@@ -306,29 +298,22 @@ TREES_DIFFER: Final = (
 LAW_IN_WORDS: Final = "linear law: 10 + 6 for each structural + 3 for each parameter adaptation of an action"
 
 
-def print_survey(found: Survey) -> None:
-    """Print it all."""
-    console = Console(emoji=False, highlight=False, soft_wrap=False)
-    if not console.is_terminal:
-        console.width = 160  # letters
+def lines_of(found: Survey) -> Iterator[str]:
+    """Yield all of it, a line each."""
     about = [*RULE, *([AGV] if any(one.name == "agv" for one in found.models) else [])]
-    _print_table(console, _models(found.models), about, DIFFERS)
+    yield from _table(_models(found.models), about, DIFFERS)
     if found.trees:
-        _print_table(console, _trees(found.trees), [TREE_RULE], TREES_DIFFER)
+        yield from _table(_trees(found.trees), [TREE_RULE], TREES_DIFFER)
     on_it = sum(one.total == one.law for one in found.points)
-    console.print(f"{LAW_IN_WORDS}; of {len(found.points)} generated models, {on_it} have just that\n", markup=False)
+    yield f"{LAW_IN_WORDS}; of {len(found.points)} generated models, {on_it} have just that\n"
 
 
-def _print_table(console: Console, rows: list[list[str]], about: list[str], differs: str) -> None:
-    table = Table(box=None, pad_edge=False)
-    head, *body = rows
-    for number, column in enumerate(head):
-        table.add_column(column, justify="left" if number in (0, len(head) - 1) else "right", no_wrap=True)
-    for row in body:
-        table.add_row(*row)
-    console.print(table)
-    console.print("\n".join([*about, *([differs] if any(row[-1].endswith("*") for row in body) else [])]), markup=False)
-    console.print()
+def _table(rows: list[list[str]], about: list[str], differs: str) -> Iterator[str]:
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for name, *numbers, published in rows:
+        shown = [number.rjust(width) for number, width in zip(numbers, widths[1:-1], strict=True)]
+        yield "  ".join([name.ljust(widths[0]), *shown, published])
+    yield from (*about, *([differs] if any(row[-1].endswith("*") for row in rows) else []), "")
 
 
 def _models(models: tuple[ModelEffort, ...]) -> list[list[str]]:
@@ -357,4 +342,4 @@ def _published(one: ModelEffort | TreeEffort, counted: tuple[int, int]) -> str:
 
 def _short(name: str) -> str:
     """Return a name without the folders of its files."""
-    return escape(",".join(Path(part).name for part in name.split(",")))
+    return ",".join(Path(part).name for part in name.split(","))

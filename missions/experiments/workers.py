@@ -8,10 +8,10 @@ import time
 import traceback
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from missions.baselines import open_run
 from missions.engine.mission import MissionError
@@ -20,6 +20,9 @@ from missions.engine.runner import MissionRun
 from missions.experiments.campaign import PlannedRun
 from missions.experiments.results import CRASHED, Outcome, Store, provenance, read_store, write_tables
 from missions.views.output import as_json, summary
+
+if TYPE_CHECKING:
+    from missions.views.console import CampaignProgress
 
 TIMEOUT_S = 10.0
 WATCH_S = 0.5
@@ -262,20 +265,7 @@ def _probe(needs: tuple[str, ...]) -> Callable[[], dict[str, str]]:
     return probe
 
 
-class Progress(Protocol):
-    """Shows how far a campaign is."""
-
-    def begin(self, done: int, total: int) -> None:
-        """Take how many runs are done already, of how many."""
-
-    def done(self, record: Mapping[str, Any]) -> None:
-        """Take what came of a run."""
-
-    def note(self, text: str) -> None:
-        """Take what keeps the runs from being done."""
-
-
-def conduct(store: Store, folder: Path, workers: Workers, *, retry: bool, progress: Progress) -> list[Path]:
+def conduct(store: Store, folder: Path, workers: Workers, *, retry: bool, progress: "CampaignProgress") -> list[Path]:
     """Do every run that is not done yet, with `retry` those that crashed too; then write and return the tables.
 
     Raises:

@@ -16,7 +16,7 @@ from py_trees.common import Status
 from py_trees.composites import Selector, Sequence
 
 from kb import KnowledgeBase
-from missions.engine.mission import Percepts
+from missions.engine.mission import Condition, Percepts
 from rosa_bt import RosaAction, feasible_then_act
 from rosa_bt.decorators import UntilSuccess
 from rosa_pddl.generation import ActionSchema, DeclaredProblem
@@ -24,17 +24,6 @@ from rosa_pddl.generation import ActionSchema, DeclaredProblem
 PROBLEM: Final = DeclaredProblem(
     objects={"pipeline": "pipeline", "bluerov": "robot"}, goal=("(pipeline_inspected pipeline)",)
 )
-
-
-class PipelineFound(Behaviour):
-    """Condition: SUCCESS once the camera has seen the pipeline."""
-
-    def __init__(self, name: str, percepts: Percepts) -> None:
-        super().__init__(name)
-        self._percepts = percepts
-
-    def update(self) -> Status:
-        return Status.SUCCESS if self._percepts.holds("pipeline_found") else Status.FAILURE
 
 
 class SearchPipeline(RosaAction):
@@ -140,7 +129,8 @@ def suave_tree(kb: KnowledgeBase, percepts: Percepts) -> Behaviour:
 def search_and_inspect(kb: KnowledgeBase, percepts: Percepts) -> Behaviour:
     """Build the part that does the work; it fails as soon as what it is doing becomes unfeasible."""
     search = feasible_then_act(SearchPipeline(kb, percepts))
+    found = Condition("pipeline found?", lambda: percepts.holds("pipeline_found"))
     # With memory, a search under way ends by itself, as a success, rather than being cut short by the condition.
-    find = Selector("find", memory=True, children=[PipelineFound("pipeline found?", percepts), search])
+    find = Selector("find", memory=True, children=[found, search])
     inspect = feasible_then_act(InspectPipeline(kb, percepts))
     return Sequence("search and inspect", memory=False, children=[find, inspect])

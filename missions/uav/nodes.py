@@ -139,15 +139,17 @@ class Node:
     Attributes:
         name: its identity.
         moves: whether it steers the vehicle.
-        watts: its power while it is active [W].
+        power: its power while it is active, a share of a setting [W].
     """
 
     name: ClassVar[str]
     moves: ClassVar[bool] = False
-    watts = 0.0
+    power: ClassVar[tuple[str, float]] = ("pick_up_w", 0.0)
 
     def __init__(self, robot: Robot) -> None:
         self.robot = robot
+        setting, share = self.power
+        self.watts: float = getattr(robot.settings, setting) * share
         self.is_active = False
         self._worked_s = 0.0
 
@@ -214,11 +216,7 @@ class PickUpPlanner(Node):
 class Gripper(Node):
     """Unfolds, and grips the target when it is within reach; a worn one jams while it lifts, and drops the sample."""
 
-    name = "gripper"
-
-    def __init__(self, robot: Robot) -> None:
-        super().__init__(robot)
-        self.watts = robot.settings.pick_up_w / 2
+    name, power = "gripper", ("pick_up_w", 0.5)
 
     def begin(self) -> None:
         self.worked_s(False)
@@ -253,11 +251,7 @@ class Gripper(Node):
 class Analyser(Node):
     """Analyses what is held, once it is lifted."""
 
-    name = "analyser"
-
-    def __init__(self, robot: Robot) -> None:
-        super().__init__(robot)
-        self.watts = robot.settings.pick_up_w / 2
+    name, power = "analyser", ("pick_up_w", 0.5)
 
     def update(self) -> None:
         robot = self.robot
@@ -281,11 +275,7 @@ class HoverPlanner(Node):
 class InfraredCamera(Node):
     """Analyses the target from above; an unfolded gripper would be in its view."""
 
-    name = "infrared_camera"
-
-    def __init__(self, robot: Robot) -> None:
-        super().__init__(robot)
-        self.watts = robot.settings.infrared_w
+    name, power = "infrared_camera", ("infrared_w", 1.0)
 
     def update(self) -> None:
         robot, target = self.robot, self.robot.field.target

@@ -16,7 +16,7 @@ same behaviours; their schemas are what the PDDL is made of. Every action waits 
 that one behaviour gives way to the next in a safe state only.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import ClassVar, Final
 
 from py_trees.behaviour import Behaviour
@@ -24,7 +24,7 @@ from py_trees.common import Status
 from py_trees.composites import Selector, Sequence
 
 from kb import KnowledgeBase
-from missions.engine.mission import Percepts
+from missions.engine.mission import Condition, Percepts
 from missions.uav.settings import MOST_SAMPLES
 from rosa_bt import RosaAction, do_until_unfeasible, feasible_then_act, first_feasible, switch_safely
 from rosa_bt.decorators import UntilSuccess
@@ -69,17 +69,6 @@ def facts(kb: KnowledgeBase, percepts: Percepts) -> Mapping[str, bool]:
     if is_folded and kb.pending_plan is not None:  # it unfolds before long, also if what it was for has been given up
         is_folded = "gripper" not in kb.pending_plan.activate
     return known | {"(looking drone)": not is_waiting(percepts), "(gripper_folded drone)": is_folded}
-
-
-class Sensed(Behaviour):
-    """Condition: SUCCESS while something is sensed, such as `is_waiting` or `is_all_analysed`."""
-
-    def __init__(self, name: str, percepts: Percepts, holds: Callable[[Percepts], bool]) -> None:
-        super().__init__(name)
-        self._percepts, self._holds = percepts, holds
-
-    def update(self) -> Status:
-        return Status.SUCCESS if self._holds(self._percepts) else Status.FAILURE
 
 
 class UavAction(RosaAction):
@@ -192,13 +181,14 @@ class ReturnAndRecharge(UavAction):
 def uav_tree(kb: KnowledgeBase, percepts: Percepts) -> Behaviour:
     """Build the tree; it runs until all samples are analysed that are wanted."""
     search = feasible_then_act(SearchForSamples(kb, percepts))
-    find = Selector("find", memory=True, children=[Sensed("sample waiting?", percepts, is_waiting), search])
+    waiting = Condition("sample waiting?", lambda: is_waiting(percepts))
+    find = Selector("find", memory=True, children=[waiting, search])
     analyse = first_feasible("analyse", [PickUpAndAnalyse(kb, percepts), AnalyseOnSite(kb, percepts)])
     # With memory: what was found stays found while it is analysed, also in the moment in which it is no longer waiting.
     work = Sequence("find and analyse", memory=True, children=[find, analyse])
     one = do_until_unfeasible(work, ReturnAndRecharge(kb, percepts), memory=True, name="one sample")
     every = Sequence(
-        "one after another", memory=True, children=[one, Sensed("all analysed?", percepts, is_all_analysed)]
+        "one after another", memory=True, children=[one, Condition("all analysed?", lambda: is_all_analysed(percepts))]
     )
     tree = UntilSuccess("until all are analysed", every)
     fold = LandAndFoldGripper(kb, percepts)

@@ -61,7 +61,7 @@ def unguarded_in_tree(build: Callable[..., object], model: Model, title: str) ->
 
 
 def _root(build: Callable[..., object], model: Model, title: str) -> Behaviour:
-    root = _built(build, (_Tolerant(model), Percepts()), title)
+    root = built(build, (_Tolerant(model), Percepts()), title)
     if isinstance(root, BehaviourTree):
         root = root.root
     if not isinstance(root, Behaviour):
@@ -69,7 +69,7 @@ def _root(build: Callable[..., object], model: Model, title: str) -> Behaviour:
     return root
 
 
-def _built(build: Callable[..., object], given: tuple[object, ...], title: str) -> object:
+def built(build: Callable[..., object], given: tuple[object, ...], title: str) -> object:
     """Call a function with as many of the given things as it has to be called with."""
     kinds = (Parameter.POSITIONAL_ONLY, Parameter.POSITIONAL_OR_KEYWORD)
     try:

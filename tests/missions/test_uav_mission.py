@@ -8,11 +8,11 @@ from running import run_mission
 
 from kb import KnowledgeBase
 from missions.engine.controller import TASK_KINDS
-from missions.engine.mission import Percepts
+from missions.engine.mission import Condition, Percepts
 from missions.engine.registry import find_mission
 from missions.engine.runner import Listener
 from missions.uav.model import uav_model
-from missions.uav.tree import AnalyseOnSite, Sensed, facts, is_all_analysed
+from missions.uav.tree import AnalyseOnSite, facts, is_all_analysed
 from missions.views.output import as_json
 
 RUNS = [("bt", seed) for seed in range(6)] + [("pddl", seed) for seed in range(4)]
@@ -187,7 +187,7 @@ def test_knowledge_base_decides_as_the_paper_tells():
 
 def test_nothing_is_all_analysed_before_anything_is_wanted():
     percepts = Percepts()
-    condition = Sensed("all analysed?", percepts, is_all_analysed)
+    condition = Condition("all analysed?", lambda: is_all_analysed(percepts))
     condition.tick_once()
     assert condition.status.name == "FAILURE"
     assert not is_all_analysed(percepts)
