@@ -130,6 +130,7 @@ class Domain:
         places: file and line of what is declared, by kind (object, action) and name, and of (section, `:metric`).
         types: for each object its type and the ancestors of that, in lower case.
         oversights: what may be one in the files, in sentences, such as a misspelt requirement.
+        derived: for the name of a derived predicate, in lower case, its variables and the condition that it stands for.
         resources: what actions use up; the limits stand here, and neither in `goals` nor in those of `up_problem`.
     """
 
@@ -147,6 +148,7 @@ class Domain:
     types: Mapping[str, tuple[str, ...]] = field(repr=False)
     oversights: tuple[str, ...] = ()
     resources: tuple[Resource, ...] = ()
+    derived: dict[str, tuple[tuple[UpThing, ...], UpThing]] = field(default_factory=dict, repr=False)
     _atoms: dict[str, str] = field(default_factory=dict, init=False, repr=False)
 
     def check(self, kb: Feasibility) -> tuple[str, ...]:

@@ -1,6 +1,6 @@
 """Formulas and numbers written as PDDL, such as `(and (lit hall) (not (broken hall)))`, in the names of a domain."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Final
@@ -51,7 +51,7 @@ class Formulas:
 
     def __init__(self, domain: Domain, source: Source, unknown: Callable[[Node, str], Exception] | None = None) -> None:
         self._domain, self.source, self._unknown = domain, source, unknown or source.error
-        self._problem = domain.up_problem
+        self._problem, self._mark = domain.up_problem, ""
         self.manager = domain.up_problem.environment.expression_manager
 
     def condition(self, node: Node, scope: Scope, place: str) -> UpThing:
@@ -81,19 +81,58 @@ class Formulas:
                 return (self.manager.And if head == "and" else self.manager.Or)(parts)
             self._expect(node, 1 if head == "not" else 2)
             return (self.manager.Not if head == "not" else self.manager.Implies)(*parts)
-        return self.atom(node, scope)
+        return self._derived(node, scope) if head in self._domain.derived else self.atom(node, scope)
+
+    def derive(self, head: str, rules: Mapping[str, Sequence[Node]], above: tuple[str, ...] = ()) -> None:
+        """Work out what a derived predicate stands for, after those in its rules; it is put in where it is met.
+
+        The variables of its condition are named after it, so that they are none of those where it is put in.
+        """
+        if head in above:
+            message = f"{head!r} is derived from itself; Fast Downward by itself would do. Sense the predicate, or make"
+            raise self.source.unsupported(rules[head][0], f"{message} it an effect of actions")
+        if head in self._domain.derived:
+            return
+        for rule in rules[head]:
+            for other in _heads(rule.children[2]):
+                if other in rules:
+                    self.derive(other, rules, (*above, head))
+        variables, conditions = tuple[UpThing, ...](), list[UpThing]()
+        self._mark = f".{head}"
+        for _, target, body in [rule.children for rule in rules[head]]:
+            scope = self._variables(target.children[1:])
+            kinds = [one.variable().type for one in scope.values()]
+            # numbers, as a variable of one rule may be called as one in the condition of another
+            variables = variables or tuple(self._variable(str(number), kind) for number, kind in enumerate(kinds))
+            if [one.type for one in variables] != kinds:
+                raise self.source.error(target, f"found {start_of(target)!r}, expected the types of the rule before")
+            renamed = dict(zip(scope, variables, strict=True))
+            conditions.append(self.condition(body, renamed, f"what {head} is derived from"))
+        self._mark = ""
+        self._domain.derived[head] = variables, self.manager.Or(conditions)
+
+    def _derived(self, node: Node, scope: Scope) -> UpThing:
+        variables, condition = self._domain.derived[node.head]
+        arguments = [self._term(part, scope) for part in node.children[1:]]
+        kinds = [one.type for one in variables]
+        if len(arguments) != len(kinds) or not all(map(_is_compatible, kinds, arguments)):
+            names = " ".join(self._domain.outside[kind.name] for kind in kinds)
+            raise self._unknown(node, f"found {start_of(node)!r}, expected objects of the types ({names})")
+        return condition.substitute(dict(zip(variables, arguments, strict=True)))
 
     def quantified(self, node: Node) -> tuple[Scope, Node]:
-        from unified_planning.model import Variable
-
         if len(node.children) != 3 or not node.children[1].is_list:
             raise self.source.error(node, f"found {start_of(node)!r}, expected '({node.head} (?x - type) (...))'")
-        environment = self._problem.environment
-        scope = {
-            name.lower: self.manager.VariableExp(Variable(name.lower[1:], self.type_of(kind or ANY), environment))
-            for name, kind in typed(self.source, node.children[1].children, are_variables=True)
-        }
-        return scope, node.children[2]
+        return self._variables(node.children[1].children), node.children[2]
+
+    def _variables(self, names: Sequence[Node]) -> Scope:
+        pairs = typed(self.source, names, are_variables=True)
+        return {name.lower: self._variable(name.lower[1:], self.type_of(kind or ANY)) for name, kind in pairs}
+
+    def _variable(self, name: str, kind: UpThing) -> UpThing:
+        from unified_planning.model import Variable
+
+        return self.manager.VariableExp(Variable(name + self._mark, kind, self._problem.environment))
 
     def type_of(self, node: Node) -> UpThing:
         name = self._domain.inside.get(("type", node.lower), node.lower)
@@ -106,6 +145,9 @@ class Formulas:
         if not node.head:
             raise self.source.error(node, f"found {start_of(node)!r}, expected the name of a predicate first")
         inside = self._domain.inside.get(("predicate", node.head))
+        if inside is None and node.head in self._domain.derived:
+            message = f"found {start_of(node)!r}, which is derived: it is neither stated nor changed"
+            raise self.source.error(node, message)
         if inside is None:
             raise self._unknown_name("predicate", node.children[0], (*_CONNECTIVES, *_CHANGES))
         fluent = self._problem.fluent(inside)
@@ -116,7 +158,7 @@ class Formulas:
             message = f"found {len(arguments)} arguments of {str(node.children[0])!r}, expected {len(signature)}"
             place = f" as declared in line {line} of {file}" if line else ""
             raise self._unknown(node.children[0], message + place)
-        if not all(one.type.is_compatible(given.type) for given, one in zip(arguments, signature, strict=True)):
+        if not all(_is_compatible(one.type, given) for given, one in zip(arguments, signature, strict=True)):
             typed_as = (f"?{one.name} - {self._domain.outside[one.type.name]}" for one in signature)
             message = f"the arguments of {name!r} are of other types than declared: ({' '.join([name, *typed_as])})"
             raise self._unknown(node, message)
@@ -161,3 +203,13 @@ class Formulas:
         known = [self._domain.outside[inside] for (other, _), inside in self._domain.inside.items() if other == kind]
         message = f"found the unknown {kind} {node.word!r}, expected a declared one; "
         return self._unknown(node, message + nearest(node.lower, [*known, *others]))
+
+
+def _is_compatible(kind: UpThing, given: UpThing) -> bool:
+    return bool(kind.is_compatible(given.type))
+
+
+def _heads(node: Node) -> Iterator[str]:
+    yield node.head
+    for child in node.children:
+        yield from _heads(child)

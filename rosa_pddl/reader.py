@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from rosa_pddl.domain import ACTION_TYPE, FEASIBLE, Domain, Limit, Resource, Schema, UpThing, conjuncts
-from rosa_pddl.exceptions import UnknownNameError, UnsupportedPddlError, nearest
+from rosa_pddl.exceptions import UnknownNameError, nearest
 from rosa_pddl.formulas import COMPARISONS, Formulas, Scope
 from rosa_pddl.problem import Problem
 from rosa_pddl.syntax import (
@@ -117,6 +117,8 @@ class _Reader:
         self._lineages: dict[str, tuple[str, ...]] = {}
         self._schemas: dict[str, Schema] = {}
         self._costs: dict[UpThing, UpThing] = {}
+        self._uses: dict[UpThing, dict[str, UpThing]] = {}
+        self._limits: dict[UpThing, list[Limit]] = {}
         self._draft = Domain(
             name=str(domain.root.children[1].children[1]),
             file=domain.file,
@@ -141,8 +143,10 @@ class _Reader:
     def domain(self) -> Domain:
         domain, problem = self._domain.source, self._problem.source
         self._read_types(domain)
+        rules = _rules(domain)
         for node in _signatures(domain, ":predicates"):
-            self._read_fluent(node, self._types.BoolType())
+            if node.head not in rules:
+                self._read_fluent(node, self._types.BoolType())
         if self._actions and ("predicate", FEASIBLE) not in self._inside:
             self._read_fluent(listed(FEASIBLE, "?a", "-", ACTION_TYPE), self._types.BoolType())
         for node in _signatures(domain, ":functions"):
@@ -151,6 +155,8 @@ class _Reader:
         self._read_objects(self._domain, ":constants")
         self._read_objects(self._problem, ":objects")
         self._read_rosa_actions()
+        for head in rules:
+            self._domain.derive(head, rules)
         for node in domain.root.children[2:]:
             if node.head in BODY:
                 with _located(domain, node):
@@ -171,8 +177,12 @@ class _Reader:
                 *(note for one in (domain, problem) for note in (*doubtful_requirements(one), *glued_types(one))),
                 *self._again,
             ),
-            resources=resources_of(self._up_problem, self._outside),
+            resources=tuple(map(self._resource, dict.fromkeys((*self._uses, *self._limits)))),
         )
+
+    def _resource(self, fluent: UpThing) -> Resource:
+        uses, limits = self._uses.get(fluent, {}), tuple(self._limits.get(fluent, ()))
+        return Resource(self._outside[fluent.fluent().name], fluent, uses, limits)
 
     def _unknown(self, source: Source, node: Node, message: str) -> Exception:
         is_object = node.lower == "object" and not self._has_object
@@ -251,7 +261,7 @@ class _Reader:
                 self._again.append(f"{formulas.source.file}:{node.line}: {note}")
                 return
         self._up_problem.add_object(self._declare(formulas.source, "object", node), type_)
-        self._lineages[str(node)] = tuple(lineage_of(type_, self._outside))
+        self._lineages[str(node)] = tuple(_lineage_of(type_, self._outside))
 
     def _read_rosa_actions(self) -> None:
         """Take in the ROSA actions that PDDL actions are said to do."""
@@ -280,8 +290,10 @@ class _Reader:
         reader.read(node, parts)
         if reader.cost is not None:
             self._costs[action] = reader.cost
+        for used, amount in reader.uses.items():
+            self._uses.setdefault(used, {})[name] = amount
         self._up_problem.add_action(action)
-        schema = schema_of(action, self._outside, source.file)
+        schema = _schema_of(action, self._outside)
         does = self._actions.get(name)
         if does is not None:
             if does.startswith("?") and does[1:] not in parameters:
@@ -291,7 +303,7 @@ class _Reader:
             if FEASIBLE not in [self._outside[one.fluent().name].lower() for one in conditions]:
                 needed = listed(FEASIBLE, does)
                 reader.require(listed("over", "all", needed) if node.head == ":durative-action" else needed, node)
-                schema = schema_of(action, self._outside, source.file)
+                schema = _schema_of(action, self._outside)
             schema = replace(schema, action=does.removeprefix("?"))
         self._schemas[name] = schema
 
@@ -325,7 +337,8 @@ class _Reader:
                 raise formulas.numeric(node, "the goal", f"computes with numbers{known}")
             _check_amount(formulas, self._resources, right, node, "the goal", is_sum=True)
             compare = formulas.manager.LT if node.head in ("<", ">") else formulas.manager.LE
-            self._up_problem.add_goal(compare(formulas.atom(left, {}), formulas.number(right, {})))
+            limit = compare(formulas.atom(left, {}), formulas.number(right, {}))
+            self._limits.setdefault(limit.arg(0), []).append(Limit(limit.arg(1), limit.is_lt()))
             return False
 
     def _read_metric(self) -> None:
@@ -353,6 +366,7 @@ class _ActionReader:
         parameter = formulas.manager.ParameterExp
         self._scope = {f"?{one.name}": parameter(one) for one in action.parameters}
         self.cost: UpThing = None
+        self.uses: dict[UpThing, UpThing] = {}
 
     def read(self, schema: Node, parts: Mapping[str, Node]) -> None:
         from unified_planning.model import EndTiming, StartTiming
@@ -444,7 +458,9 @@ class _ActionReader:
         if is_cost:
             self.cost = value if self.cost is None else formulas.manager.Plus(self.cost, value)
         else:
-            self._action.add_increase_effect(*when, formulas.atom(target, self._scope), value)
+            used = formulas.atom(target, self._scope)
+            self._action.add_increase_effect(*when, used, value)
+            self.uses[used] = formulas.manager.Plus(self.uses[used], value) if used in self.uses else value
 
 
 def _check_amount(
@@ -462,6 +478,17 @@ def _check_amount(
         raise formulas.numeric(within, place, f"has the amount {start_of(amount)}, which is no sum")
     for part in parts if is_computed else ():
         _check_amount(formulas, resources, part, within, place, is_sum=is_sum)
+
+
+def _rules(source: Source) -> Mapping[str, list[Node]]:
+    """Return what predicates are derived from, by their names: of each rule the atom and its condition."""
+    found: dict[str, list[Node]] = {}
+    for node in source.root.children[2:]:
+        if node.head == ":derived":
+            if len(node.children) != 3 or not node.children[1].head:
+                raise source.error(node, f"found {start_of(node)!r}, expected '(:derived (NAME ?x - type) CONDITION)'")
+            found.setdefault(node.children[1].head, []).append(node)
+    return found
 
 
 def _signatures(source: Source, head: str) -> Iterator[Node]:
@@ -551,72 +578,28 @@ def _increases(node: Node) -> Iterator[Node]:
         yield from _increases(child)
 
 
-def lineage_of(type_: UpThing, outside: Mapping[str, str]) -> Iterator[str]:
+def _lineage_of(type_: UpThing, outside: Mapping[str, str]) -> Iterator[str]:
     while type_ is not None:
         yield outside[type_.name].lower()
         type_ = type_.father
 
 
-def schema_of(action: UpThing, outside: Mapping[str, str], file: str) -> Schema:
-    """Return an action as unified-planning read it in the view of ROSA."""
-    name = outside[action.name]
-    if hasattr(action, "conditions"):
-        parts = _parts_in_time(action, name, file)
-    elif hasattr(action, "preconditions"):
-        parts = {"start": tuple(conjuncts(action.preconditions)), "end_effects": tuple(action.effects)}
+def _schema_of(action: UpThing, outside: Mapping[str, str]) -> Schema:
+    """Return an action in the view of ROSA; costs are the planner's business: steps bring about facts."""
+    parts: dict[str, list[UpThing]] = {"start": [], "over_all": [], "end": [], "start_effects": [], "end_effects": []}
+    if hasattr(action, "preconditions"):
+        parts["start"] += conjuncts(action.preconditions)
+        parts["end_effects"] += action.effects
     else:
-        raise UnsupportedPddlError(f"the action {name!r} is of an unsupported kind", file)
-    complete = {key: parts.get(key, ()) for key in ("start", "over_all", "end", "start_effects", "end_effects")}
-    for key in ("start_effects", "end_effects"):  # costs are the planner's business: steps bring about facts
-        complete[key] = tuple(effect for effect in complete[key] if effect.fluent.type.is_bool_type())
-    conditions = complete["start"] + complete["over_all"] + complete["end"]
+        for interval, conditions in action.conditions.items():
+            at_start, at_end = interval.lower.is_from_start(), interval.upper.is_from_end()
+            parts["over_all" if at_start and at_end else "start" if at_start else "end"] += conjuncts(conditions)
+        for timing, effects in action.effects.items():
+            parts["start_effects" if timing.is_from_start() else "end_effects"] += effects
+    for effects in (parts["start_effects"], parts["end_effects"]):
+        effects[:] = [effect for effect in effects if effect.fluent.type.is_bool_type()]
+    name, conditions = outside[action.name], parts["start"] + parts["over_all"] + parts["end"]
     parameters = tuple((parameter.name, outside[parameter.type.name]) for parameter in action.parameters)
     rosa_action = _rosa_action_of(name, conditions, action.parameters, outside)
-    return Schema(name=name, parameters=parameters, action=rosa_action, **complete)
-
-
-def _parts_in_time(action: UpThing, name: str, file: str) -> dict[str, tuple[UpThing, ...]]:
-    parts: dict[str, tuple[UpThing, ...]] = {}
-    for interval, conditions in action.conditions.items():
-        at_start, at_end = interval.lower.is_from_start(), interval.upper.is_from_end()
-        key = "over_all" if at_start and at_end else "start" if at_start else "end"
-        parts[key] = parts.get(key, ()) + tuple(conjuncts(conditions))
-    for timing, effects in action.effects.items():
-        key = "start_effects" if timing.is_from_start() else "end_effects"
-        parts[key] = parts.get(key, ()) + tuple(effects)
-    if action.continuous_effects:
-        raise UnsupportedPddlError(f"the action {name!r} changes numbers continuously", file)
-    return parts
-
-
-def resources_of(up_problem: UpThing, outside: Mapping[str, str]) -> tuple[Resource, ...]:
-    """Take the limits out of a problem's goals, and return what is limited or used up."""
-    uses: dict[UpThing, dict[str, UpThing]] = {}
-    for action in up_problem.actions:
-        for effect in _effects(action):
-            if effect.is_increase():
-                used, name = uses.setdefault(effect.fluent, {}), outside[action.name]
-                used[name] = used[name] + effect.value if name in used else effect.value
-    limits: dict[UpThing, list[Limit]] = {}
-    kept = []
-    for goal in conjuncts(up_problem.goals):
-        if (goal.is_le() or goal.is_lt()) and goal.arg(0) in uses:
-            limits.setdefault(goal.arg(0), []).append(Limit(goal.arg(1), goal.is_lt()))
-        else:
-            kept.append(goal)
-    if limits:
-        up_problem.clear_goals()
-        for goal in kept:
-            up_problem.add_goal(goal)
-    return tuple(
-        Resource(outside[fluent.fluent().name], fluent, used, tuple(limits.get(fluent, ())))
-        for fluent, used in uses.items()
-    )
-
-
-def _effects(action: UpThing) -> Iterator[UpThing]:
-    if hasattr(action, "conditions"):
-        for effects in action.effects.values():
-            yield from effects
-    else:
-        yield from action.effects
+    held = {when: tuple(found) for when, found in parts.items()}
+    return Schema(name=name, parameters=parameters, action=rosa_action, **held)

@@ -17,12 +17,10 @@ BODY: Final[Mapping[str, tuple[str, ...]]] = {
 """What describes an action, by the section."""
 
 # In the order that unified-planning's reader insists on.
-_DOMAIN = ("domain", ":requirements", ":types", ":constants", ":predicates", ":functions", *BODY)
+_DOMAIN = ("domain", ":requirements", ":types", ":constants", ":predicates", ":functions", ":derived", *BODY)
 _PROBLEM = ("problem", ":domain", ":requirements", ":objects", ":init", ":goal", ":metric")
 # What unified-planning or the executor cannot take, and which engine would do.
 _UNSUPPORTED = {
-    ":derived": "unified-planning has no derived predicates; Fast Downward by itself would do. Sense the predicate, or "
-    "make it an effect of actions",
     ":process": "it changes numbers while time passes; ENHSP (up-enhsp) would do",
     ":event": "it happens by itself; ENHSP (up-enhsp) would do",
     **dict.fromkeys(
@@ -268,7 +266,7 @@ def _check_frame(source: Source, what: str, sections: Collection[str]) -> None:
             raise source.unsupported(node, f"found '({node.head}': {_UNSUPPORTED[node.head]}")
         if node.head not in sections:
             raise source.error(node, f"found {start_of(node)!r}, expected a section; {nearest(node.head, sections)}")
-        if node.head not in (*BODY, ":requirements") and first.setdefault(node.head, node) is not node:
+        if node.head not in (*BODY, ":derived", ":requirements") and first.setdefault(node.head, node) is not node:
             message = f"found a second '({node.head}', expected one; put both together, the first is in line"
             raise source.error(node, f"{message} {first[node.head].line}")
 

@@ -1,3 +1,4 @@
+import re
 import subprocess
 import sys
 
@@ -5,6 +6,7 @@ import pytest
 from pddl_world import MISSIONS, ROOMS_DOMAIN, ROOMS_PROBLEM, FakeKb, load_mission, load_text
 
 from rosa_pddl import (
+    Outcome,
     PddlError,
     Planner,
     Problem,
@@ -17,6 +19,8 @@ from rosa_pddl import (
     parse_domain,
 )
 from rosa_pddl.exceptions import nearest
+from rosa_pddl.formulas import conditions
+from rosa_pddl.validate import goal_holds
 
 
 def test_the_extended_mission_shares_names_between_objects_actions_and_types(extended):
@@ -172,7 +176,7 @@ UNSUPPORTED = {
     "derived": (
         in_rooms("(:durative-action move", "(:derived (lit ?x - room) (lit ?x)) (:durative-action move"),
         "domain.pddl:6:3",
-        ":derived",
+        "'lit' is derived from itself",
     ),
     "timed fact": (in_rooms("(free robby)", "(at 5 (free robby))"), "problem.pddl@(at 5", "become true at a time"),
     "either": (in_rooms("?x - room)\n", "?x - (either room robot))\n"), "domain.pddl@(either", "either"),
@@ -262,3 +266,49 @@ def test_a_constant_named_again_with_another_type_is_refused():
     domain = "(define (domain d) (:requirements :typing) (:types a b) (:constants x - a) (:predicates (p ?x - a)))"
     with pytest.raises(PddlError, match=r"declared before, in line 1 of domain\.pddl"):
         parse_domain(domain, "(define (problem p) (:domain d) (:objects x - b) (:init) (:goal (p x)))")
+
+
+LAMPS = """(define (domain lamps) (:types room robot)
+  (:predicates (at ?r - robot ?x - room) (door ?x ?y - room) (lamp ?x - room) (bright ?x - room) (safe ?r - robot))
+  (:derived (bright ?y - room) (lamp ?y))
+  (:derived (bright ?x - room) (exists (?y - room) (and (door ?x ?y) (lamp ?y))))
+  (:derived (safe ?r - robot) (forall (?y - room) (imply (at ?r ?y) (bright ?y))))
+  (:action move :parameters (?r - robot ?x ?y - room) :precondition (and (at ?r ?x) (door ?x ?y) (bright ?x))
+    :effect (and (not (at ?r ?x)) (at ?r ?y)))
+  (:action light :parameters (?r - robot ?y - room) :precondition (at ?r ?y) :effect (lamp ?y)))"""
+LAMPS_PROBLEM = """(define (problem p) (:domain lamps) (:objects a b c d - room robby - robot)
+  (:init (at robby a) (door a b) (door b c) (door c d) (lamp b)) (:goal (and (at robby d) (safe robby))))"""
+
+
+def test_derived_predicates_hold_where_what_they_are_derived_from_does():
+    domain = parse_domain(LAMPS, LAMPS_PROBLEM)
+    for engine in ("fast-downward-opt", "label-setting"):
+        result = Planner(engine).plan(Problem(domain, initial_state(domain)))
+        assert result.outcome is Outcome.SOLVED_OPTIMALLY, result.message
+        steps = [str(step) for step in result.steps]
+        assert len(steps) == 5
+        assert steps[:2] == ["move(robby, a, b)", "move(robby, b, c)"]
+        assert sorted(steps[2:]) == ["light(robby, c)", "light(robby, d)", "move(robby, c, d)"]
+    (dark,) = conditions(domain, "(not (bright c))")
+    assert goal_holds(domain, initial_state(domain), [dark.expression])
+    assert not goal_holds(domain, initial_state(domain) | {"(lamp d)"}, [dark.expression])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        (
+            ":effect (lamp ?y)",
+            ":effect (bright ?y)",
+            "(bright ?y)', which is derived: it is neither stated nor",
+        ),
+        ("(bright ?y - room) (lamp ?y)", "(bright ?y - robot) (lamp b)", "expected the types of the rule before"),
+        ("(bright ?x))", "(bright ?r))", "expected objects of the types (room)"),
+        ("(:derived (bright ?y - room) (lamp ?y))", "(:derived (bright ?y - room))", "expected '(:derived (NAME"),
+    ],
+)
+def test_slip_with_a_derived_predicate_is_said_with_its_place(old, new, said):
+    assert LAMPS.count(old) == 1
+    with pytest.raises(PddlError, match=re.escape(said)) as caught:
+        parse_domain(LAMPS.replace(old, new), LAMPS_PROBLEM)
+    assert str(caught.value).startswith("domain.pddl:")
