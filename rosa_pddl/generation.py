@@ -7,13 +7,12 @@ What is made follows ROSA's convention: a type `action` with one object for each
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from decimal import Decimal
-from typing import Any, Final
+from typing import Final
 
-from rosa_pddl.domain import ACTION_TYPE, FEASIBLE, Domain, UpThing
+from rosa_pddl.domain import ACTION_TYPE, FEASIBLE, Domain
 from rosa_pddl.exceptions import PddlError, nearest
-from rosa_pddl.problem import limits_of
 from rosa_pddl.reader import build_domain
-from rosa_pddl.syntax import Node, Source, formula, listed, typed
+from rosa_pddl.syntax import BODY, Node, Source, formula, listed, typed
 
 _CONNECTIVES: Final = frozenset({"and", "or", "not", "imply", "when"})
 _NUMERIC: Final = frozenset({"<", ">", "<=", ">=", "assign", "increase", "decrease", "scale-up", "scale-down"})
@@ -119,13 +118,13 @@ class Declarations:
 
     @property
     def domain_pddl(self) -> str:
-        """The text of the domain file, as unified-planning writes it."""
-        return self._written(self._writer().get_domain())
+        """The text of the domain file."""
+        return self._written(self._domain_lists())
 
     @property
     def problem_pddl(self) -> str:
-        """The text of the problem file, as unified-planning writes it."""
-        return self._written(self._writer().get_problem())
+        """The text of the problem file."""
+        return self._written(self._problem_lists())
 
     def load(self) -> Domain:
         """Make the domain, as `load_domain` makes that of files.
@@ -185,7 +184,9 @@ class Declarations:
         return listed(
             "define",
             listed("domain", self.name),
+            listed(":requirements", ":typing", ":adl", *self._requirements()),
             listed(":types", *self._types()),
+            listed(":constants", *(word for one in self._objects(constant=True) for word in one)),
             listed(":predicates", *(_signature(name, kinds) for name, kinds in used.predicates.items())),
             listed(":functions", *functions, *([listed("total-cost")] if self._has_costs else [])),
             *(_action(one, self._has_costs) for one in self.schemas),
@@ -193,9 +194,6 @@ class Declarations:
 
     def _problem_lists(self) -> Node:
         problem = self.problem
-        objects = [*((name, ACTION_TYPE) for name in self.rosa_actions), *problem.objects.items()]
-        # what formulas name comes first, as the constants of a domain file do
-        objects.sort(key=lambda one: one[1] == ACTION_TYPE or one[0].lower() not in self._signatures.constants)
         facts = [listed(f"{action}_action", action) for action in self.rosa_actions]
         numbers = {**{f"({name})": 0.0 for name in self._resources}, **problem.numbers}
         facts += [_parsed(fact, self._place) for fact in problem.facts]
@@ -206,31 +204,37 @@ class Declarations:
             "define",
             listed("problem", self.name),
             listed(":domain", self.name),
-            listed(":objects", *(word for name, kind in objects for word in (name, "-", kind))),
+            listed(":objects", *(word for one in self._objects(constant=False) for word in one)),
             listed(":init", *facts),
             listed(":goal", listed("and", *goals)),
             *([listed(":metric", "minimize", listed("total-cost"))] if self._has_costs else []),
         )
 
-    def _written(self, text: str) -> str:
-        return "\n".join([f"; Generated from the {self._place}.", *map(str.rstrip, text.splitlines())]) + "\n"
+    def _requirements(self) -> Iterator[str]:
+        if any(one.duration_s is not None for one in self.schemas):
+            yield ":durative-actions"
+        if self._signatures.numbers or self._has_costs:
+            yield ":numeric-fluents"
 
-    def _writer(self) -> UpThing:
-        """Return unified-planning's writer of the model, in the names that were declared."""
-        from unified_planning.io.pddl_writer import ConverterToPDDLString, PDDLWriter
+    def _objects(self, *, constant: bool) -> Iterator[tuple[str, str, str]]:
+        """Yield the objects with their types: those that formulas name are constants of the domain."""
+        for name, kind in (*dict.fromkeys(self.rosa_actions, ACTION_TYPE).items(), *self.problem.objects.items()):
+            if (name.lower() in self._signatures.constants) is constant:
+                yield name, "-", kind
 
-        ConverterToPDDLString.DECIMAL_PRECISION = 17  # as many as a float has; 10, as it is set, are not exact
-        domain = self.load()
-        up_problem = domain.up_problem.clone()
-        for limit in limits_of(domain):
-            up_problem.add_goal(limit)
-        writer = PDDLWriter(_AsStated(up_problem))
-        writer.otn_renamings = _Names(domain)
-        constants = [thing for thing in up_problem.all_objects if thing.name.lower() in self._signatures.constants]
-        writer.domain_objects = {
-            kind: _InOrder(thing for thing in constants if thing.type == kind) for kind in up_problem.user_types
-        }
-        return writer
+    def _written(self, lists: Node) -> str:
+        self.load()  # what is not correct PDDL is not written
+        lines = [f"; Generated from the {self._place}.", f"(define {lists.children[1]}"]
+        for node in lists.children[2:]:
+            if node.head in BODY:
+                lines.append(f" ({node.head} {node.children[1]}")
+                parts = node.children[2:]
+                for word, value in zip(parts[::2], parts[1::2], strict=True):
+                    lines += _in_lines(value, f"  {word} ") if value.head == "and" else [f"  {word} {value}"]
+                lines.append(" )")
+            elif node.children[1:]:  # some readers refuse a section that is empty
+                lines += _in_lines(node) if any(one.is_list for one in node.children) else [f" {node}"]
+        return "\n".join([*lines, ")\n"])
 
     def _types(self) -> Iterator[str]:
         above = self.problem.types
@@ -404,6 +408,10 @@ def _action(schema: ActionSchema, has_costs: bool) -> Node:
     return listed(":durative-action", schema.name, ":parameters", parameters, ":duration", duration, *parts)
 
 
+def _in_lines(node: Node, before: str = " ") -> list[str]:
+    return [f"{before}({node.head}", *(f"    {one}" for one in node.children[1:]), "  )"]
+
+
 def _at(when: str, formulas: Iterable[Node]) -> list[Node]:
     return [listed(*when.split(), formula) for formula in formulas]
 
@@ -413,37 +421,3 @@ def _number(value: float | str) -> Node | str:
         return _parsed(value, value)
     short = f"{value:.12g}"
     return short if float(short) == value else format(Decimal(str(value)), "f")
-
-
-class _AsStated:
-    """A problem with the facts that are stated only: unified-planning's writer wants a value for each that could be."""
-
-    def __init__(self, up_problem: UpThing) -> None:
-        self._problem = up_problem
-        self.initial_values = up_problem.explicit_initial_values
-
-    def __getattr__(self, name: str) -> UpThing:
-        return getattr(self._problem, name)
-
-
-class _Names(dict[Any, str]):
-    """What things are called: unified-planning's writer wants no two names to be the same, which PDDL does not."""
-
-    def __init__(self, domain: Domain) -> None:
-        super().__init__()
-        self._outside = domain.outside
-
-    def __contains__(self, thing: object) -> bool:
-        return True
-
-    def __missing__(self, thing: UpThing) -> str:
-        from unified_planning.model import Parameter, Variable
-
-        return f"?{thing.name}" if isinstance(thing, Parameter | Variable) else self._outside[thing.name]
-
-
-class _InOrder(set[Any]):
-    """Objects in the order of their names, as a set decides no order."""
-
-    def __iter__(self) -> Iterator[Any]:
-        return iter(sorted(super().__iter__(), key=str))

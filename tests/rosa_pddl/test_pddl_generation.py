@@ -3,8 +3,9 @@
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from unified_planning.io import PDDLReader
 
-from rosa_pddl import Planner, Problem, feasible_atoms, initial_state
+from rosa_pddl import Planner, Problem, feasible_atoms, initial_state, load_domain
 from rosa_pddl.exceptions import PddlError
 from rosa_pddl.formulas import conditions
 from rosa_pddl.generation import ActionSchema, Declarations, DeclaredProblem
@@ -93,7 +94,7 @@ def test_without_costs_or_durations_there_is_neither_metric_nor_requirement():
 
 def test_objects_that_formulas_name_are_constants_of_the_domain():
     text = declared().domain_pddl
-    assert "(:constants\n   base - place\n )" in text
+    assert "(:constants base - place)" in text
     assert "base" not in declared().problem_pddl.split("(:init")[0]
 
 
@@ -190,3 +191,14 @@ def problem(**changes):
 def test_slip_in_a_declaration_is_said_with_what_was_expected(make, message):
     with pytest.raises(PddlError, match=message):
         make().load()
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of pyparsing, by unified-planning
+def test_what_is_written_is_read_by_unified_planning_and_by_this_package(tmp_path):
+    (tmp_path / "domain.pddl").write_text(declared().domain_pddl)
+    (tmp_path / "problem.pddl").write_text(declared().problem_pddl)
+    read = PDDLReader().parse_problem(str(tmp_path / "domain.pddl"), str(tmp_path / "problem.pddl"))
+    domain = load_domain(tmp_path / "domain.pddl", tmp_path / "problem.pddl")
+    assert len(read.actions) == len(domain.schemas) == 3
+    assert (domain.rosa_actions, domain.goals) == (declared().load().rosa_actions, declared().load().goals)
+    assert initial_state(domain) == initial_state(declared().load())
