@@ -110,6 +110,11 @@ class Trace:
     def __str__(self) -> str:
         return "".join(_written(self.model, self.ticks))
 
+    def statuses(self, name: str) -> tuple[Status, ...]:
+        """Return what behaviours of a name returned whenever they were ticked, in order; without what was skipped."""
+        visits = [visit for tick in self.ticks for visit in tick.visited if tick.tree[visit.node].name == name]
+        return tuple(Status[visit.status] for visit in visits if visit.status != Status.INVALID.name)
+
     def write(self, path: str | Path) -> None:
         """Write the trace to a file; the same ticks are the same bytes."""
         Path(path).write_text(str(self), encoding="utf-8")

@@ -10,7 +10,7 @@ from py_trees.behaviour import Behaviour
 from py_trees.composites import Composite, Selector, Sequence
 from py_trees.decorators import Decorator
 
-from rosa_bt.behaviours import ActionBehaviour, RosaAction
+from rosa_bt.behaviours import ActionBehaviour
 from rosa_bt.exceptions import ExportError
 from rosa_bt.xml.nodes import Branch, Slot, XmlNode, is_plain
 from rosa_bt.xml.reader import SubTree
@@ -113,4 +113,4 @@ def _kind_of(node: Behaviour) -> str:
         return "Decorator"
     if isinstance(node, Composite) or node.children:
         return "Control"
-    return "Condition" if is_plain(node) and not isinstance(node, RosaAction) else "Action"
+    return "Condition" if is_plain(node) else "Action"

@@ -4,18 +4,20 @@ import logging
 import os
 import re
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, Final, cast
 
 from py_trees.behaviour import Behaviour
+from py_trees.common import Status
 
 from rosa_bt.exceptions import RosaBtError, XmlError, hint, in_words
 from rosa_bt.xml.blackboard import BOOLS, Blackboard, Clock
 from rosa_bt.xml.controls import CONTROLS
 from rosa_bt.xml.decorators import DECORATORS
-from rosa_bt.xml.leaves import LEAVES, XmlLeaf
+from rosa_bt.xml.leaves import LEAVES, StandIn, XmlLeaf
 from rosa_bt.xml.nav2 import NAV2
 from rosa_bt.xml.nodes import MAX_NODES, Branch, Control, OneChild, Rules, Slot, is_plain
 from rosa_bt.xml.ports import Ports, key_of
@@ -285,6 +287,10 @@ class SubTree(Branch):
         self.blackboard, self.tree, self.models = board, tree, models
 
 
+Substitute = Status | Iterable[Status] | Callable[[str], Behaviour]
+"""What stands in for a leaf: what it returns, tick by tick, or what makes another behaviour of its name."""
+
+
 def load_xml(
     text_or_path: str | Path,
     registry: BehaviourRegistry,
@@ -292,6 +298,7 @@ def load_xml(
     *,
     clock: Clock | None = None,
     enums: Mapping[str, int] | None = None,
+    substitutes: Mapping[str, Substitute] | None = None,
 ) -> SubTree:
     """Make a tree that is written in the XML of BehaviorTree.CPP 4, with its semantics.
 
@@ -302,6 +309,10 @@ def load_xml(
         clock: gives the time [s] to Delay, Timeout and Sleep; without it, the clock of the knowledge base that the
             registry is bound to, or else the monotonic one of this computer.
         enums: names that scripts know, with their numbers, e.g. `{"RED": 1}`.
+        substitutes: what stands in for leaves, for dry runs and tests: by name, by tag, or by a pattern of the path,
+            e.g. `"Mission/*/drive"`: IDs of the trees, then the name. A status, several for one tick each of which the
+            last goes on (such as `trace.statuses("drive")`), or a function of the name that makes a behaviour. The
+            first that fits is taken; rules such as `_skipIf` stay, ports are neither read nor written.
 
     Returns:
         A py_trees behaviour, to be ticked like any other. INVALID after a tick means that it was skipped.
@@ -315,7 +326,11 @@ def load_xml(
             raise element.error(f"{name!r} is the name of a node, so it cannot be that of a tree, too; rename the tree")
     kb = registry.bound.get("kb")
     board = Blackboard(clock or (time.monotonic if kb is None else lambda: float(kb.now)), enums=enums)
-    return _Builder(document, registry).tree(document.main(tree), document.root, None, _Place(board))
+    builder = _Builder(document, registry, substitutes or {})
+    made = builder.tree(document.main(tree), document.root, None, _Place(board))
+    for pattern in builder.unused:
+        raise document.root.error(f"nothing is substituted by {pattern!r}; {hint(pattern, builder.leaves, 'leaves')}")
+    return made
 
 
 @dataclass(frozen=True)
@@ -328,9 +343,12 @@ class _Place:
 
 
 class _Builder:
-    def __init__(self, document: Document, registry: BehaviourRegistry) -> None:
+    def __init__(self, document: Document, registry: BehaviourRegistry, substitutes: Mapping[str, Substitute]) -> None:
         self._document = document
         self._registry = registry
+        self._substitutes = substitutes
+        self.unused: Final = dict.fromkeys(substitutes)
+        self.leaves: Final[dict[str, None]] = {}
         self._count = 0
         self._named: set[tuple[int, str]] = set()
 
@@ -367,6 +385,8 @@ class _Builder:
         name = element.attributes.get("name") or tag
         if tag == "SubTree":
             return self._subtree(element, place), False
+        if not element.children and (stand_in := self._stand_in(element, name, place)) is not None:
+            return stand_in
         if tag in self._registry:
             return self._registered(element, name, place)
         if tag not in _NODES:
@@ -386,12 +406,28 @@ class _Builder:
         node = entry.make(name, element.ports, branches, place.board)
         return node, not slots and self._is_condition(entry, element, node)
 
-    def _is_condition(self, entry: Entry, element: Element, leaf: Behaviour) -> bool:
-        if entry.kind is not None:
+    def _is_condition(self, entry: Entry | None, element: Element, leaf: Behaviour) -> bool:
+        if entry is not None and entry.kind is not None:
             return entry.kind == "condition"
         model = self._document.models.get(element.node)
         said = element.tag if element.tag in _EXPLICIT else model.tag if model is not None else ""
-        return said == "Condition" or (said != "Action" and is_plain(leaf))
+        return said == "Condition" or (said != "Action" and is_plain(leaf, entry.made if entry else None))
+
+    def _stand_in(self, element: Element, name: str, place: _Place) -> tuple[Behaviour, bool] | None:
+        path = "/".join([*place.trees, name])
+        self.leaves[path] = None
+        fits = (one for one in self._substitutes if one in (name, element.node) or fnmatchcase(path, one))
+        pattern = next(fits, None)
+        if pattern is None:
+            return None
+        self.unused.pop(pattern, None)
+        what = self._substitutes[pattern]
+        statuses = () if callable(what) else (what,) if isinstance(what, Status) else tuple(what)
+        if not callable(what) and (not statuses or not all(isinstance(one, Status) for one in statuses)):
+            raise element.error(f"{pattern!r} is substituted by py_trees statuses or by a function, not by {what!r}")
+        leaf = what(name) if callable(what) else StandIn(name, statuses)
+        entry = self._registry[element.node] if element.node in self._registry else None  # noqa: SIM401  # no dict
+        return leaf, Status.RUNNING not in statuses and self._is_condition(entry, element, leaf)
 
     def _subtree(self, element: Element, place: _Place) -> SubTree:
         tree = element.get("ID")

@@ -78,6 +78,11 @@ class Entry:
             maker = maker.func
         return maker
 
+    @property
+    def made(self) -> type[Behaviour] | None:
+        """The class of what it makes, if that is known before."""
+        return self._maker if isinstance(self._maker, type) else None
+
     @cached_property
     def _parameters(self) -> Mapping[str, inspect.Parameter]:
         return inspect.signature(self.factory).parameters
