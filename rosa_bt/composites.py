@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Final
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
@@ -10,9 +9,6 @@ from py_trees.composites import Composite, Parallel
 
 from rosa_bt.behaviours import ActionBehaviour
 from rosa_bt.decorators import ForAction
-from rosa_bt.xml.controls import Together
-
-_SIDE_BY_SIDE: Final = (Parallel, Together)
 
 
 def gave_way(task: Behaviour) -> bool:
@@ -25,7 +21,8 @@ def gave_way(task: Behaviour) -> bool:
         is_unfeasible = task.action not in task.kb.actions or not task.kb.is_feasible(task.action)
         if is_unfeasible or not failed:
             return is_unfeasible
-    deciding = failed if isinstance(task, _SIDE_BY_SIDE) else failed[-1:]
+    is_side_by_side = getattr(task, "is_side_by_side", isinstance(task, Parallel))
+    deciding = failed if is_side_by_side else failed[-1:]
     return bool(deciding) and all(map(gave_way, deciding))
 
 
@@ -117,22 +114,28 @@ class SafeSwitch(_Parts):
         task: the action.
         transitions: what to do first, by name of the action that was done last.
         posture: which action that was; shared with the behaviours of the other actions.
+        action: name of the action, if the task does not say it itself.
     """
 
     def __init__(
-        self, name: str, task: ActionBehaviour | ForAction, transitions: Mapping[str, Behaviour], posture: Posture
+        self,
+        name: str,
+        task: Behaviour,
+        transitions: Mapping[str, Behaviour],
+        posture: Posture,
+        action: str | None = None,
     ) -> None:
         super().__init__(name, [*transitions.values(), task])
-        self.action = task.action
+        self.action = task.action if isinstance(task, ActionBehaviour | ForAction) else str(action)
         self.posture = posture
-        self._from = tuple(transitions)
+        self.transitions = tuple(transitions)
 
     def tick(self) -> Iterator[Behaviour]:
         if self.status is not Status.RUNNING:
             self._begin()
         before, child = self.posture.after, self.children[-1]
-        if before in self._from:
-            child = self.current_child = self.children[self._from.index(before)]
+        if before in self.transitions:
+            child = self.current_child = self.children[self.transitions.index(before)]
             yield from child.tick()
             said = child.feedback_message
             self.feedback_message = f"switching from {before}{f': {said}' if said else ''}"

@@ -47,7 +47,8 @@ class ForAction(Decorator):
         self.kb = kb
         self.action = action
         self.preference = preference
-        self._request = ActionRequest(kb, timeout if wait else None)
+        self.timeout = timeout if wait else None
+        self._request = ActionRequest(kb, self.timeout)
         self._is_ready = False
 
     def tick(self) -> Iterator[Behaviour]:

@@ -82,6 +82,7 @@ class Together(Control):
     """All children at each tick, but those that have finished."""
 
     FORGETS = ("_ended",)
+    is_side_by_side: ClassVar = True
     _ended: Mapping[Slot, Status] = MappingProxyType({})
 
     def _number(self, port: str) -> int:

@@ -175,13 +175,9 @@ class _Updated(Gate):
     FORGETS = ("_goes_on",)
     runs = False
     _goes_on = False
-    _version = 0
 
     def is_due(self) -> bool:
-        before = self._version
-        if not self._goes_on:
-            self._version = self.ports.version("entry", before)
-        return self._goes_on or self._version != before
+        return self._goes_on or self.ports.is_updated("entry")
 
     def note(self, verdict: Status) -> None:
         self._goes_on = verdict is RUNNING

@@ -92,11 +92,9 @@ class WasEntryUpdated(XmlLeaf):
     """SUCCESS if an entry was written since this was ticked last, FAILURE if not, or never."""
 
     PORTS: ClassVar = {"entry": PortInformation(object)}
-    _version = 0
 
     def update(self) -> Status:
-        before, self._version = self._version, self.ports.version("entry", self._version)
-        return Status.SUCCESS if self._version != before else Status.FAILURE
+        return Status.SUCCESS if self.ports.is_updated("entry") else Status.FAILURE
 
 
 class Sleep(XmlLeaf):

@@ -225,8 +225,9 @@ class Branch(OneChild):
         return (yield from self.child.tick())
 
 
-def is_plain(behaviour: Behaviour, kind: type[Behaviour] | None = None) -> bool:
-    """Tell whether a leaf, of a kind that it may stand in for, keeps nothing from tick to tick: it is a condition."""
-    kind = kind or type(behaviour)
+def is_plain(leaf: Behaviour | type[Behaviour]) -> bool:
+    """Tell whether a leaf keeps nothing from tick to tick: it neither begins nor ends, so it is a condition."""
+    kind = leaf if isinstance(leaf, type) else type(leaf)
     begins_or_ends = (kind.initialise, kind.terminate) != (Behaviour.initialise, Behaviour.terminate)
-    return not (begins_or_ends or behaviour.children or issubclass(kind, RosaAction))
+    has_children = isinstance(leaf, Behaviour) and bool(leaf.children)
+    return not (begins_or_ends or has_children or issubclass(kind, RosaAction))

@@ -36,6 +36,7 @@ class Ports:
         self._declared = declared
         self._keys: dict[str, str] = {}
         self._literals: dict[str, Any] = {}
+        self._seen = 0
         for name, text in written.items():
             if name not in declared:
                 raise PortError(f"it has no port {name!r}; {hint(name, declared, 'ports')}")
@@ -98,10 +99,11 @@ class Ports:
         """Tell whether a port is given a value in the element itself."""
         return name in self._literals
 
-    def version(self, name: str, before: int) -> int:
-        """Return how often the entry was written that a port names as `{key}` or `key`; `before` if there is none."""
+    def is_updated(self, name: str) -> bool:
+        """Tell whether the entry that a port names, as `{key}` or `key`, was written since this was asked last."""
         entry = self.blackboard.entry(self.key(name) or str(self.get(name)))
-        return before if entry is None else entry.version
+        seen, self._seen = self._seen, self._seen if entry is None else entry.version
+        return self._seen != seen
 
     def connect(self, behaviour: PortsMixin) -> None:
         """Connect a behaviour with py_trees' ports to the blackboard of the tree instead of the process's."""

@@ -150,11 +150,18 @@ class Document:
         self._collect(_read(path, element.where), path.parent, [*chain, path])
 
 
-def _add(table: dict[str, Element], name: str, element: Element) -> None:
+def wrong_id(name: str) -> str:
+    """Return why the library does not take an ID, and what to write instead; empty if it does."""
     wrong = _FORBIDDEN.search(name)
-    if wrong or name == "Root":
-        what = f"{wrong[0]!r} cannot stand in an ID" if wrong else "the ID is taken by the library itself"
-        raise element.error(f"{name!r}: {what}; write {_FORBIDDEN.sub('_', name) if wrong else 'Main'!r} instead")
+    if not wrong and name != "Root":
+        return ""
+    what = f"{wrong[0]!r} cannot stand in an ID" if wrong else "the ID is taken by the library itself"
+    return f"{name!r}: {what}; write {_FORBIDDEN.sub('_', name) if wrong else 'Main'!r} instead"
+
+
+def _add(table: dict[str, Element], name: str, element: Element) -> None:
+    if problem := wrong_id(name):
+        raise element.error(problem)
     for port in element.children if element.tag in _MODELS else ():
         called = port.attributes.get("name", "_")
         if port.tag.endswith("_port") and (called[0].isdigit() or called in (*Rules.NAMES, "name", "ID", "_autoremap")):
@@ -406,12 +413,12 @@ class _Builder:
         node = entry.make(name, element.ports, branches, place.board)
         return node, not slots and self._is_condition(entry, element, node)
 
-    def _is_condition(self, entry: Entry | None, element: Element, leaf: Behaviour) -> bool:
+    def _is_condition(self, entry: Entry | None, element: Element, leaf: Behaviour | type[Behaviour]) -> bool:
         if entry is not None and entry.kind is not None:
             return entry.kind == "condition"
         model = self._document.models.get(element.node)
         said = element.tag if element.tag in _EXPLICIT else model.tag if model is not None else ""
-        return said == "Condition" or (said != "Action" and is_plain(leaf, entry.made if entry else None))
+        return said == "Condition" or (said != "Action" and is_plain(leaf))
 
     def _stand_in(self, element: Element, name: str, place: _Place) -> tuple[Behaviour, bool] | None:
         path = "/".join([*place.trees, name])
@@ -426,8 +433,9 @@ class _Builder:
         if not callable(what) and (not statuses or not all(isinstance(one, Status) for one in statuses)):
             raise element.error(f"{pattern!r} is substituted by py_trees statuses or by a function, not by {what!r}")
         leaf = what(name) if callable(what) else StandIn(name, statuses)
-        entry = self._registry[element.node] if element.node in self._registry else None  # noqa: SIM401  # no dict
-        return leaf, Status.RUNNING not in statuses and self._is_condition(entry, element, leaf)
+        entry = self._registry[element.node] if element.node in self._registry else None  # noqa: SIM401  # it has no get
+        original = (entry.made if entry else None) or leaf
+        return leaf, Status.RUNNING not in statuses and self._is_condition(entry, element, original)
 
     def _subtree(self, element: Element, place: _Place) -> SubTree:
         tree = element.get("ID")

@@ -10,6 +10,8 @@ from py_trees.behaviour import Behaviour
 from py_trees.ports import PortInformation, PortsMixin
 
 from rosa_bt.behaviours import HasStatus, IsActionFeasible, KbBehaviour, Measurement, WaitForArchitecture
+from rosa_bt.composites import DoUntilUnfeasible, Posture, SafeSwitch
+from rosa_bt.decorators import ForAction, UntilSuccess
 from rosa_bt.exceptions import RegistryError
 from rosa_bt.xml.blackboard import Blackboard, PortError
 from rosa_bt.xml.controls import CONTROLS
@@ -25,7 +27,6 @@ Kind = Literal["action", "condition"]
 _FORMS: Final = ("Action", "BehaviorTree", "Condition", "Control", "Decorator", "SubTree", "root")
 BUILT_IN: Final = frozenset({*CONTROLS, *DECORATORS, *LEAVES, *_FORMS})
 """Names that have their meaning already."""
-_OUR_LEAVES: Final = (HasStatus, IsActionFeasible, Measurement, WaitForArchitecture)
 _ROLES: Final = frozenset({"name", "child", "children", "behaviour_class_name"})
 """Parameters that no attribute is meant for."""
 _VARIOUS: Final = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
@@ -77,6 +78,14 @@ class Entry:
         while isinstance(maker, partial):
             maker = maker.func
         return maker
+
+    def ports(self) -> Iterator[tuple[str, str, PortInformation]]:
+        """Yield what can be written: "input_port", "output_port" or "inout_port", the name, and what is declared."""
+        has_ports = isinstance(self._maker, type) and issubclass(self._maker, PortsMixin)
+        outputs = self._maker.output_ports() if has_ports else {}  # type: ignore[attr-defined]  # it is one with ports
+        for name, port in {**(self._class_ports or {}), **self._declared({})}.items():
+            is_both = port.data_type is Port
+            yield "inout_port" if is_both else "output_port" if name in outputs else "input_port", name, port
 
     @property
     def made(self) -> type[Behaviour] | None:
@@ -183,13 +192,48 @@ def _check_leaf(leaf: KbBehaviour, rest: Mapping[str, str], mine: Mapping[str, s
     leaf.check_ports(known)
 
 
+class _KeptPosture(Posture):
+    """The action that was done last, on the blackboard."""
+
+    def __init__(self, port: Port) -> None:
+        self._port = port
+
+    @property
+    def after(self) -> str | None:
+        return str(self._port.get()) if self._port.ports.exists(self._port.name) else None
+
+    @after.setter
+    def after(self, action: str | None) -> None:
+        self._port.set(action)
+
+
+def _do_until_unfeasible(name: str, children: Sequence[Branch], *, memory: bool = False) -> DoUntilUnfeasible:
+    if len(children) != 2:
+        raise RegistryError(f"it has {len(children)} children; it takes 2: the task, and what is done meanwhile")
+    return DoUntilUnfeasible(name, *children, memory=memory)
+
+
+def _safe_switch(name: str, children: Sequence[Branch], action: str, after: list[str], posture: Port) -> SafeSwitch:
+    *steps, task = children
+    if len(steps) != len(after):
+        raise RegistryError(f"it has {len(children)} children; it takes one for each action in `after`, and the task")
+    return SafeSwitch(name, task, dict(zip(after, steps, strict=True)), _KeptPosture(posture), action)
+
+
+_OURS: Final[Mapping[str, Factory]] = {
+    **{kind.__name__: kind for kind in (HasStatus, IsActionFeasible, Measurement, WaitForArchitecture)},
+    **{"ForAction": ForAction, "UntilSuccess": UntilSuccess},
+    **{"DoUntilUnfeasible": _do_until_unfeasible, "SafeSwitch": _safe_switch},
+}
+
+
 class BehaviourRegistry:
     """Behaviours by the names that files call them.
 
     Args:
         bound: arguments for every factory that has a parameter of that name, e.g. `kb=kb`. With a `kb`,
-            IsActionFeasible, HasStatus, Measurement and WaitForArchitecture are there already, and the clock of the
-            knowledge base is that of the trees.
+            IsActionFeasible, HasStatus, Measurement and WaitForArchitecture are there already, and ForAction,
+            UntilSuccess, DoUntilUnfeasible and SafeSwitch; the clock of the knowledge base is that of the trees.
 
     Example:
         ```
@@ -202,8 +246,8 @@ class BehaviourRegistry:
 
     def __init__(self, **bound: Any) -> None:  # noqa: ANN401  # whatever the user's behaviours need
         self.bound: Final = dict(bound)
-        own = _OUR_LEAVES if "kb" in bound else ()
-        self._entries = {leaf.__name__: Entry(leaf, None, self.bound) for leaf in own}
+        own = _OURS if "kb" in bound else {}
+        self._entries = {name: Entry(factory, None, self.bound) for name, factory in own.items()}
         self._given: set[str] = set()
 
     @overload

@@ -12,11 +12,13 @@ from py_trees.decorators import FailureIsSuccess, Inverter, SuccessIsFailure
 from py_trees.ports import PortsMixin
 
 from rosa_bt.behaviours import ActionBehaviour, RosaAction
+from rosa_bt.composites import DoUntilUnfeasible, SafeSwitch
+from rosa_bt.decorators import ForAction, UntilSuccess
 from rosa_bt.exceptions import ExportError, XmlError
-from rosa_bt.xml.nodes import Branch, Slot, XmlNode
-from rosa_bt.xml.reader import Document, SubTree
+from rosa_bt.xml.nodes import Branch, Slot, XmlNode, is_plain
+from rosa_bt.xml.reader import Document, SubTree, wrong_id
 from rosa_bt.xml.reader import Element as Read
-from rosa_bt.xml.registry import BUILT_IN, BehaviourRegistry
+from rosa_bt.xml.registry import BUILT_IN, BehaviourRegistry, Entry
 
 SAME: Final[Mapping[type[Behaviour], str]] = {
     Inverter: "Inverter",
@@ -31,17 +33,35 @@ BY_MEMORY: Final[Mapping[type[Behaviour], Mapping[bool, str]]] = {
 }
 
 
-def export_xml(behaviour: Behaviour, registry: BehaviourRegistry | None = None) -> str:
+_TYPES: Final = {int: "int", float: "double", bool: "bool", str: "std::string"}
+
+
+def _of_ours(node: Behaviour) -> dict[str, str] | None:
+    """Return what is written of a node that a registry with a knowledge base has; None of another."""
+    if type(node) is ForAction:
+        said = {"action": node.action, "preference": node.preference}
+        waits = {} if node.timeout is None else {"wait": "true", "timeout": str(node.timeout)}
+        return {key: text for key, text in (said | waits).items() if text is not None}
+    if type(node) is DoUntilUnfeasible:
+        return {"memory": "true"} if node.memory else {}
+    if type(node) is SafeSwitch:
+        return {"action": node.action, "after": ";".join(node.transitions), "posture": "{@posture}"}
+    return {} if type(node) is UntilSuccess else None
+
+
+def export_xml(behaviour: Behaviour, registry: BehaviourRegistry | None = None, *, models: bool = False) -> str:
     """Write a tree as XML of BehaviorTree.CPP 4.
 
     Written are trees that `load_xml` made, also changed ones, and trees of these behaviours of py_trees, which mean
     exactly the same: Sequence and Selector (with and without memory), Inverter, FailureIsSuccess, SuccessIsFailure,
-    Success, Failure, and leaves that need no arguments but a name, a knowledge base and the action. What is on the
-    blackboards is not written.
+    Success, Failure, and leaves that need no arguments but a name, a knowledge base and the action. The idioms are
+    written as the nodes that they are made of, among them ForAction, UntilSuccess, DoUntilUnfeasible and SafeSwitch,
+    which a registry with a knowledge base has. What is on the blackboards is not written.
 
     Args:
         behaviour: the root of the tree.
         registry: gives the leaves of py_trees trees their tags; without it, a leaf's tag is the name of its class.
+        models: write a TreeNodesModel of all that is registered, with its ports, as Groot2 wants it.
 
     Raises:
         ExportError: a behaviour has no exact counterpart; the message names it.
@@ -55,8 +75,12 @@ def export_xml(behaviour: Behaviour, registry: BehaviourRegistry | None = None) 
     root = Element("root", BTCPP_format="4", main_tree_to_execute=main)
     for name, content in writer.trees.items():
         SubElement(root, "BehaviorTree", ID=name).append(content)
-    if writer.models:
-        SubElement(root, "TreeNodesModel").extend([_copied(model) for model in writer.models.values()])
+    nodes = [_copied(model) for model in writer.models.values()]
+    for tag in registry or () if models else ():
+        if registry is not None and tag not in writer.models:
+            nodes.append(_model(tag, registry[tag], writer.conditions.get(tag)))
+    if nodes:
+        SubElement(root, "TreeNodesModel").extend(nodes)
     indent(root)
     text = tostring(root, encoding="unicode") + "\n"
     try:
@@ -71,6 +95,8 @@ class _Writer:
         self._registry = registry
         self.trees: dict[str, Element] = {}
         self.models: dict[str, Read] = {}
+        self.conditions: dict[str, bool] = {}
+        """Whether the leaves that were written are conditions, by tag."""
 
     def tree(self, subtree: SubTree) -> str:
         """Write a tree; return the ID, which is another one if a tree with that ID has other content by now."""
@@ -93,8 +119,10 @@ class _Writer:
         if source is None:
             element = self._of_py_trees(node)
             element.attrib.update(slot.rules.written if slot.rules else {})
+            self.conditions[element.tag] = is_plain(node)
             return element
         element = Element(source[0], dict(source[1]))
+        self.conditions[source[1].get("ID", source[0])] = slot.is_condition
         if isinstance(node, SubTree):
             if element.tag == "SubTree":
                 element.set("ID", self.tree(node))
@@ -105,8 +133,10 @@ class _Writer:
         return element
 
     def _of_py_trees(self, node: Behaviour) -> Element:
-        kind = type(node)
-        if isinstance(node, Selector | Sequence) and kind in BY_MEMORY and node.children:
+        kind, ours = type(node), _of_ours(node)
+        if ours is not None:
+            tag = kind.__name__
+        elif isinstance(node, Selector | Sequence) and kind in BY_MEMORY and node.children:
             tag = BY_MEMORY[kind][node.memory]
         elif kind in SAME:
             tag = SAME[kind]
@@ -116,7 +146,7 @@ class _Writer:
             raise ExportError(f"{what} has no exact counterpart in BehaviorTree.CPP; of py_trees, written are {known}")
         else:
             return self._leaf(node)
-        element = Element(tag, name=node.name)
+        element = Element(tag, {"name": node.name, **(ours or {})})
         element.extend([self.element(slot_of(child)) for child in node.children])
         return element
 
@@ -124,6 +154,8 @@ class _Writer:
         tag = type(leaf).__name__ if self._registry is None else self._registry.name_of(leaf)
         if tag is None:
             raise ExportError(f"{type(leaf).__name__} {leaf.name!r} is not registered; register its class")
+        if problem := wrong_id(tag):
+            raise ExportError(f"{leaf.name!r} is registered under a name that is refused: {problem}")
         if tag in BUILT_IN:
             raise ExportError(f"{tag!r} is a node of BehaviorTree.CPP itself; register the class under another name")
         if self._registry is None or self._registry[tag].factory is type(leaf):
@@ -160,6 +192,19 @@ def slot_of(behaviour: Behaviour) -> Slot:
     if isinstance(parent, XmlNode):
         return next(slot for slot in parent.slots if slot.node is behaviour)
     return Slot(behaviour)
+
+
+def _model(tag: str, entry: Entry, is_condition: bool | None) -> Element:
+    """Return what Groot2 shows of a registered behaviour; what a function makes is an action unless it was seen."""
+    most = entry.children()[1]
+    if is_condition is None and entry.made is not None:
+        is_condition = is_plain(entry.made)
+    leaf = "Condition" if entry.kind == "condition" or (is_condition and entry.kind is None) else "Action"
+    element = Element(leaf if most == 0 else "Decorator" if most == 1 else "Control", ID=tag)
+    for direction, name, port in entry.ports():
+        known = {"type": _TYPES.get(port.data_type), "default": port.default_value if port.has_default else None}
+        SubElement(element, direction, {"name": name, **{key: str(one) for key, one in known.items() if one}})
+    return element
 
 
 def _copied(model: Read) -> Element:
