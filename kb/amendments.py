@@ -1,10 +1,10 @@
 """Amendments of a model as they are written in events, and how a model is amended again as it was before."""
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import MISSING, fields
+from collections.abc import Iterable, Sequence
+from dataclasses import fields
 from typing import Any, NamedTuple
 
-from kb.elements import Changeable, Constraint, Estimation
+from kb.elements import CHECKS, Changeable, Constraint, Estimation
 from kb.facts import tables_of
 from kb.model import Model
 from kb.owl.individuals import (
@@ -59,10 +59,9 @@ def amend(model: Model, serials: Serials, how: str, written: Any) -> None:  # no
     declarer.nested = {one.id: one for one in given}
     element = known[given[-1].id]
     values = declarer.values(type(element), given[-1])
-    unsaid = {one.name: one.default for one in fields(element) if one.default is not MISSING and one.name != "kind"}
-    fresh = {**unsaid, **values}
+    can_change = {one for one, field in CHECKS[type(element)].items() if field.can_change}
     model.change(
-        element, **{name: value for name, value in fresh.items() if _plain(value) != _plain(getattr(element, name))}
+        element, **{one.name: values.get(one.name, one.default) for one in fields(element) if one.name in can_change}
     )
 
 
@@ -80,7 +79,7 @@ def rebuilt(declared: Sequence[Any], amendments: Iterable[Amendment]) -> tuple[M
 
 def amended_alike(then: Model, numbers: Serials, model: Model) -> Serials | None:
     """Return the numbers of one model for another that is as it; None if it is not."""
-    if plain_json(individuals(then)) != plain_json(individuals(model)):
+    if then != model:
         return None
     serials = Serials(Model(model.name))
     for before, now in zip(then.constraints, model.constraints, strict=True):
@@ -92,7 +91,7 @@ def amended_alike(then: Model, numbers: Serials, model: Model) -> Serials | None
 
 def differences(then: Model, now: Model) -> list[str]:
     """Say what came, went and changed from one model to another; nothing if they are the same."""
-    if plain_json(individuals(then)) == plain_json(individuals(now)):
+    if then == now:
         return []
     before, after = _described(then), _described(now)
     changed = [
@@ -126,10 +125,6 @@ def _described(model: Model) -> dict[str, dict[str, object]]:
             said = ", ".join(f"{name} {_shown(value)}" for name, value in values.items())
             found[f"{one.kind} ({said})"] = {}
     return found
-
-
-def _plain(value: object) -> object:
-    return repr(dict(value)) if isinstance(value, Mapping) else value
 
 
 def _shown(values: object) -> str:

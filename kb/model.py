@@ -12,7 +12,6 @@ A name is unique within its kind, not across kinds. Elements refer to one anothe
 knowledge bases are at work on it: the next question that they are asked sees it.
 """
 
-import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, replace
@@ -20,7 +19,7 @@ from functools import partial
 from pathlib import Path
 from threading import RLock
 from types import MappingProxyType, UnionType
-from typing import Any, Final, Protocol, Self, TypeVar, get_args
+from typing import Any, Final, Protocol, Self, TypedDict, TypeVar, Unpack, get_args
 from weakref import ref
 
 from kb import facts
@@ -59,6 +58,7 @@ from kb.exceptions import AmbiguousName, DuplicateName, InvalidValue, ModelError
 from kb.facts import TABLES, Amended, Contents, Fact, RequiredFact, SelectedFact, StatusFact, tables_of
 from kb.files import SUFFIXES, ModelFileError, write_text
 from kb.notebook import table as html_table
+from kb.owl.individuals import individuals, plain_json
 from kb.records import check_result
 from kb.status import STATUSES, Status
 
@@ -67,6 +67,26 @@ ElementT = TypeVar("ElementT", bound=Element)
 
 _REQUIRABLE: Final = (Action, Function, Component)
 _SELECTABLE: Final = (FunctionDesign, Configuration)
+
+
+class Measured(TypedDict, total=False):
+    """What can be said of an attribute.
+
+    Attributes:
+        max_age: how long a measurement holds [s]; for ever by default.
+        when_stale: what its constraints are after that: "not evaluated" (by default) or "violated".
+        agreement: (n, k): n of the last k measurements have to say so before a constraint on it changes; (1, 1).
+        unit: of its values, as it is shown, e.g. "V"; none by default.
+        low: the least value that it can have; a measurement below is refused; -infinity by default.
+        high: the greatest value that it can have; infinity by default.
+    """
+
+    max_age: float
+    when_stale: StalePolicy | str
+    agreement: tuple[int, int]
+    unit: str
+    low: float
+    high: float
 
 
 class Observer(Protocol):
@@ -156,45 +176,18 @@ class Model:
         """What is stated to be so from the start, in order."""
         return tuple(self._facts)
 
-    def quality_attribute(
-        self,
-        name: str,
-        *,
-        max_age: float = math.inf,
-        when_stale: StalePolicy | str = StalePolicy.NOT_EVALUATED,
-        agreement: tuple[int, int] = (1, 1),
-        unit: str = "",
-        low: float = -math.inf,
-        high: float = math.inf,
-    ) -> Attribute:
-        """Declare a measured property of the robot itself, e.g. its energy.
+    def quality_attribute(self, name: str, **given: Unpack[Measured]) -> Attribute:
+        """Declare a measured property of the robot itself, e.g. its energy; see `Measured` for what can be said of it.
 
         Args:
             name: unique among attributes.
-            max_age: how long a measurement holds [s].
-            when_stale: what its constraints are after that: "not evaluated" or "violated".
-            agreement: (n, k): n of the last k measurements have to say so before a constraint on it changes.
-            unit: of its values, as it is shown, e.g. "V".
-            low: the least value that it can have; a measurement below is refused.
-            high: the greatest value that it can have.
+            given: max_age, when_stale, agreement, unit, low, high.
         """
-        steady = {"max_age": max_age, "when_stale": when_stale, "agreement": agreement}
-        return self.declare(Attribute, name, kind=AttributeKind.QUALITY, **steady, unit=unit, low=low, high=high)
+        return self.declare(Attribute, name, kind=AttributeKind.QUALITY, **given)
 
-    def environmental_attribute(
-        self,
-        name: str,
-        *,
-        max_age: float = math.inf,
-        when_stale: StalePolicy | str = StalePolicy.NOT_EVALUATED,
-        agreement: tuple[int, int] = (1, 1),
-        unit: str = "",
-        low: float = -math.inf,
-        high: float = math.inf,
-    ) -> Attribute:
+    def environmental_attribute(self, name: str, **given: Unpack[Measured]) -> Attribute:
         """Declare a measured property of the surroundings, e.g. the light; see `quality_attribute`."""
-        steady = {"max_age": max_age, "when_stale": when_stale, "agreement": agreement}
-        return self.declare(Attribute, name, kind=AttributeKind.ENVIRONMENTAL, **steady, unit=unit, low=low, high=high)
+        return self.declare(Attribute, name, kind=AttributeKind.ENVIRONMENTAL, **given)
 
     def component(
         self,
@@ -397,7 +390,7 @@ class Model:
 
     def __eq__(self, other: object) -> bool:
         """Tell whether two models have the same name and say the same, in the same order within each kind."""
-        return isinstance(other, Model) and (self is other or _description(self) == _description(other))
+        return isinstance(other, Model) and (self is other or _described(self) == _described(other))
 
     def __hash__(self) -> int:
         return hash(self.name)
@@ -640,24 +633,9 @@ def _concerns(fact: Fact, removed: Collection[Changeable]) -> bool:
     return any(one in gone for one in _named_by(fact))
 
 
-def _description(model: Contents) -> object:
+def _described(model: Contents) -> list[Any]:
     """Return all that a model says, as plain values that can be compared."""
-    number = {constraint: position for position, constraint in enumerate(model.constraints)}
-
-    def plain(value: object) -> object:
-        if isinstance(value, Constraint):
-            return ("constraint", number[value])
-        if isinstance(value, Element):
-            return (KINDS[type(value)], value.name)
-        if isinstance(value, Mapping):
-            return {key: (type(one), one) for key, one in value.items()}
-        return tuple(plain(one) for one in value) if isinstance(value, tuple) else value
-
-    def contents(one: Changeable | Fact) -> list[object]:
-        return [type(one), *(plain(getattr(one, field.name)) for field in fields(one) if field.name != "model")]
-
-    everything = [one for table in tables_of(model).values() for one in table.values()]
-    return model.name, [contents(one) for one in (*everything, *model.constraints, *model.estimations, *model.facts)]
+    return plain_json(individuals(model))
 
 
 def _facts(element: Element) -> str:

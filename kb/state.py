@@ -115,36 +115,28 @@ class Marked:
 _NOBODY: Final = Marked()
 
 
-class Users:
+class Users(dict[int, Marked]):
     """Who uses each node: of a function its required actions, of a component its selected designs."""
 
-    __slots__ = ("_below", "_own")
+    __slots__ = ("_below",)
 
     def __init__(self, below: "Users | None" = None) -> None:
         self._below = below
-        self._own: dict[int, Marked] = {}
 
-    def __getitem__(self, index: int) -> Marked:
-        found = self._own.get(index)
-        if found is None:
-            return _NOBODY if self._below is None else self._below[index]
-        return found
+    def __missing__(self, index: int) -> Marked:
+        return _NOBODY if self._below is None else self._below[index]
 
     def mark(self, index: int, user: Node, uses: bool) -> None:
         self.of(index).mark(user, uses)
 
     def of(self, index: int) -> Marked:
-        users = self._own.get(index)
-        if users is None:
-            users = self._own[index] = Marked(None if self._below is None else self._below.of(index))
-        return users
+        if index not in self:
+            self[index] = Marked(None if self._below is None else self._below.of(index))
+        return self[index]
 
     def put_in_place(self) -> None:
-        for users in self._own.values():
+        for users in self.values():
             users.put_in_place()
-
-    def clear(self) -> None:
-        self._own.clear()
 
 
 class History:
@@ -279,13 +271,14 @@ class State:
         self.reasons: dict[tuple[str, int], Reason] = {}
         self.parameters: dict[str, Parameters] = {}
         self.histories: dict[int, History] = {}
-        self.users = Users()
-        self.adaptable = Marked()
-        self.obsolete = Marked()
-        self.lacking = Marked()
-        self.visited = 0
-        self.version = 0
+        self.users, self.adaptable, self.obsolete, self.lacking = Users(), Marked(), Marked(), Marked()
+        self.visited = self.version = 0
         self.grow()
+
+    @property
+    def marks(self) -> "tuple[Users | Marked, ...]":
+        """The sets of nodes that are inferred."""
+        return self.users, self.adaptable, self.obsolete, self.lacking
 
     def grow(self) -> None:
         count = len(self.network.nodes)
@@ -305,7 +298,7 @@ class State:
         for node in self.network.present():
             index = node.index
             self.required[index], self.served[index], self.status[index] = False, 0, unset(node)
-        for marked in (self.users, self.adaptable, self.obsolete, self.lacking):
+        for marked in self.marks:
             marked.clear()
 
     def reason(self, column: str, node: Node) -> Reason:
@@ -333,10 +326,8 @@ class Overlay(State):
         self.reasons = {}
         self.parameters = below.parameters
         self.histories = below.histories
-        self.users = Users(below.users)
-        self.adaptable = Marked(below.adaptable)
-        self.obsolete = Marked(below.obsolete)
-        self.lacking = Marked(below.lacking)
+        self.users, self.adaptable = Users(below.users), Marked(below.adaptable)
+        self.obsolete, self.lacking = Marked(below.obsolete), Marked(below.lacking)
         self.visited = 0
         self.version = below.version
 
@@ -367,8 +358,7 @@ class Overlay(State):
                 below.reasons.pop(key, None)
             else:
                 below.reasons[key] = reason
-        self.users.put_in_place()
-        for marked in (self.adaptable, self.obsolete, self.lacking):
+        for marked in self.marks:
             marked.put_in_place()
 
     def clear(self) -> None:
@@ -376,6 +366,6 @@ class Overlay(State):
             if layer:
                 layer.clear()
         self.reasons.clear()
-        for marked in (self.users, self.adaptable, self.obsolete, self.lacking):
+        for marked in self.marks:
             marked.clear()
         self.visited = 0

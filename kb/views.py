@@ -4,15 +4,16 @@ A view answers from the base it was taken from each time it is asked; nothing ca
 """
 
 import math
-from collections.abc import ItemsView, Iterator, Mapping, ValuesView
+from collections.abc import Callable, ItemsView, Iterator, Mapping, ValuesView
 from contextlib import AbstractContextManager
+from operator import attrgetter
 from types import MappingProxyType
 from typing import Generic, Protocol, TypeVar
 
 from kb.elements import AttributeKind, ComponentKind, Constraint, Element, Parameters, finite_number
 from kb.exceptions import UnknownName
 from kb.network import Network, Node
-from kb.state import State
+from kb.state import History, State
 from kb.status import Status
 
 T = TypeVar("T")
@@ -271,16 +272,12 @@ class AttributeView(ElementView):
     @property
     def history(self) -> tuple[tuple[float, float], ...]:
         """The measurements so far, as (time [s], value), by time; the newest, see `begins`."""
-        with self.base.reading() as state:
-            history = state.histories.get(self.node.index)
-            return () if history is None else history.samples()
+        return self._asked(History.samples, ())
 
     @property
     def begins(self) -> float:
         """The time from which on every measurement is in the history [s]; `-math.inf` while none is forgotten."""
-        with self.base.reading() as state:
-            history = state.histories.get(self.node.index)
-            return -math.inf if history is None else history.begins
+        return self._asked(attrgetter("begins"), -math.inf)
 
     def at(self, time: float) -> float | None:
         """Return what the latest measurement was at a time [s]; None before the first.
@@ -289,9 +286,12 @@ class AttributeView(ElementView):
             InvalidValue: that is forgotten.
         """
         finite_number(time)
+        return self._asked(lambda history: history.at(time), None)
+
+    def _asked(self, question: Callable[[History], T], unmeasured: T) -> T:
         with self.base.reading() as state:
             history = state.histories.get(self.node.index)
-            return None if history is None else history.at(time)
+            return unmeasured if history is None else question(history)
 
 
 ViewT = TypeVar("ViewT", bound=ElementView)

@@ -304,13 +304,13 @@ def test_shared_constraints_are_one_constraint(model):
         assert [one.status for one in view.constraints] == [Status.VIOLATED]
 
 
-@pytest.mark.parametrize("priority", ["1", True, False, [1], math.nan, math.inf])
+@pytest.mark.parametrize("priority", ["1", True, False, [1], math.nan, math.inf, 10**400])
 def test_a_priority_is_a_finite_number_or_none(model, priority):
     for kind in ("configuration", "function design"):
         refuses(model, lambda kind=kind: declare(model, kind, "new", priority=priority), match="finite number or None")
 
 
-@pytest.mark.parametrize("priority", [None, 0, -5, 10**30, 10**400, 1.5, -0.25, 1e300])
+@pytest.mark.parametrize("priority", [None, 0, -5, 10**30, 1.5, -0.25, 1e300])
 def test_any_finite_number_is_a_priority(model, priority):
     assert declare(model, "configuration", "new", priority=priority).priority == priority
     assert declare(model, "function design", "new", priority=priority).priority == priority
