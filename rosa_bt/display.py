@@ -3,7 +3,7 @@
 A picture shows the last tick, and for each action what the knowledge base says of it at this moment.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from html import escape
 from textwrap import wrap
@@ -11,7 +11,8 @@ from typing import Final
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
-from py_trees.composites import Parallel, Selector, Sequence
+from py_trees.composites import Parallel, Selector
+from py_trees.composites import Sequence as SequenceNode
 from py_trees.decorators import Decorator
 
 from rosa_bt.behaviours import ActionBehaviour
@@ -25,7 +26,7 @@ _FILLS: Final = {
     **{Status.RUNNING: "#cfe0f5", Status.INVALID: "#f2f2f2"},
 }
 _SIGNS: Final = {
-    **{Sequence: "->", SafeSwitch: "->", Selector: "?", DoUntilUnfeasible: "?!"},
+    **{SequenceNode: "->", SafeSwitch: "->", Selector: "?", DoUntilUnfeasible: "?!"},
     **{Parallel: "=>", Decorator: "^"},
 }
 _FEASIBLE, _UNFEASIBLE, _PLAIN = "#2e7d32", "#c62828", "#8a8a8a"
@@ -77,7 +78,7 @@ def svg_tree(root: Behaviour) -> str:
     picture = _Svg(drawn)
     _, height = picture.place(drawn, 0, _GAP)
     size = f'width="{picture.starts[-1] - _COLUMN_GAP + _GAP:g}" height="{height:g}"'
-    head = f'<svg xmlns="http://www.w3.org/2000/svg" {size} {_FONT}>'
+    head = f'<svg xmlns="http://www.w3.org/2000/svg" {size} {FONT}>'
     return "\n".join([head, f'<rect {size} fill="white"/>', *picture.edges, *picture.shapes, "</svg>", ""])
 
 
@@ -134,11 +135,11 @@ def _text(drawn: _Drawn) -> list[str]:
     return [drawn.title, *(line for note in drawn.notes for line in wrap(note, _WIDTH))]
 
 
-_FONT: Final = 'font-family="sans-serif" font-size="12"'
+FONT: Final = 'font-family="sans-serif" font-size="12"'
 _GAP: Final = 12.0
 _COLUMN_GAP: Final = 40.0
-_LINE: Final = 16.0
-_LETTER: Final = 6.9
+LINE: Final = 16.0
+LETTER: Final = 6.9
 """Sizes in pixels; a letter is as wide as it is on average, with something to spare."""
 
 
@@ -169,15 +170,25 @@ class _Svg:
         for middle in middles:
             bend = f"M{x + width:g} {y + height / 2:g}H{self.starts[depth + 1] - _COLUMN_GAP / 2:g}V{middle:g}"
             self.edges.append(f'<path d="{bend}H{self.starts[depth + 1]:g}" fill="none" stroke="{_PLAIN}"/>')
-        box = f'x="{x:g}" y="{y:g}" width="{width:g}" height="{height:g}" rx="5" fill="{_FILLS[drawn.status]}"'
-        self.shapes.append(f'<rect {box} stroke="{drawn.edge}" stroke-width="{1 if drawn.edge == _PLAIN else 2}"/>')
-        for number, line in enumerate(_text(drawn)):
-            style = 'font-weight="bold"' if number == 0 else 'fill="#444444"'
-            place = f'x="{x + 8:g}" y="{y + 17 + number * _LINE:g}"'
-            self.shapes.append(f"<text {place} {style}>{escape(line)}</text>")
+        edge = f'stroke="{drawn.edge}" stroke-width="{1 if drawn.edge == _PLAIN else 2}"'
+        self.shapes += svg_box(x, y, _text(drawn), f'fill="{_FILLS[drawn.status]}" {edge}')
         return y + height / 2, max(bottom, y + height + _GAP)
 
 
 def _size(drawn: _Drawn) -> tuple[float, float]:
-    lines = _text(drawn)
-    return 16 + _LETTER * max(len(line) * (1.1 if line is lines[0] else 1.0) for line in lines), 10 + _LINE * len(lines)
+    return svg_size(_text(drawn))
+
+
+def svg_size(lines: Sequence[str]) -> tuple[float, float]:
+    """Return width and height of a box with lines of text [px]; the first is in bold letters."""
+    longest = max(len(line) * (1.1 if line is lines[0] else 1.0) for line in lines)
+    return 16 + LETTER * longest, 10 + LINE * len(lines)
+
+
+def svg_box(x: float, y: float, lines: Sequence[str], style: str) -> Iterator[str]:
+    """Yield the elements of a box with lines of text, its upper left corner at (x, y) [px]."""
+    width, height = svg_size(lines)
+    yield f'<rect x="{x:g}" y="{y:g}" width="{width:g}" height="{height:g}" rx="5" {style}/>'
+    for number, line in enumerate(lines):
+        weight = 'font-weight="bold"' if number == 0 else 'fill="#444444"'
+        yield f'<text x="{x + 8:g}" y="{y + 17 + number * LINE:g}" {weight}>{escape(line)}</text>'

@@ -12,20 +12,22 @@ from textwrap import wrap
 from typing import Final, NamedTuple
 
 from missions.engine.question import Answer
+from rosa_bt.display import FONT, LETTER, LINE, svg_box, svg_size
 from rosa_pddl import Certificate, Domain, PlanningResult, State, Step
 from rosa_pddl.domain import UpThing
 from rosa_pddl.validate import binding_of, ended, mentioned_atoms, started
 
 _LETTERS: Final = 38
 """After how many characters a line in a box is broken."""
-_LETTER, _LINE, _GAP, _ROW_GAP, _LANE = 6.9, 16.0, 24.0, 46.0, 16.0
-"""Sizes in pixels; a letter is as wide as it is on average, with something to spare."""
+_GAP, _ROW_GAP, _LANE = 24.0, 46.0, 16.0
+"""Sizes in pixels."""
 _MARKER: Final = (
     '<defs><marker id="{}" markerWidth="8" markerHeight="8" refX="7" refY="4" orient="auto">'
     '<path d="M0 0L8 4L0 8z" fill="{}"/></marker></defs>'
 )
 _LEGEND: Final = "dashed: earlier, it would spoil what the other step needs"
-_EDGE, _FILL, _GOAL_FILL, _LATER = "#46627f", "#eef3f8", "#d5ecd4", "#b06a00"
+_EDGE, _LATER = "#46627f", "#b06a00"
+_STEP, _GOAL = (f'fill="{fill}" stroke="{_EDGE}"' for fill in ("#eef3f8", "#d5ecd4"))
 
 
 class Link(NamedTuple):
@@ -155,18 +157,17 @@ def svg_of(order: CausalOrder, title: str) -> str:
         rows[box.row].append(box)
     paths = [(_path(boxes[source], boxes[target], rows), later) for source, target, later in arrows]
     width, height = _place(rows)
-    height += _LINE if order.orders else 0.0
-    width = max(width, 2 * _GAP + _LETTER * max(1.1 * len(title), len(_LEGEND) if order.orders else 0))
-    font = 'font-family="sans-serif" font-size="12"'
+    height += LINE if order.orders else 0.0
+    width = max(width, 2 * _GAP + LETTER * max(1.1 * len(title), len(_LEGEND) if order.orders else 0))
     return "\n".join(
         [
-            f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:g}" height="{height:g}" {font}>',
+            f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:g}" height="{height:g}" {FONT}>',
             f"<title>{escape(title)}</title>",
             *(_MARKER.format(name, colour) for name, colour in (("so", _EDGE), ("wait", _LATER))),
             f'<rect width="{width:g}" height="{height:g}" fill="white"/>',
             f'<text x="{_GAP:g}" y="{_GAP:g}" font-weight="bold">{escape(title)}</text>',
             *(_arrow(path, later) for path, later in paths),
-            *(line for box in boxes for line in _drawn(box)),
+            *(line for box in boxes for line in svg_box(box.x, box.y, box.lines, _GOAL if box.is_goal else _STEP)),
             *([f'<text x="{_GAP:g}" y="{height - 8:g}" fill="{_LATER}">{_LEGEND}</text>'] if order.orders else []),
             "</svg>",
             "",
@@ -188,12 +189,11 @@ class _Box:
 
     @property
     def width(self) -> float:
-        longest = max((len(line) * (1.1 if line is self.lines[0] else 1.0) for line in self.lines), default=0.0)
-        return 16 + _LETTER * longest if self.lines else _LANE
+        return svg_size(self.lines)[0] if self.lines else _LANE
 
     @property
     def height(self) -> float:
-        return 12 + _LINE * len(self.lines) if self.lines else self.passed
+        return svg_size(self.lines)[1] if self.lines else self.passed
 
     @property
     def middle(self) -> float:
@@ -258,11 +258,3 @@ def _arrow(path: list[_Box], later: bool) -> str:
         parts += [] if box.lines else [f"L{box.middle:g} {bottom + box.height:g}"]
     style = ' stroke-dasharray="5 4"' if later else ""
     return f'<path d="{"".join(parts)}" fill="none" stroke="{colour}"{style} marker-end="url(#{marker})"/>'
-
-
-def _drawn(box: _Box) -> Iterator[str]:
-    place = f'x="{box.x:g}" y="{box.y:g}" width="{box.width:g}" height="{box.height:g}"'
-    yield f'<rect {place} rx="5" fill="{_GOAL_FILL if box.is_goal else _FILL}" stroke="{_EDGE}"/>'
-    for number, line in enumerate(box.lines):
-        style = 'font-weight="bold"' if number == 0 else 'fill="#444444"'
-        yield f'<text x="{box.x + 8:g}" y="{box.y + 18 + number * _LINE:g}" {style}>{escape(line)}</text>'

@@ -17,7 +17,11 @@ sys.path.append(str(Path(__file__).parents[1] / "missions"))  # what is run, and
 
 from faulty_runs import CAMPAIGN, beset, campaign, gone_on_with, interrupted, opened, tables, told
 
-pytestmark = pytest.mark.benchmark(group="faults")
+pytestmark = [
+    pytest.mark.benchmark(group="faults"),
+    # a signal that comes while a finalizer or the callback of a weak reference runs is lost by Python, with a warning
+    pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
+]
 
 MISSIONS, KILLS, FULL = (
     int(os.environ.get(name, most)) for name, most in (("MISSIONS", 400), ("KILLS", 30), ("FULL", 10))
