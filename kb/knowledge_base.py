@@ -656,6 +656,8 @@ class KnowledgeBase:
         """Save what is left and give the store back: it can still be asked, but not told; see `flush`."""
         with self._lock:
             self._is_closed = self._store is not None
+        if self._world is not None:
+            self._world.let_go()
         if self._store is not None:
             self._store.close()
 

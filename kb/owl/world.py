@@ -92,6 +92,12 @@ class World:
         finally:
             self._asking.release()
 
+    def let_go(self) -> None:
+        """Have others use the process, unless it is being asked; who asks again gets another one."""
+        if self._asking.acquire(blocking=False):
+            give_back(self._workers)
+            self._asking.release()
+
     def _worker(self) -> Worker:
         if not self._workers or not self._workers[0].is_alive:
             for worker in self._workers:
