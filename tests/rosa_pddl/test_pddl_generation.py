@@ -3,7 +3,7 @@
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from unified_planning.environment import Environment
+from unified_planning.environment import get_environment
 from unified_planning.io import PDDLReader
 
 from rosa_pddl import Planner, Problem, feasible_atoms, initial_state, load_domain
@@ -195,12 +195,12 @@ def test_slip_in_a_declaration_is_said_with_what_was_expected(make, message):
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of pyparsing, by unified-planning
-def test_what_is_written_is_read_by_unified_planning_and_by_this_package(tmp_path):
+def test_what_is_written_is_read_by_unified_planning_and_by_this_package(tmp_path, monkeypatch):
     (tmp_path / "domain.pddl").write_text(declared().domain_pddl)
     (tmp_path / "problem.pddl").write_text(declared().problem_pddl)
-    environment = Environment()
-    environment.error_used_name = False  # a ROSA action is called like the PDDL action that does it
-    read = PDDLReader(environment).parse_problem(str(tmp_path / "domain.pddl"), str(tmp_path / "problem.pddl"))
+    # a ROSA action is called like the PDDL action that does it
+    monkeypatch.setattr(get_environment(), "error_used_name", False)
+    read = PDDLReader().parse_problem(str(tmp_path / "domain.pddl"), str(tmp_path / "problem.pddl"))
     domain = load_domain(tmp_path / "domain.pddl", tmp_path / "problem.pddl")
     assert len(read.actions) == len(domain.schemas) == 3
     assert (domain.rosa_actions, domain.goals) == (declared().load().rosa_actions, declared().load().goals)
