@@ -68,10 +68,12 @@ class Formulas:
             message += "do. Leave it out and add it as a soft goal: goals.add(TEXT, worth=COST)"
             raise self.source.unsupported(node, message)
         if head in ("forall", "exists"):
-            inner, body = self.quantified(node)
-            make = self.manager.Forall if head == "forall" else self.manager.Exists
+            inner, within, body = self.quantified(node)
             variables = [variable.variable() for variable in inner.values()]
-            return make(self.condition(body, {**scope, **inner}, place), *variables)
+            held = self.condition(body, {**scope, **inner}, place)
+            if head == "forall":
+                return self.manager.Forall(held if within.is_true() else self.manager.Implies(within, held), *variables)
+            return self.manager.Exists(self.manager.And(within, held), *variables)
         if head == "=":
             self._expect(node, 2)
             return self.manager.Equals(*(self._term(part, scope) for part in rest))
@@ -107,7 +109,8 @@ class Formulas:
             if [one.type for one in variables] != kinds:
                 raise self.source.error(target, f"found {start_of(target)!r}, expected the types of the rule before")
             renamed = dict(zip(scope, variables, strict=True))
-            conditions.append(self.condition(body, renamed, f"what {head} is derived from"))
+            within = self.within(target.children[1:], renamed)
+            conditions.append(self.manager.And(within, self.condition(body, renamed, f"what {head} is derived from")))
         self._mark = ""
         self._domain.derived[head] = variables, self.manager.Or(conditions)
 
@@ -120,10 +123,25 @@ class Formulas:
             raise self._unknown(node, f"found {start_of(node)!r}, expected objects of the types ({names})")
         return condition.substitute(dict(zip(variables, arguments, strict=True)))
 
-    def quantified(self, node: Node) -> tuple[Scope, Node]:
+    def quantified(self, node: Node) -> tuple[Scope, UpThing, Node]:
+        """Return the variables, the condition that keeps them within their types, and what is said of them."""
         if len(node.children) != 3 or not node.children[1].is_list:
             raise self.source.error(node, f"found {start_of(node)!r}, expected '({node.head} (?x - type) (...))'")
-        return self._variables(node.children[1].children), node.children[2]
+        names = node.children[1].children
+        scope = self._variables(names)
+        return scope, self.within(names, scope), node.children[2]
+
+    def within(self, names: Sequence[Node], scope: Scope) -> UpThing:
+        """Return the condition that keeps variables of type `(either ...)` to that; just true for all others."""
+        manager, domain, parts = self.manager, self._domain, list[UpThing]()
+        for name, kind in typed(self.source, names, are_variables=True):
+            if kind is not None and kind.head == "either":
+                allowed = {thing for part in kind.children[1:] for thing in domain.objects_of(part.lower)}
+                above = domain.objects_of(domain.outside[self.type_of(kind).name])
+                others = [domain.inside["object", thing.lower()] for thing in above if thing not in allowed]
+                things = [manager.ObjectExp(self._problem.object(thing)) for thing in others]
+                parts += [manager.Not(manager.Equals(scope[name.lower], thing)) for thing in things]
+        return manager.And(parts)
 
     def _variables(self, names: Sequence[Node]) -> Scope:
         pairs = typed(self.source, names, are_variables=True)
@@ -135,6 +153,11 @@ class Formulas:
         return self.manager.VariableExp(Variable(name + self._mark, kind, self._problem.environment))
 
     def type_of(self, node: Node) -> UpThing:
+        """Return a type; of several, as in `(either a b)`, the least one above them."""
+        if node.is_list:
+            first, *others = [self.type_of(part) for part in node.children[1:]]
+            above = (kind for kind in first.ancestors if all(kind in other.ancestors for other in others))
+            return next(above, None) or self.type_of(ANY)
         name = self._domain.inside.get(("type", node.lower), node.lower)
         kinds = {kind.name: kind for kind in self._problem.user_types}
         if name not in kinds:

@@ -374,6 +374,8 @@ class _ActionReader:
         if ":duration" in parts:
             self._read_duration(parts[":duration"])
         self.require(parts.get(":condition", parts.get(":precondition", listed())), schema)
+        within = self._formulas.within(parts[":parameters"].children if ":parameters" in parts else (), self._scope)
+        self._add(StartTiming(), within)
         times = {"start": StartTiming(), "end": EndTiming()}
         for time, effect in _timed(self._source, schema, parts.get(":effect", listed()), is_effect=True):
             self._read_effect(effect, (times[time],) if ":duration" in parts else (), self._scope, None, ())
@@ -384,11 +386,13 @@ class _ActionReader:
 
         times = {"start": StartTiming(), "end": EndTiming(), "over_all": OpenTimeInterval(StartTiming(), EndTiming())}
         for time, condition in _timed(self._source, schema, node, is_effect=False):
-            expression = self._formulas.condition(condition, self._scope, self._name)
-            if schema.head == ":durative-action":
-                self._action.add_condition(times[time], expression)
-            else:
-                self._action.add_precondition(expression)
+            self._add(times[time], self._formulas.condition(condition, self._scope, self._name))
+
+    def _add(self, time: UpThing, condition: UpThing) -> None:
+        if hasattr(self._action, "add_condition"):
+            self._action.add_condition(time, condition)
+        else:
+            self._action.add_precondition(condition)
 
     def _read_duration(self, node: Node) -> None:
         """Set a duration; of a bound on one side any that is allowed will do."""
@@ -420,8 +424,10 @@ class _ActionReader:
             for part in parts:
                 self._read_effect(part, when, scope, condition, variables)
         elif head == "forall":
-            bound, body = formulas.quantified(node)
+            bound, within, body = formulas.quantified(node)
             variables = (*variables, *(one.variable() for one in bound.values()))
+            both = within if condition is None else formulas.manager.And(condition, within)
+            condition = condition if within.is_true() else both
             self._read_effect(body, when, {**scope, **bound}, condition, variables)
         elif head == "when" and len(parts) == 2:
             needed = formulas.condition(parts[0], scope, self._name).simplify()

@@ -106,10 +106,11 @@ def typed(source: Source, nodes: Iterable[Node], *, are_variables: bool = False)
     before = ""
     for node in nodes:
         expects_type, before = before == "-", str(node)
-        if expects_type and node.head == "either":
-            message = "found '(either ...)': no engine of unified-planning takes a type of several; Fast Downward by "
-            raise source.unsupported(node, message + "itself would do. Declare a type above them")
-        if node.is_list:
+        is_either = expects_type and node.head == "either" and len(node.children) > 1
+        if is_either and not are_variables:
+            message = "found '(either ...)': an object has one type, and a type one above it; only variables may have"
+            raise source.unsupported(node, f"{message} several. Declare a type above them")
+        if node.is_list and not is_either:
             raise source.error(node, f"found {start_of(node)!r}, expected {'a type' if expects_type else 'a name'}")
         if expects_type:
             found += [(name, node) for name in waiting]

@@ -20,7 +20,7 @@ from rosa_pddl import (
 )
 from rosa_pddl.exceptions import nearest
 from rosa_pddl.formulas import conditions
-from rosa_pddl.validate import goal_holds
+from rosa_pddl.validate import ended, goal_holds
 
 
 def test_the_extended_mission_shares_names_between_objects_actions_and_types(extended):
@@ -179,7 +179,7 @@ UNSUPPORTED = {
         "'lit' is derived from itself",
     ),
     "timed fact": (in_rooms("(free robby)", "(at 5 (free robby))"), "problem.pddl@(at 5", "become true at a time"),
-    "either": (in_rooms("?x - room)\n", "?x - (either room robot))\n"), "domain.pddl@(either", "either"),
+    "either": (in_rooms("robby - robot", "robby - (either robot room)"), "problem.pddl@(either", "either"),
 }
 
 
@@ -312,3 +312,23 @@ def test_slip_with_a_derived_predicate_is_said_with_its_place(old, new, said):
     with pytest.raises(PddlError, match=re.escape(said)) as caught:
         parse_domain(LAMPS.replace(old, new), LAMPS_PROBLEM)
     assert str(caught.value).startswith("domain.pddl:")
+
+
+TUGS = """(define (domain tugs) (:types tug crane lorry place - thing)
+  (:predicates (free ?x - (either tug crane)) (moved ?x - place) (seen ?x - thing) (done))
+  (:action move :parameters (?x - (either tug crane) ?p - place) :precondition (free ?x)
+    :effect (and (moved ?p) (not (free ?x)) (forall (?y - (either tug lorry)) (seen ?y))))
+  (:action end :parameters () :precondition (forall (?p - (either place tug)) (seen ?p)) :effect (done)))"""
+TUGS_PROBLEM = """(define (problem p) (:domain tugs) (:objects t - tug c - crane l - lorry a - place)
+  (:init (free c) (free l) (seen a)) (:goal (and (done) (not (exists (?x - (either crane lorry)) (not (moved a)))))))"""
+
+
+def test_variables_of_several_types_stand_for_objects_of_these_only():
+    domain = parse_domain(TUGS, TUGS_PROBLEM)
+    state = initial_state(domain)
+    result = Planner(warm=False).plan(Problem(domain, state))
+    assert [str(step) for step in result.steps] == ["move(c, a)", "end()"]
+    without = Planner(warm=False).plan(Problem(domain, state - {"(free c)"}))
+    assert without.outcome is Outcome.UNSOLVABLE_PROVEN  # what is free is a lorry
+    after = ended(domain, result.steps[0], state)
+    assert after - state == {"(moved a)", "(seen t)", "(seen l)"}
