@@ -51,6 +51,26 @@ def test_a_time_out_can_be_that_of_a_kind_and_goes_by_the_component_first():
         assert one.end - one.start == lasts
 
 
+@pytest.mark.parametrize("system", [Scripted, Candid])
+def test_what_could_not_be_stopped_runs_on_and_is_stopped_again_once_nothing_required_could_use_it(system):
+    refusals = [Broken("stuck"), Broken("stuck"), None]
+    script = {"deactivate camera": refusals}
+    kb, clock, managed, manager = start(script=script, system=system, attempts=2, back_off=0.0)
+    kb.request_action("explore")
+    come_to_rest(manager, kb, clock)
+    kb.assert_status(kb.designs["by camera"], "unfeasible", "fog")
+    come_to_rest(manager, kb, clock)
+    assert managed.running == {"camera", "lidar"}
+    assert kb.components["camera"].is_active
+    assert kb.components["camera"].status is Status.FAILURE
+    assert "camera" not in kb.obsolete().components
+    kb.cancel_action("explore")
+    assert "camera" in kb.obsolete().components
+    come_to_rest(manager, kb, clock)
+    assert managed.running == set()
+    assert not kb.components["camera"].is_active
+
+
 @given(st.integers(1, 6), st.sampled_from((0.0, 0.5, 2.0, 3.0)))
 def test_each_further_attempt_waits_twice_as_long_and_there_are_as_many_as_allowed(attempts, back_off):
     kb, clock, _, manager = start(script={"activate camera": [Broken("no")]}, attempts=attempts, back_off=back_off)
