@@ -100,6 +100,20 @@ def is_active(managed: ManagedSystem, component: str) -> bool | None:
     raise wrong_answer(f"is_active({component!r})", managed, answer, "True, False or None")
 
 
+def look(managed: ManagedSystem, component: str) -> tuple[bool | None, str]:
+    """Return what `is_active` does at this moment, and what went wrong with that, in words; empty if nothing did."""
+    try:
+        return is_active(managed, component), ""
+    except ProtocolError:
+        raise
+    except Exception as error:
+        return None, words_of(error)
+
+
+def words_of(error: BaseException) -> str:
+    return str(error) or type(error).__name__
+
+
 def operation_of(answer: object, call: str, managed: ManagedSystem) -> Operation | None:
     """Return what a command was answered with if it can be followed."""
     if answer is None or (callable(getattr(answer, "done", None)) and callable(getattr(answer, "exception", None))):

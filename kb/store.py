@@ -25,6 +25,7 @@ from kb.knowledge import Knowledge
 from kb.model import Model
 from kb.owl.individuals import Serials, individuals, plain_json
 from kb.store_file import (
+    BROKEN,
     WHOLE_CHECK,
     Mark,
     Row,
@@ -425,7 +426,7 @@ def _declared(model: Model) -> str:
 def _blamed(path: Path) -> Iterator[None]:
     try:
         yield
-    except (sqlite3.Error, TypeError, ValueError, LookupError) as error:
+    except BROKEN as error:
         raise damaged(path, error) from None
 
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 from kb.elements import Component, ComponentKind, Configuration, choice
 from kb.exceptions import InvalidValue, ProtocolError
-from kb.execution.safeguards import Budgets, Quarantine, Quarantined, is_number, words_of
+from kb.execution.safeguards import Budgets, Quarantine, Quarantined, is_number
 from kb.knowledge_base import KnowledgeBase
-from kb.managed_system import ManagedSystem, Operation, check_methods, is_active, operation_of, wrong_answer
+from kb.managed_system import ManagedSystem, Operation, check_methods, look, operation_of, words_of, wrong_answer
 from kb.network import Node
 from kb.records import Attempt, ReconfigurationPlan
 from kb.state import State
@@ -174,21 +174,13 @@ class StagedExecutor:
         _log.warning("%s %s failed, %s", command.operation, command.component, command.reason)
         self._failed.add(command.component)
         if command.configuration is None:
-            active = self._look(command.component)
+            active, _ = look(self._managed, command.component)
             if active is not None:
                 kb.component_active(command.component, active)
             kb.component_failed(command.component, f"it could not be {command.operation}d, {command.reason}")
         else:
             reason = f"its parameters could not be set, {command.reason}"
             self._quarantine.put(kb, command.configuration.name, reason)
-
-    def _look(self, component: str) -> bool | None:
-        try:
-            return is_active(self._managed, component)
-        except ProtocolError:
-            raise
-        except Exception:
-            return None
 
     def _staged(self, kb: KnowledgeBase, open_plans: Sequence[ReconfigurationPlan]) -> Iterator[list["_Command"]]:
         """Yield the stages of the latest of the open plans, each decided when it begins."""
@@ -254,7 +246,11 @@ class StagedExecutor:
 
     def _rolled_back(self, kb: KnowledgeBase, plan: ReconfigurationPlan, started: list[str]) -> list["_Command"]:
         """Undo what was begun for functions that cannot be had: else it would run on, and be started at each plan."""
-        unsure = [name for name in started if name in self._failed & self._commanded and self._look(name) is not False]
+        unsure = [
+            name
+            for name in started
+            if name in self._failed & self._commanded and look(self._managed, name)[0] is not False
+        ]
         with kb.reading() as state:
             users = {design for component in _known(state, started).values() for design in component.wholes}
             selected = [design for design in users if state.selected[design.index]]
@@ -383,12 +379,9 @@ class _Command:
         """Return whether the component is as it was to be, None if nobody can tell, and what speaks against it."""
         if self.configuration is not None:
             return None, ""
-        try:
-            active = is_active(managed, self.component)
-        except ProtocolError:
-            raise
-        except Exception as error:
-            return False, f"nobody could tell ({words_of(error)})"
+        active, error = look(managed, self.component)
+        if error:
+            return False, f"nobody could tell ({error})"
         is_reached = None if active is None else active is (self.operation == "activate")
         return is_reached, f"{self.component} was not found so"
 

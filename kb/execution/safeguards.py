@@ -10,6 +10,7 @@ from typing import NamedTuple
 from kb.elements import Configuration, EstimationKind, finite_number
 from kb.exceptions import InvalidValue, UnknownName
 from kb.knowledge_base import KnowledgeBase
+from kb.managed_system import words_of
 from kb.network import Node
 from kb.records import ReconfigurationPlan
 from kb.state import State
@@ -171,10 +172,6 @@ class Quarantine:
             kb.retract_status(kb.configurations[one.configuration])
             del self.held[one.configuration]
         self._failed = failed
-
-
-def words_of(error: BaseException) -> str:
-    return str(error) or type(error).__name__
 
 
 def is_number(value: object) -> bool:
