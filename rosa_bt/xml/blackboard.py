@@ -58,6 +58,8 @@ def double(value: Any) -> float:  # noqa: ANN401  # a number of any kind
 def whole(value: Any) -> int:  # noqa: ANN401  # a number of any kind
     if isinstance(value, float) and not value.is_integer():
         raise ScriptError(f"{value:g} is not whole, and a whole number is needed")
+    if abs(value) >= 2**63:
+        raise ScriptError(f"{value:g} is out of the range of whole numbers, which have 64 bits")
     return int(value)
 
 

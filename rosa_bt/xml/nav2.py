@@ -59,8 +59,9 @@ class PipelineSequence(Control):
 
 
 class RoundRobin(Control):
-    """The next child at each turn, until one succeeds or all have failed."""
+    """The next child at each turn, until one succeeds or all have failed; if told so, not beyond the last child."""
 
+    PORTS: ClassVar = {"wrap_around": PortInformation(bool, default_value=True)}
     FORGETS = ("_next", "_failed")
     _next = 0
     _failed = 0
@@ -79,6 +80,8 @@ class RoundRobin(Control):
                 return SUCCESS
             skipped += verdict is SKIPPED
             self._failed += verdict is FAILURE
+            if self._next == 0 and not self.ports.get("wrap_around"):
+                break
         return self.end(SKIPPED if skipped == len(slots) else FAILURE)
 
 

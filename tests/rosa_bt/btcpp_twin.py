@@ -4,34 +4,29 @@ Written from how its nodes are documented and behave, without a thought of py_tr
 `execute` asks pre-conditions, ticks and runs post-conditions, a parent halts and resets its children by name.
 """
 
-import re
 from xml.etree import ElementTree
+
+from btcpp_script_twin import Thrown, run, truth
 
 IDLE, RUNNING, SUCCESS, FAILURE, SKIPPED = "IDLE", "RUNNING", "SUCCESS", "FAILURE", "SKIPPED"
 DONE = (SUCCESS, FAILURE)
 BY_LETTER = {"S": SUCCESS, "F": FAILURE, "R": RUNNING, "K": SKIPPED}
 
 
-class Thrown(Exception):
-    """What BehaviorTree.CPP would throw in the middle of a tick."""
-
-
 class World:
     """What all nodes of a tree share: leaves as {tag: (kind, script)}, what happened, a blackboard, the time [s]."""
 
-    def __init__(self, leaves):
+    def __init__(self, leaves, enums):
+        self.enums = enums
         self.leaves = {tag: (kind, script) for tag, (kind, script) in leaves.items()}
         self.ticked = dict.fromkeys(leaves, 0)
         self.said, self.board, self.now = [], {}, 0.0
 
     def holds(self, code):
-        python = re.sub(r"!(?!=)", " not ", code.replace("&&", " and ").replace("||", " or "))
-        return bool(eval(python, {"true": True, "false": False}, self.board))
+        return truth(self.run(code))
 
     def run(self, code):
-        for statement in code.split(";"):
-            key, value = statement.split(":=")
-            self.board[key.strip()] = self.holds(value.strip())
+        return run(code, self.board, self.enums)
 
 
 class Node:
@@ -492,12 +487,13 @@ class Twin:
     Args:
         text: the file.
         leaves: by tag, as (kind, script).
+        enums: names that scripts know.
     """
 
-    def __init__(self, text, leaves):
+    def __init__(self, text, leaves, enums=()):
         root = ElementTree.fromstring(text)
         self.trees = {one.get("ID"): one[0] for one in root if one.tag == "BehaviorTree"}
-        self.world = World(leaves)
+        self.world = World(leaves, dict(enums))
         self.root = self.made(self.trees[root.get("main_tree_to_execute")])
 
     def made(self, element):

@@ -425,3 +425,12 @@ def knowing_running():
     registry = BehaviourRegistry()
     registry.register("keep_on", Running)
     return registry
+
+
+def test_round_robin_that_does_not_wrap_around_fails_after_its_last_child():
+    said = []
+    registry = registry_of({"a": ("A", "SF"), "b": ("A", "FS")}, said)
+    tree = load_xml(wrapped('<RoundRobin wrap_around="false"><a/><b/></RoundRobin>'), registry)
+    assert [line.partition(" => ")[2] for line in trace(tree.tick_once, tree, said, 4)] == [
+        *("SUCCESS", "FAILURE", "SUCCESS", "SUCCESS")
+    ]

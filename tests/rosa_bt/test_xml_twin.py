@@ -1,19 +1,26 @@
 """What is read from XML does what a plain twin of BehaviorTree.CPP does, whatever is in the tree and is skipped."""
 
+import re
 from random import Random
+from xml.etree import ElementTree
+from xml.sax.saxutils import quoteattr
 
 import pytest
+from btcpp_script_twin import run
 from btcpp_twin import KINDS, Thrown, Twin
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from py_trees.common import Status
 from test_xml_traces import RANDOM
+from test_xml_traces_2 import CASES, board_differences
 from xml_leaves import registry_of, wrapped
 
 from rosa_bt import load_xml
+from rosa_bt.xml.blackboard import ScriptError
 from rosa_bt.xml.nodes import NodeError
 
 TICKS = 20
+ENUMS = {"RED": 1}
 MANY = ("Sequence", "AsyncSequence", "SequenceWithMemory", "ReactiveSequence", "Fallback", "AsyncFallback")
 COUNTED = {"Parallel": ("success_count", "failure_count"), "ParallelAll": ("max_failures",)}
 ONE = {
@@ -42,11 +49,35 @@ class Grower:
 
     def rules(self):
         chosen = self.random.sample(RULES, self.random.randint(1, 2)) if self.random.random() < self.often else []
-        said = {rule: self.random.choice(("x", "!x", "y")) for rule in chosen}
-        return "".join(
-            f' {rule}="{key.strip("!")} := !{key.strip("!")}"' if rule in RULES[4:] else f' {rule}="{key}"'
-            for rule, key in said.items()
-        )
+        said = {rule: self.script() if rule in RULES[4:] else self.condition() for rule in chosen}
+        return "".join(f" {rule}={quoteattr(code)}" for rule, code in said.items())
+
+    def condition(self):
+        choose = self.random.choice
+        if self.random.random() < 0.5:
+            return choose(("x", "!x", "y"))
+        signs = ("<", ">", "<=", ">=", "==", "!=")
+        numbers = f"{self.number()} {choose(signs)} {self.number()}"
+        texts = f"{self.text()} {choose(signs)} {self.text()}"
+        chain = f"{numbers} {choose(signs)} {self.number()}"
+        return choose((numbers, chain, texts, f"{numbers} {choose(('&&', '||'))} !y", f"!({chain}) || x"))
+
+    def number(self, depth=2):
+        choose = self.random.choice
+        if depth == 0 or self.random.random() < 0.3:
+            return choose(("0", "1", "2", "3", "0x1F", "1.5", "2e1", "true", "RED", "n", "d", "x", "-d", "~n", "!y"))
+        one, other = self.number(depth - 1), self.number(depth - 1)
+        plain = f"{one} {choose('+-*/')} {other}"
+        return choose((plain, plain, f"({plain})", f"n {choose('&|^')} {choose('1234')}", f"(x ? {one} : {other})"))
+
+    def text(self):
+        return self.random.choice(("t", "t", "'a'", "'7'", "'b' .. n", "t .. 2", "'c' .. (d + 1)", "t + 'a'"))
+
+    def script(self):
+        one, choose = self.number(), self.random.choice
+        known = ("x := !x", "y := !y", "n += 1", "n := n & 7", f"d = {one}", f"d {choose('+-*/')}= {one}", "t += 'a'")
+        more = (f"t := {self.text()}", f"y = {self.condition()}", f"n = {one}", f"x ? d := {one} : (n := 2)")
+        return "; ".join(choose((*known, *known, *more)) for _ in range(self.random.randint(1, 3)))
 
     def leaf(self):
         tag, kind = f"L{len(self.leaves)}", self.random.choice("AAC")
@@ -65,7 +96,8 @@ class Grower:
         return chosen() if chosen in grow[:2] else chosen(depth - 1)
 
     def constant(self):
-        return self.random.choice(CONSTANT)
+        asked, done = quoteattr(self.condition()), quoteattr(self.script())
+        return self.random.choice((*CONSTANT, f"<ScriptCondition code={asked}/>", f"<Script code={done}/>"))
 
     def many(self, depth):
         tag, count = self.random.choice((*MANY, "ReactiveFallback", *COUNTED)), self.random.randint(1, 4)
@@ -95,8 +127,8 @@ class Grower:
 
 def ours_and_theirs(text, leaves, told):
     """Tick both as often as something is told; return what happened, up to the first exception."""
-    said, now, twin = [], 0.0, Twin(text, leaves)
-    tree = load_xml(text, registry_of(leaves, said), clock=lambda: now)
+    said, now, twin = [], 0.0, Twin(text, leaves, ENUMS)
+    tree = load_xml(text, registry_of(leaves, said), clock=lambda: now, enums=ENUMS)
     happened = []
     for values in told:
         said.clear()
@@ -106,12 +138,12 @@ def ours_and_theirs(text, leaves, told):
         try:
             expected = twin.tick()
         except Thrown:
-            with pytest.raises(NodeError):
+            with pytest.raises((NodeError, ScriptError)):
                 tree.tick_once()
             break
         tree.tick_once()
         outcome = "SKIPPED" if tree.status is Status.INVALID else tree.status.name
-        happened.append(([*said, outcome], expected))
+        happened.append(([*said, outcome, *entries(tree.blackboard)], [*expected, *entries(twin.world.board)]))
     return happened
 
 
@@ -123,15 +155,54 @@ def test_twin_does_what_behaviortree_cpp_recorded_of_itself(case):
         assert f"{number}| {' '.join([*said, ''])}=> {outcome}" == line
 
 
+def entries(board):
+    """Return what a blackboard holds in words, with the kind of each number."""
+    return [f"{key}={type(board[key]).__name__} {board[key]}" for key in sorted(board)]
+
+
+def lived(seed, rules, news):
+    """Return how long a random tree was ticked until it raised, if it did; it does what its twin does."""
+    grower, said = Grower(seed, rules), Random(news)
+    text = grower.file()
+    start = {"x": True, "y": False, "n": 3, "d": 0.5, "t": "a"}
+    told = [start, *({"x": said.random() < 0.5} if rules and said.random() < 0.5 else {} for _ in range(TICKS))]
+    happened = ours_and_theirs(text, grower.leaves, told)
+    for ours, theirs in happened:
+        assert ours == theirs, text
+    return len(happened)
+
+
 @settings(max_examples=400)
 @given(st.integers(0, 2**32), st.sampled_from([0.0, 0.1, 0.3]), st.integers(0, 2**32))
 def test_tree_that_is_read_does_what_its_twin_does(seed, rules, news):
-    grower, said = Grower(seed, rules), Random(news)
-    text = grower.file()
-    start = {"x": True, "y": False}
-    told = [start, *({"x": said.random() < 0.5} if rules and said.random() < 0.5 else {} for _ in range(TICKS))]
-    for ours, theirs in ours_and_theirs(text, grower.leaves, told):
-        assert ours == theirs, text
+    lived(seed, rules, news)
+
+
+def plain_scripts():
+    """Return recorded cases that are one script, of what needs no ports, as (code, enums, what is told, boards)."""
+    for case in CASES:
+        one = re.fullmatch(
+            r".*<Sequence><Script code=(\"[^\"]*\")/></Sequence></BehaviorTree></root>", case.get("xml", "")
+        )
+        if case["category"] == "script" and one and "set" not in case and not case["leaves"]:
+            yield pytest.param(ElementTree.fromstring(f"<a b={one[1]}/>").get("b"), case, id=one[1])
+
+
+@pytest.mark.parametrize(("code", "case"), list(plain_scripts()))
+def test_twin_runs_scripts_as_behaviortree_cpp_recorded(code, case):
+    board = {}
+    for kept in case["boards"]:
+        run(code, board, case.get("enums", {}))
+        assert kept is None or list(board_differences(kept, [board])) == []
+
+
+@pytest.mark.benchmark
+def test_ten_thousand_random_trees_do_what_their_twins_do():
+    lives = [lived(seed, (0.0, 0.1, 0.3)[seed % 3], seed + 1) for seed in range(10_000)]
+    print(
+        f"{len(lives)} trees, {sum(lives)} ticks, {sum(life <= TICKS for life in lives)} raised where their twins did"
+    )
+    assert sum(life > TICKS for life in lives) > 5_000
 
 
 def test_random_trees_hold_every_node_that_the_twin_knows():
@@ -146,5 +217,5 @@ def test_node_that_only_passes_on_what_was_skipped_is_asked_its_rules_again(tag)
     text = wrapped(f'<{tag} _failureIf="!y">{content}</{tag.split()[0]}>')
     told = [{"x": True, "y": True}, {}, {"y": False}, {}]
     happened = ours_and_theirs(text, {"a": ("A", "R")}, told)
-    assert [ours for ours, _ in happened] == [["SKIPPED"], ["SKIPPED"], ["FAILURE"], ["FAILURE"]]
+    assert [ours[0] for ours, _ in happened] == ["SKIPPED", "SKIPPED", "FAILURE", "FAILURE"]
     assert [theirs for _, theirs in happened] == [ours for ours, _ in happened]
