@@ -2,7 +2,7 @@
 
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import inf
 from typing import TYPE_CHECKING, Final, NamedTuple, Self
 
@@ -14,7 +14,8 @@ if TYPE_CHECKING:
 _REMEMBERED: Final = 256  # news, until the plan that it led to is there
 
 
-class _News(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class _News:
     """What became known, when it was so [s], why it calls for another action by itself, and in which events it came."""
 
     time: float
@@ -218,18 +219,15 @@ class AdaptationLog:
     def _hear_news(self, event: Event) -> None:
         """Take in what was measured; without a stamp it is the task layer's own word, which is no news to it."""
         time = event.time if self._stamp in (None, inf) else self._stamp
+        news, is_from_robot = _News(time, event.text, "", (event.number,)), self._stamp is not None
         for change in event.changes:
             if change.kind == "action" and change.new is Status.UNFEASIBLE:
                 why = self._kb.why(self._kb.actions[change.name])
-                self._lost[event.number if self._stamp is None else change.name] = _News(
-                    time, event.text, why, (event.number,)
-                )
-            elif change.kind == "action" and change.old is Status.UNFEASIBLE and self._stamp is not None:
+                self._lost[change.name if is_from_robot else event.number] = replace(news, reason=why)
+            elif change.kind == "action" and change.old is Status.UNFEASIBLE and is_from_robot:
                 self._lost.pop(change.name, None)
-                again = f"{change.name} is feasible again"
-                self._regained[change.name] = _News(time, event.text, again, (event.number,))
-        if self._stamp is not None:
-            news = _News(time, event.text, "", (event.number,))
+                self._regained[change.name] = replace(news, reason=f"{change.name} is feasible again")
+        if is_from_robot:
             self._heard.append((news, bool(event.changes)))
             self._to_answer += [news] if event.changes else []
 
@@ -263,11 +261,7 @@ class AdaptationLog:
         """Return what was news when a plan was asked for, or else why it was."""
         until = max((tick for tick, _ in self._turns if tick <= plan.at_s), default=None)
         led = _together([news for tick, news in self._turns if tick == until])
-        return (
-            _News(plan.at_s, plan.reason, plan.reason)
-            if led is None
-            else _News(led.time, led.text, plan.reason, led.events)
-        )
+        return replace(led or _News(plan.at_s, plan.reason), reason=plan.reason)
 
     # ---------------------------------------------------------------- what comes of it
 
@@ -286,7 +280,7 @@ class AdaptationLog:
             self._end_task()
             plan = self._new_plan()
             if plan is not None and not cause.reason:
-                cause = _News(cause.time, cause.text, plan.reason, cause.events)
+                cause = replace(cause, reason=plan.reason)
             self._task = self._change(before, action, time, cause)
         self._prelude.clear()
         return cause is not None
@@ -310,14 +304,16 @@ class AdaptationLog:
     def _change(self, before: _Ended, action: str, time: float, cause: _News) -> Adaptation:
         """Enter a change of action, with the plans that were made for it already."""
         reason = cause.reason or f"{action} is chosen, though {before.action} is still feasible"
-        words = f"{before.action} -> {action}"
-        change = Adaptation(
-            time, "task", cause.text, reason, words, None, cause.time, before.action, action, cause.events
-        )
+        change = self._enter(time, "task", cause, reason, f"{before.action} -> {action}")
+        change.before, change.action = before.action, action
         for made in self._prelude:
             change.add(self._in_words(made), made)
-        self.adaptations.append(change)
         return change
+
+    def _enter(self, at_s: float, kind: str, cause: _News, reason: str, change: str = "") -> Adaptation:
+        made = Adaptation(at_s, kind, cause.text, reason, change, None, cause.time, events=cause.events)
+        self.adaptations.append(made)
+        return made
 
     def _end_task(self) -> None:
         if self._task is not None:
@@ -334,11 +330,7 @@ class AdaptationLog:
             if added and self._steps and not is_reported:
                 change = f"plan anew, with {', '.join(dict.fromkeys(added))}"
                 cause = self._cause_of_plan(plan)
-                made = Adaptation(
-                    self._this_tick, "task", cause.text, cause.reason, change, None, cause.time, events=cause.events
-                ).close()
-                self.adaptations.append(made)
-                self._report(made)
+                self._report(self._enter(self._this_tick, "task", cause, cause.reason, change).close())
             self._steps = frozenset(plan.steps)
 
     def _put_down(self, plan: ReconfigurationPlan) -> None:
@@ -353,10 +345,8 @@ class AdaptationLog:
                 self._prelude.append(plan)
         elif cause is not None:
             kind = "structural" if plan.activate or plan.deactivate else "parameter"
-            made = Adaptation(plan.start, kind, cause.text, plan.reason, "", None, cause.time, events=cause.events)
-            made.add(self._in_words(plan), plan)
-            self.adaptations.append(made)
-            self._under_way.append(made)
+            self._under_way.append(self._enter(plan.start, kind, cause, plan.reason))
+            self._under_way[-1].add(self._in_words(plan), plan)
 
     def _step_in_words(self, step: "Step") -> str:
         return f"{step.schema}({', '.join(one for one in step.arguments if one not in self._kb.actions)})"
