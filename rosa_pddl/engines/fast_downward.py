@@ -106,7 +106,7 @@ def translate(domain: str, problem: str, process: ProcessHandle, *, limit_s: flo
         ended = process.ask(
             [sys.executable, "-m", "fast_downward.translate", *options, "domain.pddl", "problem.pddl"],
             limit_s=limit_s,
-            environment={"PYTHONPATH": str(translator()), "PYTHONDONTWRITEBYTECODE": "1"},
+            environment={"PYTHONPATH": str(translator())},
             folder=folder,
         )
         written = place / "output.sas"

@@ -101,13 +101,13 @@ class World:
     """Ticks a plan executor in lock-step: 0.1 s a tick, the planner caught up with between ticks."""
 
     def __init__(self, domain, planner=None, kb=None, task=Task, **settings):
+        self.tick_number = 0  # a knowledge base asks the clock when it is made
         self.domain = domain
         self.kb = FakeKb(domain.rosa_actions) if kb is None else kb(self)
         self.facts: dict[str, bool] = {}
         self.ticks: dict[str, int] = {}
         self.events: dict[str, object] = {}
         self.log: list[tuple[float, str, str]] = []
-        self.tick_number = 0
         self.executor = PlanExecutor(
             "plan",
             kb=self.kb,
