@@ -242,7 +242,8 @@ class Knowledge:
         element, measured = node.element, self.state.time[node.index]
         assert isinstance(element, Attribute)
         age = 0.0 if measured is None else event.time - measured
-        words = f"{name} is stale: measured {age:.1f} s ago, at most {element.max_age:g} s"
+        limit = f"at most {element.max_age:g} s" if age > element.max_age else "and no more"
+        words = f"{name} is stale: measured {age:.1f} s ago, {limit}"
         put = partial(self.measurements.put_stale, node)
         return self._put(event, node.constraints, put, words=words, matters=None)
 

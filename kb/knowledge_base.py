@@ -67,7 +67,8 @@ def _telling(method: Callable[Concatenate["KnowledgeBase", P], T]) -> Callable[C
 
     Whoever gives the time, and who is called, is not ours and may wait for another thread: no lock is held then.
     """
-    _TOLD.add(method.__name__)
+    if not method.__name__.startswith("_"):
+        _TOLD.add(method.__name__)
 
     @wraps(method)
     def held(self: "KnowledgeBase", *args: P.args, **kwargs: P.kwargs) -> T:
@@ -605,21 +606,22 @@ class KnowledgeBase:
     def tell(self, event: Event) -> None:
         """Tell an event again; the clock of this base should show its time.
 
-        What time does comes by itself, and so does what the model states and what is said of the store.
+        What time does comes by itself, and so does what the model states and what is said of the store. Only "stale"
+        may come before its time: who measured the attribute is gone.
 
         Raises:
             InvalidValue: it is no event that can be told; nothing has changed.
         """
         verb = event.verb if isinstance(event, Event) else None
-        if verb in _BY_ITSELF:
+        if verb in _BY_ITSELF and verb != "stale":
             self._catch_up()
             return
-        if verb not in _TOLD:
+        if verb not in _TOLD and verb != "stale":
             known = ", ".join(sorted(_TOLD))
             raise InvalidValue(f"{event!r} cannot be told; an event that can has one of the verbs {known}")
         tell: Callable[..., object] = partial(amend, self.model, self._knowledge.serials)
         if verb != "amend":
-            tell = getattr(self, event.verb)
+            tell = self._outdate if verb == "stale" else getattr(self, event.verb)
         caused = {"cause": event.cause} if verb in ("request_action", "cancel_action", "select") else {}
         try:
             tell(*event.arguments, **caused)
@@ -627,6 +629,13 @@ class KnowledgeBase:
             if isinstance(error, KnowledgeBaseError):
                 raise
             raise InvalidValue(f"{verb} cannot be told with {event.arguments!r}: {error}") from None
+
+    @_telling
+    def _outdate(self, name: str) -> None:
+        """Have a measurement be too old, if it is not yet."""
+        node, state = _found(self._knowledge.network.attributes, "attribute", name), self._knowledge.state
+        if state.value[node.index] is not None and not state.stale[node.index]:
+            self._tell("stale", name)
 
     def subscribe(self, callback: Callable[[Event], None]) -> Callable[[], None]:
         """Have a function called with every event, in order; returns how to stop that.

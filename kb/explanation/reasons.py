@@ -335,7 +335,9 @@ def _age(time: float | None, now: float) -> str:
 
 
 def _stale(time: float | None, attribute: Node, now: float) -> str:
-    return f"is stale: {_age(time, now)}, at most {exact(_attribute(attribute).max_age)} s"
+    most = _attribute(attribute).max_age
+    is_over = time is not None and now - time > most  # else somebody has told so
+    return f"is stale: {_age(time, now)}, {f'at most {exact(most)} s' if is_over else 'and no more'}"
 
 
 def _votes(attribute: Attribute) -> str:

@@ -95,7 +95,8 @@ class RosaController(Controller):
 
     def decide(self) -> bool:
         spent, started = self.compute_s, perf_counter()
-        self._manage()
+        if self._kb.revision != self._answered or self._kb.pending_plan is not None or self._now() >= self._runner.due:
+            self._manage()  # between two ticks there is nothing to manage where no status changed
         managed = perf_counter()
         self._task.catch_up()
         caught_up = perf_counter()

@@ -1,10 +1,12 @@
 """A measurement can grow too old; what it counts as then is the model's to say."""
 
+import math
+
 import pytest
 from hypothesis import HealthCheck, given, settings
 from models import Clock, Twins, stories
 
-from kb import KnowledgeBase, Model, ModelError, Status, UnknownName
+from kb import Event, KnowledgeBase, Model, ModelError, Status, UnknownName
 
 SLOW = [HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much]
 
@@ -99,3 +101,37 @@ def test_a_maximum_age_is_a_time_above_zero(age):
 def test_an_unknown_policy_is_refused():
     with pytest.raises(UnknownName, match="did you mean 'violated'"):
         Model("rover").quality_attribute("light", max_age=1.0, when_stale="violatd")
+
+
+def test_what_is_measured_no_more_can_be_told_to_be_stale_and_replay_knows_it():
+    def outlived(max_age):
+        model = Model("m")
+        light = model.environmental_attribute("light", max_age=max_age)
+        model.action("look", constraints=[light >= 0.5])
+        now = [0.0]
+        kb = KnowledgeBase(model, clock=lambda: now[0])
+        kb.tell(Event(0, 0.0, "stale", ("light",)))
+        assert not kb.attributes["light"].is_stale, "it was never measured"
+        return kb, now
+
+    for max_age in (math.inf, 5.0):
+        kb, now = outlived(max_age)
+        kb.measure("light", 0.1)
+        now[0] = 2.0
+        for _ in range(2):
+            kb.tell(Event(0, 2.0, "stale", ("light",)))
+        (stale,) = [one for one in kb.log if one.verb == "stale"]
+        assert (stale.time, stale.text) == (2.0, "light is stale: measured 2.0 s ago, and no more")
+        (enough,) = kb.actions["look"].constraints
+        assert enough.status == "not evaluated"
+        assert "light 0.1 is stale: measured 2.0 s ago, and no more" in str(kb.explain(enough))
+        now[0] = 9.0
+        again, shown = outlived(max_age)
+        for event in kb.log:
+            shown[0] = max(shown[0], event.time)
+            again.tell(event)
+        assert [one.text for one in again.log] == [one.text for one in kb.log]
+        kb.measure("light", 0.9)
+        assert enough.status == "satisfied"
+    with pytest.raises(UnknownName, match="light"):
+        kb.tell(Event(0, 9.0, "stale", ("lihgt",)))

@@ -149,6 +149,11 @@ def test_lost_connection_comes_back_and_what_was_decided_meanwhile_is_told(robot
         (enough,) = kb.actions["explore"].constraints
         until(lambda: enough.status == "satisfied")
         robot.server.close()
+        until(lambda: enough.status == "not evaluated")
+        assert kb.attributes["energy"].is_stale
+        told = [one for one in kb.log if one.verb == "stale"][-1].text
+        assert told.startswith("energy is stale: measured ")
+        assert told.endswith(" s ago, and no more")
         kb.request_action("charge")  # said when it is there again
         again = Robot(robot.server.port)
         heard = []

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 import rclpy_double
+from cut_wires import requests_through_cuts
 from ros_peer import ARRAY, ASK, DIAGNOSTICS, STRING, attend
 
 from missions.engine.mission import MissionError
@@ -249,3 +250,9 @@ def test_dds_is_of_this_machine_unless_told_otherwise():
 def test_rclpy_that_is_not_there_is_told():
     with pytest.raises(MissionError, match="it comes with ROS 2"):
         RclpyNode()
+
+
+def test_nothing_acknowledged_is_lost_and_nothing_is_done_twice_when_the_wire_is_cut():
+    outcome = requests_through_cuts(1, cuts=10)
+    assert outcome.acknowledged >= 30
+    assert (outcome.lost, outcome.doubled) == (0, 0)

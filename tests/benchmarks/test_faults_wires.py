@@ -1,0 +1,162 @@
+"""Wires cut at random, nonsense without end, assistants that mean ill, recordings cut anywhere; and what wires cost.
+
+`CUTS` says how often a connection is cut, `NONSENSE` how many messages are none, `HOSTILE` how many requests mean ill,
+`PREFIXES` at how many places a recording is cut.
+"""
+
+import gc
+import json
+import os
+import random
+import sys
+import time
+import tracemalloc
+from pathlib import Path
+
+import pytest
+from figures import table
+from websockets.sync.client import connect
+
+sys.path.append(str(Path(__file__).parents[1] / "missions"))  # what is cut and asked is that of the tests there
+
+from cut_wires import requests_through_cuts
+from test_assistant import asked
+from test_bridge import NONSENSE as SPECIMENS
+from test_bridge import SETTINGS, Robot, bridged, until
+from test_recordings import rosa
+from typer.testing import CliRunner
+
+from kb import KnowledgeBase
+from missions import cli
+from missions.suave_extended import MISSION
+from missions.wires import ros
+from missions.wires.bags import read_bag
+
+pytestmark = pytest.mark.benchmark(group="faults")
+
+CUTS, NONSENSE, HOSTILE, PREFIXES = (
+    int(os.environ.get(name, most))
+    for name, most in (("CUTS", 100), ("NONSENSE", 100_000), ("HOSTILE", 10_000), ("PREFIXES", 1_000))
+)
+
+
+@pytest.fixture(scope="module")
+def rows(tables):
+    found = []
+    tables["faults of wires"] = lambda: table("Faults of wires", ("what", "tried", "figure"), found)
+    return found
+
+
+def test_connections_are_cut_at_random(rows):
+    cuts = [requests_through_cuts(seed, cuts=10) for seed in range(CUTS // 10)]
+    lost, doubled = sum(one.lost for one in cuts), sum(one.doubled for one in cuts)
+    rows.append(
+        (
+            "connection cut",
+            CUTS,
+            f"{sum(one.acknowledged for one in cuts)} acknowledged, {lost} lost, {doubled} doubled",
+        )
+    )
+    assert (lost, doubled) == (0, 0)
+    assert all(one.acknowledged > 20 for one in cuts)
+
+
+def test_nonsense_is_counted_and_memory_is_flat(rows):
+    rng, robot = random.Random(1), Robot()
+    tracemalloc.start()
+    try:
+        with bridged(robot) as (kb, bridge), connect(robot.url) as peer:
+            held = []
+            for part in range(5):
+                for number in range(NONSENSE // 10):
+                    peer.send(rng.choice(SPECIMENS) if number % 2 else json.dumps({"op": f"fly {rng.random()}"}))
+                    robot.server.publish("/battery_state", "", {"percentage": f"much {rng.random()}"})
+                sent = (part + 1) * (NONSENSE // 10)
+                until(lambda sent=sent: sum(robot.server.refused.values()) >= sent * 0.9, seconds=300)
+                gc.collect()
+                held.append(tracemalloc.get_traced_memory()[0])
+            robot.measure(0.7)
+            until(lambda: kb.attributes["energy"].value == 0.7)
+            refused = sum(robot.server.refused.values()) + sum(bridge.refused.values())
+            rows.append(
+                ("nonsense", NONSENSE, f"{refused} refused, memory {held[1] / 1e6:.2f} to {held[-1] / 1e6:.2f} MB")
+            )
+            assert len(robot.server.refused) + len(bridge.refused) < 300
+            assert held[-1] < held[1] + 2e6
+    finally:
+        tracemalloc.stop()
+        robot.server.close()
+
+
+def test_hostile_requests_of_assistants(rows):
+    kb = KnowledgeBase(MISSION.model(), clock=lambda: 1.0)
+    kb.measure("water_visibility", 3.0)
+    kb.measure("battery_level", 0.2)
+    rng = random.Random(2)
+    values = [None, 3, [], {}, "inspect_pipeline", ["inspect_pipeline"], {"name": "inspect_pipeline"}, "x" * 5000]
+    keys = ["action", "element", "preference", "measured", "x"]
+    before, calls = len(list(kb.log)), []
+    for _ in range(HOSTILE):
+        tool = rng.choice(["request_action", "cancel_action", "what_if", "why", "plan_for", "best_configuration"])
+        given = {key: rng.choice(values) for key in rng.sample(keys, rng.randint(0, 3))}
+        calls.append((tool, given | {"action": "inspect_pipeline"} if rng.random() < 0.5 else given))
+    _, answers = asked(kb, calls, allow_actions=True)
+    rows.append(("hostile requests", len(answers), f"{len(kb.required_actions)} got through"))
+    assert len(answers) == HOSTILE
+    assert not kb.required_actions
+    assert not [one for one in list(kb.log)[before:] if one.verb == "request_action"]
+
+
+def test_every_prefix_of_a_recording_replays(rows, tmp_path):
+    path, cut, rng = tmp_path / "drop.mcap", tmp_path / "cut.mcap", random.Random(3)
+    rosa("run", "suave_extended", "--no-progress", "--record", path, "--set", "duration_s=200")
+    whole, data = read_bag(path), path.read_bytes()
+    replayed = 0
+    for number in range(PREFIXES):
+        cut.write_bytes(data[: rng.randrange(20_000, len(data))])
+        bag = read_bag(cut)
+        assert bag.cut
+        assert bag.messages == whole.messages[: len(bag.messages)]
+        assert bag.events == whole.events[: len(bag.events)]
+        if number % 20 == 0 and bag.events:
+            assert "decided as recorded" in rosa("replay", cut)
+            replayed += 1
+    rows.append(("recording cut", PREFIXES, f"all read up to there, {replayed} decided again, alike"))
+
+
+def test_a_thousand_diagnostics_a_second(rows):
+    robot, seconds = Robot(), 10
+    try:
+        with bridged(robot, SETTINGS) as (_, bridge), connect(robot.url) as peer:
+            until(lambda: bridge.heard, turn=lambda: robot.diagnose(energy=0.5))
+            pairs = [{"key": "energy", "value": "0.5"}]
+            status = {"level": 0, "name": "robot", "message": "QA status", "hardware_id": "", "values": pairs}
+            text = json.dumps({"op": "publish", "topic": "/diagnostics", "msg": {"header": {}, "status": [status]}})
+            before, used, began = bridge.heard, time.process_time(), time.monotonic()
+            for number in range(1000 * seconds):
+                peer.send(text)
+                time.sleep(max(0.0, began + number / 1000 - time.monotonic()))
+            until(lambda: bridge.heard >= before + 1000 * seconds)
+            share = (time.process_time() - used) / (time.monotonic() - began)
+            rows.append(("1,000 diagnostics/s", 1000 * seconds, f"{share:.0%} of a core, sender and server included"))
+    finally:
+        robot.server.close()
+
+
+def test_an_hour_of_diagnostics_is_decided_again(rows, tmp_path):
+    from rosbags.rosbag2 import StoragePlugin, Writer
+
+    kept, folder = ros.types(), tmp_path / "hour"
+    with Writer(folder, version=8, storage_plugin=StoragePlugin.MCAP) as writer:
+        topic = writer.add_connection("/diagnostics", ros.DIAGNOSTICS, typestore=kept.store)
+        for number in range(360_000):
+            values = {"battery_level": f"{1 - number / 400_000:.4f}"} | (
+                {} if number % 100 else {"water_visibility": "3"}
+            )
+            heard = kept.diagnostics(number / 100, [{"message": "QA status", "values": values}])
+            writer.write(topic, 10**18 + number * 10**7, kept.encode(ros.DIAGNOSTICS, heard))
+    used = time.process_time()
+    done = CliRunner().invoke(cli.app, ["replay", str(folder), "--mission", "suave_extended"])
+    rows.append(("one hour replayed", 360_000, f"{time.process_time() - used:.1f} s of processor time"))
+    assert done.exit_code == 0
+    assert "heard" not in done.output
