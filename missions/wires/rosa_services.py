@@ -178,11 +178,8 @@ class RosaServices:
 
     def _started(self, one: Message) -> Message:
         given = _part(one, "component_process")
-        return {
-            "component_process": self._process(
-                self._kb.component_started(_name(given, "component"), given.get("pid", 0))
-            )
-        }
+        process = self._kb.component_started(_name(given, "component"), given.get("pid", 0))
+        return {"component_process": self._process(process)}
 
     def _ended(self, one: Message) -> Message:
         given = _part(one, "component_process")
@@ -219,9 +216,7 @@ class RosaServices:
 
     def _query(self, one: Message) -> Message:
         asked = str(one.get("query", ""))[:60]
-        raise RosError(
-            f"TypeQL is not answered here, as {asked!r}; ask by the other services, or in SPARQL by kb.query"
-        )
+        raise RosError(f"TypeQL is not answered here, as {asked!r}; ask by the other services, or by kb.query")
 
     # ---------------------------------------------------------------- in messages
 
@@ -270,13 +265,8 @@ class RosaServices:
         }
 
     def _process(self, one: Process) -> Message:
-        end = "" if one.end is None else iso(one.end)
-        return {
-            "pid": one.pid,
-            "start_time": iso(one.start),
-            "end_time": end,
-            "component": self._component(one.component),
-        }
+        times = {"start_time": iso(one.start), "end_time": "" if one.end is None else iso(one.end)}
+        return {"pid": one.pid, **times, "component": self._component(one.component)}
 
 
 def iso(time_s: float) -> str:
