@@ -51,14 +51,14 @@ def agv_model(name: str = "agv", actions: Iterable[str] = (NAVIGATE,)) -> Model:
 
     Estimations: `energy` is what is taken from it [J/s], `safety` the collisions expected for each obstacle that is
     passed, `accuracy` the error of the position [m]. Measured are `light` [0 to 1] and `obstacles` [1/m] of the
-    corridor to be crossed.
+    corridor to be crossed, and `energy`, what is left [J].
 
     Args:
         name: of the model.
         actions: what a mission does with it; each requires to navigate.
     """
     model = Model(name)
-    energy, safety = model.quality_attribute("energy", unit="W"), model.quality_attribute("safety")
+    energy, safety = model.quality_attribute("energy", unit="J"), model.quality_attribute("safety")
     accuracy = model.quality_attribute("accuracy", unit="m", low=0.0)
     light = model.environmental_attribute("light", low=0.0, high=1.0)
     obstacles = model.environmental_attribute("obstacles", unit="1/m", low=0.0)

@@ -7,6 +7,7 @@ import logging
 from collections.abc import Callable, Mapping
 from functools import wraps
 from hmac import compare_digest
+from inspect import signature
 from typing import TYPE_CHECKING, Any, Final
 
 from kb import Event, EventKind, KnowledgeBase, KnowledgeBaseError
@@ -134,10 +135,20 @@ def mcp_server(assistant: Assistant, *, allow_actions: bool = False) -> "MCPServ
     """
     with needs("mcp", "the server for assistants"):
         from mcp.server import MCPServer
-    server = MCPServer("rosa-taca", instructions=INSTRUCTIONS)
-    for name in vars(Assistant):
-        if not name.startswith("_") and (allow_actions or name not in ("request_action", "cancel_action")):
-            server.tool(name)(_answering(getattr(assistant, name)))
+        from mcp.server.mcpserver.exceptions import ToolError
+    kept = () if allow_actions else ("request_action", "cancel_action")
+    tools = {name: getattr(assistant, name) for name in vars(Assistant) if name[0] != "_" and name not in kept}
+
+    class Server(MCPServer):
+        async def call_tool(self, name: str, arguments: dict[str, Any], context: Any = None) -> Any:  # noqa: ANN401  # as its base has it
+            takes = signature(tools[name]).parameters if name in tools else arguments
+            if unknown := arguments.keys() - takes:  # without it, another question would be answered
+                raise ToolError(f"{name} takes no {min(unknown)!r:.80}; it takes {', '.join(takes) or 'nothing'}")
+            return await super().call_tool(name, arguments, context)
+
+    server = Server("rosa-taca", instructions=INSTRUCTIONS)
+    for tool in tools.values():
+        server.tool(tool.__name__)(_answering(tool))
     return server
 
 

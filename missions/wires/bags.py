@@ -197,7 +197,7 @@ class Reader:
         if place.is_dir() and not (place / "metadata.yaml").exists():
             files = sorted(place.glob("*.mcap"))
             if not files:
-                self.cut = "the folder has neither metadata.yaml nor a file .mcap"
+                self.cut = "the folder has neither metadata.yaml nor a file .mcap; name the file .db3 itself"
             for file in files:
                 yield from self._mcap(file)
         elif place.suffix == ".mcap":

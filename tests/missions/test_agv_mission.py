@@ -115,6 +115,7 @@ def test_energy_that_was_used_is_what_the_components_drew():
     data = run_mission(AGV, incidents="")[2]
     moving_s = data["duration_s"] - 1.0
     assert 25.0 * moving_s < data["energy_used_j"] < 38.0 * data["duration_s"]  # AMCL, Kinect and driving: 38 W
+    assert agv_model().attributes["energy"].unit == "J"
 
 
 def test_robot_that_loses_lamp_lidar_and_kinect_in_the_dark_says_why_it_stands():

@@ -122,6 +122,16 @@ def test_hostile_requests_never_get_an_unfeasible_action_through(kb):
     assert not kb.is_feasible("inspect_pipeline")
 
 
+def test_argument_that_a_tool_does_not_take_is_refused_and_not_passed_over(kb):
+    calls = [("what_if", {"attributes": {"battery_level": 0.9}}), ("what_can_be_done", {"action": "recharge"})]
+    _, answers = asked(kb, calls)
+    assert [text for *_, text in answers] == [
+        "what_if takes no 'attributes'; it takes measured, failed",
+        "what_can_be_done takes no 'action'; it takes nothing",
+    ]
+    assert all(is_error for is_error, *_ in answers)
+
+
 def test_refusals_are_told_in_words(kb):
     _, answers = asked(kb, [("why", {"element": "inspekt_pipeline"}), ("what_if", {"measured": {"batery": 1}})])
     assert [is_error for is_error, *_ in answers] == [True, True]

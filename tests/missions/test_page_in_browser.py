@@ -258,6 +258,20 @@ def test_no_violation_of_accessibility(visits, scheme, width):
         assert told == []
 
 
+def test_keys_are_listed_by_a_key_and_let_nothing_through_until_they_are_closed(shown):
+    listed, at = shown.get_by_role("dialog", name="keys"), shown.locator("#instant")
+    shown.keyboard.press("End")
+    shown.keyboard.type("?")
+    assert listed.is_visible()
+    before = at.input_value()
+    shown.keyboard.press("Home")
+    assert at.input_value() == before
+    shown.keyboard.press("Escape")
+    listed.wait_for(state="hidden")
+    shown.keyboard.press("Home")
+    sync_api.expect(at).to_have_value("0")
+
+
 def test_keyboard_alone_reaches_and_works_everything(shown):
     def focused(of="e.getAttribute('aria-label') || e.textContent"):
         return shown.evaluate(f"() => {{ const e = document.activeElement; return {of} }}")

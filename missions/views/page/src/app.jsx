@@ -1,6 +1,5 @@
 // The page: its head, its panels, and what a screen reader is told.
 import { batch, useComputed } from "@preact/signals";
-import { useRef } from "preact/hooks";
 import { Adaptations, Chain } from "./adaptations.jsx";
 import { clock, withUnit } from "./format.js";
 import { KEYS } from "./keys.js";
@@ -59,11 +58,10 @@ function Results() {
 }
 
 function Help() {
-  const dialog = useRef(null);
   return (
     <>
-      <button aria-label="keys" title="keys" onClick={() => dialog.current.showModal()}>?</button>
-      <dialog ref={dialog} aria-label="keys">
+      <button aria-label="keys" title="keys (?)" onClick={KEYS["?"][2]}>?</button>
+      <dialog id="keys" aria-label="keys">
         <table><tbody>{Object.values(KEYS).map(([name, what]) => <Row key={name} title={<kbd>{name}</kbd>}>{what}</Row>)}</tbody></table>
         <form method="dialog"><button>Close</button></form>
       </dialog>

@@ -17,17 +17,19 @@ export const KEYS = {
   "/": ["/", "search the tree", () => document.querySelector("#tree input[type=search]").focus()],
   Escape: ["Esc", "nothing chosen", () => (chosen.value = selected.value = null)],
   d: ["d", "light or dark", toggleTheme],
+  "?": ["?", "these keys", () => document.querySelector("#keys").showModal()],
 };
 
 export function listenToKeys() {
   addEventListener("keydown", (event) => {
     const { target, key } = event;
     const doing = KEYS[key]?.[2];
+    const isAsked = document.querySelector("dialog[open]"); // it has keys of its own, Esc closes it
     const isTyping = target.matches("input:not([type=range]), select, textarea") && key !== "Escape";
     const isOwn = event.defaultPrevented || event.ctrlKey || event.metaKey || event.altKey;
     const isPressing = key === " " && target.matches("button, summary, [role=treeitem]");
     const isSetting = target.matches("input[type=range]:not(#instant)") && key.length > 1;
-    if (!doing || isTyping || isOwn || isPressing || isSetting) return;
+    if (!doing || isAsked || isTyping || isOwn || isPressing || isSetting) return;
     event.preventDefault();
     doing();
   });
