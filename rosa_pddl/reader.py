@@ -375,7 +375,8 @@ class _ActionReader:
             self._read_duration(parts[":duration"])
         self.require(parts.get(":condition", parts.get(":precondition", listed())), schema)
         within = self._formulas.within(parts[":parameters"].children if ":parameters" in parts else (), self._scope)
-        self._add(StartTiming(), within)
+        if not within.is_true():
+            self._add(StartTiming(), within)
         times = {"start": StartTiming(), "end": EndTiming()}
         for time, effect in _timed(self._source, schema, parts.get(":effect", listed()), is_effect=True):
             self._read_effect(effect, (times[time],) if ":duration" in parts else (), self._scope, None, ())
