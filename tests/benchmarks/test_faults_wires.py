@@ -97,7 +97,7 @@ def test_hostile_requests_of_assistants(rows):
     keys = ["action", "element", "preference", "measured", "x"]
     before, calls = len(list(kb.log)), []
     for _ in range(HOSTILE):
-        tool = rng.choice(["request_action", "cancel_action", "what_if", "why", "plan_for", "best_configuration"])
+        tool = rng.choice(["request_action", "cancel_action", "what_if", "why", "plan"])
         given = {key: rng.choice(values) for key in rng.sample(keys, rng.randint(0, 3))}
         calls.append((tool, given | {"action": "inspect_pipeline"} if rng.random() < 0.5 else given))
     _, answers = asked(kb, calls, allow_actions=True)
