@@ -10,7 +10,7 @@ from typing import Final
 
 from kb.elements import Attribute, Component, Constraint, Function, StalePolicy
 from kb.events import StatusChange
-from kb.network import LEVELS, Network, Node
+from kb.network import LEVELS, Node
 from kb.state import State
 from kb.status import (
     Status,
@@ -26,16 +26,6 @@ Agenda = list[dict[Node, None]]
 
 _TOP: Final = LEVELS["attribute"]
 _IMPOSSIBLE: Final = frozenset({Status.UNFEASIBLE, Status.FAILURE, Status.VIOLATED})
-
-
-def initial_state(network: Network) -> State:
-    """Return the state in which no fact is known.
-
-    Every element is feasible then (a constraint not evaluated) but for functions without designs and what needs them.
-    """
-    state = State(network)
-    infer_anew(state)
-    return state
 
 
 def propagate(state: State, touched: Iterable[Node]) -> list[StatusChange]:
@@ -180,7 +170,10 @@ def _compared(state: State, node: Node, constraint: Constraint, attribute: Node)
 
 
 def infer_anew(state: State) -> None:
-    """Infer everything from the facts, as after a change of the model; it may be done again."""
+    """Infer everything from the facts, as after a change of the model; it may be done again.
+
+    Without a fact all is feasible (a constraint not evaluated) but functions without designs and what needs them.
+    """
     state.grow()
     state.forget_inferred()
     propagate(state, state.network.present())

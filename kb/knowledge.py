@@ -28,13 +28,13 @@ from kb.facts import (
     SelectedFact,
     StatusFact,
 )
-from kb.inference import infer_anew, initial_state, propagate
+from kb.inference import infer_anew, propagate
 from kb.measurements import Judged, Measurements
 from kb.network import Network, Node, Ref
 from kb.owl.individuals import Serials
 from kb.reconfiguration import planned, reselect
 from kb.records import Attempt, Memory, Process, ReconfigurationPlan, Records, RequiredAction, VetoAnswer, finish
-from kb.state import FACTS, History, Overlay, Reason, unset
+from kb.state import FACTS, History, Overlay, Reason, State, unset
 from kb.status import Status
 
 Put = Callable[[], None]
@@ -80,7 +80,8 @@ class Knowledge:
         self.network = network = Network(model)
         self.serials = Serials(model)
         self._memory, self.log = memory, Log(memory)
-        self.state = initial_state(network)
+        self.state = State(network)
+        infer_anew(self.state)
         self.measurements = Measurements(self.state, memory)
         self.records = Records(memory)
         self.now = -math.inf

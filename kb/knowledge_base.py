@@ -65,26 +65,33 @@ T = TypeVar("T")
 def _telling(method: Callable[Concatenate["KnowledgeBase", P], T]) -> Callable[Concatenate["KnowledgeBase", P], T]:
     """Have a method hold the base while it tells something, once time has done what it has; subscribers hear then.
 
-    Whoever gives the time, and who is called, is not ours and may wait for another thread: no lock is held then.
+    Whoever gives the time or a mapping, and who is called, is not ours and may wait for another thread: no lock is held
+    then.
     """
     if not method.__name__.startswith("_"):
         _TOLD.add(method.__name__)
 
     @wraps(method)
     def held(self: "KnowledgeBase", *args: P.args, **kwargs: P.kwargs) -> T:
+        given = [_own(value) for value in args]
+        caused = {name: _own(value) for name, value in kwargs.items()}
         now, log = self._time(), self._knowledge.log
         with self._lock:
             if self._store is not None:
                 self._check_open()
             self._settle(now)
             before = log.last
-            result = method(self, *args, **kwargs)
+            result = method(self, *given, **caused)  # type: ignore[arg-type]  # as they were
             told = log.last
         if self._publisher.is_heard:
             self._publisher.deliver(told if told > before else 0)
         return result
 
     return held  # type: ignore[return-value]  # with self as a name, which is never used
+
+
+def _own(value: object) -> object:
+    return dict(value) if isinstance(value, Mapping) else value
 
 
 def _before_fork() -> None:
@@ -419,7 +426,7 @@ class KnowledgeBase:
         """
         known = self._knowledge
         node = _found(known.network.actions, "action", action)
-        wanted, now = self._preference(preference), known.now
+        wanted, now = questions.preferred(known.network, preference), known.now
         if node.name in known.records.required:
             return Reply(True, f"{node.name} is required already")
         if known.state.status[node.index] is Status.UNFEASIBLE:
@@ -697,9 +704,9 @@ class KnowledgeBase:
         if self._store is not None:
             self._store.check_owner()
         if self._is_closed:
-            closed = "this knowledge base is closed: its store is given back, so nothing more can be told"
             raise KnowledgeBaseError(
-                f"{closed}. Tell before you close it, or make a new one of the same model and store"
+                "this knowledge base is closed: its store is given back, so nothing more can be told. Tell before you "
+                "close it, or make a new one of the same model and store"
             )
 
     def _component(self, name: str) -> Node:
@@ -708,16 +715,6 @@ class KnowledgeBase:
     def _node(self, element: Meant, kinds: Iterable[str]) -> Node:
         self._knowledge.finish()
         return meant(self, self._knowledge.state, element, kinds, unique=True)
-
-    def _preference(self, given: str | Mapping[str, float] | None) -> str | Mapping[str, float] | None:
-        attributes = self._knowledge.network.attributes
-        if given is None:
-            return None
-        if not isinstance(given, Mapping):
-            return _found(attributes, "attribute", given).name
-        return MappingProxyType(
-            {_found(attributes, "attribute", name).name: finite_number(one) for name, one in given.items()}
-        )
 
 
 class _Time:

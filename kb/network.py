@@ -16,8 +16,9 @@ from kb.elements import (
     Element,
     Function,
     FunctionDesign,
+    shown,
 )
-from kb.exceptions import UnknownName
+from kb.exceptions import InvalidValue, UnknownName
 from kb.facts import Contents, tables_of
 
 Ref = tuple[str, str] | tuple[str, str, int]
@@ -168,14 +169,18 @@ class Network:
         return table
 
     def referred(self, ref: Ref) -> Node:
-        kind, name, *position = ref
-        table = self.of_kind(kind)
+        match ref:
+            case (str(kind), str(name), *position) if not position or (len(position) == 1 and type(position[0]) is int):
+                table = self.of_kind(kind)
+            case _:
+                what = "an element is (kind, name), a constraint (kind, name, position) by what it is on"
+                raise InvalidValue(f"{shown(ref)} stands for nothing; {what}")
         if name not in table:
             raise UnknownName(kind, name, table)
         if not position:
             return table[name]
         constraints = table[name].constraints
-        if position[0] >= len(constraints):
+        if not 0 <= position[0] < len(constraints):
             raise UnknownName(f"constraint on {kind} {name!r}", position[0], map(str, range(len(constraints))))
         return constraints[position[0]]
 

@@ -6,9 +6,10 @@ base as it would be if some facts were different. Nothing is changed.
 
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from types import MappingProxyType
 from typing import Final, NamedTuple
 
-from kb.elements import Attribute, Constraint, Element, exact, listed, shown
+from kb.elements import Attribute, Constraint, Element, exact, finite_number, listed, shown
 from kb.exceptions import AmbiguousName, InvalidValue, UnknownName
 from kb.explanation.choice import ChoiceExplanation
 from kb.explanation.choice import explain_choice as explained_choice
@@ -17,7 +18,7 @@ from kb.explanation.reasons import explain as explained
 from kb.explanation.reasons import why as explained_shortly
 from kb.inference import propagate
 from kb.measurements import verdict
-from kb.network import Node, Ref
+from kb.network import Network, Node, Ref
 from kb.planners.choice import Choice, Criterion, firsts_by_priority, summed_weights
 from kb.planners.encoding import encode
 from kb.reconfiguration import Obsolete, by_whole, reselect
@@ -76,7 +77,8 @@ def best_configuration(
         if preference is not None:
             from kb.planners.solver import solve  # it takes a while to import
 
-            return solve(encode(state, Criterion(summed_weights([preference])), node.parts)).choice
+            weights = summed_weights([preferred(state.network, preference)])
+            return solve(encode(state, Criterion(weights), node.parts)).choice
         designs = firsts_by_priority(state, node.parts)
         components = dict.fromkeys(part for design in designs for part in design.parts)
         return Choice(dict(by_whole(designs)), dict(by_whole(firsts_by_priority(state, components))))
@@ -173,6 +175,19 @@ def meant(base: Readable, state: State, element: Meant, kinds: Iterable[str], *,
     return found[0]
 
 
+def preferred(network: Network, given: str | Mapping[str, float] | None) -> str | Mapping[str, float] | None:
+    """Return a preference in plain names and finite weights.
+
+    Raises:
+        UnknownName: no such attribute.
+        InvalidValue: a weight is no finite number.
+    """
+    if given is None or not isinstance(given, Mapping):
+        return None if given is None else named(network.attributes, "attribute", given).name
+    weights = {named(network.attributes, "attribute", name).name: finite_number(one) for name, one in given.items()}
+    return MappingProxyType(weights)
+
+
 def _selectable(state: State, nodes: Iterable[Node]) -> tuple[str, ...]:
     return tuple(node.name for node in nodes if state.status[node.index] is not Status.UNFEASIBLE)
 
@@ -217,6 +232,9 @@ def suppose(
     if not isinstance(measured, Mapping | None):
         raise InvalidValue(f"what is supposed to be measured is given as values by name, not as {measured!r}")
     values = {**(measured or {}), **attributes}
+    listings = {"failed": failed, "recovered": recovered, "requested": requested}
+    for what, names in listings.items():
+        listings[what] = (names,) if isinstance(names, str) else listed(f"names supposed to be {what}", names)
     with base.reading() as state:
         network = state.network
         supposed = []
@@ -224,13 +242,9 @@ def suppose(
             node = named(network.attributes, "attribute", name)
             given = None if value is None else number(f"{name} cannot be supposed to be", value, node)
             supposed.append(_Assumption("measured", node, given))
-        for what, names, kind in (
-            ("failed", failed, "component"),
-            ("recovered", recovered, "component"),
-            ("requested", requested, "action"),
-        ):
-            wanted = (names,) if isinstance(names, str) else listed(f"names supposed to be {what}", names)
-            supposed += [_Assumption(what, named(network.of_kind(kind), kind, name)) for name in wanted]
+        for what, names in listings.items():
+            kind = "action" if what == "requested" else "component"
+            supposed += [_Assumption(what, named(network.of_kind(kind), kind, name)) for name in names]
         return Situation(base, state, supposed)
 
 

@@ -71,8 +71,8 @@ def is_free(kb):
     done = threading.Event()
 
     def ask():
-        kb.is_feasible("rest")
-        done.set()
+        with kb.reading():
+            done.set()
 
     threading.Thread(target=ask, daemon=True).start()
     return done.wait(5.0)

@@ -7,9 +7,12 @@ import re
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from interrupting import is_free
+from kept import answers
 from models import Clock
 
 from kb import InvalidValue, KnowledgeBase, KnowledgeBaseError, Model, ModelError, ModelFileError
+from kb.elements import shown
 
 
 def robot():
@@ -203,3 +206,108 @@ def test_broken_files_are_refused_or_give_a_model(suffix, files, tmp_path):
             refused.append(str(error))
     assert 0 < loaded == files - len(refused)
     assert all(str(file) in one for one in refused)
+
+
+HOSTILE = st.one_of(
+    st.sampled_from((math.nan, math.inf, -math.inf, "", None, "x" * 100_000, b"v", 10**400, -1, 0, 2.5, True, object)),
+    st.sampled_from(("v", "c", "k", "f", "d", "a", "camera", "failure", "no status", ("action", "a"), ("c", 1))),
+    st.sampled_from(({}, {"v": math.nan}, {"f": "k"}, {"c": "d"}, {1: 2}, [], ["c"], (None,), "completed", "lost")),
+    st.builds(within_itself),
+)
+TOLD = {
+    "measure": (("v", 0.5), 2),
+    "component_failed": (("c", "rain"), 2),
+    "component_recovered": (("c",), 1),
+    "component_active": (("c", True, "on"), 3),
+    "component_configured": (("c", {"r": 2}), 2),
+    "component_started": (("c", 7), 2),
+    "component_ended": (("c", 7), 2),
+    "assert_status": (("a", "unfeasible", "seen", 99.0), 4),
+    "retract_status": (("a",), 1),
+    "assert_required": (("f", True), 2),
+    "assert_selected": (("d", True, "told"), 3),
+    "request_action": (("a", {"v": 1.0}), 2),
+    "cancel_action": (("a", "failed", "dark"), 3),
+    "select": (({"f": "d"}, {"c": "k"}, "told"), 3),
+    "finish_plan": ((1, "completed"), 2),
+    "note_no_choice": (("nothing",), 1),
+    "record_attempt": ((1, "c", "configure", "k", {"r": 1}, 1), 6),
+    "finish_attempt": ((1, "completed", "done"), 3),
+    "record_answer": ((1, True, "no"), 3),
+    "is_feasible": (("a",), 1),
+    "selectable_designs": (("f",), 1),
+    "selectable_configurations": (("c",), 1),
+    "best_configuration": (("a", "v"), 2),
+    "adaptable_components": ((["d"],), 1),
+    "explain": (("a",), 1),
+    "why": (("a",), 1),
+    "explain_choice": (("f",), 1),
+    "situation": (({"v": 0.5},), 1),
+    "tell": ((None,), 1),
+    "subscribe": ((print,), 1),
+}
+"""Calls that are right, with as many arguments as can be wrong."""
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
+@given(st.sampled_from(sorted(TOLD)), st.data())
+def test_whatever_is_refused_has_changed_nothing_and_is_told_in_words(verb, data):
+    kb = KnowledgeBase(robot(), clock=Clock(1.0))
+    kb.request_action("a")
+    kb.select({"f": "d"}, {"c": "k"})
+    kb.record_attempt(1, "c", "activate")
+    arguments = list(TOLD[verb][0])
+    for place in data.draw(st.sets(st.integers(0, TOLD[verb][1] - 1), min_size=1, max_size=2)):
+        arguments[place] = data.draw(HOSTILE)
+    before = answers(kb), list(kb.log), kb.revision
+    words = refusal(getattr(kb, verb), *arguments)
+    if words:
+        assert (answers(kb), list(kb.log), kb.revision) == before
+        assert len(words) > 20
+        assert any(shown(one)[:20] in words or str(one)[:20] in words for one in spread(arguments)), words
+
+
+def refusal(call, *arguments):
+    try:
+        call(*arguments)
+    except KnowledgeBaseError as error:
+        return str(error)
+    return ""
+
+
+def spread(values):
+    """Yield what was given, and what is in it."""
+    for one in values:
+        yield one
+        if isinstance(one, dict):
+            yield from (*one, *one.values())
+        elif isinstance(one, list | tuple):
+            yield from one
+
+
+class Asking(dict):
+    """A mapping of somebody's own, which looks whether another thread can ask meanwhile."""
+
+    def __init__(self, kb, **values):
+        super().__init__(**values)
+        self.kb, self.found = kb, []
+
+    def keys(self):
+        self.found.append(is_free(self.kb))
+        return super().keys()
+
+    def __iter__(self):
+        self.found.append(is_free(self.kb))
+        return super().__iter__()
+
+    def items(self):
+        self.found.append(is_free(self.kb))
+        return super().items()
+
+
+def test_nothing_is_held_while_a_mapping_of_others_is_read():
+    kb = KnowledgeBase(robot(), clock=Clock(1.0))
+    given = [Asking(kb, v=1.0), Asking(kb, f="d"), Asking(kb, c="k")]
+    assert kb.request_action("a", given[0])
+    assert kb.select(given[1], configurations=given[2])
+    assert all(one.found and all(one.found) for one in given)
