@@ -176,12 +176,7 @@ def meant(base: Readable, state: State, element: Meant, kinds: Iterable[str], *,
 
 
 def preferred(network: Network, given: str | Mapping[str, float] | None) -> str | Mapping[str, float] | None:
-    """Return a preference in plain names and finite weights.
-
-    Raises:
-        UnknownName: no such attribute.
-        InvalidValue: a weight is no finite number.
-    """
+    """Return a preference in plain names and finite weights; any other is refused."""
     if given is None or not isinstance(given, Mapping):
         return None if given is None else named(network.attributes, "attribute", given).name
     weights = {named(network.attributes, "attribute", name).name: finite_number(one) for name, one in given.items()}

@@ -10,9 +10,9 @@ from models import NUMBERS, OPERATORS, Clock, amount, compare, state_of, subsets
 
 from kb import KnowledgeBase, Model, Status
 from kb.explanation.requirements import Measured, MissingDesign, Recovered, Retracted, remedies
-from kb.inference import initial_state, propagate
+from kb.inference import infer_anew, propagate
 from kb.network import Network
-from kb.state import Overlay
+from kb.state import Overlay, State
 from kb.status import STATUSES
 
 GRID = (-0.25, 0.0, 0.25, 0.5, 0.75, 1.0, 1.25)
@@ -90,7 +90,8 @@ def constrained_models(draw):
 def what_is_wrong(draw):
     """A state, and what is unfeasible in it."""
     network = Network(draw(constrained_models()))
-    state = initial_state(network)
+    state = State(network)
+    infer_anew(state)
     for attribute in network.attributes.values():
         state.value[attribute.index] = draw(st.sampled_from((None, *GRID)))
     light = network.attributes["light"]

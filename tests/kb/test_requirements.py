@@ -10,8 +10,9 @@ from models import OPERATORS, models
 from kb import Model, Status
 from kb.elements import Constraint
 from kb.explanation.requirements import Interval, Requirements
-from kb.inference import initial_state, propagate
+from kb.inference import infer_anew, propagate
 from kb.network import Network
+from kb.state import State
 
 GRID = (-0.25, 0.0, 0.25, 0.5, 0.75, 1.0, 1.25)
 """The thresholds of random models, and numbers between and beyond them."""
@@ -23,7 +24,8 @@ def alternatives(node, **options):
 
 
 def measured(network, values):
-    state = initial_state(network)
+    state = State(network)
+    infer_anew(state)
     for name, value in values.items():
         state.value[network.attributes[name].index] = value
     propagate(state, network.attributes.values())
