@@ -65,12 +65,15 @@ NONSENSE: Final = (ValueError, LookupError, TypeError, AttributeError, Recursion
 
 
 class Refusals(Counter[str]):
-    """How many messages made no sense, by what was wrong; beyond a hundred kinds the rest is counted as one."""
+    """How many messages made no sense, by what was wrong, each kind logged once; beyond a hundred they are one."""
 
     def add(self, error: Exception | str) -> str:
         """Count one, and return it in words."""
         text = (error if isinstance(error, str) else f"{type(error).__name__}: {error}")[:200]
-        self[text if text in self or len(self) < _KINDS else "something else"] += 1
+        kind = text if text in self or len(self) < _KINDS else "something else"
+        if kind not in self:
+            _log.warning("refused: %s", kind)
+        self[kind] += 1
         return text
 
     def hand_on(self, message: Message, hearers: Iterable[Heard]) -> None:

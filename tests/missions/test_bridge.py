@@ -224,7 +224,7 @@ def test_events_are_published_as_the_original_compares_them(robot):
         until(lambda: any("because function look is needed by explore" in one for one in said))
 
 
-def test_nonsense_is_counted_refused_and_survived(robot):
+def test_nonsense_is_counted_refused_logged_once_and_survived(robot, caplog):
     rng = random.Random(4)
     with bridged(robot) as (kb, bridge):
         with connect(robot.url) as peer:
@@ -236,7 +236,11 @@ def test_nonsense_is_counted_refused_and_survived(robot):
         for value in (None, "much", [1], {"a": 1}, float("nan")):
             robot.server.publish("/battery_state", "", {"percentage": value})
         robot.server.publish("/battery_state", "", {})
-        until(lambda: sum(bridge.refused.values()) >= 5)
+        robot.server.publish("/battery_state", "", {"percentage": "much"})
+        until(lambda: sum(bridge.refused.values()) >= 7)
+        logged = [one.getMessage() for one in caplog.records if "'much'" in one.getMessage()]
+        assert len(logged) == 1, "each kind once"
+        assert logged[0].startswith("refused: energy: ")
         assert kb.attributes["energy"].value == 0.7
 
 
