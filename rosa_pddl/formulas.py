@@ -71,9 +71,9 @@ class Formulas:
             inner, within, body = self.quantified(node)
             variables = [variable.variable() for variable in inner.values()]
             held = self.condition(body, {**scope, **inner}, place)
-            if head == "forall":
-                return self.manager.Forall(held if within.is_true() else self.manager.Implies(within, held), *variables)
-            return self.manager.Exists(self.manager.And(within, held), *variables)
+            if not within.is_true():
+                held = (self.manager.Implies if head == "forall" else self.manager.And)(within, held)
+            return (self.manager.Forall if head == "forall" else self.manager.Exists)(held, *variables)
         if head == "=":
             self._expect(node, 2)
             return self.manager.Equals(*(self._term(part, scope) for part in rest))
