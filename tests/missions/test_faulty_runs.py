@@ -11,6 +11,8 @@ from faulty_runs import CAMPAIGN, beset, campaign, gone_on_with, interrupted, op
 from missions.engine.controller import TASK_KINDS
 
 
+# a signal that comes while a finalizer or the callback of a weak reference runs is lost by Python, with a warning
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.parametrize("task", TASK_KINDS)
 def test_mission_that_is_interrupted_leaves_nothing_open_and_has_told_what_its_twin_tells(task):
     run = opened("suave_extended", task)
@@ -27,7 +29,7 @@ def test_mission_that_is_interrupted_leaves_nothing_open_and_has_told_what_its_t
 @pytest.mark.parametrize("task", TASK_KINDS)
 def test_mission_among_hostile_subscribers_and_threads_decides_as_ever(task, caplog):
     assert beset("suave_extended", task, 0) == []
-    assert "a subscriber failed" in caplog.text
+    assert "Hostile.beset.<locals>.fail" in caplog.text
 
 
 @pytest.fixture(scope="module")
