@@ -1,5 +1,6 @@
 """`rosa bridge`: the knowledge base of a robot in ROS 2, connected with it, in the time of the wall clock."""
 
+import logging
 import math
 import time
 from contextlib import closing
@@ -60,6 +61,7 @@ def bridge(
 
     settings, (model, make_tree, _) = _settings(config, url, attribute or []), robot_of(robot, tree, answer=answer)
     console, percepts = open_console(), Percepts()
+    logging.getLogger("missions.wires.node").setLevel(logging.WARNING)  # what is refused
 
     def say(event: Event) -> None:
         if event.kind is not EventKind.RECORD and (event.verb != "measure" or event.changes):

@@ -93,6 +93,7 @@ def test_rover_is_managed_through_battery_drop_and_failed_node(rover):
             rover.until(lambda: rover.parameters["/front/camera"]["gain"] == 8.0, battery=0.9, light=0.1)
             rover.until(lambda: rover.states["/lidar"] == 3, battery=0.9, camera="failure")
             assert rover.states["/front/camera"] == 2
+            rover.say(battery="much")
             rover.until(lambda: rover.states["/lidar"] == 2, battery=0.1)
             assert rover.states["/navigator"] == 3, "the way to the dock is driven with it"
             assert {"insert_monitoring_data", "action_update", "insert_reconfiguration_plan"} <= set(rover.heard)
@@ -101,6 +102,7 @@ def test_rover_is_managed_through_battery_drop_and_failed_node(rover):
             said = program.stdout.read()
     assert "patrol is abandoned" in said
     assert "return_to_dock is requested" in said
+    assert said.count("refused: battery_level: ") == 1
 
 
 @pytest.mark.skipif(
