@@ -196,7 +196,7 @@ def _dropped(written: Any, before: Network, after: Network) -> Iterator[str]:  #
             if _moved(ref, before, after) is None:
                 yield f"that {ref[0]} {ref[1]} is {'' if value is True else f'{value} '}{name.replace('_', ' ')}"
     yield from (
-        f"what was measured of {name}" for name, past in written["histories"] if past and name not in after.attributes
+        f"what was measured of {one[0]}" for one in written["histories"] if one[1] and one[0] not in after.attributes
     )
     yield from (f"the parameters of {name}" for name in written["parameters"] if name not in after.components)
 

@@ -19,7 +19,7 @@ def blocks(language):
 
 def test_page_is_a_test_file_that_passes_and_prints_what_it_shows(pytester):
     pytester.path.joinpath("battery_drop.jsonl").write_bytes(BATTERY_DROP.read_bytes())
-    pytester.path.joinpath("test_page.py").write_text("\n".join(blocks("python")))
+    pytester.path.joinpath("test_of_the_page.py").write_text("\n".join(blocks("python")))
     written = pytester.runpytest_inprocess(*PLUGINS, "-s", "--update-traces")
     count = len(re.findall(r"^def test_", "\n".join(blocks("python")), re.MULTILINE))
     written.assert_outcomes(passed=count)
