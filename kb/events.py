@@ -224,7 +224,8 @@ class Log:
     def since(self, number: int, *, measurements: bool = True) -> Iterator[Event]:
         """Yield the events after one, in order, with the measurements among them or without."""
         others = _later(self._others, number)
-        return merge(_later(self._measured, number), others, key=_NUMBER) if measurements else iter(others)
+        measured = _later(self._measured, number) if measurements else []
+        return merge(measured, others, key=_NUMBER) if measured and others else iter(measured or others)
 
     def __iter__(self) -> Iterator[Event]:
         self.settle()

@@ -39,21 +39,19 @@ def replay(
     from missions.testing.recorded import replay as decide
     from missions.wires.bags import Bag, is_bag, read_bag
 
-    bag = read_bag(recording) if is_bag(recording) else Bag(messages=list(read_recording(recording)))
-    run = bag.run or (bag.messages[0].get("run", {}) if bag.messages else {})
-    asked = mission or run.get("mission")
-    if not asked:
-        raise MissionError(f"{recording} does not say which mission it is of; name one with --mission")
-    messages = [bag.header(), *bag.messages] if bag.run else bag.messages
-    page = _Page(run.get("seed"))
-    watch = None if report is None else page.begin
-    gc.freeze()  # what is heard and known is held to the end: to look for garbage in it takes a fifth of the time
-    gc.disable()
+    gc.disable()  # what is heard and known is held to the end: to look for garbage in it takes a third of the time
     try:
-        decisions = decide(messages, asked, task=task or run.get("task", "bt"), strict=False, watch=watch)
+        bag = read_bag(recording) if is_bag(recording) else Bag(messages=list(read_recording(recording)))
+        run = bag.run or (bag.messages[0].get("run", {}) if bag.messages else {})
+        asked = mission or run.get("mission")
+        if not asked:
+            raise MissionError(f"{recording} does not say which mission it is of; name one with --mission")
+        page = _Page(run.get("seed"))
+        watch = None if report is None else page.begin
+        source = bag if is_bag(recording) else bag.messages
+        decisions = decide(source, asked, task=task or run.get("task", "bt"), strict=False, watch=watch)
     finally:
         gc.enable()
-        gc.unfreeze()
     if report is not None:
         page.write(report, recording)
     console = open_console()

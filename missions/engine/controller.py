@@ -13,7 +13,7 @@ from py_trees.trees import BehaviourTree
 
 from kb import ConfigurationManager, DiagnosticProblem, Event, EventKind, KnowledgeBase, RequiredAction
 from missions.engine.adaptations import Adaptation, AdaptationLog
-from missions.engine.mission import Message, Mission, MissionError, Percepts, Verdict, World
+from missions.engine.mission import MISSION_STATUS, Message, Mission, MissionError, Percepts, Verdict, World
 from missions.engine.runner import Controller, Listener, MissionRun, Seen
 from missions.engine.settings import RunSettings
 from rosa_bt import TreeRunner
@@ -152,6 +152,8 @@ class RosaController(Controller):
 
     def _perceive(self, message: Message) -> None:
         """Pass on what the task layer alone perceives, and note what is not so any more, or only now."""
+        if not any(str(status["message"]).casefold() == MISSION_STATUS for status in message["status"]):
+            return
         keys = [key for status in message["status"] for key in status["values"]]
         held = {key: self.percepts.holds(key) for key in keys}
         self.percepts.receive(message)

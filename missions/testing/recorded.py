@@ -29,6 +29,8 @@ from rosa_bt import TraceVisitor
 if TYPE_CHECKING:
     from numpy.random import Generator
 
+    from missions.wires.bags import Bag
+
 
 TaskFactory = Callable[[KnowledgeBase, Percepts], Behaviour]
 """Makes what decides about actions: a tree, or a plan executor (whose clock is then `lambda: kb.now`)."""
@@ -40,7 +42,7 @@ AFTERMATH_S: Final = 1.0
 
 
 def replay(
-    source: str | Path | Iterable[Message],
+    source: "str | Path | Bag | Iterable[Message]",
     mission: Mission | Model | Callable[[], Model] | str,
     behaviour: TaskFactory | None = None,
     *,
@@ -55,7 +57,7 @@ def replay(
 
     Args:
         source: a recording, as `rosa run MISSION --record FILE` writes it, or written by hand; a rosbag2 with
-            diagnostics (MCAP or sqlite3); or the messages themselves.
+            diagnostics (MCAP or sqlite3); or what was read of one, or the messages themselves.
         mission: whose model and task layer decide, or its name; or a model alone, or a function that makes one, for a
             behaviour that is handed in.
         behaviour: makes what decides instead of the mission's task layer, given the knowledge base and the percepts.
@@ -150,13 +152,12 @@ def _made(make: Callable[[], object]) -> Model:
     return model
 
 
-def _messages_of(source: str | Path | Iterable[Message]) -> list[Message]:
-    from missions.wires.bags import is_bag, read_bag
+def _messages_of(source: "str | Path | Bag | Iterable[Message]") -> list[Message]:
+    from missions.wires.bags import Bag, is_bag, read_bag
 
     if isinstance(source, str | Path) and is_bag(source):
-        bag = read_bag(source)
-        return [bag.header(), *bag.messages]
-    return list(read_recording(source))
+        source = read_bag(source)
+    return [source.header(), *source.messages] if isinstance(source, Bag) else list(read_recording(source))
 
 
 def _decide(

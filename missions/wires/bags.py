@@ -97,9 +97,9 @@ def read_bag(path: str | Path) -> Bag:
     place, bag, types = Reader(path), Bag(), ros.types()
     found: list[tuple[int, list[dict[str, Any]]]] = []
     exact: dict[int, float] = {}
+    counts: Counter[tuple[str, str]] = Counter()
     for raw in place:
-        kind, count = bag.topics.get(raw.topic, (raw.kind, 0))
-        bag.topics[raw.topic] = (kind, count + 1)
+        counts[raw.topic, raw.kind] += 1
         try:
             if raw.kind == ros.DIAGNOSTICS:
                 found.append((raw.stamp, ros.statuses_of(types.decode(raw.kind, raw.data))))
@@ -115,6 +115,7 @@ def read_bag(path: str | Path) -> Bag:
                 bag.run = _run_of(json.loads(types.decode(ros.STRING, raw.data).data), path)
         except _DAMAGED as error:
             bag.problems[f"{raw.topic}: {type(error).__name__}: {error}"] += 1
+    bag.topics = {topic: (kind, number) for (topic, kind), number in counts.items()}
     bag.cut = place.cut
     bag.problems += place.problems
     if not bag.topics and bag.cut:
@@ -231,8 +232,9 @@ class Reader:
 
         try:
             with AnyReader([self._path], default_typestore=self._types.store) as reader:
+                kinds = {one.id: (one.topic, one.msgtype, one.msgdef.data) for one in reader.connections}
                 for connection, stamp, data in reader.messages():
-                    yield Raw(connection.topic, connection.msgtype, connection.msgdef.data, stamp, bytes(data))
+                    yield Raw(*kinds[connection.id], stamp, data)
         except Exception as error:
             self._stop(self._path, error)
 
