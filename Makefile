@@ -1,5 +1,5 @@
-# Short names for the two commands of the README, and for building the page that reports and live views show.
-.PHONY: page pictures run test
+# Short names for the two commands of the README, and for building the page of reports, and the site.
+.PHONY: page pictures run site test
 
 page:
 	cd missions/views/page && npm ci --ignore-scripts && npm run build
@@ -9,6 +9,9 @@ pictures:
 
 run:
 	python3 launch.py rosa run suave_extended --plot mission.png
+
+site:
+	python3 launch.py sphinx-build -W --keep-going -b html docs build/site
 
 test:
 	python3 launch.py pytest

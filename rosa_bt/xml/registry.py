@@ -235,13 +235,12 @@ class BehaviourRegistry:
             IsActionFeasible, HasStatus, Measurement and WaitForArchitecture are there already, and ForAction,
             UntilSuccess, DoUntilUnfeasible and SafeSwitch; the clock of the knowledge base is that of the trees.
 
-    Example:
-        ```
+    Example::
+
         registry = BehaviourRegistry(kb=kb)
 
         @registry.register("search")
         class Search(RosaAction): ...
-        ```
     """
 
     def __init__(self, **bound: Any) -> None:  # noqa: ANN401  # whatever the user's behaviours need

@@ -1,0 +1,42 @@
+"""How Sphinx makes the site of these pages: `make site`, without a network, into build/site."""
+
+import re
+from pathlib import Path
+
+from sphinx.application import Sphinx
+
+project = "rosa-taca"
+author = "The rosa-taca authors"
+project_copyright = "the rosa-taca authors, Apache-2.0"
+
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+myst_heading_anchors = 4
+autodoc_default_options = {"members": True, "imported-members": True, "member-order": "bysource"}
+napoleon_use_ivar = True  # a field of a named tuple is described once
+suppress_warnings = ["ref.python"]  # two classes may have a field of one name
+
+html_theme = "furo"
+html_title = "rosa-taca"
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
+html_show_sourcelink = False
+html_copy_source = False
+
+OUTSIDE = re.compile(r"\[([^]]+)\]\(\.\./([^)]+)\)")
+
+
+def name_what_is_not_here(app: Sphinx, page: str, source: list[str]) -> None:
+    """Folders of the repository, to which its own pages link, are named on the site."""
+
+    def named(link: re.Match[str]) -> str:
+        text, path = link.groups()
+        if path == "README.md":
+            return f"[{text}](index.md)"
+        return f"{text} (in `{path}`)" if (Path(app.srcdir).parent / path).is_dir() else link[0]
+
+    source[0] = OUTSIDE.sub(named, source[0])
+
+
+def setup(app: Sphinx) -> None:
+    """Called by Sphinx."""
+    app.connect("source-read", name_what_is_not_here)
