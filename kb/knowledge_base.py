@@ -26,7 +26,7 @@ from kb.knowledge import Knowledge
 from kb.model import Model
 from kb.network import Node
 from kb.notebook import table
-from kb.owl.queries import Answer
+from kb.owl.worker import Answer
 from kb.owl.world import World
 from kb.questions import ELEMENTS, Meant, meant, outline
 from kb.reconfiguration import by_whole, planned, reselect

@@ -2,32 +2,23 @@
 
 import re
 import shutil
-import sqlite3
-import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from io import BytesIO
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeVar
 
 import owlready2
 from owlready2 import rdfxml_2_ntriples
-from owlready2.sparql.main import Translator
 
 from kb.exceptions import KnowledgeBaseError, ModelError, UnknownName
 from kb.facts import Contents
 from kb.files import ModelFileError, read_text
-from kb.owl.individuals import CLASSES, GENERAL, MODEL, PARAMETER, PREFERENCE, STATED, Declarer, Individual, Ref, Value
-from kb.owl.queries import FUNCTIONS, Answer, Question, complaint, read_question, stopped
-from kb.owl.rdfxml import ROSA, order, plain_text, stray_text
-from kb.owl.worker import answer
+from kb.owl.individuals import CLASSES, GENERAL, MODEL, PARAMETER, PREFERENCE, Declarer, Individual, Ref, Value
+from kb.owl.rdfxml import ROSA, plain_text, stray_text
 
 _TYPE: Final = "http://www.w3.org/1999/02/22-rdf-syntax-ns#type"
 _KINDS: Final = frozenset({*CLASSES.values(), *GENERAL, MODEL, PARAMETER, PREFERENCE})
 _ABSTRACT: Final = frozenset({"Element", "Relation", "Fact", "Period"})
-_FIRST: Final = 1 << 40  # what stands for fact 0 in the tables; what stands for anything else is less
-_MOST_ROWS: Final = 1_000_000
-_AT_ONCE: Final = 200
 _WHERE: Final = re.compile(r"line (\d+), column (\d+)")
 
 
@@ -150,147 +141,3 @@ def _local(value: Value) -> str:
 def _model_name(given: Iterable[Individual]) -> str | None:
     names: list[Any] = [name for one in given if one.kind == MODEL for name in one.values.get("name", ())]
     return names[0] if names else None
-
-
-class _World(owlready2.World):  # type: ignore[misc]  # owlready2 has no types
-    """A world whose values can be written and read without individuals."""
-
-    def python_of(self, cell: object, datatype: object) -> Answer:
-        value: Answer = self._to_python(cell, datatype)
-        return value
-
-    def iri_of(self, number: int) -> str:
-        return str(self._unabbreviate(number))
-
-    def number_of(self, iri: str) -> int:
-        return int(self._abbreviate(iri))
-
-    def rdf_of(self, value: object) -> tuple[object, object]:
-        cell, datatype = self._to_rdf(value)
-        return cell, datatype
-
-
-def serve(descriptor: int) -> None:
-    """Be the process of a worker."""
-    answer(Connection(descriptor), Book)
-
-
-class Book:
-    """A world of individuals: the words of ROSA, a model, what was told, and what is inferred."""
-
-    def __init__(self, base: str) -> None:
-        self.base = base
-        connection = sqlite3.connect(":memory:", isolation_level="EXCLUSIVE", check_same_thread=False)
-        self.world = _World(filename=":memory:", connection=connection)
-        self._db = self.world.graph.db
-        self._contexts = {
-            name: self.world.get_ontology(f"{base}/{name}#").graph.c for name in ("model", "told", "inferred")
-        }
-        self._words: dict[str, int] = {}
-
-    def describe(self, words: str) -> None:
-        self.world.get_ontology(ROSA).load(only_local=True, fileobj=BytesIO(words.encode()))
-
-    def ask(self, query: str, timeout: float, deadline: float) -> Iterator[tuple[Answer, ...]]:
-        """Answer a SPARQL query, for which a time [s] was allowed, before a deadline of the monotonic clock [s]."""
-        self._db.commit()
-        question = read_question(query)
-        prepared = self._prepared(question)
-        self._db.set_progress_handler(lambda: time.monotonic() > deadline, 10_000)
-        self._db.execute("PRAGMA query_only=1")
-        try:
-            cursor = prepared.execute_raw([_storable(text) for text in question.texts])
-            for count, row in enumerate(cursor):
-                yield tuple(self._answers(row, prepared.column_types))
-                if count >= _MOST_ROWS:
-                    raise KnowledgeBaseError(f"the answer has more than {_MOST_ROWS} rows; ask for less, or add LIMIT")
-        except KnowledgeBaseError:
-            raise
-        except Exception as error:  # what a query says is nobody's here
-            raise complaint(error, question, ()) if time.monotonic() <= deadline else stopped(timeout) from None
-        finally:
-            self._db.set_progress_handler(None, 0)
-            self._db.execute("PRAGMA query_only=0")
-
-    def _prepared(self, question: Question) -> Any:  # noqa: ANN401  # of owlready2
-        try:
-            prepared = Translator(self.world).parse(question.text)
-        except Exception as error:
-            raise complaint(error, question, self._vocabulary()) from None
-        for name, function in FUNCTIONS.items():
-            self._db.create_function(name, -1, function, deterministic=True)
-        return prepared
-
-    def _vocabulary(self) -> list[str]:
-        found = self._db.execute("SELECT iri FROM resources WHERE iri LIKE ? ORDER BY iri", (f"{ROSA}_%",)).fetchall()
-        return [iri.removeprefix(ROSA) for (iri,) in found]
-
-    def _answers(self, row: Sequence[Any], types: Sequence[str]) -> Iterator[Answer]:
-        cells = iter(zip(row, types, strict=True))
-        for cell, sort in cells:
-            datatype = "o" if sort == "objs" else next(cells)[0]
-            if cell is None:
-                yield None
-            elif datatype != "o":
-                yield self.world.python_of(cell, datatype)
-            else:
-                yield f"_:{-cell}" if cell < 0 else self.world.iri_of(cell)
-
-    def clear(self, context: str) -> None:
-        for table in ("objs", "datas"):
-            self._db.execute(f"DELETE FROM {table} WHERE c=?", (self._contexts[context],))
-
-    def write(self, context: str, given: Iterable[Individual]) -> None:
-        """Add individuals to the "model", to what was "told", or to what is "inferred".
-
-        One that has no kind is there already and has more values now.
-        """
-        c = self._contexts[context]
-        names, relations, values = [], [], []
-        for one in given:
-            subject = self._node(one.id)
-            if subject >= _FIRST:
-                names.append((subject, f"{self.base}#{one.id}"))
-            for kind in dict.fromkeys((GENERAL.get(one.kind, one.kind), one.kind)) if one.kind else ():
-                relations.append((c, subject, self._word(_TYPE), self._word(f"{ROSA}{kind}")))
-            for name, value in _said(one):
-                word = self._word(f"{ROSA}{name}")
-                if isinstance(value, Ref):
-                    relations.append((c, subject, word, self._node(value.id)))
-                else:
-                    values.append((c, subject, word, *self.world.rdf_of(_storable(value))))
-        self._insert("resources", names)
-        self._insert("objs", relations)
-        self._insert("datas", values)
-
-    def _insert(self, table: str, rows: Sequence[tuple[object, ...]]) -> None:
-        """Insert many rows in few steps, for each step may have to wait until a busy thread takes a rest."""
-        for first in range(0, len(rows), _AT_ONCE):
-            some = rows[first : first + _AT_ONCE]
-            marks = ",".join(["(" + ",".join("?" * len(some[0])) + ")"] * len(some))
-            self._db.execute(f"INSERT OR IGNORE INTO {table} VALUES {marks}", [one for row in some for one in row])
-
-    def _node(self, own: str) -> int:
-        stated, _, number = own.partition(".")
-        return _FIRST + int(number) if stated == STATED else self._word(f"{self.base}#{own}")
-
-    def _word(self, iri: str) -> int:
-        found = self._words.get(iri)
-        if found is None:
-            found = self._words[iri] = self.world.number_of(iri)
-        return found
-
-
-def _said(one: Individual) -> Iterator[tuple[str, Value]]:
-    for name, values in one.values.items():
-        for value in values:
-            yield name, value
-    if ordered := order(one):
-        yield "order", ordered
-
-
-def _storable(value: Value) -> object:
-    """Return a value that the tables can hold: no number of more than 64 bits, and no half of a character."""
-    if isinstance(value, str):
-        return value.encode("utf-8", "backslashreplace").decode()
-    return str(value) if type(value) is int and abs(value) >= 1 << 63 else value

@@ -1,7 +1,7 @@
 """A process that holds a world and answers queries of it: what runs there stops nobody here, and can be stopped.
 
-Python's regular expressions cannot be interrupted, nor can a parser, and both keep every other thread waiting. It is
-started when it is first needed, which takes a second, and is used again by others when nobody needs it any more.
+A query cannot be interrupted, so what takes too long is ended with its process. That is started when it is first
+needed, and is used again by others when nobody needs it any more.
 """
 
 import atexit
@@ -19,9 +19,8 @@ from typing import Any, Final, TypeVar
 
 from kb.exceptions import InvalidValue, KnowledgeBaseError, UnknownName
 from kb.owl.individuals import Individual
-from kb.owl.queries import Answer, stopped
 
-_PROGRAM: Final = "import sys; sys.path[:] = {path!r}; from kb.owl.owlready import serve; serve({descriptor})"
+_PROGRAM: Final = "import sys; sys.path[:] = {path!r}; from kb.owl.queries import serve; serve({descriptor})"
 _MEMORY: Final = 4 << 30  # that it may use at most [bytes]
 _AT_ONCE: Final = 500  # individuals or rows; to hand over more would keep other threads from running
 _GRACE: Final = 0.2  # of its time, in which a query may stop by itself before its process is killed
@@ -30,6 +29,7 @@ _IDLE: Final[list["Worker"]] = []
 _ERRORS: Final = {cls.__name__: cls for cls in (InvalidValue, UnknownName)}
 _ENDED: Final = f"the process that answers queries has ended; if it needed more than {_MEMORY >> 30} GB, ask for less"
 
+Answer = str | bool | int | float | None
 T = TypeVar("T")
 
 
@@ -101,6 +101,10 @@ class Worker:
             if isinstance(error, OSError | EOFError):
                 raise KnowledgeBaseError(_ENDED) from None
             raise
+
+
+def stopped(timeout: float) -> KnowledgeBaseError:
+    return KnowledgeBaseError(f"the query was stopped after {timeout:g} s; ask for less, or allow it a longer timeout")
 
 
 def parts(given: Iterable[T]) -> Iterator[list[T]]:

@@ -31,9 +31,8 @@ from kb.owl.individuals import (
     named_id,
     nested,
 )
-from kb.owl.queries import Answer, stopped
 from kb.owl.rdfxml import BASE, metamodel
-from kb.owl.worker import Worker, give_back, take
+from kb.owl.worker import Answer, Worker, give_back, stopped, take
 from kb.records import Attempt, Process, ReconfigurationPlan, RequiredAction, VetoAnswer
 from kb.state import State
 from kb.status import Status

@@ -8,7 +8,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 ALLOWED = {
-    "kb": {"kb", "lark", "ortools", "owlready2"},
+    "kb": {"kb", "lark", "ortools", "owlready2", "pyoxigraph"},
     "rosa_bt": {"rosa_bt", "kb", "py_trees", "defusedxml"},
     "rosa_pddl": {"rosa_pddl", "kb", "py_trees", "unified_planning"},
     "suave_env": {"suave_env", "mujoco", "numpy", "gymnasium"},
@@ -31,6 +31,7 @@ ALLOWED = {
         "gymnasium",
         "mujoco",
         "owlready2",
+        "pyoxigraph",
         "pytest",
         "cyclonedds",
         "mcap",
@@ -53,6 +54,7 @@ LATE = {
     "lark",
     "ortools",
     "owlready2",
+    "pyoxigraph",
     "scipy",
     "joblib",
     "dask",
@@ -77,6 +79,7 @@ LATE = {
 LATE_MODULES = {
     "kb/planners/solver.py",
     "kb/owl/owlready.py",
+    "kb/owl/queries.py",
     "kb/typeql/syntax.py",
     "missions/views/picture.py",
     "missions/views/terminal.py",
