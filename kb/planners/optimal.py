@@ -1,8 +1,7 @@
 """The planner that chooses for all that is required at once, by what is estimated and preferred."""
 
 import logging
-from collections.abc import Callable, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Mapping
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -11,7 +10,7 @@ from kb.exceptions import InvalidValue
 from kb.explanation.choice import ChoiceExplanation, explain_choice
 from kb.knowledge_base import KnowledgeBase
 from kb.planners.choice import Choice, Criterion, Optimum, choice_by_priority, ranked, summed_weights
-from kb.planners.encoding import Problem, check_names, encode
+from kb.planners.encoding import check_names, encode
 from kb.records import ReconfigurationPlan
 from kb.views import ElementView
 
@@ -39,13 +38,9 @@ class OptimalPlanner:
         budgets: the most that all estimations of what is chosen or active may sum up to, by name of attribute.
         effort: how much work may be done at most for one choice, in CP-SAT's deterministic time; 0.3 is about a
             second of a processor.
-        delay: how long after the question its answer is taken, in the time of the knowledge base's clock [s];
-            meanwhile it is looked for in the background, in a thread, and an update only asks the question. None to
-            look for it within the update. See `catch_up`.
 
     Attributes:
         latest: what was found last; None before, and when the choice was by priority.
-        is_waiting: an answer is looked for in the background, and is to be asked for at every update.
     """
 
     def __init__(
@@ -54,7 +49,6 @@ class OptimalPlanner:
         switching_cost: float | Mapping[str, float] = 0.0,
         budgets: Mapping[str, float] | None = None,
         effort: float = 0.3,
-        delay: float | None = None,
     ) -> None:
         import kb.planners.solver as solver  # it takes a while: not in a tick, nor for those without it
 
@@ -62,15 +56,11 @@ class OptimalPlanner:
             raise InvalidValue(f"an effort is more than 0, not {effort!r}")
         if not isinstance(budgets, Mapping | None):
             raise InvalidValue(f"budgets are given as the most by name of attribute, not as {budgets!r}")
-        if delay is not None and finite_number(delay) < 0.0:
-            raise InvalidValue(f"a delay is 0 s or more, or None to choose within the update, not {delay!r}")
         self._solver = solver
         self._given = Criterion({}, switching_cost, dict(budgets or {}))
         self._effort = effort
-        self._background = None if delay is None else BackgroundSolver(self._solve, delay)
         self._last: WeakKeyDictionary[KnowledgeBase, _Last] = WeakKeyDictionary()
         self.latest: Optimum | None = None
-        self.is_waiting = False
 
     @property
     def budgets(self) -> Mapping[str, float]:
@@ -91,34 +81,21 @@ class OptimalPlanner:
         if kb not in self._last:  # a name that is wrong is found at the first update
             with kb.reading() as state:
                 check_names(state.network, self._given)
-        found, self.is_waiting, weights = None, False, self.criterion(kb).weights
+        found, weights = None, self.criterion(kb).weights
         if self._is_due(kb):
-            problem = self._encoded(kb)
-            if not problem.is_by_priority:
-                found = self._background.answer(problem, kb.now) if self._background else self._solve(problem)
-                if found is None:
-                    self.is_waiting = True
-                    return None
-            self.latest = found
+            found = self.latest = self.optimum(kb)
         nothing = self._note(kb, found)
         choice = _choice(kb, found)
         plan = None if choice is None else kb.select(*choice)
         self._last[kb] = _Last(weights, nothing)  # last: what was interrupted is chosen again
         return plan
 
-    def catch_up(self, kb: KnowledgeBase) -> None:
-        """Wait for an answer that is due by now.
-
-        With a delay, call it when a simulated clock has moved on and before the update: then the update never waits,
-        and yet takes each answer at the same time in every run, however long it really took to find.
-        """
-        if self._background is not None:
-            self._background.catch_up(kb.now)
-
     def optimum(self, kb: KnowledgeBase) -> Optimum | None:
         """Return the best choice for a knowledge base as it is; None if it is to be chosen by priority."""
-        problem = self._encoded(kb)
-        return None if problem.is_by_priority else self._solve(problem)
+        criterion = self.criterion(kb)
+        with kb.reading() as state:
+            problem = encode(state, criterion)
+        return None if problem.is_by_priority else self._solver.solve(problem, self._effort)
 
     def explain_choice(self, kb: KnowledgeBase, element: ElementView | Element | str) -> ChoiceExplanation:
         """Say why a function or component has what it has, by this planner's criterion; see `kb.explain_choice`.
@@ -145,56 +122,14 @@ class OptimalPlanner:
             return True
         return kb in self._last and self._last[kb].weights != self.criterion(kb).weights
 
-    def _encoded(self, kb: KnowledgeBase) -> Problem:
-        criterion = self.criterion(kb)
-        with kb.reading() as state:
-            return encode(state, criterion)
-
-    def _solve(self, problem: Problem) -> Optimum:
-        return self._solver.solve(problem, self._effort)
-
     def _note(self, kb: KnowledgeBase, found: Optimum | None) -> str:
         """Let the knowledge base explain it if nothing can be chosen; return why, empty if something can."""
-        if self._background is not None:
-            self._background.forget()
         nothing = found.reason if found is not None and found.choice is None else ""
         if nothing != self._last.get(kb, _Last({})).nothing:
             kb.note_no_choice(nothing)
             if nothing:
                 _log.warning("nothing can be selected: %s", nothing)
         return nothing
-
-
-class BackgroundSolver:
-    """Answers one question at a time, in a thread, each `delay` [s] after it was asked."""
-
-    def __init__(self, solve: Callable[[Problem], Optimum], delay: float) -> None:
-        self._solve = solve
-        self._delay = delay
-        self._thread: ThreadPoolExecutor | None = None
-        self._problem: Problem | None = None
-        self._due = 0.0
-        self._answer: Future[Optimum] | None = None
-
-    def answer(self, problem: Problem, now: float) -> Optimum | None:
-        """Return the answer, without waiting; None while there is none yet. A question that has changed is dropped."""
-        if self._answer is None or self._problem != problem:
-            self.forget()
-            self._thread = self._thread or ThreadPoolExecutor(1, "best configuration")
-            self._problem = problem
-            self._due = now + self._delay - 1e-6  # the steps of a clock may add up to a little less
-            self._answer = self._thread.submit(self._solve, problem)
-            return None
-        return self._answer.result() if now >= self._due and self._answer.done() else None
-
-    def catch_up(self, now: float) -> None:
-        if self._answer is not None and now >= self._due:
-            self._answer.exception()
-
-    def forget(self) -> None:
-        if self._answer is not None:
-            self._answer.cancel()
-            self._answer = None
 
 
 def _choice(kb: KnowledgeBase, found: Optimum | None) -> Choice | None:

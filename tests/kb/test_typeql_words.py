@@ -220,8 +220,6 @@ MATCHES = {
     "match $c isa! Component; insert $c has always-improve true;": {"motor"},
     "match $c isa ROSNode; insert $c has always-improve true;": {"node"},
     "match $c has component-name 'motor'; insert $c has always-improve true;": {"motor"},
-    "match $c isa Component, has component-name $n; $n > 'mu'; insert $c has always-improve true;": {"node"},
-    "match $c isa Component, has component-name $n; $n != 'node'; insert $c has always-improve true;": {"motor"},
     "match $n == 'node'; $c isa Component, has component-name $n; insert $c has always-improve true;": {"node"},
     "match (function: $f, component: $c) isa function-design; insert $c has always-improve true;": {"motor"},
     "match ($f, $c) isa function-design; $f has function-name 'move'; insert $c has always-improve true;": {"motor"},
