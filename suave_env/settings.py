@@ -143,7 +143,7 @@ class Settings:
     height_lag_s: float = _setting(0.2, "s", "time constant of the vertical velocity loop", _OWN, 0.05)
     integral_gain: float = _setting(5.0, "N/m", "gain on the integral of the velocity error", _OWN, 0)
     integral_limit_n: float = _setting(20.0, "N", "largest force of the integral, each axis", _OWN, 0)
-    heading_gain: float = _setting(4.0, "N m/rad", "gain of the heading loop", _OWN, 0)
+    heading_gain: float = _setting(1.0, "N m/rad", "gain of the heading loop", _FITTED, 0)
     heading_damping: float = _setting(2.0, "N m s", "damping of the heading loop", _OWN, 0)
     roll_damping: float = _setting(0.5, "N m s", "damping of roll", _OWN, 0)
 

@@ -24,6 +24,10 @@ PUBLISHED = {
     (3.28, 40.2): {"none": (184.5, 15.6), "bt": (122.0, 35.4)},
 }
 
+# the same with thrusters 1 and 3 stuck from then on [s]: of five searches of none, how many found the pipeline, from
+# when to when [s]
+STUCK = {(2.80, 84.7): (146.4, 4, (184, 237)), (3.15, 9.6): (91.2, 5, (188, 196)), (3.28, 40.2): (61.9, 4, (190, 193))}
+
 
 class Heard(Listener):
     def __init__(self):
@@ -55,6 +59,17 @@ def test_search_time_and_distance_are_those_of_the_published_runs(group, manager
     results = [managed(manager, seed=seed, rules="2025", **changed)[0].world.results() for seed in range(2)]
     assert mean(one["search_time_s"] for one in results) == pytest.approx(search_s, abs=4)
     assert mean(one["distance_inspected_m"] for one in results) == pytest.approx(distance_m, rel=0.1)
+
+
+@pytest.mark.parametrize("group", STUCK)
+def test_a_search_with_two_stuck_thrusters_ends_as_the_published_ones_did(group):
+    (start_y, shift), (stuck_s, found, (earliest_s, latest_s)) = group, STUCK[group]
+    events = f"1 failure {stuck_s}, 3 failure {stuck_s}"
+    changed = {"start_y": start_y, "visibility_shift": shift, "thruster_events": events, "duration_s": 250}
+    results = [managed("none", seed=seed, rules="2025", **changed)[0].world.results() for seed in range(5)]
+    times = [one["search_time_s"] for one in results if one["search_time_s"] is not None]
+    assert len(times) >= found
+    assert earliest_s - 4 <= mean(times) <= latest_s + 20
 
 
 @pytest.mark.parametrize("manager", ["none", "bt"])
