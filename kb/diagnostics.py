@@ -67,7 +67,7 @@ def _read_status(status: object) -> Iterator[Measurement | ComponentReport | Dia
 
 def _measurement(key: str, value: str) -> Measurement | DiagnosticProblem:
     # float() reads more than numbers: underscores, and digits of every script
-    if value.strip().lower().lstrip("+-") not in NOT_FINITE and not NUMBER.fullmatch(value.strip()):
+    if not NUMBER.fullmatch(value.strip()) and value.strip().lower().lstrip("+-") not in NOT_FINITE:
         return DiagnosticProblem(key, value, "a measurement is a number")
     number = float(value)
     if not math.isfinite(number):
@@ -85,18 +85,20 @@ def _component_report(key: str, value: str) -> ComponentReport | DiagnosticProbl
 
 
 def _part(whole: object, name: str, default: object) -> object:
-    return whole.get(name, default) if isinstance(whole, Mapping) else getattr(whole, name, default)
+    return whole.get(name, default) if isinstance(whole, dict | Mapping) else getattr(whole, name, default)
 
 
 def _items(whole: object, name: str) -> Iterable[object]:
     items = _part(whole, name, whole)
+    if type(items) is list:
+        return items
     if isinstance(items, Mapping) or not isinstance(items, Iterable) or isinstance(items, str | bytes):
         return (items,)  # one status by itself
     return items
 
 
 def _pairs(values: object) -> Iterator[tuple[str, str]]:
-    if isinstance(values, Mapping):
+    if isinstance(values, dict | Mapping):
         items: Iterable[object] = values.items()
     else:
         items = values if isinstance(values, Iterable) else ()

@@ -49,7 +49,7 @@ def replay(
         page = _Page(run.get("seed"))
         watch = None if report is None else page.begin
         source = bag if is_bag(recording) else bag.messages
-        decisions = decide(source, asked, task=task or run.get("task", "bt"), strict=False, watch=watch)
+        decisions = decide(source, asked, task=task or run.get("task", "bt"), strict=False, watch=watch, traced=False)
     finally:
         gc.enable()
     if report is not None:

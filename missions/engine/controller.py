@@ -46,7 +46,6 @@ class RosaController(Controller):
         self._task = build_task(task, mission, self._kb, self.percepts, self._now, settings.planning_delay_s)
         deciding = self._task.plans if self._task.is_planned else tuple
         self._log = AdaptationLog(self._kb, self._report_adaptation, deciding)
-        self._kb.subscribe(self._hear)
         self._runner = TreeRunner(self._task.root, clock=self._now, period=settings.tick_period_s)
         self._runner.tree.setup()
         self._configurable = [one for one in self._kb.components.values() if one.configurations]
@@ -84,6 +83,11 @@ class RosaController(Controller):
     def plans(self) -> tuple["PlanRecord", ...]:
         return self._task.plans()
 
+    def attend(self, listeners: Sequence[Listener]) -> None:
+        if listeners and not self.listeners:
+            self._kb.subscribe(self._hear)
+        super().attend(listeners)
+
     def receive(self, message: Message) -> Sequence[DiagnosticProblem]:
         started = perf_counter()
         self._log.news(float(message["time"]))
@@ -95,14 +99,15 @@ class RosaController(Controller):
 
     def decide(self) -> bool:
         spent, started = self.compute_s, perf_counter()
-        if self._kb.revision != self._answered or self._kb.pending_plan is not None or self._now() >= self._runner.due:
+        is_due = self._now() >= self._runner.due
+        if is_due or self._kb.revision != self._answered or self._kb.pending_plan is not None:
             self._manage()  # between two ticks there is nothing to manage where no status changed
         managed = perf_counter()
         self._task.catch_up()
         caught_up = perf_counter()
-        if self._now() >= self._runner.due:
+        if is_due:
             self._log.ticking(self._now())
-        is_ticked = self._runner.update()
+        is_ticked = is_due and self._runner.update()
         decided = perf_counter()
         if is_ticked and self._kb.revision != self._answered:
             self._manage()

@@ -116,6 +116,10 @@ class Controller(ABC):
         """The task plans so far; only added to."""
         return ()
 
+    def attend(self, listeners: Sequence[Listener]) -> None:
+        """Have these hear of actions and adaptations, and nobody else."""
+        self.listeners = listeners
+
     @abstractmethod
     def receive(self, message: Message) -> Sequence[DiagnosticProblem]:
         """Take in what was published; return what of it cannot be used."""
@@ -163,11 +167,12 @@ class MissionRun:
         self._decided_s: list[tuple[float, float]] = []
         self._world_s, self._sampled_at, self._plans_heard = 0.0, -SAMPLE_PERIOD_S, 0
         self._moved_s, self._turns = world.now, 0
-        controller.listeners = listeners
+        controller.attend(listeners)
 
     def listen(self, listener: Listener) -> None:
         """Have one more hear of the run from now on."""
-        self._listeners = self.controller.listeners = (*self._listeners, listener)
+        self._listeners = (*self._listeners, listener)
+        self.controller.attend(self._listeners)
 
     @property
     def manager(self) -> str:
@@ -255,7 +260,9 @@ class MissionRun:
         self._world_s += perf_counter() - started
         if self.alter is not None:
             messages = self.alter(messages, self.world.now)
-        took_s = sum(self._take_in(message) for message in messages)
+        took_s = 0.0
+        for message in messages:
+            took_s += self._take_in(message)
         started = perf_counter()
         is_decided = controller.decide()
         self._decided_s.append((self.world.now, took_s + perf_counter() - started))

@@ -7,6 +7,7 @@ measured anew. What they command takes as long as it did, and has no effect on t
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -24,7 +25,7 @@ from missions.engine.runner import MissionRun
 from missions.engine.settings import RunSettings
 from missions.testing.decisions import Decisions, Moment, seconds, timeline
 from missions.testing.scripted import FakeClock, ScriptedManaged
-from rosa_bt import TraceVisitor
+from rosa_bt import Trace, TraceVisitor
 
 if TYPE_CHECKING:
     from numpy.random import Generator
@@ -52,6 +53,7 @@ def replay(
     managed: ScriptedManaged | None = None,
     strict: bool | None = None,
     watch: Callable[[MissionRun], object] | None = None,
+    traced: bool = True,
 ) -> Decisions:
     """Decide once more what was recorded.
 
@@ -68,6 +70,7 @@ def replay(
         strict: whether messages that say what the model does not know are an error; by default those are that are
             handed in, not those of a file.
         watch: called with the run of the replay before it begins, e.g. to `listen` to it.
+        traced: whether the ticks of the tree are kept, as the trace of the decisions.
 
     Raises:
         MissionError: the recording cannot be read, or there is no such mission, task layer or behaviour; or messages
@@ -85,7 +88,7 @@ def replay(
     as_recorded = {"duration_s": end_s, **recorded.get("settings", {})}
     limits = settings or RunSettings.read({name: str(value) for name, value in as_recorded.items()})
     limits = replace(limits, duration_s=min(limits.duration_s, end_s))
-    decisions = _decide(_asked(mission, behaviour), "bt" if behaviour else task, world, limits, watch)
+    decisions = _decide(_asked(mission, behaviour), "bt" if behaviour else task, world, limits, watch, traced=traced)
     if not isinstance(source, str | Path) if strict is None else strict:
         _refuse_slips(messages, decisions)
     return decisions
@@ -101,10 +104,11 @@ class Recording(World):
         if managed.clock.now != 0.0:
             raise MissionError(f"a replay begins at 0 s, not at {managed.clock.now:g} s; hand in a new managed system")
         self.unheard, self._managed = deque(messages), managed
+        self._now = 0.0
 
     @property
     def now(self) -> float:
-        return self._managed.clock.now
+        return self._now
 
     @property
     def managed(self) -> ScriptedManaged:
@@ -112,11 +116,13 @@ class Recording(World):
 
     def advance(self, until: float) -> list[Message]:
         """Go on to the next message or end of a command, at most to the time `until` [s]."""
-        following = self.unheard[0]["time"] if self.unheard else math.inf
-        self._managed.clock.advance_to(max(self.now, min(until, following, self._managed.next_event())))
+        unheard = self.unheard
+        following = unheard[0]["time"] if unheard else math.inf
+        now = max(self._now, min(until, following, self._managed.next_event()))
+        self._now = self._managed.clock.advance_to(now)
         heard = []
-        while self.unheard and self.unheard[0]["time"] <= self.now:
-            heard.append(self.unheard.popleft())
+        while unheard and unheard[0]["time"] <= now:
+            heard.append(unheard.popleft())
         return heard
 
 
@@ -161,7 +167,13 @@ def _messages_of(source: "str | Path | Bag | Iterable[Message]") -> list[Message
 
 
 def _decide(
-    mission: Mission, task: str, world: Recording, limits: RunSettings, watch: Callable[[MissionRun], object] | None
+    mission: Mission,
+    task: str,
+    world: Recording,
+    limits: RunSettings,
+    watch: Callable[[MissionRun], object] | None,
+    *,
+    traced: bool,
 ) -> Decisions:
     controller = RosaController(mission, task, world, limits)
     run = MissionRun(mission, controller, world, limits)
@@ -170,11 +182,12 @@ def _decide(
     for component in world.managed.scripted:
         _ = run.kb.components[component]  # a script for nobody is a slip
     events: list[Event] = []
-    run.kb.subscribe(events.append)
-    with TraceVisitor(run.kb) as visitor:
-        controller.tree.add_visitor(visitor)
+    run.kb.log.witnesses += (events.append,)
+    with TraceVisitor(run.kb) if traced else nullcontext() as visitor:
+        if visitor is not None:
+            controller.tree.add_visitor(visitor)
         verdict = run.run()
-        trace = visitor.trace
+        trace = Trace(run.kb.model.name, ()) if visitor is None else visitor.trace
     moments = list(timeline(events, run.adaptations))
     if world.unheard:
         is_late = world.now >= limits.duration_s

@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from struct import error as Torn
 from tempfile import TemporaryDirectory
 from typing import Any, Final, NamedTuple
 
@@ -14,7 +15,17 @@ from missions.views.recorder import Recorder
 from missions.views.rows import Recorded
 from missions.wires import mcap, ros
 
-_DAMAGED: Final = (OSError, ValueError, TypeError, LookupError, EOFError, OverflowError, MemoryError, AssertionError)
+_DAMAGED: Final = (
+    OSError,
+    ValueError,
+    TypeError,
+    LookupError,
+    EOFError,
+    ArithmeticError,
+    MemoryError,
+    AssertionError,
+    Torn,
+)
 """What reading raises of a file that is no recording, or a damaged one; the libraries' own errors are among them."""
 
 _COMMANDS: Final = {"activate": "activate", "deactivate": "deactivate", "configure": "set_parameters"}
@@ -102,7 +113,7 @@ def read_bag(path: str | Path) -> Bag:
         counts[raw.topic, raw.kind] += 1
         try:
             if raw.kind == ros.DIAGNOSTICS:
-                found.append((raw.stamp, ros.statuses_of(types.decode(raw.kind, raw.data))))
+                found.append((raw.stamp, ros.statuses_of(raw.data)))
             elif raw.topic == mcap.EVENTS:
                 event = Event.from_json(json.loads(types.decode(ros.STRING, raw.data).data))
                 bag.events.append(event)

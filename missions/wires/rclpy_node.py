@@ -1,28 +1,21 @@
 """ROS 2 by rclpy, where it is installed: with ROS 2 itself, from pixi or RoboStack, or on a robot."""
 
-import logging
 import re
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import partial
-from threading import RLock, Thread
-from time import monotonic
+from threading import Thread
 from typing import Any, Final
 
 from missions.engine.mission import MissionError
-from missions.wires.node import Answer, Heard, Message, Refusals, RosError
-from missions.wires.typed import Field, made, response, told
+from missions.wires.node import Message, RosError
+from missions.wires.typed import Client, Ear, Field, TypedNode
 
 _LOOK_S: Final = 0.2
 """How often it is looked who is there [s]."""
-_FIND_S: Final = 3.0
-"""How long a service is sought before a call fails [s]."""
 _TYPE: Final = re.compile(r"(?:sequence<)?([\w/]+)(?:<\d+>)?(?:, \d+)?>?(?:\[(\d+)\])?")
 """A type as messages of rclpy write it: `sequence<double, 3>`, `std_msgs/Header`, `string<10>`, `double[36]`."""
 _NAMES: Final = {"boolean": "bool", "octet": "byte", "float": "float32", "double": "float64", "wstring": "string"}
-_log = logging.getLogger(__name__)
 
 
 class _Messages:
@@ -67,38 +60,11 @@ def _native(field: Field, value: Any) -> Any:  # noqa: ANN401  # of a field
     return bytes([value]) if field.length is None else [bytes([one]) for one in value]
 
 
-@dataclass(eq=False)
-class _Ear:
-    """A subscription, made anew if somebody publishes who does not repeat what is lost."""
-
-    topic: str
-    kind: str
-    heard: Heard
-    subscription: Any = None
-    is_reliable: bool = True
-
-
-@dataclass(eq=False)
-class _Call:
-    """A call that is to be answered, and sent when its service is there."""
-
-    service: str
-    kind: str
-    client: Any
-    request: Any
-    future: "Future[Message]"
-    until_s: float
-    is_sent: bool = False
-
-
-class RclpyNode:
+class RclpyNode(TypedNode):
     """A node of rclpy, in a context and a thread of its own.
 
     Args:
         name: of the node.
-
-    Attributes:
-        refused: how many messages made no sense, by what was wrong.
 
     Raises:
         MissionError: rclpy is not installed.
@@ -112,56 +78,15 @@ class RclpyNode:
         except ImportError as error:
             where = "it comes with ROS 2 (pixi, RoboStack, a robot), not from PyPI; source its setup file, or use --dds"
             raise MissionError(f"rclpy is not installed ({error}); {where}, or rosbridge") from None
-        self.refused = Refusals()
-        self._types, self._lock = _Messages(), RLock()
+        super().__init__("rclpy", _Messages())
         self._context = Context()
         rclpy.init(context=self._context)
         self._node = rclpy.create_node(name, context=self._context)
-        self._ears: list[_Ear] = []
-        self._publishers: dict[str, Any] = {}
-        self._clients: dict[str, Any] = {}
-        self._open: list[_Call] = []
-        self._watching: list[Callable[[bool, str], object]] = []
-        self._is_there = False
         self._node.create_timer(_LOOK_S, self._look)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         self._thread = Thread(target=self._spin, name="rclpy", daemon=True)
         self._thread.start()
-
-    def subscribe(self, topic: str, kind: str, heard: Heard) -> None:
-        self._types.find(kind)
-        ear = _Ear(topic, kind, heard)
-        with self._lock:
-            self._listen(ear)
-            self._ears.append(ear)
-
-    def publish(self, topic: str, kind: str, message: Message) -> None:
-        thing = made(self._types, kind, message)
-        with self._lock:
-            if topic not in self._publishers:
-                self._publishers[topic] = self._node.create_publisher(self._types.find(kind), topic, _quality())
-        self._publishers[topic].publish(thing)
-
-    def call(self, service: str, kind: str, request: Message) -> "Future[Message]":
-        thing, future = made(self._types, f"{kind}_Request", request), Future[Message]()
-        with self._lock:
-            if service not in self._clients:
-                self._clients[service] = self._node.create_client(self._types.find(kind), service)
-            call = _Call(service, kind, self._clients[service], thing, future, monotonic() + _FIND_S)
-            self._open.append(call)
-            self._send_call(call)
-        return future
-
-    def serve(self, service: str, kind: str, answer: Answer) -> None:
-        def respond(request: Any, _: Any) -> Any:  # noqa: ANN401  # of a message package
-            return response(self._types, kind, answer, request, _log.warning)
-
-        self._node.create_service(self._types.find(kind), service, respond)
-
-    def watch(self, changed: Callable[[bool, str], object]) -> None:
-        self._watching.append(changed)
-        changed(self._is_there, f"rclpy: {'others are' if self._is_there else 'nobody else is'} there")
 
     def close(self) -> None:
         import rclpy
@@ -170,9 +95,7 @@ class RclpyNode:
         rclpy.shutdown(context=self._context)
         self._thread.join()
         self._node.destroy_node()
-        for call in self._open:
-            call.future.set_exception(RosError(f"{call.service} is not answered any more: the node is closed"))
-        self._open = []
+        super().close()
 
     def _spin(self) -> None:
         from rclpy.executors import ExternalShutdownException, ShutdownException
@@ -180,57 +103,33 @@ class RclpyNode:
         with suppress(ExternalShutdownException, ShutdownException):
             self._executor.spin()
 
-    def _listen(self, ear: _Ear) -> None:
-        quality = _quality(is_reliable=ear.is_reliable)
-        take = partial(self._take, ear)
-        ear.subscription = self._node.create_subscription(self._types.find(ear.kind), ear.topic, take, quality)
+    def _listen(self, ear: Ear) -> None:
+        if ear.reader is not None:
+            self._node.destroy_subscription(ear.reader)
+        quality, take = _quality(is_reliable=ear.is_reliable), partial(self._take, ear)
+        ear.reader = self._node.create_subscription(ear.kind, ear.topic, take, quality)
 
-    def _take(self, ear: _Ear, thing: Any) -> None:  # noqa: ANN401  # of a message package
-        try:
-            ear.heard(told(self._types, ear.kind, thing))
-        except Exception as error:  # of who hears it; rclpy would stop
-            self.refused.add(error)
-
-    def _look(self) -> None:
-        """See who is there; send calls that waited for that, and end those that nobody answers."""
+    def _heeds(self, ear: Ear) -> tuple[bool, bool]:
         from rclpy.qos import ReliabilityPolicy
 
-        with self._lock:
-            publishers = [(ear, self._node.get_publishers_info_by_topic(ear.topic)) for ear in self._ears]
-            for ear, found in publishers:
-                if ear.is_reliable and any(
-                    one.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT for one in found
-                ):
-                    ear.is_reliable = False
-                    self._node.destroy_subscription(ear.subscription)
-                    self._listen(ear)
-            for call in list(self._open):
-                self._send_call(call)
-        is_there = any(found for _, found in publishers)
-        if is_there != self._is_there:
-            self._is_there = is_there
-            for changed in self._watching:
-                changed(is_there, f"rclpy: {'others are there' if is_there else 'everybody else is gone'}")
+        found = self._node.get_publishers_info_by_topic(ear.topic)
+        return bool(found), any(one.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT for one in found)
 
-    def _send_call(self, call: _Call) -> None:
-        is_there = call.client.service_is_ready()
-        if is_there and not call.is_sent:
-            call.is_sent = True
-            call.client.call_async(call.request).add_done_callback(partial(self._finish, call))
-        elif not is_there and (call.is_sent or monotonic() > call.until_s):
-            self._open.remove(call)
-            why = f"who served {call.service} is gone" if call.is_sent else f"nobody serves {call.service}"
-            call.future.set_exception(RosError(why))
+    def _writer(self, topic: str, kind: Any) -> Callable[[Any], object]:  # noqa: ANN401  # of a message package
+        publish: Callable[[Any], object] = self._node.create_publisher(kind, topic, _quality()).publish
+        return publish
 
-    def _finish(self, call: _Call, answered: Any) -> None:  # noqa: ANN401  # a future of rclpy
-        with self._lock:
-            if call not in self._open:
-                return
-            self._open.remove(call)
-        if answered.exception() is not None:
-            call.future.set_exception(RosError(f"{call.service} failed: {answered.exception()}"))
-        else:
-            call.future.set_result(told(self._types, f"{call.kind}_Response", answered.result()))
+    def _client(self, service: str, kind: str) -> Client:
+        client = self._node.create_client(self._types.find(kind), service)
+
+        def send(number: int, request: Any) -> None:  # noqa: ANN401  # of a message package
+            answered = client.call_async(request)
+            answered.add_done_callback(lambda one: self._finish(number, one.exception() or one.result()))
+
+        return Client(client.service_is_ready, send)
+
+    def _serve(self, service: str, kind: str, respond: Callable[[Any], Any]) -> None:
+        self._node.create_service(self._types.find(kind), service, lambda request, _: respond(request))
 
 
 def _quality(*, is_reliable: bool = True) -> Any:  # noqa: ANN401  # an object of rclpy

@@ -1,11 +1,22 @@
-"""Messages as objects of a library that has ROS 2's types (rclpy; cyclonedds with those of rosbags), made of dicts."""
+"""A node whose messages are objects of a library that has ROS 2's types (rclpy; cyclonedds with those of rosbags)."""
 
+import logging
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future
+from dataclasses import dataclass
+from functools import partial
+from itertools import count
+from threading import RLock
+from time import monotonic
 from typing import Any, Final, NamedTuple, Protocol
 
-from missions.wires.node import Answer, Message, RosError, plain
+from missions.wires.node import Answer, Heard, Message, Refusals, RosError, plain
 
+_FIND_S: Final = 3.0
+"""How long a service is sought before a call fails [s]."""
+_log = logging.getLogger(__name__)
 _FLOATS: Final = ("float32", "float64")
 _INTEGERS: Final = {
     **{f"int{bits}": (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) for bits in (8, 16, 32, 64)},
@@ -28,6 +39,9 @@ class Library(Protocol):
 
     def fields(self, kind: str) -> Mapping[str, Field]:
         """Return the fields of a message; `RosError` if it is not known."""
+
+    def find(self, kind: str) -> Any:  # noqa: ANN401  # of the library
+        """Return the class of a message; `RosError` if it is not known."""
 
     def new(self, kind: str, values: Message) -> Any:  # noqa: ANN401  # an object of the library
         """Return a message with these values; the other fields are empty."""
@@ -91,12 +105,181 @@ def _told(library: Library, kind: str, value: Any) -> object:  # noqa: ANN401  #
     return plain(float(value)) if kind in _FLOATS else value
 
 
-def response(library: Library, kind: str, answer: Answer, request: Any, log: Callable[..., object]) -> Any:  # noqa: ANN401  # objects of the library
-    """Return the answer to a call of a service; refused, or failed, it is an empty one, as ROS 2 has no other word."""
-    try:
-        return made(library, f"{kind}_Response", answer(told(library, f"{kind}_Request", request)))
-    except RosError as error:
-        log("a call of %s is refused: %s", kind, error)
-    except Exception as error:  # ours is not the caller's to suffer
-        log("a call of %s could not be answered: %s: %s", kind, type(error).__name__, error, exc_info=True)
-    return library.new(f"{kind}_Response", {})
+@dataclass(eq=False)
+class Ear:
+    """A reader, made anew if somebody publishes who does not repeat what is lost; and who is given what it hears."""
+
+    topic: str
+    kind: Any
+    take: Callable[[Any], object]
+    reader: Any = None
+    is_reliable: bool = True
+
+
+class Client(NamedTuple):
+    """What calls a service: whether that is there (`RosError` if it cannot be called), and sends a numbered request."""
+
+    is_served: Callable[[], bool]
+    send: Callable[[int, Any], object]
+
+
+@dataclass(eq=False)
+class _Call:
+    """A call that is to be answered, and sent when its service is there."""
+
+    service: str
+    kind: str
+    request: Any
+    future: "Future[Message]"
+    until_s: float
+    is_sent: bool = False
+
+
+class TypedNode(ABC):
+    """What all nodes of a library have in common; a subclass says how the library does it.
+
+    Args:
+        name: what it is in sentences.
+        library: has the types.
+
+    Attributes:
+        refused: how many messages made no sense, by what was wrong.
+    """
+
+    topics = ""
+    """What topics begin with on the wire."""
+
+    def __init__(self, name: str, library: Library) -> None:
+        self.refused = Refusals()
+        self._name, self._types, self._lock, self._numbers = name, library, RLock(), count(1)
+        self._ears: list[Ear] = []
+        self._writers: dict[str, Callable[[Any], object]] = {}
+        self._clients: dict[str, Client] = {}
+        self._open: dict[int, _Call] = {}
+        self._watching: list[Callable[[bool, str], object]] = []
+        self._is_there = False
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether anybody is there who publishes what is subscribed, or who serves what is called."""
+        return self._is_there
+
+    def subscribe(self, topic: str, kind: str, heard: Heard) -> None:
+        found = self._types.find(kind)
+        self._hear(f"{self.topics}{topic}", found, lambda thing: heard(told(self._types, kind, thing)))
+
+    def publish(self, topic: str, kind: str, message: Message) -> None:
+        thing = made(self._types, kind, message)
+        with self._lock:
+            if topic not in self._writers:
+                self._writers[topic] = self._writer(f"{self.topics}{topic}", self._types.find(kind))
+        self._writers[topic](thing)
+
+    def call(self, service: str, kind: str, request: Message) -> "Future[Message]":
+        thing, future = made(self._types, f"{kind}_Request", request), Future[Message]()
+        with self._lock:
+            if service not in self._clients:
+                self._clients[service] = self._client(service, kind)
+            number = next(self._numbers)
+            self._open[number] = _Call(service, kind, thing, future, monotonic() + _FIND_S)
+            self._send_call(number)
+        return future
+
+    def serve(self, service: str, kind: str, answer: Answer) -> None:
+        self._serve(service, kind, partial(self._response, kind, answer))
+
+    def watch(self, changed: Callable[[bool, str], object]) -> None:
+        self._watching.append(changed)
+        changed(self._is_there, f"{self._name}: {'others are' if self._is_there else 'nobody else is'} there")
+
+    def close(self) -> None:
+        """End what is open; a subclass lets go of its library first."""
+        for call in self._open.values():
+            call.future.set_exception(RosError(f"{call.service} is not answered any more: the node is closed"))
+        self._ears, self._writers, self._clients, self._open = [], {}, {}, {}
+
+    @abstractmethod
+    def _listen(self, ear: Ear) -> None:
+        """Give an ear a reader, in place of the one that it has."""
+
+    @abstractmethod
+    def _heeds(self, ear: Ear) -> tuple[bool, bool]:
+        """Tell whether anybody publishes what an ear hears, and one of them not so that a reliable reader hears it."""
+
+    @abstractmethod
+    def _writer(self, topic: str, kind: Any) -> Callable[[Any], object]:  # noqa: ANN401  # of the library
+        """Return what publishes on a topic."""
+
+    @abstractmethod
+    def _client(self, service: str, kind: str) -> Client:
+        """Return what calls a service; `_finish` is told the number of a request, and what came of it."""
+
+    @abstractmethod
+    def _serve(self, service: str, kind: str, respond: Callable[[Any], Any]) -> None:
+        """Have each request of a service responded to."""
+
+    def _hear(self, topic: str, kind: Any, take: Callable[[Any], object]) -> Ear:  # noqa: ANN401  # of the library
+        ear = Ear(topic, kind, take)
+        with self._lock:
+            self._listen(ear)
+            self._ears.append(ear)
+        return ear
+
+    def _take(self, ear: Ear, thing: Any) -> None:  # noqa: ANN401  # of the library
+        try:
+            ear.take(thing)
+        except Exception as error:  # of what was sent, or of who hears it; the next may be better
+            self.refused.add(error)
+
+    def _look(self) -> None:
+        """See who is there; send calls that waited for that, and end those that nobody answers."""
+        with self._lock:
+            found = [(ear, *self._heeds(ear)) for ear in self._ears]
+            for ear, _, is_missed in found:
+                if ear.is_reliable and is_missed:
+                    ear.is_reliable = False
+                    self._listen(ear)
+            for number in list(self._open):
+                self._send_call(number)
+        is_there = any(is_published for _, is_published, _ in found)
+        if is_there != self._is_there:
+            self._is_there = is_there
+            for changed in self._watching:
+                changed(is_there, f"{self._name}: {'others are there' if is_there else 'everybody else is gone'}")
+
+    def _send_call(self, number: int) -> None:
+        call = self._open[number]
+        client = self._clients[call.service]
+        try:
+            is_there = client.is_served()
+        except RosError as error:
+            self._finish(number, error)
+            return
+        if is_there and not call.is_sent:
+            call.is_sent = True
+            client.send(number, call.request)
+        elif not is_there and (call.is_sent or monotonic() > call.until_s):
+            why = f"who served {call.service} is gone" if call.is_sent else f"nobody serves {call.service}"
+            self._finish(number, RosError(why))
+
+    def _finish(self, number: int, answer: Any) -> None:  # noqa: ANN401  # of the library, or what was raised
+        with self._lock:
+            call = self._open.pop(number, None)
+        if call is None:
+            return
+        if isinstance(answer, BaseException):
+            call.future.set_exception(
+                answer if isinstance(answer, RosError) else RosError(f"{call.service} failed: {answer}")
+            )
+        else:
+            call.future.set_result(told(self._types, f"{call.kind}_Response", answer))
+
+    def _response(self, kind: str, answer: Answer, request: Any) -> Any:  # noqa: ANN401  # of the library
+        """Return the answer to a call; refused, or failed, it is an empty one, as ROS 2 has no other word."""
+        try:
+            return made(self._types, f"{kind}_Response", answer(told(self._types, f"{kind}_Request", request)))
+        except RosError as error:
+            _log.warning("a call of %s is refused: %s", kind, error)
+        except Exception as error:  # ours is not the caller's to suffer
+            _log.warning("a call of %s could not be answered: %s: %s", kind, type(error).__name__, error, exc_info=True)
+        return self._types.new(f"{kind}_Response", {})

@@ -112,13 +112,13 @@ def test_every_prefix_of_a_recording_replays(rows, tmp_path):
     rosa("run", "suave_extended", "--no-progress", "--record", path, "--set", "duration_s=200")
     whole, data = read_bag(path), path.read_bytes()
     replayed = 0
-    for number in range(PREFIXES):
+    for _ in range(PREFIXES):
         cut.write_bytes(data[: rng.randrange(20_000, len(data))])
         bag = read_bag(cut)
         assert bag.cut
         assert bag.messages == whole.messages[: len(bag.messages)]
         assert bag.events == whole.events[: len(bag.events)]
-        if number % 20 == 0 and bag.events:
+        if bag.events:
             assert "decided as recorded" in rosa("replay", cut)
             replayed += 1
     rows.append(("recording cut", PREFIXES, f"all read up to there, {replayed} decided again, alike"))

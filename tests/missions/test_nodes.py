@@ -215,21 +215,21 @@ def test_bytes_are_those_of_ros_2_and_of_rosbags():
     for one in messages:
         thing, data = made(structs, one["type"], one["fields"]), bytes.fromhex(one["cdr"])
         assert thing.serialize() == data
-        assert told(structs, one["type"], structs.struct(one["type"]).deserialize(data)) == one["fields"]
+        assert told(structs, one["type"], structs.find(one["type"]).deserialize(data)) == one["fields"]
         kept = ros.types()
         assert kept.encode(one["type"], kept.decode(one["type"], data))[: len(data)] == data
 
 
 def test_service_header_is_that_of_rmw_cyclonedds():
     structs, wire = Structs(), recorded("ros2_service_wire.json")
-    asked_of_us = structs.struct("rosa_msgs/srv/ActionQueryArray_Request", has_header=True)
+    asked_of_us = structs.find("rosa_msgs/srv/ActionQueryArray_Request", has_header=True)
     requests = [asked_of_us.deserialize(bytes.fromhex(one)) for one in wire["request_to_us"]["raw_cdr"]]
     assert [one.rmw_seq for one in requests] == [1, 2, 3]
     assert len({one.rmw_guid for one in requests}) == 1
     assert asked_of_us.__idl__.idl_transformed_typename == wire["request_to_us"]["type"]
     reply = wire["reply_to_us"]
     kind = "rosa_msgs/srv/ComponentQuery_Response"
-    answer = structs.struct(kind, has_header=True).deserialize(bytes.fromhex(reply["raw_cdr"]))
+    answer = structs.find(kind, has_header=True).deserialize(bytes.fromhex(reply["raw_cdr"]))
     assert told(structs, kind, answer)["component"]["status"] == "from_ros"
     request = made(structs, "rosa_msgs/srv/ComponentQuery_Request", {"component": {"name": "c_thruster_1"}})
     sent = structs.with_header("rosa_msgs/srv/ComponentQuery_Request", answer.rmw_guid, 1, request).serialize()

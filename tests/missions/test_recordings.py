@@ -3,8 +3,11 @@
 import json
 import random
 import sqlite3
+from struct import error as Torn
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from mcap.reader import make_reader
 from py_trees.behaviours import Running
 from rosbags.highlevel import AnyReader
@@ -49,6 +52,28 @@ def drop(tmp_path_factory):
     path = tmp_path_factory.mktemp("recorded") / "drop.mcap"
     rosa("run", "suave_extended", "--no-progress", "--record", path, "--set", "duration_s=200")
     return path
+
+
+@given(
+    st.lists(
+        st.fixed_dictionaries(
+            {"name": st.text(), "message": st.text(), "values": st.dictionaries(st.text(), st.text(), max_size=3)}
+        ),
+        max_size=4,
+    )
+)
+def test_bytes_of_diagnostics_are_read_as_they_were_written(statuses):
+    types = ros.types()
+    message = types.diagnostics(1.5, statuses)
+    data = types.encode(ros.DIAGNOSTICS, message)
+    assert ros.statuses_of(data) == statuses
+    other = bytes(types.store.serialize_cdr(message, ros.DIAGNOSTICS, little_endian=False))
+    assert other[:2] != data[:2]
+    assert ros.statuses_of(other) == statuses
+    end = 20 if not statuses else len(data.rstrip(b"\0"))  # after it comes padding, if anything
+    for size in range(end):
+        with pytest.raises((ValueError, Torn)):
+            ros.statuses_of(data[:size])
 
 
 def as_rosbag2(drop, folder, *, storage=StoragePlugin.MCAP, mode=None, strange=False):
