@@ -127,7 +127,8 @@ class Knowledge:
             touched = node.constraints
         elif value != before:
             touched = thresholds.crossed(before, value)
-        words = f"{node.name} is {reading(value, thresholds.around(value), node)}" if self.in_words or self.log.witnesses else ""
+        is_heard = self.in_words or self.log.witnesses
+        words = f"{node.name} is {reading(value, thresholds.around(value), node)}" if is_heard else ""
         event = tuple.__new__(  # which is quicker
             Event, (self.log.last + 1, time, "measure", (node.name, value), (), None, (), None, words)
         )
