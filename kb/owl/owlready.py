@@ -1,4 +1,4 @@
-"""OWL through owlready2, the only module that imports it; imported late."""
+"""Models in OWL files, and HermiT through owlready2, which looks for contradictions in them; imported late."""
 
 import re
 import shutil
@@ -6,20 +6,22 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from io import BytesIO
 from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeVar
+from xml.parsers import expat
 
-import owlready2
-from owlready2 import rdfxml_2_ntriples
+from pyoxigraph import Literal, NamedNode, RdfFormat, parse
 
 from kb.exceptions import KnowledgeBaseError, ModelError, UnknownName
 from kb.facts import Contents
 from kb.files import ModelFileError, read_text
 from kb.owl.individuals import CLASSES, GENERAL, MODEL, PARAMETER, PREFERENCE, Declarer, Individual, Ref, Value
-from kb.owl.rdfxml import ROSA, plain_text, stray_text
+from kb.owl.queries import answer_of, value_of
+from kb.owl.rdfxml import ROSA, plain_text
 
 _TYPE: Final = "http://www.w3.org/1999/02/22-rdf-syntax-ns#type"
 _KINDS: Final = frozenset({*CLASSES.values(), *GENERAL, MODEL, PARAMETER, PREFERENCE})
 _ABSTRACT: Final = frozenset({"Element", "Relation", "Fact", "Period"})
-_WHERE: Final = re.compile(r"line (\d+), column (\d+)")
+_BASE: Final = "http://rosa-taca/file"  # of names that a file leaves relative
+_STRAY: Final = re.compile(r"Unexpected text event: '(.*)'", re.DOTALL)
 
 
 ModelT = TypeVar("ModelT", bound=Contents)
@@ -59,6 +61,8 @@ def inconsistency(text: str) -> str | None:
     Raises:
         KnowledgeBaseError: there is no Java to run it with, or it cannot read the ontology.
     """
+    import owlready2
+
     if shutil.which(owlready2.JAVA_EXE) is None:
         raise KnowledgeBaseError("HermiT, the reasoner, needs Java, which is not found; install a Java runtime")
     world = owlready2.World()
@@ -79,32 +83,31 @@ def _triples(path: Path) -> Iterator[_Triple]:
     content = read_text(path)
     if not content.strip():
         raise ModelFileError("the file is empty", str(path))
-    read: list[_Triple] = []
-
-    def about(subject: str, predicate: str, value: str) -> None:
-        read.append(_Triple(subject, predicate, Ref(value)))
-
-    def valued(subject: str, predicate: str, value: str | int | float, datatype: str) -> None:
-        read.append(_Triple(subject, predicate, _literal(value, datatype)))
-
     try:
-        rdfxml_2_ntriples.parse(BytesIO(content.encode()), about, valued, lambda *_: None, None, "")
-    except owlready2.OwlReadyOntologyParsingError as error:
-        line, column = (int(number) for number in _WHERE.search(str(error)).groups())  # type: ignore[union-attr]  # it always says where
-        cause = str(error.__cause__).removesuffix(f": line {line}, column {column}")
-        raise ModelFileError(f"this is no RDF/XML: {cause}", str(path), line, column + 1) from None
-    if stray := stray_text(content):
-        text, line, column = stray
-        raise ModelFileError(
-            f"the text {text!r} belongs to nothing; a text stands in a property", str(path), line, column
-        )
-    yield from read
+        expat.ParserCreate().Parse(content, True)  # says where it is no XML, and expands no entity without end
+        for one in parse(content.encode(), format=RdfFormat.RDF_XML, base_iri=_BASE):
+            about = one.subject.value if isinstance(one.subject, NamedNode) else str(one.subject)
+            if isinstance(one.object, Literal):
+                value = value_of(one.object)
+                yield _Triple(about, one.predicate.value, plain_text(value) if isinstance(value, str) else value)
+            else:
+                yield _Triple(about, one.predicate.value, Ref(str(answer_of(one.object))))
+    except expat.ExpatError as error:
+        said = expat.ErrorString(error.code)
+        raise ModelFileError(f"this is no RDF/XML: {said}", str(path), error.lineno, error.offset + 1) from None
+    except SyntaxError as error:
+        raise _wrong(content, str(path), str(error)) from None
 
 
-def _literal(value: str | float, datatype: str) -> Value:
-    if datatype.endswith("#boolean"):
-        return value in ("true", "1")
-    return plain_text(value) if isinstance(value, str) else value
+def _wrong(content: str, path: str, told: str) -> ModelFileError:
+    """Return what is wrong with a file that is well-formed; where a text belongs to nothing, the place of that."""
+    found = _STRAY.fullmatch(told)
+    text = found[1].strip() if found else ""
+    place = content.find(text) if text else -1
+    if place < 0:
+        return ModelFileError(f"this is no RDF/XML: {told}", path)
+    line, column = content.count("\n", 0, place) + 1, place - content.rfind("\n", 0, place)
+    return ModelFileError(f"the text {text[:40]!r} belongs to nothing; a text stands in a property", path, line, column)
 
 
 def _individual(subject: str, told: Mapping[str, Sequence[Value]]) -> Individual | None:

@@ -74,7 +74,7 @@ class Book:
                 yield (bool(found),)
                 return
             for count, row in enumerate(found):
-                yield tuple(map(_answer, row))
+                yield tuple(map(answer_of, row))
                 if count >= _MOST_ROWS:
                     raise KnowledgeBaseError(f"the answer has more than {_MOST_ROWS} rows; ask for less, or add LIMIT")
                 if time.monotonic() > deadline:
@@ -113,12 +113,16 @@ def _storable(value: str | bool | int | float) -> str | bool | int | float:
     return value.encode("utf-8", "backslashreplace").decode() if isinstance(value, str) else value
 
 
-def _answer(term: NamedNode | BlankNode | Literal | Triple | None) -> Answer:
+def answer_of(term: NamedNode | BlankNode | Literal | Triple | None) -> Answer:
     if isinstance(term, NamedNode):
         return term.value
-    if not isinstance(term, Literal):
-        return None if term is None else str(term)
-    sort, text = term.datatype.value.removeprefix(_XSD), term.value
+    if isinstance(term, Literal):
+        return value_of(term)
+    return None if term is None else str(term)
+
+
+def value_of(literal: Literal) -> str | bool | int | float:
+    sort, text = literal.datatype.value.removeprefix(_XSD), literal.value
     try:
         if sort in ("double", "float", "decimal"):
             return float(text)

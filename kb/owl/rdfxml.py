@@ -6,11 +6,9 @@ The file holds both, so that any reader of OWL understands it without a second f
 import json
 import re
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
 from html import escape
 from importlib.resources import files
-from typing import Any, Final
-from xml.parsers import expat
+from typing import Final
 
 from kb.facts import Contents
 from kb.owl.individuals import GENERAL, Individual, Ref, Value, individuals
@@ -47,36 +45,6 @@ def order(one: Individual) -> str:
     return "; ".join(
         " ".join((name, *(value.id for value in values if isinstance(value, Ref)))) for name, values in several.items()
     )
-
-
-def stray_text(content: str) -> tuple[str, int, int] | None:
-    """Return the first text of a file that belongs to nothing, with its line and column: readers of RDF pass over it.
-
-    Elements are in turn individuals and their properties; only a property that holds and names nothing else has a text.
-    """
-    parser = expat.ParserCreate(namespace_separator="")
-    found: list[tuple[str, int, int]] = []
-    stack: list[list[Any]] = [["", False, False, 0, 0]]  # text, if it holds another, if it is of another form, place
-
-    def begin(_: str, attributes: Mapping[str, str]) -> None:
-        stack[-1][1] = True
-        names = [name.rpartition("#")[2] for name in attributes]
-        stack.append(["", "resource" in names, stack[-1][2] or "parseType" in names, 0, 0])
-
-    def text(data: str) -> None:
-        if data.strip() and not stack[-1][0]:
-            stack[-1][3:] = parser.CurrentLineNumber, parser.CurrentColumnNumber + 1
-        stack[-1][0] += data.strip()
-
-    def end(_: str) -> None:
-        said, is_full, is_other, *place = stack.pop()
-        if said and not is_other and (is_full or len(stack) not in (3, 5, 7, 9)):
-            found.append((said[:40], *place))
-
-    parser.StartElementHandler, parser.CharacterDataHandler, parser.EndElementHandler = begin, text, end
-    with suppress(expat.ExpatError):
-        parser.Parse(content, True)
-    return found[0] if found else None
 
 
 def xml_text(text: str) -> str:

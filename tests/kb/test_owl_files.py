@@ -218,7 +218,7 @@ NAMED = f'{HEAD}<Action rdf:about="http://x#a"><name>go</name>{{}}</Action></rdf
         ("insert $a isa Action;", "this is no RDF/XML: syntax error", 1),
         (HALF, "this is no RDF/XML: no element found", HALF.count("\n") + 1),
         (f"{HEAD}\n<Action>\n</Function></rdf:RDF>", "this is no RDF/XML: mismatched tag", 3),
-        ("<html><body/></html>", "nothing in it is described in the words", None),
+        ("<html><body/></html>", "this is no RDF/XML: XML namespaces are required", None),
         (metamodel(), "nothing in it is described in the words", None),
         (
             NAMED.format('<priorty rdf:datatype="x">1</priorty>'),
