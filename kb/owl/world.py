@@ -6,7 +6,7 @@ from its start on, and gets its end once it is over.
 
 import json
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from itertools import chain
 from threading import Lock
@@ -39,11 +39,10 @@ from kb.status import Status
 from kb.store import Store
 
 Values = dict[str, tuple[Value, ...]]
-Given = Mapping[str, tuple[Value, ...]]
 Record = RequiredAction | ReconfigurationPlan | Process | Attempt | VetoAnswer
 
 _CLASSES: Final[Mapping[str, type]] = {kind: cls for cls, kind in KINDS.items()}
-_NOTHING: Final[Mapping[str, tuple[Value, ...]]] = MappingProxyType({})
+_NOTHING: Final[Parameters] = MappingProxyType({})
 _PRESENT: Final[Mapping[str, str]] = {
     "Failure": "failed",
     "Activity": "active",
@@ -52,6 +51,29 @@ _PRESENT: Final[Mapping[str, str]] = {
     "AssertedRequirement": "asserted_required",
 }
 """What can be so now, by the facts of the state that say so."""
+Period = tuple[str, str, Mapping[str, str | float | None], Parameters]
+"""What is so for a time: its kind, what it is about, and what else is known of it."""
+Told = tuple[tuple[str, str, type | None], ...]
+"""Properties, the fields that they tell, and of which class the elements are that these name."""
+_ENDS: Final[Told] = (("end", "end", None), ("result", "result", None), ("reason", "reason", None))
+_RECORDS: Final[Mapping[str, Told]] = {
+    "RequiredAction": (("start", "start", None), ("about", "action", Action)),
+    "ReconfigurationPlan": (
+        *(("start", "start", None), ("activates", "activate", Component), ("deactivates", "deactivate", Component)),
+        *(("setsParametersOf", "parameters", Configuration), ("reason", "reason", None)),
+    ),
+    "ComponentProcess": (("start", "start", None), ("about", "component", Component), ("pid", "pid", None)),
+    "Attempt": (
+        *(("start", "start", None), ("ofPlan", "plan", None), ("about", "component", Component)),
+        *(("operation", "operation", None), ("number", "number", None)),
+        ("setsParametersOf", "configuration", Configuration),
+    ),
+    "VetoAnswer": (
+        *(("ofPlan", "plan", None), ("isVetoed", "is_vetoed", None), ("time", "time", None)),
+        ("reason", "reason", None),
+    ),
+}
+"""What is told of each kind of record when it begins."""
 _LONGEST: Final = 1_000_000  # query [characters]
 _SLICE: Final = 1000  # events of the store that are read at a time
 _MOST_GROWN: Final = 20_000  # events, besides measurements that are kept, that are added before a world is made anew
@@ -155,9 +177,8 @@ class World:
                 if node.index in state.histories
                 for sample in state.histories[node.index].samples(self._keep)
             ]
-            chronicle.begin(past)
             model, records, inferred = self._model(), chronicle.of_records(), self._inferred(state)
-            present = list(chronicle.of_state(state))
+            present = chronicle.of_state(state)
             self._seen(state)
         own = next(model)
         begins = [Individual("", own.id, {"historyBegins": (float(past[0].time),)})] if past else []
@@ -207,8 +228,6 @@ class _Chronicle:
         self._count = 0
         self._open: dict[tuple[str, str], str] = {}
         self._asserted_failed: set[str] = set()
-        self._serial = 0
-        self._configuring: dict[int, tuple[str, Parameters]] = {}
         self._ids: dict[int, str] = {}
         self._records: dict[tuple[str, int], Record] = {}
         self._unended: dict[tuple[str, int], Record] = {}
@@ -217,35 +236,23 @@ class _Chronicle:
         values: Values = {"measures": (Ref(named_id(Attribute, attribute)),)}
         return Individual("Measurement", self._next(), {**values, "value": (float(value),), "time": (float(time),)})
 
-    def begin(self, past: Iterable[Event]) -> None:
-        """Expect some events: the attempts among them are the last that there were."""
-        last = next(reversed(self._known.records.attempts), 0)
-        self._serial = last - sum(event.verb == "record_attempt" for event in past)
-
-    def of_state(self, state: State) -> Iterator[tuple[str, str, Values, Parameters]]:
-        """Yield what is so now: its kind, what it is about, and what else is known of it."""
+    def of_state(self, state: State) -> list[Period]:
+        """Return what is so now."""
+        found: list[Period] = []
         for node in state.network.present():
             for word, column in _PRESENT.items():
                 if value := state.columns[column][node.index]:
-                    reason = state.reason(column, node)
-                    values = _said(reason.text)
-                    if column == "asserted":
-                        values |= {"status": (str(value),)} | (
-                            {} if reason.until is None else {"until": (reason.until,)}
-                        )
-                    yield word, element_id(node.element, self._known.serials), values, {}
-        for name, parameters in state.parameters.items():
-            yield "ParametersInForce", named_id(Component, name), {}, parameters
+                    said = state.reason(column, node)
+                    status = {"status": str(value), "until": said.until} if column == "asserted" else {}
+                    found.append((word, self._id(node.element), {**status, "reason": said.text}, {}))
+        given = state.parameters.items()
+        return [*found, *(("ParametersInForce", named_id(Component, name), {}, values) for name, values in given)]
 
-    def older(self, present: Iterable[tuple[str, str, Values, Parameters]]) -> Iterator[Individual]:
+    def older(self, present: Iterable[Period]) -> Iterator[Individual]:
         """Yield what is so now and began before the events that are known: it has no start."""
         for word, about, values, parameters in present:
             if (word, about) not in self._open:
-                self._open[word, about] = own = self._next()
-                within = list(nested(PARAMETER, own, parameters))
-                yield from within
-                listed: Values = {"hasParameter": tuple(Ref(one.id) for one in within)} if within else {}
-                yield Individual(word, own, {"about": (Ref(about),), **values, **listed})
+                yield from self._began(word, about, None, parameters, **values)
 
     # ---------------------------------------------------------------- what was so for a time
 
@@ -254,73 +261,57 @@ class _Chronicle:
             yield from self._of_event(event)
 
     def _of_event(self, event: Event) -> Iterator[Individual]:
-        time, verb, arguments = event.time, event.verb, event.arguments
-        if verb == "measure":
-            name, value = arguments
-            yield self.measurement(name, value, time)
-        elif verb in ("component_failed", "component_recovered", "component_active"):
-            yield from self._of_component(time, verb, named_id(Component, arguments[0]), arguments)
-        elif verb == "component_configured":
-            yield from self._configured(time, *arguments)
-        elif verb == "record_attempt":
-            self._serial += 1
-            _, component, operation, _, parameters, _ = arguments
-            if operation == "configure":
-                self._configuring[self._serial] = component, parameters
-        elif verb == "finish_attempt":
-            given = self._configuring.pop(arguments[0], None)
-            if given is not None and arguments[1] == "completed":
-                yield from self._configured(time, *given)
-        elif verb in ("assert_status", "retract_status", "lapse"):
-            about = self._about(arguments[0])
-            yield from self._ended("AssertedStatus", about, time)
-            if verb == "assert_status":
-                _, status, reason, until = arguments
+        time = event.time
+        match event.verb, event.arguments:
+            case "measure", (name, value):
+                yield self.measurement(name, value, time)
+            case "component_failed", (name, reason):
+                yield from self._is_so("Failure", named_id(Component, name), time, True, reason)
+            case "component_recovered", (name,):
+                about = named_id(Component, name)
+                yield from self._is_so("Failure", about, time, False)
+                if about in self._asserted_failed:
+                    yield from self._ended("AssertedStatus", about, time)
+            case "component_active", (name, active, _):
+                yield from self._is_so("Activity", named_id(Component, name), time, active)
+            case "component_configured", (name, parameters):
+                yield from self._configured(time, name, parameters)
+            case "finish_attempt", (serial, "completed", _):
+                attempt = self._known.records.attempts.get(serial)
+                if attempt is not None and attempt.operation == "configure":
+                    yield from self._configured(time, attempt.component, attempt.parameters)
+            case "assert_status", (ref, status, reason, until):
+                about = self._about(ref)
                 (self._asserted_failed.add if status == "failure" else self._asserted_failed.discard)(about)
-                lapse: Values = {} if until is None else {"until": (until,)}
-                yield self._began("AssertedStatus", about, time, {"status": (status,), **_said(reason), **lapse})
-        elif verb == "assert_required":
-            yield from self._is_so("AssertedRequirement", self._about(arguments[0]), time, bool(arguments[1]))
-        elif verb == "assert_selected":
-            yield from self._is_so("Selection", self._about(arguments[0]), time, bool(arguments[1]), arguments[2])
-        elif verb == "select":
-            yield from self._selected(event)
-        elif verb == "amend":
-            yield from self._amended(time, *arguments)
-        elif verb == "begin":
-            for fact in self._known.model.facts:
-                yield from self._stated(time, fact)
-
-    def _of_component(self, time: float, verb: str, about: str, arguments: Sequence[Any]) -> Iterator[Individual]:
-        if verb == "component_failed":
-            yield from self._is_so("Failure", about, time, True, arguments[1])
-        elif verb == "component_recovered":
-            yield from self._is_so("Failure", about, time, False)
-            if about in self._asserted_failed:
                 yield from self._ended("AssertedStatus", about, time)
-        else:
-            yield from self._is_so("Activity", about, time, arguments[1])
+                yield from self._began("AssertedStatus", about, time, status=status, reason=reason, until=until)
+            case ("retract_status", (ref,)) | ("lapse", (ref, _)):
+                yield from self._ended("AssertedStatus", self._about(ref), time)
+            case "assert_required", (ref, is_so):
+                yield from self._is_so("AssertedRequirement", self._about(ref), time, bool(is_so))
+            case "assert_selected", (ref, is_so, reason):
+                yield from self._is_so("Selection", self._about(ref), time, bool(is_so), reason)
+            case "select", (designs, configurations, reason):
+                yield from self._selected(event, {"function design": designs, "configuration": configurations}, reason)
+            case "amend", (how, written):
+                yield from self._amended(time, how, written)
+            case "begin", _:
+                for fact in self._known.model.facts:
+                    yield from self._stated(time, fact)
 
     def _configured(self, time: float, component: str, parameters: Parameters) -> Iterator[Individual]:
         about = named_id(Component, component)
         yield from self._ended("ParametersInForce", about, time)
-        own = self._next()
-        within = list(nested(PARAMETER, own, parameters))
-        values: Values = {"about": (Ref(about),), "start": (float(time),)}
-        yield from within
-        yield Individual("ParametersInForce", own, {**values, "hasParameter": tuple(Ref(one.id) for one in within)})
-        self._open["ParametersInForce", about] = own
+        yield from self._began("ParametersInForce", about, time, parameters)
 
-    def _selected(self, event: Event) -> Iterator[Individual]:
-        designs, configurations, reason = event.arguments
+    def _selected(self, event: Event, chosen: Mapping[str, Mapping[str, str]], reason: str) -> Iterator[Individual]:
         for kind, name, is_so in event.effects:
             yield from self._is_so("Selection", named_id(_CLASSES[kind], name), event.time, is_so, reason)
         changed = {(kind, name) for kind, name, _ in event.effects}
-        for kind, chosen in (("function design", designs), ("configuration", configurations)):
-            for name in chosen.values():
-                about = named_id(_CLASSES[kind], name)
-                if (kind, name) not in changed and ("Selection", about) in self._open:
-                    yield from self._is_so("Selection", about, event.time, True, reason)
+        for kind, name in ((kind, name) for kind, by_whole in chosen.items() for name in by_whole.values()):
+            about = named_id(_CLASSES[kind], name)
+            if (kind, name) not in changed and ("Selection", about) in self._open:
+                yield from self._is_so("Selection", about, event.time, True, reason)
 
     def _amended(self, time: float, how: str, written: object) -> Iterator[Individual]:
         change = json.dumps({how: written})
@@ -331,22 +322,27 @@ class _Chronicle:
 
     def _stated(self, time: float, fact: Fact) -> Iterator[Individual]:
         if isinstance(fact, ActiveFact):
-            yield self._began("Activity", named_id(Component, fact.component), time)
-        elif isinstance(fact, StatusFact | RequiredFact | SelectedFact):
-            about = element_id(fact.element, self._known.serials)
-            if isinstance(fact, StatusFact):
-                yield self._began("AssertedStatus", about, time, {"status": (str(fact.status),)})
-            else:
-                yield self._began("Selection" if isinstance(fact, SelectedFact) else "AssertedRequirement", about, time)
+            yield from self._began("Activity", named_id(Component, fact.component), time)
+        elif isinstance(fact, StatusFact):
+            yield from self._began("AssertedStatus", self._id(fact.element), time, status=str(fact.status))
+        elif isinstance(fact, RequiredFact | SelectedFact):
+            word = "Selection" if isinstance(fact, SelectedFact) else "AssertedRequirement"
+            yield from self._began(word, self._id(fact.element), time)
 
     def _is_so(self, word: str, about: str, time: float, is_so: bool, reason: str = "") -> Iterator[Individual]:
         yield from self._ended(word, about, time)
         if is_so:
-            yield self._began(word, about, time, _said(reason))
+            yield from self._began(word, about, time, reason=reason)
 
-    def _began(self, word: str, about: str, time: float, values: Given = _NOTHING) -> Individual:
+    def _began(
+        self, word: str, about: str, time: float | None, parameters: Parameters = _NOTHING, **values: str | float | None
+    ) -> Iterator[Individual]:
         self._open[word, about] = own = self._next()
-        return Individual(word, own, {"about": (Ref(about),), "start": (float(time),), **values})
+        within = list(nested(PARAMETER, own, parameters))
+        yield from within
+        said: Values = {name: (value,) for name, value in values.items() if value not in (None, "")}
+        start: Values = {} if time is None else {"start": (float(time),)}
+        yield Individual(word, own, {"about": (Ref(about),), **start, **said, **_refs("hasParameter", within)})
 
     def _ended(self, word: str, about: str, time: float) -> Iterator[Individual]:
         own = self._open.pop((word, about), None)
@@ -358,82 +354,68 @@ class _Chronicle:
         if not position:
             return named_id(_CLASSES[kind], name)
         try:
-            return element_id(self._known.network.referred(ref).element, self._known.serials)
+            return self._id(self._known.network.referred(ref).element)
         except UnknownName:  # it went, and took its number with it
             return f"Constraint.{kind}.{name}.{position[0]}"
+
+    def _id(self, element: Changeable) -> str:
+        return element_id(element, self._known.serials)
 
     # ---------------------------------------------------------------- records
 
     def of_records(self) -> list[Individual]:
         """Return the records that are new, and the ends of those that have ended."""
         records = self._known.records
-        found: list[Individual] = []
-        tables: tuple[tuple[str, Mapping[int, Any], Iterable[Any]], ...] = (
-            ("RequiredAction", records.requests, records.required.values()),
-            ("ReconfigurationPlan", records.plans, records.open_plans.values()),
-            ("ComponentProcess", records.processes, ()),
-            ("Attempt", records.attempts, ()),
-            ("VetoAnswer", records.answers, ()),
+        tables: tuple[Mapping[int, Record], ...] = (
+            records.requests | {one.number: one for one in records.required.values()},
+            records.plans | records.open_plans,
+            records.processes,
+            records.attempts,
+            records.answers,
         )
-        for word, table, still in tables:
-            for number, record in {**table, **{one.number: one for one in still}}.items():
+        found: list[Individual] = []
+        for word, table in zip(_RECORDS, tables, strict=True):
+            for number, record in table.items():
                 if (word, number) not in self._records:
-                    found += self._recorded(word, number, record)
+                    self._records[word, number] = self._unended[word, number] = record
+                    found += self._recorded(word, record)
         for key, record in list(self._unended.items()):
             if not isinstance(record, VetoAnswer) and record.end is not None:
                 del self._unended[key]
-                found.append(Individual("", self._ids[id(record)], _end(record)))
+                found.append(Individual("", self._ids[id(record)], self._said(record, _ENDS)))
         return found
 
-    def _recorded(self, word: str, number: int, record: Record) -> Iterator[Individual]:
-        self._records[word, number] = self._unended[word, number] = record
+    def _recorded(self, word: str, record: Record) -> Iterator[Individual]:
         own = self._ids[id(record)] = self._next()
-        values: Values = {}
         within: list[Individual] = []
-        if not isinstance(record, VetoAnswer):
-            values["start"] = (float(record.start),)
-        if isinstance(record, RequiredAction):
-            values["about"] = (Ref(named_id(Action, record.action)),)
+        if isinstance(record, RequiredAction) and record.preference is not None:
             preference = record.preference
-            weights = {preference: 1.0} if isinstance(preference, str) else preference or {}
-            within = list(nested(PREFERENCE, own, weights))
-            values["hasPreference"] = tuple(Ref(one.id) for one in within)
-        elif isinstance(record, ReconfigurationPlan):
-            values["activates"] = tuple(Ref(named_id(Component, name)) for name in record.activate)
-            values["deactivates"] = tuple(Ref(named_id(Component, name)) for name in record.deactivate)
-            values["setsParametersOf"] = tuple(Ref(named_id(Configuration, name)) for name in record.parameters)
-            values["reason"] = (record.reason,)
-        elif isinstance(record, Process):
-            values.update(about=(Ref(named_id(Component, record.component)),), pid=(record.pid,))
-        else:
-            if id(record.plan) in self._ids:
-                values["ofPlan"] = (Ref(self._ids[id(record.plan)]),)
-            if isinstance(record, VetoAnswer):
-                values.update(isVetoed=(record.is_vetoed,), time=(float(record.time),), **_said(record.reason))
-            else:
-                values.update(about=(Ref(named_id(Component, record.component)),), operation=(record.operation,))
-                values["number"] = (record.number,)
-                if record.configuration is not None:
-                    values["setsParametersOf"] = (Ref(named_id(Configuration, record.configuration)),)
-                within = list(nested(PARAMETER, own, record.parameters))
-                values["hasParameter"] = tuple(Ref(one.id) for one in within)
+            within = list(nested(PREFERENCE, own, {preference: 1.0} if isinstance(preference, str) else preference))
+        elif isinstance(record, Attempt):
+            within = list(nested(PARAMETER, own, record.parameters))
         yield from within
-        yield Individual(word, own, {name: value for name, value in values.items() if value})
+        nests = "hasPreference" if isinstance(record, RequiredAction) else "hasParameter"
+        yield Individual(word, own, {**self._said(record, _RECORDS[word]), **_refs(nests, within)})
+
+    def _said(self, record: Record, told: Told) -> Values:
+        said: Values = {}
+        for name, field, cls in told:
+            value = getattr(record, field, None)
+            if value in (None, "", ()):
+                continue
+            if cls is not None:
+                said[name] = tuple(Ref(named_id(cls, one)) for one in ((value,) if isinstance(value, str) else value))
+            elif not isinstance(value, ReconfigurationPlan):
+                said[name] = (value,)
+            elif id(value) in self._ids:
+                said[name] = (Ref(self._ids[id(value)]),)
+        return said
 
     def _next(self) -> str:
         self._count += 1
         return f"{STATED}.{self._count}"
 
 
-def _end(record: RequiredAction | ReconfigurationPlan | Process | Attempt) -> Values:
-    assert record.end is not None  # else it has not ended
-    values: Values = {"end": (float(record.end),)}
-    if not isinstance(record, Process) and record.result:
-        values["result"] = (record.result,)
-    if isinstance(record, RequiredAction | Attempt) and record.reason:
-        values["reason"] = (record.reason,)
-    return values
-
-
-def _said(reason: str) -> Values:
-    return {"reason": (reason,)} if reason else {}
+def _refs(name: str, within: Iterable[Individual]) -> Values:
+    listed = tuple(Ref(one.id) for one in within)
+    return {name: listed} if listed else {}
