@@ -4,9 +4,10 @@ An element is one thing in one model: it equals nothing but itself. How a field 
 once it is declared, stands in its annotation.
 """
 
+import json
 import math
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from types import MappingProxyType
@@ -42,6 +43,24 @@ def finite_number(value: Any) -> float:  # noqa: ANN401  # whatever is given
     if not math.isfinite(number):
         raise InvalidValue(f"a finite number is needed, not {shown(value)}")
     return number
+
+
+class Rate(NamedTuple):
+    """How fast an attribute changes [its unit / s] while an action is done, always if that is empty; see `changes`."""
+
+    per_s: float
+    while_: str = ""
+    learns: bool = False
+
+
+FORECASTS: Final = ("constant", "trend", "periodic")
+"""The ways in which an attribute can be forecast, beside its rates and functions of one's own."""
+
+ForecastFunction = Callable[[Sequence[tuple[float, float]], float], float | None]
+"""Takes what was measured, as (time [s], value) by time, and a later time [s]; returns the value then, or None."""
+
+FUNCTIONS: Final[dict[str, ForecastFunction]] = {}
+"""The functions that were given as forecasts, by the names under which models speak of them."""
 
 
 class Field(NamedTuple):
@@ -114,6 +133,31 @@ def agreement(field: str, name: str, value: object) -> tuple[int, int]:
         f"{field} of {name!r} is two whole numbers (n, k), n of the last k measurements and more than half of them, "
         f"e.g. (2, 3); not {shown(value)}"
     )
+
+
+def forecasting(field: str, name: str, value: object) -> str:
+    """Return the name of a way to forecast; a function is known by its name from then on."""
+    if isinstance(value, str) and (value in ("", *FORECASTS) or ":" in value):
+        return value
+    function = f"{getattr(value, '__module__', '')}:{getattr(value, '__qualname__', '<')}"
+    if not callable(value) or "<" in function:  # files could not name it
+        known = f"one of {', '.join(FORECASTS)}, or a function that a module defines by a name of its own"
+        raise ModelError(f"the {field} of {name!r} is {known}; not {shown(value)}")
+    FUNCTIONS[function] = value
+    return function
+
+
+def rates(field: str, name: str, value: object) -> tuple[Rate, ...]:
+    """Return rates of change, as they are declared or as JSON has them; the last one for an action holds."""
+    try:
+        read: Any = json.loads(value) if isinstance(value, str) else value
+        given = [
+            Rate(finite_number(rate), text("what it holds while", of), flag("learns", learns))
+            for rate, of, learns in read
+        ]
+    except (TypeError, ValueError, InvalidValue, ModelError) as error:
+        raise ModelError(f"{field} of {name!r} are (per s, while, learns), not {shown(value)}: {error}") from None
+    return tuple({one.while_: one for one in given}.values())
 
 
 def pid(value: object) -> int:
@@ -211,6 +255,9 @@ _SPAN: Final = Field(span)
 _AGE: Final = Field(age)
 _BOUND: Final = Field(bound, can_change=False)
 _AGREEMENT: Final = Field(agreement)
+_FORECASTING: Final = Field(forecasting)
+_RATES: Final = Field(rates)
+_PER: Final = {"s": 1.0, "min": 60.0, "h": 3600.0}
 _PARAMETERS: Final = Field(lambda _, name, value: parameters(name, value))
 
 
@@ -223,6 +270,9 @@ class Owner(Protocol):
 
     name: str
 
+    @property
+    def actions(self) -> Mapping[str, "Action"]: ...
+    def change(self, element: "Changeable | str", **fields: object) -> None: ...
     def declare(
         self, cls: type[ElementT], name: str, constraints: Iterable["Expression"] = (), /, **given: object
     ) -> ElementT: ...
@@ -336,6 +386,8 @@ class Attribute(Element):
         agreement: n of the last k measurements have to say so before a constraint on it changes, as (n, k).
         unit: of its values, as it is shown; may be empty.
         low, high: no value lies outside; a measurement that does is refused.
+        forecasting: how it is forecast; see `forecast`. Empty if only by its rates, or not at all.
+        rates: how fast it changes, as far as that is stated; see `changes`.
     """
 
     kind: Annotated[AttributeKind, _one_of("attribute kind", AttributeKind, can_change=False)] = AttributeKind.QUALITY
@@ -347,10 +399,37 @@ class Attribute(Element):
     unit: Annotated[str, _TEXT] = ""
     low: Annotated[float, _BOUND] = -math.inf
     high: Annotated[float, _BOUND] = math.inf
+    forecasting: Annotated[str, _FORECASTING] = ""
+    rates: Annotated[tuple[Rate, ...], _RATES] = ()
 
     def __post_init__(self) -> None:
         if not self.low <= self.high or self.low == math.inf or self.high == -math.inf:
             raise ModelError(f"the range of {self.name!r} holds no number: from {self.low!r} to {self.high!r}")
+
+    def forecast(self, by: str | ForecastFunction) -> None:
+        """State how this attribute is forecast, where no rate of it applies; see `KnowledgeBase.forecast`.
+
+        Args:
+            by: "constant"; "trend", a straight line through what was measured last, robust against outliers;
+                "periodic", a sum of harmonics whose period is found; or a function of one's own.
+        """
+        self.model.change(self, forecasting=by)
+
+    def changes(self, rate: float, *, per: str = "s", while_: "Action | str" = "", learns: bool = False) -> None:
+        """State how fast this attribute changes; rates that apply at the same time add up.
+
+        Args:
+            rate: by how much [the attribute's unit].
+            per: in which time: "s", "min" or "h".
+            while_: the action while which it does, or its name; always by default. One rate for each.
+            learns: whether what is measured while that action alone is done stands in its place.
+        """
+        if per not in _PER:
+            raise UnknownName("time in which an attribute changes", per, _PER)
+        name = while_.name if isinstance(while_, Action) else while_
+        if name and name not in self.model.actions:
+            raise UnknownName("action", name, self.model.actions)
+        self.model.change(self, rates=(*self.rates, Rate(finite_number(rate) / _PER[per], name, learns)))
 
     def checked(self, value: object) -> float:
         """Return a value of this attribute as a float; what is no finite number, or out of range, is refused."""

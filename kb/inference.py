@@ -8,7 +8,7 @@ depends only on whether that is possible at all, so a status that stays on one s
 from collections.abc import Iterable
 from typing import Final
 
-from kb.elements import Attribute, Component, Constraint, Function, StalePolicy
+from kb.elements import Component, Constraint, Function, StalePolicy
 from kb.events import StatusChange
 from kb.network import LEVELS, Node
 from kb.state import State
@@ -165,8 +165,7 @@ def _compared(state: State, node: Node, constraint: Constraint, attribute: Node)
     if not state.stale[attribute.index]:
         verdict = state.verdict[node.index]
         return verdict or constraint_status(state.value[attribute.index], constraint.operator, constraint.value)
-    assert isinstance(attribute.element, Attribute)
-    return Status.VIOLATED if attribute.element.when_stale is StalePolicy.VIOLATED else Status.NOT_EVALUATED
+    return Status.VIOLATED if attribute.attribute.when_stale is StalePolicy.VIOLATED else Status.NOT_EVALUATED
 
 
 def infer_anew(state: State) -> None:

@@ -245,8 +245,7 @@ class Knowledge:
     def _stale(self, event: Event, name: str) -> Event:
         node = self.network.attributes[name]
         self._layer.stale[node.index] = True
-        element, measured = node.element, self.state.time[node.index]
-        assert isinstance(element, Attribute)
+        element, measured = node.attribute, self.state.time[node.index]
         age = 0.0 if measured is None else event.time - measured
         limit = f"at most {element.max_age:g} s" if age > element.max_age else "and no more"
         words = f"{name} is stale: measured {age:.1f} s ago, {limit}"

@@ -22,6 +22,7 @@ from kb.elements import pid as checked_pid
 from kb.events import Event, Log, Publisher
 from kb.exceptions import InvalidValue, KnowledgeBaseError, Unselectable
 from kb.explanation.reasons import why, why_selected
+from kb.forecasts import Forecaster, feasible_until
 from kb.knowledge import Knowledge
 from kb.model import Model
 from kb.network import Node
@@ -131,6 +132,7 @@ class KnowledgeBase:
         model: as it is now.
         log: the events, in order; the newest, see `Log.begins`.
         history: what is on record and not asked every day.
+        forecast: looks ahead: `kb.forecast("energy", 30.0)`, see `Forecaster`.
         actions, functions, components, designs, configurations, attributes: read-only views by name.
     """
 
@@ -166,6 +168,7 @@ class KnowledgeBase:
         self._publisher = Publisher(known.log, self._lock)
         known.heard = self._publisher.deliver
         self._held = _holding(known, self._lock)
+        self.forecast = Forecaster(self, known)
         self._world: World | None = None
         self._keep, self._is_closed = keep, False
         self.log: Log = known.log
@@ -201,6 +204,7 @@ class KnowledgeBase:
     why = questions.why
     explain_choice = questions.explain_choice
     situation = questions.suppose
+    feasible_until = feasible_until
 
     def reading(self) -> AbstractContextManager[State]:
         """Give the facts and statuses, to be read only; nothing changes within the `with` statement."""
@@ -258,11 +262,6 @@ class KnowledgeBase:
     def pending_plan(self) -> ReconfigurationPlan | None:
         """The latest plan that has not ended."""
         return next(reversed(self._records().open_plans.values()), None)
-
-    @property
-    def open_plans(self) -> tuple[ReconfigurationPlan, ...]:
-        """The plans that have not ended, in the order in which they were made."""
-        return tuple(self._records().open_plans.values())
 
     @property
     def processes(self) -> tuple[Process, ...]:

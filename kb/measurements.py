@@ -12,7 +12,7 @@ from decimal import Decimal
 from functools import lru_cache
 from typing import NamedTuple
 
-from kb.elements import Attribute, Constraint
+from kb.elements import Constraint
 from kb.network import Node, is_steady
 from kb.records import Memory
 from kb.state import History, State
@@ -81,9 +81,7 @@ class Measurements:
 
     def with_latest(self, attribute: Node, value: float) -> tuple[float, ...]:
         """Return the measurements that count, with a new one; nothing where only the newest does."""
-        element = attribute.element
-        assert isinstance(element, Attribute)
-        last = element.agreement[1]
+        last = attribute.attribute.agreement[1]
         return (*self.recent.get(attribute.index, ()), value)[-last:] if last > 1 else ()
 
     def put(self, attribute: Node, value: float, time: float, count: int, recent: tuple[float, ...]) -> None:
@@ -121,9 +119,7 @@ class Measurements:
     def judge(
         self, node: Node, value: float | None, recent: tuple[float, ...], before: Status | None, now: float
     ) -> Judged:
-        constraint, attribute = node.element, node.parts[0].element
-        assert isinstance(constraint, Constraint)
-        assert isinstance(attribute, Attribute)
+        constraint, attribute = node.constraint, node.attribute
         if value is None:
             return Judged(node, None, None)
         enough, last = attribute.agreement
@@ -138,8 +134,7 @@ class Measurements:
         if node.kind == "constraint":
             self._begin(node, now)
             return [node]
-        element, time, index = node.element, self._state.time[node.index], node.index
-        assert isinstance(element, Attribute)
+        element, time, index = node.attribute, self._state.time[node.index], node.index
         self._state.stale[index] = False
         self.put_stale(node)
         value = self._state.value[index]

@@ -43,8 +43,10 @@ from kb.elements import (
     Estimation,
     EstimationKind,
     Expression,
+    ForecastFunction,
     Function,
     FunctionDesign,
+    Rate,
     StalePolicy,
     called,
     choice,
@@ -79,6 +81,7 @@ class Measured(TypedDict, total=False):
         unit: of its values, as it is shown, e.g. "V"; none by default.
         low: the least value that it can have; a measurement below is refused; -infinity by default.
         high: the greatest value that it can have; infinity by default.
+        forecasting, rates: how it is forecast; see `Attribute.forecast` and `Attribute.changes`.
     """
 
     max_age: float
@@ -87,6 +90,8 @@ class Measured(TypedDict, total=False):
     unit: str
     low: float
     high: float
+    forecasting: str | ForecastFunction
+    rates: Sequence[Rate]
 
 
 class Observer(Protocol):
@@ -181,7 +186,7 @@ class Model:
 
         Args:
             name: unique among attributes.
-            given: max_age, when_stale, agreement, unit, low, high.
+            given: max_age, when_stale, agreement, unit, low, high, forecasting, rates.
         """
         return self.declare(Attribute, name, kind=AttributeKind.QUALITY, **given)
 
@@ -329,8 +334,8 @@ class Model:
             element: of this model, or a name that only one has; a constraint is what `constrain` returned.
             fields: new values; of a constraint `value`, `hysteresis` and `dwell`, of a design its `priority`, of a
                 configuration also its `parameters`, of a function or component `always_improve`, of an attribute
-                `max_age`, `when_stale` and `agreement`, of a component also `stops_to_configure`, of an estimation
-                `value` and `kind`.
+                `max_age`, `when_stale`, `agreement`, `forecasting` and `rates`, of a component also
+                `stops_to_configure`, of an estimation `value` and `kind`.
         """
         element = self._meant("what is changed", element)
         checks = {field: one.check for field, one in CHECKS[type(element)].items() if one.can_change}
@@ -564,7 +569,9 @@ def _users_of(model: Contents, element: Element) -> list[str]:
     users: dict[Changeable, str] = {one: f"{KINDS[type(one)]} {one.name!r}" for one in owners}
     users |= {one: f"constraint {one}" for one in model.constraints}
     users |= {one: f"an estimation of {one.attribute!r}" for one in model.estimations}
-    return [text for one, text in users.items() if any(_names(getattr(one, field, ()), element) for field in given)]
+    found = [text for one, text in users.items() if any(_names(getattr(one, field, ()), element) for field in given)]
+    rated = model.attributes.values() if isinstance(element, Action) else ()
+    return found + [f"a rate of {one.name!r}" for one in rated for rate in one.rates if rate.while_ == element.name]
 
 
 def _names(value: str | Collection[str], element: Element) -> bool:

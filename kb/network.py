@@ -61,6 +61,18 @@ class Node:
         self.wholes: list[Node] = []
 
     @property
+    def attribute(self) -> Attribute:
+        """The attribute that it stands for, or which it compares."""
+        element = self.parts[0].element if self.kind == "constraint" else self.element
+        assert isinstance(element, Attribute)
+        return element
+
+    @property
+    def constraint(self) -> Constraint:
+        assert isinstance(self.element, Constraint)
+        return self.element
+
+    @property
     def ref(self) -> Ref:
         if isinstance(self.element, Element):
             return self.kind, self.element.name
@@ -98,8 +110,7 @@ class Thresholds:
 
     def around(self, value: float) -> list[float]:
         place = bisect_right(self._turns, value, key=_FIRST)
-        near = [node.element for _, node in self._turns[max(0, place - 1) : place + 1]]
-        return [constraint.value for constraint in near if isinstance(constraint, Constraint)]
+        return [node.constraint.value for _, node in self._turns[max(0, place - 1) : place + 1]]
 
 
 _FIRST = itemgetter(0)
@@ -107,16 +118,12 @@ _FIRST = itemgetter(0)
 
 def is_steady(node: Node) -> bool:
     """Tell whether what a constraint is depends on earlier measurements too; see `kb.measurements`."""
-    constraint, attribute = node.element, node.parts[0].element
-    assert isinstance(constraint, Constraint)
-    assert isinstance(attribute, Attribute)
-    return constraint.hysteresis > 0 or constraint.dwell > 0 or attribute.agreement != (1, 1)
+    return node.constraint.hysteresis > 0 or node.constraint.dwell > 0 or node.attribute.agreement != (1, 1)
 
 
 def _turn(node: Node) -> float:
-    assert isinstance(node.element, Constraint)
-    value = node.element.value
-    return value if node.element.operator in (">=", "<") else math.nextafter(value, math.inf)
+    value = node.constraint.value
+    return value if node.constraint.operator in (">=", "<") else math.nextafter(value, math.inf)
 
 
 class _Related(NamedTuple):

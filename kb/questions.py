@@ -9,13 +9,14 @@ from contextlib import contextmanager
 from types import MappingProxyType
 from typing import Final, NamedTuple
 
-from kb.elements import Attribute, Constraint, Element, exact, finite_number, listed, shown
+from kb.elements import Constraint, Element, exact, finite_number, listed, shown
 from kb.exceptions import AmbiguousName, InvalidValue, UnknownName
 from kb.explanation.choice import ChoiceExplanation
 from kb.explanation.choice import explain_choice as explained_choice
 from kb.explanation.reasons import Explanation
 from kb.explanation.reasons import explain as explained
 from kb.explanation.reasons import why as explained_shortly
+from kb.forecasts import Forecast, feasible_until, suppose_forecast
 from kb.inference import propagate
 from kb.measurements import verdict
 from kb.network import Network, Node, Ref
@@ -195,12 +196,14 @@ class _Assumption(NamedTuple):
     what: str
     node: Node
     value: float | None = None
+    forecast: Forecast | None = None
 
     def __str__(self) -> str:
+        if self.forecast is not None:
+            return str(self.forecast)
         if self.what != "measured":
             return f"{self.node.name} {self.what}"
-        assert isinstance(self.node.element, Attribute)
-        value = "not measured" if self.value is None else self.node.element.amount(exact(self.value))
+        value = "not measured" if self.value is None else self.node.attribute.amount(exact(self.value))
         return f"{self.node.name} {value}"
 
 
@@ -212,6 +215,7 @@ def suppose(
     failed: Iterable[str] = (),
     recovered: Iterable[str] = (),
     requested: Iterable[str] = (),
+    at: float | None = None,
     **attributes: float | None,
 ) -> "Situation":
     """Return what would be if, to be asked the same questions; the facts stay as they are, and nothing is copied.
@@ -222,6 +226,10 @@ def suppose(
         failed: names of components supposed to have failed.
         recovered: names of components supposed not to have.
         requested: names of actions supposed to be required, even if they are unfeasible.
+        at: a time from now on [s, by the clock], for which attributes are forecast as of now, see `Attribute.forecast`,
+            while what is required now, and what is supposed to be, is done. That only adds caution: what is violated
+            now stays so, and what the worse end of a forecast's interval violates is violated then. What is not known
+            stays as it is.
         attributes: values by name of attribute, e.g. `light=0.3`.
     """
     if not isinstance(measured, Mapping | None):
@@ -240,7 +248,14 @@ def suppose(
         for what, names in listings.items():
             kind = "action" if what == "requested" else "component"
             supposed += [_Assumption(what, named(network.of_kind(kind), kind, name)) for name in names]
-        return Situation(base, state, supposed)
+        if at is not None:
+            now, then, of = base.now, finite_number(at), base.forecast
+            if then < now:
+                raise InvalidValue(f"a situation is that of a time from now on, {now!r} s by the clock; not {at!r}")
+            doing = of.doing(state, None).union(one.node.name for one in supposed if one.what == "requested")
+            for node in (node for name, node in network.attributes.items() if name not in values):
+                supposed.append(_Assumption("forecast", node, None, of.at(state, node, then, now, doing)))
+        return Situation(base, state, supposed, at)
 
 
 class Situation:
@@ -250,8 +265,11 @@ class Situation:
     assumptions.
     """
 
-    def __init__(self, base: Readable, state: State, assumptions: Iterable[_Assumption]) -> None:
-        self._base = base
+    def __init__(
+        self, base: Readable, state: State, assumptions: Iterable[_Assumption], at: float | None = None
+    ) -> None:
+        self._base, self._at = base, at
+        self.forecast = base.forecast
         self._network = state.network
         self._assumptions = tuple(assumptions)
         self._seen = (-1, -1)
@@ -271,11 +289,12 @@ class Situation:
     why = why
     explain_choice = explain_choice
     situation = suppose
+    feasible_until = feasible_until
 
     @property
     def now(self) -> float:
-        """The time by the clock [s]."""
-        return self._base.now
+        """The time that it is of, or else that by the clock [s]."""
+        return self._base.now if self._at is None else self._at
 
     @contextmanager
     def reading(self) -> Iterator[State]:
@@ -294,8 +313,11 @@ class Situation:
     def _supposed(self, below: State) -> Overlay:
         state = Overlay(below)
         touched: list[Node] = []
-        for what, node, value in self._assumptions:
+        for what, node, value, forecast in self._assumptions:
             self._network.find(node.element)
+            if forecast is not None:
+                touched += suppose_forecast(state, node, forecast)
+                continue
             if what == "measured":
                 touched += _suppose_measured(state, node, value)
                 continue
@@ -316,8 +338,7 @@ def _suppose_measured(state: State, attribute: Node, value: float | None) -> lis
     before, was_stale = state.value[index], state.stale[index]
     state.value[index], state.time[index], state.stale[index] = value, None, False
     for one in thresholds.steady:
-        assert isinstance(one.element, Constraint)
-        known = None if value is None else verdict(one.element, [value], 1, state.verdict[one.index])
+        known = None if value is None else verdict(one.constraint, [value], 1, state.verdict[one.index])
         state.verdict[one.index] = known  # as once it has been measured for long enough
     if before is None or value is None or was_stale:
         return attribute.constraints
@@ -326,8 +347,7 @@ def _suppose_measured(state: State, attribute: Node, value: float | None) -> lis
 
 def number(refusal: str, value: object, attribute: Node) -> float:
     """Return a number that an attribute can be; the refusal of anything else begins with what cannot be so."""
-    assert isinstance(attribute.element, Attribute)
     try:
-        return attribute.element.checked(value)
+        return attribute.attribute.checked(value)
     except InvalidValue as error:
         raise InvalidValue(f"{refusal} {shown(value)}: {error}") from None

@@ -361,6 +361,11 @@ class HistoryView:
         return tuple(self._read().requests.values())
 
     @property
+    def open_plans(self) -> tuple[ReconfigurationPlan, ...]:
+        """The plans that have not ended, in the order in which they were made."""
+        return tuple(self._read().open_plans.values())
+
+    @property
     def rejected(self) -> int:
         """How many readings of diagnostics could not be used so far."""
         return self._records.rejected

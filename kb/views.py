@@ -8,7 +8,7 @@ from collections.abc import Callable, ItemsView, Iterator, Mapping, ValuesView
 from contextlib import AbstractContextManager
 from operator import attrgetter
 from types import MappingProxyType
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 from kb.elements import AttributeKind, ComponentKind, Constraint, Element, Parameters, finite_number
 from kb.exceptions import UnknownName
@@ -25,6 +25,10 @@ class Readable(Protocol):
     @property
     def now(self) -> float:
         """The time by the clock [s]."""
+
+    @property
+    def forecast(self) -> Any:  # noqa: ANN401  # a `Forecaster`, which is made of views
+        """What looks ahead."""
 
     def reading(self) -> AbstractContextManager[State]:
         """Give the facts and statuses, to be read only; nothing changes within the `with` statement."""

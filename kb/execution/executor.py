@@ -117,7 +117,7 @@ class StagedExecutor:
         for attempt in kb.history.attempts:
             if attempt.end is None and attempt not in known and self._plan in (attempt.plan, None):
                 kb.finish_attempt(attempt, "abandoned", "it was interrupted before its answer was known")
-        self._stages = self._staged(kb, kb.open_plans) if self._plan in kb.open_plans else iter(())
+        self._stages = self._staged(kb, kb.history.open_plans) if self._plan in kb.history.open_plans else iter(())
 
     def _go_on(self, kb: KnowledgeBase) -> None:
         if kb is not self._known:
@@ -130,7 +130,7 @@ class StagedExecutor:
         if self._quarantine.held:
             self._quarantine.review(kb)
         if self._plan is None:
-            open_plans = kb.open_plans
+            open_plans = kb.history.open_plans
             if not open_plans:
                 return
             self._stages, self._stage = self._staged(kb, open_plans), []

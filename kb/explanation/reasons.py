@@ -182,6 +182,8 @@ class _Explainer:
             fact = f"{node.name} is asserted {status}{said}" if measurement else f"it is asserted so{said}"
         elif measurement:
             fact = _compared(measurement, node, self._now, state.verdict[node.index])
+            if measurement.time is None and (forecast := state.reason("forecast", node.parts[0]).text):
+                fact = f"{forecast}; that makes {node.name} {status}" if status is Status.VIOLATED else forecast
         elif possible_only or status is Status.FEASIBLE:
             fact, reasons = _POSSIBLE[node.kind], _together(self._witnesses(node))
         else:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from itertools import islice
 from typing import Final, NamedTuple
 
-from kb.elements import Attribute, Component, Constraint, Element, Function, StalePolicy, called, exact
+from kb.elements import Component, Constraint, Element, Function, StalePolicy, called, exact
 from kb.measurements import turning_point
 from kb.network import Node
 from kb.state import State
@@ -293,8 +293,7 @@ class Requirements:
 
 
 def _is_counted_violated(state: State, attribute: Node) -> bool:
-    assert isinstance(attribute.element, Attribute)
-    return state.stale[attribute.index] and attribute.element.when_stale is StalePolicy.VIOLATED
+    return state.stale[attribute.index] and attribute.attribute.when_stale is StalePolicy.VIOLATED
 
 
 def _is_outside(state: State, attribute: Node, interval: Interval) -> bool:
@@ -309,15 +308,13 @@ def _is_outside(state: State, attribute: Node, interval: Interval) -> bool:
 
 
 def _wanted(node: Node, verdict: Status | None) -> Interval:
-    assert isinstance(node.element, Constraint)
-    return Interval.of(node.element, turning_point(node.element, verdict))
+    return Interval.of(node.constraint, turning_point(node.constraint, verdict))
 
 
 def _holds(state: State, attribute: Node, node: Node) -> bool:
-    value, constraint = state.value[attribute.index], node.element
+    value, constraint = state.value[attribute.index], node.constraint
     if value is None or _is_counted_violated(state, attribute):
         return False
-    assert isinstance(constraint, Constraint)
     if state.verdict[node.index] is not None:
         return state.verdict[node.index] is not Status.VIOLATED
     return OPERATORS[constraint.operator](value, constraint.value)
@@ -406,9 +403,8 @@ def _remedy(state: State, box: Box) -> Remedy:
         attribute = state.network.attributes[name]
         if _is_outside(state, attribute, interval):
             value, again = state.value[attribute.index], _is_counted_violated(state, attribute)
-            longer, element = not again and value is not None and value in interval, attribute.element
-            assert isinstance(element, Attribute)
-            measured.append(Measured(name, interval, again, longer, element.unit))
+            longer = not again and value is not None and value in interval
+            measured.append(Measured(name, interval, again, longer, attribute.attribute.unit))
     return Remedy((*measured, *sorted(box.repairs, key=str)))
 
 

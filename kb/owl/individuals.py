@@ -242,8 +242,9 @@ def _plain(cls: type, field: str, value: object, serials: Serials) -> Iterator[V
         yield Ref(element_id(value, serials))
     elif isinstance(value, Element):
         yield Ref(named_id(type(value), value.name))
-    elif field == "agreement":
-        yield json.dumps(value)
+    elif field in ("agreement", "rates"):
+        if value:
+            yield json.dumps(value)
     elif isinstance(value, tuple):
         for one in value:
             yield from _plain(cls, field, one, serials)

@@ -165,6 +165,8 @@ def _written(field: Field, one: object) -> str | None:
         return None
     if field.name == "agreement":
         return quoted("{} of {}".format(*value))
+    if field.name == "rates":
+        return quoted(json.dumps(value))
     if field.value is Value.TIME:
         return written_time(value)
     if field.name in ("time", "start", "end") and written_time(value):

@@ -366,7 +366,7 @@ class AdaptationLog:
 
 def is_news(kb: KnowledgeBase, event: Event) -> bool:
     """Tell whether an event is news from the robot, and not what a plan that is being executed has brought about."""
-    return event.kind is EventKind.MONITORING_DATA and not (event.verb == "component_active" and kb.open_plans)
+    return event.kind is EventKind.MONITORING_DATA and not (event.verb == "component_active" and kb.history.open_plans)
 
 
 def _together(news: Sequence[_News]) -> _News | None:

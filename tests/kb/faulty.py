@@ -182,7 +182,7 @@ class Life:
             self._seen = event.number
         assert not self.lies, self.lies
         assert all(count == 1 for count in self.ends.values()), self.ends
-        assert len(self.kb.open_plans) <= 1
+        assert len(self.kb.history.open_plans) <= 1
         for plan in self.kb.plans[-3:]:
             assert (plan.end is not None) == (self.ends[plan.number] == 1), plan
         for one in self.kb.history.attempts[-20:]:

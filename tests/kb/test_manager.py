@@ -708,7 +708,7 @@ def test_a_later_plan_that_completes_loses_nothing_of_an_earlier_one_that_is_sti
     first = kb.select({}, {"lamp": "k2"})
     kb.request_action("honk")
     second = kb.select({"sound": "by horn"})
-    assert kb.open_plans == (first, second)
+    assert kb.history.open_plans == (first, second)
     manager.update()
     assert (first.result, second.result) == ("abandoned", "completed")
     assert kb.components["horn"].is_active

@@ -1,0 +1,316 @@
+"""What an attribute will be, and until when an action stays feasible, as far as the past tells.
+
+Nothing is worked out before it is asked, and an answer is a function of what was measured and done until then: the same
+events give the same answers. A forecast only ever adds caution: what is violated now stays so, whatever is forecast.
+"""
+
+import math
+from bisect import bisect_right
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+from kb.elements import FUNCTIONS, Attribute, exact, finite_number, listed
+from kb.exceptions import InvalidValue
+from kb.explanation.reasons import reading, why
+from kb.forecasts.extrapolation import LEVEL, Curve, Outlook, Series, constant, slope_of, straight, trend
+from kb.inference import propagate
+from kb.knowledge import Knowledge
+from kb.network import Node
+from kb.records import RequiredAction
+from kb.state import Overlay, State
+from kb.status import OPERATORS, Status
+from kb.views import Readable, named
+
+_MOST_SAMPLES, _MOST_REQUESTS, _MOST_FITS = 4096, 256, 4096
+_LOOKS, _HALVINGS = 256, 24
+"""At how many instants a horizon is looked at, and how often it is halved where something changes between two."""
+_WORSE, _EXPECTED, _BETTER = -1, 0, 1
+
+
+class Forecast(NamedTuple):
+    """What an attribute is expected to be at a time.
+
+    Attributes:
+        attribute: its name.
+        at: the time [s, by the clock of the knowledge base].
+        value: expected then, in the attribute's unit; None for "do not know".
+        low, high: it is between these as often as `level` says; None for "do not know".
+        level: 0.9.
+        reason: why, in words.
+    """
+
+    attribute: str
+    at: float
+    value: float | None
+    low: float | None
+    high: float | None
+    level: float
+    reason: str
+
+    def __str__(self) -> str:
+        return self.reason
+
+
+class FeasibleUntil(NamedTuple):
+    """Until when an action stays feasible, as far as is known.
+
+    Attributes:
+        action: its name.
+        at: when it is expected to become unfeasible [s, by the clock]; None if not within the horizon asked for.
+        earliest, latest: when it does if the intervals' worse ends come, or the better ones; None likewise.
+        reason: why, in words.
+        now: when it was asked [s].
+        within: the horizon [s].
+    """
+
+    action: str
+    at: float | None
+    earliest: float | None
+    latest: float | None
+    reason: str
+    now: float
+    within: float
+
+    def __str__(self) -> str:
+        at, earliest, latest = (f"{one - self.now:.3g}" if one is not None else "" for one in self[1:4])
+        if self.at == self.now:
+            return f"unfeasible now: {self.reason}"
+        if at:
+            return f"unfeasible in {at} s ({earliest or at} to {latest or f'more than {self.within:g}'}): {self.reason}"
+        first = f", unfeasible in {earliest} s at the earliest: {self.reason}" if earliest else ""
+        return f"feasible for {self.within:g} s, as far as is known{first}"
+
+
+class _Deeds:
+    """Which actions were done when, as far as that is on record."""
+
+    def __init__(self, requests: Iterable[RequiredAction]) -> None:
+        turns: dict[float, set[str]] = {}
+        for one in requests:
+            for time in (one.start, one.end):
+                if time is not None:
+                    turns.setdefault(time, set()).symmetric_difference_update((one.action,))
+        self._times, self._doing = [-math.inf], [frozenset[str]()]
+        for time in sorted(turns):
+            self._times.append(time)
+            self._doing.append(self._doing[-1] ^ turns[time])
+
+    def between(self, start: float, end: float) -> Iterator[tuple[float, float, frozenset[str]]]:
+        """Yield the spans between two times [s] within which the same was done, the latest first."""
+        place = bisect_right(self._times, end) - 1
+        while end > start:
+            begin = max(start, self._times[place])
+            if end > begin:
+                yield begin, end, self._doing[place]
+            end, place = begin, place - 1
+
+
+class Forecaster:
+    """Looks ahead for a knowledge base; called, it forecasts an attribute."""
+
+    def __init__(self, base: Readable, known: Knowledge) -> None:
+        self._base, self._known = base, known
+        self._outlooks: dict[int, tuple[object, Outlook | str]] = {}
+        self._fits: dict[object, Curve | None] = {}
+        self._deeds: tuple[object, _Deeds] = None, _Deeds(())
+
+    def __call__(self, attribute: str, horizon: float, *, doing: Iterable[str] | None = None) -> Forecast:
+        """Say what an attribute is expected to be.
+
+        Args:
+            attribute: its name.
+            horizon: how far ahead of now [s].
+            doing: names of the actions that are done meanwhile; those that are required now by default.
+
+        Raises:
+            UnknownName: no such attribute or action.
+            InvalidValue: the horizon is no time from 0.
+        """
+        now, ahead = self._base.now, _horizon(horizon)
+        with self._base.reading() as state:
+            node = named(state.network.attributes, "attribute", attribute)
+            return self.at(state, node, now + ahead, now, self.doing(state, doing))
+
+    def doing(self, state: State, given: Iterable[str] | None) -> frozenset[str]:
+        """Return the names of the actions that are done meanwhile."""
+        if given is None:
+            return frozenset(self._known.records.required)
+        names = (given,) if isinstance(given, str) else listed("the actions that are done", given)
+        return frozenset(named(state.network.actions, "action", name).name for name in names)
+
+    def at(self, state: State, node: Node, time: float, now: float, doing: frozenset[str]) -> Forecast:
+        """Forecast an attribute for a time [s] while something is done."""
+        outlook = self.outlook(state, node, doing)
+        expected = None if isinstance(outlook, str) else outlook.at(time)
+        if isinstance(outlook, str) or expected is None:
+            cause = outlook if isinstance(outlook, str) else "too little was measured to go so far ahead"
+            reason = f"it is not known what {node.name} is in {time - now:.3g} s: {cause}"
+            return Forecast(node.name, time, None, None, None, LEVEL, reason)
+        value, radius, words = expected
+        low, value, high = (_possible(node, value + side * (radius or 0.0)) for side in (_WORSE, _EXPECTED, _BETTER))
+        span = "how exactly is not known" if radius is None else f"{low:.3g} to {high:.3g}"
+        reason = f"{node.name} is {reading(value, (), node)} ({span}) in {time - now:.3g} s: it {_said(node, words)}"
+        is_known = radius is not None
+        return Forecast(node.name, time, value, low if is_known else None, high if is_known else None, LEVEL, reason)
+
+    def outlook(self, state: State, node: Node, doing: frozenset[str]) -> Outlook | str:
+        """Return how an attribute goes on while something is done, or why that is not known."""
+        element, history = node.attribute, state.histories.get(node.index)
+        if not element.forecasting and not element.rates:
+            return "its model says nothing of that (see Attribute.forecast)"
+        if state.value[node.index] is None or history is None or not history.pairs:
+            return "it is not measured"
+        if state.stale[node.index]:
+            return "what was measured is stale"
+        requests = self._known.records.requests
+        past = next(reversed(requests), 0), self._known.records.last_end
+        key = *history.pairs[-2:], len(history.pairs), past, doing, element.forecasting, element.rates
+        known = self._outlooks.get(node.index)
+        if known is None or known[0] != key:
+            if self._deeds[0] != past:
+                self._deeds = past, _Deeds(list(requests.values())[-_MOST_REQUESTS:])
+            pairs = history.pairs[-2 * _MOST_SAMPLES :]
+            known = self._outlooks[node.index] = key, self._made(node, Series(pairs[::2], pairs[1::2]), doing)
+        return known[1]
+
+    def _made(self, node: Node, series: Series, doing: frozenset[str]) -> Outlook | str:
+        element, deeds, last = node.attribute, self._deeds[1], len(series.times) - 1
+        way, function = element.forecasting, FUNCTIONS.get(element.forecasting)
+        is_stated = not way or any(not rate.while_ or rate.while_ in doing for rate in element.rates)
+        if not is_stated and ":" in way and function is None:
+            return f"it is forecast by the function {way}, which this program has not given"
+
+        def fit(place: int, ahead: float) -> Curve | None:
+            past = Series(series.times[: place + 1], series.values[: place + 1])
+            if is_stated:
+                return _rated(element, past, deeds, doing if place == last else None)
+            return trend(past, ahead) if way == "trend" else constant(past)
+
+        def is_alike(start: float, end: float) -> bool:
+            return all(done == doing for _, _, done in deeds.between(start, end))
+
+        return Outlook(series, fit, is_alike, is_stated=is_stated)
+
+
+def feasible_until(
+    base: Readable, action: str, within: float = 300.0, *, doing: Iterable[str] | None = None
+) -> FeasibleUntil:
+    """Say until when an action stays feasible, as far as is known.
+
+    Args:
+        base: what is asked.
+        action: its name.
+        within: how far ahead it is looked [s].
+        doing: names of the actions that are done meanwhile; by default those that are required now, if it is one of
+            them, else it alone.
+    """
+    now, ahead = base.now, _horizon(within)
+    with base.reading() as state:
+        node = named(state.network.actions, "action", action)
+        if state.status[node.index] is Status.UNFEASIBLE:
+            return FeasibleUntil(node.name, now, now, now, why(state, node, now), now, ahead)
+        done = base.forecast.doing(state, (node.name,) if doing is None and not state.requested[node.index] else doing)
+        constraints = [one for one in dict.fromkeys(_constraints(node)) if state.status[one.index] is Status.SATISFIED]
+        outlooks = {one: base.forecast.outlook(state, one.parts[0], done) for one in constraints}
+        known = {one: outlook for one, outlook in outlooks.items() if isinstance(outlook, Outlook)}
+        found = [_first(state, node, known, now, ahead, side) for side in (_EXPECTED, _WORSE, _BETTER)]
+    reason = next((one[1] for one in found if one is not None), "nothing is known that makes it unfeasible")
+    at, earliest, latest = (None if one is None else one[0] for one in found)
+    return FeasibleUntil(node.name, at, earliest, latest, reason, now, ahead)
+
+
+def _first(
+    state: State, action: Node, known: dict[Node, Outlook], now: float, within: float, side: int
+) -> tuple[float, str] | None:
+    """Return when an action becomes unfeasible, and why; None if it does not within the horizon."""
+    found: dict[tuple[Node, ...], bool] = {(): False}
+
+    def violated(time: float) -> tuple[Node, ...]:
+        return tuple(one for one, outlook in known.items() if _is_violated(one, outlook, time, side))
+
+    def is_unfeasible(nodes: tuple[Node, ...]) -> bool:
+        if nodes not in found:
+            layer = Overlay(state)
+            for node in nodes:
+                layer.verdict[node.index] = Status.VIOLATED
+            propagate(layer, nodes)
+            found[nodes] = layer.status[action.index] is Status.UNFEASIBLE
+        return found[nodes]
+
+    for before, time in pairwise(now + within * look / _LOOKS for look in range(_LOOKS + 1)):
+        if is_unfeasible(violated(time)):
+            for _ in range(_HALVINGS):
+                middle = (before + time) / 2
+                before, time = (before, middle) if is_unfeasible(violated(middle)) else (middle, time)
+            one = next(one for one in violated(time) if one not in violated(before))
+            _, _, words = known[one].at(time) or (0.0, None, "")
+            threshold = one.attribute.amount(exact(one.constraint.value))
+            return time, f"{one.attribute.name} {_said(one, words)} and reaches {threshold}"
+    return None
+
+
+def _is_violated(node: Node, outlook: Outlook, time: float, side: int) -> bool:
+    """Tell whether a constraint is at a time [s], as expected or at the worse or better end of the interval."""
+    if (expected := outlook.at(time)) is None:
+        return False
+    far = side * (expected[1] or 0.0) * (1 if node.constraint.operator in (">=", ">") else -1)
+    return not OPERATORS[node.constraint.operator](_possible(node, expected[0] + far), node.constraint.value)
+
+
+def suppose_forecast(state: State, node: Node, forecast: Forecast) -> Sequence[Node]:
+    """Enter what is forecast for an attribute in a layer; returns the constraints whose status it may change.
+
+    A constraint is violated if it is now, or if the worse end of the interval violates it, and else stays as it is.
+    """
+    if forecast.value is None:
+        return ()
+    for one in node.constraints:
+        worse = forecast.low if one.constraint.operator in (">=", ">") else forecast.high
+        is_so = OPERATORS[one.constraint.operator](forecast.value if worse is None else worse, one.constraint.value)
+        state.verdict[one.index] = state.status[one.index] if is_so else Status.VIOLATED
+    state.value[node.index], state.time[node.index] = forecast.value, None
+    state.give_reason("forecast", node, forecast.reason)
+    return node.constraints
+
+
+def _constraints(node: Node) -> Iterator[Node]:
+    """Yield the constraints on an element and on what it needs."""
+    yield from node.constraints
+    for part in node.parts:
+        yield from _constraints(part)
+
+
+def _rated(element: Attribute, past: Series, deeds: _Deeds, doing: frozenset[str] | None) -> Curve:
+    """Go on with stated rates while something is done all the time, or else, in the past, while what was done is."""
+    time, value = past.times[-1], past.values[-1]
+    slopes = {rate.while_: rate.per_s for rate in element.rates}
+    for name in [rate.while_ for rate in element.rates if rate.learns]:
+        alone = (span for *span, done in deeds.between(past.times[0], time) if done == {name} - {""})
+        slopes[name] = next((slope for span in alone if (slope := slope_of(past.between(*span)))), slopes[name])
+    if doing is not None:
+        applying = [name for name in slopes if not name or name in doing]
+        names = ", ".join(filter(None, applying))
+        return straight(time, value, math.fsum(map(slopes.__getitem__, applying)), f" while {names}" if names else "")
+
+    def at(then: float) -> float:
+        spans = list(deeds.between(time, then))
+        done = [slopes[name] * (end - begin) for name in slopes for begin, end, one in spans if not name or name in one]
+        return value + math.fsum(done)
+
+    return Curve(at, "")
+
+
+def _possible(node: Node, value: float) -> float:
+    return min(max(value, node.attribute.low), node.attribute.high)
+
+
+def _said(node: Node, words: str) -> str:
+    return words.format(f" {node.attribute.unit}" if node.attribute.unit else "")
+
+
+def _horizon(given: float) -> float:
+    horizon = finite_number(given)
+    if horizon < 0:
+        raise InvalidValue(f"a horizon is a time in seconds from 0, not {given!r}")
+    return horizon

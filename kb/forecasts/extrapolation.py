@@ -1,0 +1,167 @@
+"""How a series of measurements may go on: curves through what was, and how far such curves were off so far.
+
+Intervals are conformal (Vovk, Gammerman and Shafer, "Algorithmic learning in a random world", 2005): what is forecast
+from earlier points of the same series is compared with what came, and the interval is as wide as would have held that
+often enough. After misses it widens, after hits it narrows (Gibbs and Candes, "Adaptive conformal inference under
+distribution shift", NeurIPS 2021). All is a function of the series; what was worked out before is only remembered.
+"""
+
+import math
+from bisect import bisect_left, bisect_right
+from collections.abc import Callable, Sequence
+from itertools import combinations, pairwise
+from statistics import median
+from typing import Final, NamedTuple
+
+LEVEL: Final = 0.9
+"""How often an interval shall hold what comes."""
+_ORIGINS, _GAPS = 32, 8
+"""From how many earlier points it is looked how far a forecast was off, and how many lie within a horizon at most."""
+_PACE: Final = 0.02
+"""How quickly an interval adapts after a hit or a miss."""
+_REACH: Final = 4.0
+"""How much further ahead than it could be checked a forecast goes; its interval grows with the time then."""
+_MOST_POINTS, _LEAST_POINTS = 24, 8
+_ROUNDING: Final = 1e-9
+
+
+class Curve(NamedTuple):
+    """What an attribute is at a time [s], and how it gets there, in words with "{}" for its unit."""
+
+    value: Callable[[float], float | None]
+    words: str
+
+
+class Series(NamedTuple):
+    """Measurements by time [s]."""
+
+    times: Sequence[float]
+    values: Sequence[float]
+
+    def between(self, start: float, end: float) -> "Series":
+        """Return those from one time to another [s]."""
+        first, last = bisect_left(self.times, start), bisect_right(self.times, end)
+        return Series(self.times[first:last], self.values[first:last])
+
+
+def constant(series: Series) -> Curve:
+    """Stay as measured last."""
+    return straight(series.times[-1], series.values[-1], 0.0)
+
+
+def straight(time: float, value: float, slope: float, words: str = "") -> Curve:
+    """Go on from a point with a slope [1/s]."""
+    way = f"{'rises' if slope > 0 else 'falls'} by {abs(slope):.3g}{{}}/s" if slope else "stays as it is"
+    return Curve(lambda then: value + slope * (then - time), way + words)
+
+
+def slope_of(series: Series) -> float | None:
+    """Return the median of the slopes between any two points, thinned out [1/s] (Theil 1950, Sen 1968).
+
+    Nearly three in ten points may be arbitrarily wrong; None of too few points.
+    """
+    points = list(zip(*series, strict=True))[:: -max(1, math.ceil(len(series.times) / _MOST_POINTS))]
+    slopes = [(two[1] - one[1]) / (two[0] - one[0]) for one, two in combinations(points, 2) if two[0] != one[0]]
+    return median(slopes) if len(series.times) >= _LEAST_POINTS and slopes else None
+
+
+def trend(series: Series, ahead: float) -> Curve | None:
+    """Go on along a robust straight line through what was measured lately, twice as long as is looked ahead [s]."""
+    end = series.times[-1]
+    lately = series.between(min(end - 2 * ahead, series.times[-_LEAST_POINTS:][0]), end)
+    if (slope := slope_of(lately)) is None:
+        return None
+    heights = (value - slope * (time - end) for time, value in zip(*lately, strict=True))
+    return straight(end, median(heights), slope)
+
+
+class Outlook:
+    """How one series goes on, and how far that may be off, by how far ahead it is.
+
+    Args:
+        series: what was measured.
+        fit: continues the series from one of its places, to be right about so far ahead [s]; None if it cannot.
+        is_alike: whether what is forecast from one time to another [s] is like what is forecast now.
+        is_stated: whether it is known to go on so, however little was seen.
+    """
+
+    def __init__(
+        self,
+        series: Series,
+        fit: Callable[[int, float], Curve | None],
+        is_alike: Callable[[float, float], bool],
+        *,
+        is_stated: bool,
+    ) -> None:
+        self._series, self._fit, self._is_alike, self._is_stated = series, fit, is_alike, is_stated
+        steps = sorted(two - one for one, two in pairwise(series.times[-2 * _LEAST_POINTS :]) if two > one)
+        self._step = 2.0 ** math.floor(math.log2(steps[len(steps) // 2])) if steps else 1.0
+        self._radii: list[float] = []
+        self._is_complete = False
+
+    def at(self, time: float) -> tuple[float, float | None, str] | None:
+        """Return what is expected at a time [s], how far that may be off, if that is known, and how it gets there."""
+        ahead = max(time - self._series.times[-1], self._step)
+        knot = math.ceil(math.log2(ahead / self._step) - _ROUNDING)
+        radius = self._radius(knot, ahead)
+        if radius is None and not self._is_stated:
+            return None
+        curve = self._fit(len(self._series.times) - 1, self._step * 2.0**knot)
+        value = None if curve is None else curve.value(time)
+        return None if curve is None or value is None else (value, radius, curve.words)
+
+    def _radius(self, knot: int, ahead: float) -> float | None:
+        """Return how far it may be off so far ahead [s]: as found at each doubling of the step, straight between."""
+        radii = self._radii
+        while len(radii) <= knot and not self._is_complete:
+            radius = _quantile(self._errors(self._step * 2.0 ** len(radii)))
+            self._is_complete = radius is None
+            radii += [] if radius is None else [max(radius, *radii[-1:], 0.0)]
+        if knot < len(radii):
+            low = radii[max(knot - 1, 0)]
+            return low + (radii[knot] - low) * (2.0 * ahead / (self._step * 2.0**knot) - 1.0)
+        most = self._step * 2.0 ** (len(radii) - 1)
+        return radii[-1] * ahead / most if radii and (self._is_stated or ahead <= _REACH * most) else None
+
+    def _errors(self, ahead: float) -> list[float]:
+        """Return how far forecasts of so far ahead [s] were off, by time; those alike only, if these are enough."""
+        times, gap = self._series.times, max(self._step, ahead / _GAPS)
+        found: list[tuple[float, bool]] = []
+        last, turn = -1, math.floor((times[-1] - ahead) / gap)
+        while len(found) < _ORIGINS and turn * gap >= times[0]:
+            place = bisect_right(times, turn * gap) - 1
+            if place != last and (error := self._error(place, ahead)) is not None:
+                found.append(error)
+            last, turn = place, turn - 1
+        alike = [error for error, is_alike in found if is_alike]
+        return (alike if _quantile(alike) is not None else [error for error, _ in found])[::-1]
+
+    def _error(self, place: int, ahead: float) -> tuple[float, bool] | None:
+        times, values = self._series
+        then = times[place] + ahead
+        came = bisect_left(times, then - _ROUNDING * ahead)
+        if came == len(times) or (curve := self._fit(place, ahead)) is None:
+            return None
+        is_seldom = times[came] > then + 2 * self._step  # then it is what it was last
+        came, then = (came - 1, then) if is_seldom else (came, times[came])
+        value = curve.value(then)
+        return None if value is None else (abs(values[came] - value), self._is_alike(times[place], then))
+
+
+def _quantile(errors: Sequence[float]) -> float | None:
+    """Return what the next error does not exceed, as often as an interval shall hold; None of too few errors."""
+    chance, ranked = 1.0 - LEVEL, list[float]()
+    for error in errors:
+        if (most := _ranked(ranked, chance)) is not None:
+            chance += _PACE * ((1.0 - LEVEL) - (error > most))
+        ranked.insert(bisect_right(ranked, error), error)
+    return _ranked(ranked, chance)
+
+
+def _ranked(ranked: Sequence[float], chance: float) -> float | None:
+    """Return the error that is exceeded by such a chance; where that is less than can be told, twice the greatest."""
+    count = len(ranked)
+    if math.ceil((count + 1) * LEVEL) > count:
+        return None
+    rank = max(1, math.ceil((count + 1) * (1.0 - chance)))
+    return ranked[rank - 1] if rank <= count else 2.0 * ranked[-1]

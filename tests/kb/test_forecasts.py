@@ -1,0 +1,184 @@
+"""What attributes are expected to be, and until when actions stay feasible."""
+
+import math
+
+import pytest
+from clocks import Clock
+
+from kb import InvalidValue, KnowledgeBase, Model, ModelError, UnknownName
+
+
+def rover(**battery):
+    model = Model("rover")
+    level = model.quality_attribute("energy", low=0.0, high=1.0, **battery)
+    light = model.environmental_attribute("light", unit="lx")
+    camera = model.component("camera")
+    camera.configuration("day", {"exposure": 1}, priority=1, constraints=[light >= 10.0])
+    camera.configuration("night", {"exposure": 9}, priority=2, constraints=[light >= 1.0])
+    see = model.function("see")
+    see.design("by camera", [camera])
+    model.action("explore", requires=[see], constraints=[level >= 0.25])
+    model.action("charge")
+    return model
+
+
+@pytest.fixture
+def clock():
+    return Clock()
+
+
+def lives(model, clock, *, until, energy=lambda t: 1.0 - 0.005 * t, light=None, doing="explore", every=1.0):
+    kb = KnowledgeBase(model, clock=clock)
+    kb.measure("energy", energy(0.0))
+    if light is not None:
+        kb.measure("light", light(0.0))
+    kb.request_action(doing)
+    for step in range(1, int(until / every) + 1):
+        clock.now = step * every
+        kb.measure("energy", energy(clock.now))
+        if light is not None:
+            kb.measure("light", light(clock.now))
+    return kb
+
+
+def test_stated_rate_says_when_an_action_becomes_unfeasible_and_why(clock):
+    model = rover()
+    model.attributes["energy"].changes(-0.005, per="s", while_="explore")
+    kb = lives(model, clock, until=60)
+    found = kb.feasible_until("explore")
+    assert found.at == pytest.approx(60 + (0.7 - 0.25) / 0.005, abs=0.01)
+    assert found.earliest <= found.at + 1e-6
+    assert str(found).startswith("unfeasible in 90 s (90 to 90): ")
+    assert "energy falls by 0.005/s while explore and reaches 0.25" in str(found)
+    ahead = kb.forecast("energy", 30.0)
+    assert ahead.value == pytest.approx(0.55)
+    assert ahead.low <= ahead.value <= ahead.high
+    assert ahead.at == 90.0
+    assert "energy is 0.55" in str(ahead)
+
+
+def test_stated_rate_holds_only_while_its_action_is_done(clock):
+    model = rover()
+    model.attributes["energy"].changes(-18, per="h", while_=model.actions["explore"])
+    model.attributes["energy"].changes(0.01, while_="charge")
+    kb = lives(model, clock, until=20)
+    assert kb.forecast("energy", 10.0, doing=["charge"]).value == pytest.approx(1.0)  # it cannot be more
+    assert kb.forecast("energy", 10.0, doing=["explore"]).value == pytest.approx(0.85)
+    assert kb.forecast("energy", 10.0, doing=["explore", "charge"]).value == pytest.approx(0.95)
+    assert kb.forecast("energy", 10.0, doing=[]).value == pytest.approx(0.9)
+    assert kb.feasible_until("explore", doing=["charge"]).at is None
+    kb.cancel_action("explore")
+    assert kb.feasible_until("explore").at is not None  # as if it were done
+
+
+def test_nothing_is_claimed_of_what_is_not_known(clock):
+    model = rover()
+    kb = KnowledgeBase(model, clock=clock)
+    assert kb.forecast("energy", 10.0)[2:5] == (None, None, None)
+    assert "its model says nothing of that" in kb.forecast("energy", 10.0).reason
+    model.attributes["energy"].forecast("trend")
+    assert "it is not measured" in kb.forecast("energy", 10.0).reason
+    kb.measure("energy", 0.5)
+    assert kb.forecast("energy", 10.0).value is None
+    assert kb.feasible_until("explore").at is None
+    assert str(kb.feasible_until("explore", 60)) == "feasible for 60 s, as far as is known"
+    for step in range(1, 6):
+        clock.now = float(step)
+        kb.measure("energy", 0.5)
+    assert "too little was measured" in kb.forecast("energy", 4.0).reason
+    model.attributes["energy"].changes(0.1)
+    assert kb.forecast("energy", 4.0)[2:5] == (pytest.approx(0.9), None, None)  # it could not be checked yet
+    model.change("energy", max_age=2.0)
+    clock.now = 30.0
+    assert "stale" in kb.forecast("energy", 10.0).reason
+
+
+def test_trend_is_not_led_astray_by_outliers(clock):
+    model = rover()
+    model.attributes["energy"].forecast("trend")
+    kb = lives(model, clock, until=60, energy=lambda t: 0.01 if t % 7 == 3 else 1.0 - 0.005 * t)
+    ahead = kb.forecast("energy", 20.0)
+    assert ahead.value == pytest.approx(0.6, abs=0.01)
+
+
+@pytest.mark.parametrize(("by", "error"), [("constant", 0.1), ("trend", 0.0)])
+def test_interval_is_as_wide_as_earlier_forecasts_were_off(clock, by, error):
+    model = rover()
+    model.attributes["energy"].forecast(by)
+    kb = lives(model, clock, until=60)
+    ahead = kb.forecast("energy", 20.0)
+    assert ahead.high - ahead.low == pytest.approx(2 * error, abs=0.01)
+    assert ahead.low - 1e-9 <= 0.6 <= ahead.high
+
+
+def test_a_forecast_is_the_same_whoever_asked_before(clock):
+    def ask(kb):
+        return [kb.forecast("energy", ahead) for ahead in (1.0, 7.0, 30.0)] + [kb.feasible_until("explore")]
+
+    def wave(t):
+        return 0.6 + 0.2 * math.sin(t / 5)
+
+    model = rover()
+    model.attributes["energy"].forecast("trend")
+    once = lives(model, clock, until=50, energy=wave)
+    other = Clock()
+    kb = KnowledgeBase(model, clock=other)
+    for event in once.log:
+        other.now = event.time
+        kb.tell(event)
+        ask(kb)
+    assert ask(kb) == ask(once)
+
+
+def test_situation_at_a_later_time_is_only_more_cautious(clock):
+    model = rover()
+    model.attributes["energy"].changes(-0.005, while_="explore")
+    model.attributes["light"].forecast("trend")
+    kb = lives(model, clock, until=60, light=lambda t: 5.0 + 0.2 * t if t < 20 else 9.0 + 0.04 * t)
+    assert kb.situation(at=kb.now + 80).is_feasible("explore")
+    then = kb.situation(at=kb.now + 120)
+    assert not then.is_feasible("explore")
+    assert "energy is 0.1 (0.1 to 0.1) in 120 s: it falls by 0.005/s while explore" in str(then.explain("explore"))
+    assert kb.is_feasible("explore")
+    assert then.now == kb.now + 120
+    kb.measure("light", 9.0)  # day is not possible now, so it is not expected to be
+    assert kb.situation(at=kb.now + 60).selectable_configurations("camera") == ("night",)
+    with pytest.raises(InvalidValue, match="from now on"):
+        kb.situation(at=kb.now - 1)
+
+
+def test_bad_forecasts_are_refused_with_what_to_write(clock):
+    model = rover()
+    energy = model.attributes["energy"]
+    with pytest.raises(ModelError, match="constant, trend, periodic, or a function"):
+        energy.forecast("crystal ball")
+    with pytest.raises(ModelError, match="that a module defines"):
+        energy.forecast(lambda past, time: 0.5)
+    with pytest.raises(UnknownName, match="explore"):
+        energy.changes(-1, while_="explor")
+    with pytest.raises(UnknownName, match="min"):
+        energy.changes(-1, per="m")
+    with pytest.raises(InvalidValue, match="finite"):
+        energy.changes(math.inf)
+    energy.changes(-1, while_="explore")
+    with pytest.raises(ModelError, match="a rate of 'energy'"):
+        model.remove(model.actions["explore"])
+    kb = KnowledgeBase(model, clock=clock)
+    for wrong in (-1.0, math.nan):
+        with pytest.raises(InvalidValue):
+            kb.forecast("energy", wrong)
+    with pytest.raises(UnknownName):
+        kb.forecast("energy", 1.0, doing=["explor"])
+
+
+def test_a_rate_that_is_updated_is_an_event_that_can_be_told_again(clock):
+    model, again = rover(), rover()
+    model.attributes["energy"].changes(-0.001)
+    again.attributes["energy"].changes(-0.001)
+    kb, other = KnowledgeBase(model, clock=clock), KnowledgeBase(again, clock=clock)
+    kb.measure("energy", 0.9)
+    model.attributes["energy"].changes(-0.002)
+    for event in kb.log:
+        other.tell(event)
+    assert other.forecast("energy", 100.0) == kb.forecast("energy", 100.0)
+    assert other.forecast("energy", 100.0).value == pytest.approx(0.7)
