@@ -133,6 +133,7 @@ class Manager:
         options: numbers that can be set from outside; their values are in `robot.options`.
     """
 
+    tasks: ClassVar[tuple[str, ...]] = ("bt",)  # what it brings
     decides_tasks: ClassVar[bool] = False
     options: ClassVar[tuple[Setting, ...]] = ()
     period_s: float = 0.1

@@ -1,12 +1,14 @@
 """The managers there are, by name, and how a run is opened under the one that is asked for."""
 
 from collections.abc import Mapping
+from typing import Any
 
 from missions.baselines.manager import Manager
-from missions.engine.controller import OURS, check_task, rosa_run
+from missions.baselines.policies import Policy
+from missions.engine.controller import OURS, TASK_KINDS, RosaController, check_task, rosa_run
 from missions.engine.mission import Mission, MissionError, split_settings
 from missions.engine.registry import Registry
-from missions.engine.runner import Listener, MissionRun
+from missions.engine.runner import Controller, Listener, MissionRun
 from missions.engine.settings import Setting, own_values, read_values
 from missions.extras import needs
 
@@ -20,38 +22,72 @@ MANAGERS: Registry[type[Manager]] = Registry(
         "rosa": "missions.baselines.rosa:RosaManager",
     },
 )
-"""All but ours."""
+"""Of the sea's vehicle; all but ours."""
+
+POLICIES: Registry[type[Policy]] = Registry(
+    "manager",
+    {
+        "none": "missions.baselines.policies:Unmanaged",
+        "random": "missions.baselines.policies:Random",
+        "fixed": "missions.baselines.policies:Fixed",
+        "bt": "missions.baselines.policies:ByHand",
+    },
+)
+"""Of every other mission; what the sea has no manager of its own for is there, too."""
+
+AnyManager = type[Manager] | type[Policy]
 
 
-def find_manager(name: str | type[Manager]) -> type[Manager]:
+def find_manager(name: str | AnyManager, mission: Mission | None = None) -> AnyManager:
     """Return a manager by its name, or as "package:Class" from anywhere that Python imports from; a class is itself.
 
     Raises:
-        MissionError: no such manager; the message lists those there are.
+        MissionError: no such manager, or none that goes with the mission; the message lists those there are.
     """
-    known = f"{', '.join((OURS, *MANAGERS))}; one of your own is given as package:Class"
-    found = name if isinstance(name, type) else MANAGERS.find(name, known)
-    if not (isinstance(found, type) and issubclass(found, Manager)):
-        shown = name.__name__ if isinstance(name, type) else name
-        raise MissionError(f"{shown!r} is no subclass of missions.baselines.Manager")
+    if isinstance(name, type):
+        found: Any = name
+    else:
+        of_sea = MANAGERS.homes if mission is None or _is_in_sea(mission) else {}
+        registry = Registry[AnyManager]("manager", {**POLICIES.homes, **of_sea})
+        where = f"; {name} manages the vehicle of the sea only" if name in MANAGERS and name not in registry else ""
+        known = f"{', '.join((OURS, *registry))}; one of your own is given as package:Class{where}"
+        found = registry.find(name, known)
+    if not (isinstance(found, type) and issubclass(found, Manager | Policy)):
+        raise MissionError(
+            f"{getattr(name, '__name__', name)!r} is no subclass of missions.baselines.Policy or Manager"
+        )
+    if mission is not None and issubclass(found, Manager) and not _is_in_sea(mission):
+        what = (
+            f"{found.__name__} commands the nodes of the sea's vehicle, and {mission.name} does not happen in the sea"
+        )
+        raise MissionError(f"{what}; make it a subclass of missions.baselines.Policy")
+    if mission is not None and mission.selects:
+        raise MissionError(f"the task layer of mission {mission.name} selects configurations; run it under {OURS}")
     return found
 
 
-def name_of(manager: type[Manager]) -> str:
+def _is_in_sea(mission: Mission) -> bool:
+    from missions.suave.world import SEA  # no other mission imports that
+
+    return isinstance(mission.world, type(SEA))
+
+
+def name_of(manager: AnyManager) -> str:
     own = f"{manager.__module__}:{manager.__qualname__}"
-    return next((name for name, home in MANAGERS.homes.items() if home == own), own)
+    homes = (*MANAGERS.homes.items(), *POLICIES.homes.items())
+    return next((name for name, home in homes if home == own), own)
 
 
-def options_of(manager: str | type[Manager]) -> tuple[Setting, ...]:
+def options_of(manager: str | AnyManager, mission: Mission | None = None) -> tuple[Setting, ...]:
     """Return what can be set of a manager; nothing of ours."""
-    return () if manager == OURS else find_manager(manager).options
+    return () if manager == OURS else find_manager(manager, mission).options
 
 
 def open_run(
     mission: Mission,
     *,
-    manager: str | type[Manager] = OURS,
-    task: str = "bt",
+    manager: str | AnyManager = OURS,
+    task: str | None = None,
     seed: int = 0,
     settings: Mapping[str, str] | None = None,
     listeners: tuple[Listener, ...] = (),
@@ -61,7 +97,7 @@ def open_run(
     Args:
         mission: what to run.
         manager: the name of a manager, "package:Class", or the class itself.
-        task: task layer of ours, "bt" or "pddl"; other managers bring their own.
+        task: task layer of ours, "bt" or "pddl", by default what the mission has; some managers bring their own.
         seed: of all chance in the run.
         settings: what differs from the defaults, by name; a unit at the end of a name may be left out.
         listeners: who hears of it.
@@ -71,29 +107,36 @@ def open_run(
     """
     import numpy
 
-    check_task(task)
-    managed_by = None if manager == OURS else find_manager(manager)
-    options = options_of(manager)
+    managed_by, task = check_run(mission, manager, task)
+    options = () if managed_by is None else managed_by.options
     given, values = own_values(options, settings or {})
+    chosen = {one.name: one.default for one in options} | read_values(options, given)
     run_settings, world_settings = split_settings(mission, values)
     rng = numpy.random.default_rng(seed)
     with needs("sim", f"the world of {mission.name}"):
         world = mission.world.open(world_settings, rng)
     if managed_by is None:
         return rosa_run(mission, task, world, run_settings, listeners)
-    from missions.baselines.controller import BaselineController
-    from missions.suave.world import Sea
+    name, chance = name_of(managed_by), rng.spawn(1)[0]
+    controller: Controller
+    if issubclass(managed_by, Policy):
+        policy = managed_by(mission.model(), chance, chosen)
+        mission = policy.alter(mission, world)
+        controller = RosaController(mission, task, world, run_settings, name, policy, policy.hear)
+    else:
+        from missions.baselines.controller import BaselineController
 
-    if not isinstance(world, Sea):
-        raise MissionError(
-            f"mission {mission.name} can be run with manager {OURS} only, as --task bt or --task pddl: "
-            f"{name_of(managed_by)} commands the nodes of the sea's vehicle, and {mission.name} does not happen in the "
-            "sea"
-        )
-    if task != "bt":
-        raise MissionError(f"--task {task} is a task layer of ours; --manager {manager} comes without one")
-    chosen = {one.name: one.default for one in options} | read_values(options, given)
-    published = [one.name for one in options if one.is_published]
-    name = name_of(managed_by)
-    controller = BaselineController(mission, name, managed_by, world, rng.spawn(1)[0], chosen, published)
+        published = [one.name for one in options if one.is_published]
+        controller = BaselineController(mission, name, managed_by, world, chance, chosen, published)  # type: ignore[arg-type]  # a Manager's world is the Sea
     return MissionRun(mission, controller, world, run_settings, listeners)
+
+
+def check_run(mission: Mission, manager: str | AnyManager, task: str | None) -> tuple[AnyManager | None, str]:
+    """Return the manager, None for ours, and the task layer; MissionError unless both go with the mission."""
+    managed_by = None if manager == OURS else find_manager(manager, mission)
+    tasks = TASK_KINDS if managed_by is None else managed_by.tasks
+    task = task or tasks[-1 if mission.tree is None else 0]
+    check_task(task)
+    if task not in tasks:
+        raise MissionError(f"--task {task} is a task layer of ours; --manager {manager} comes without one")
+    return managed_by, task

@@ -75,7 +75,7 @@ def judge(files: Sequence[Path], mission: "Mission | None", trees: Sequence[str]
     if not (trees or pddl or mission):
         return Judgement(model.name, model.check())
     built = [(tree_builder(tree), f"tree {tree}") for tree in trees]
-    built += [] if mission is None else [(mission.tree, f"the tree of {mission.name}")]
+    built += [] if mission is None or mission.tree is None else [(mission.tree, f"the tree of {mission.name}")]
     uses = [use for tree, title in built for use in names_in_tree(tree, model, title)]
     uses += names_in_pddl(pddl) if pddl else []
     uses += [] if mission is None else planned_names(mission)

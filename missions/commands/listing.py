@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from missions.commands import open_console
+from missions.commands import MISSION, open_console
 
 
 def list_missions() -> None:
@@ -17,7 +17,8 @@ def list_missions() -> None:
 
 
 def list_settings(
-    mission: str, manager: Annotated[str, typer.Option(help="List what is to be set of this manager, too.")] = "ours"
+    mission: Annotated[str, typer.Argument(help=MISSION)],
+    manager: Annotated[str, typer.Option(help="List what is to be set of this manager, too.")] = "ours",
 ) -> None:
     """List what `rosa run MISSION --set NAME=VALUE` takes, with default, unit, what is allowed, and source."""
     from missions.baselines.registry import options_of
@@ -25,7 +26,7 @@ def list_settings(
     from missions.engine.registry import find_mission
 
     found, console = find_mission(mission), open_console()
-    for setting in (*options_of(manager), *settings_of(found)):
+    for setting in (*options_of(manager, found), *settings_of(found)):
         default = found.fixed.get(setting.name, setting.default)
         shown = f"{default:g}" if isinstance(default, float) else str(default)
         row = f"{setting.name:<32} {shown:>9} {setting.unit:<8} {setting.allowed}"

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from missions.commands import FAILED, open_console
+from missions.commands import FAILED, MISSION, open_console
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -24,12 +24,15 @@ LIVE_ROWS: Final = 100_000
 
 
 def run(
-    mission: str,
-    task: Annotated[str, typer.Option(help="Task layer of ours: bt (behaviour tree) or pddl (planned).")] = "bt",
+    mission: Annotated[str, typer.Argument(help=MISSION)],
+    task: Annotated[
+        str | None, typer.Option(help="Task layer: bt (behaviour tree) or pddl (planned); default: the one there is.")
+    ] = None,
     manager: Annotated[
-        str, typer.Option(help="ours, none, random, bt, metacontrol, rosa, or one of your own: package:Class.")
+        str,
+        typer.Option(help="ours, none, random, bt, fixed, your own package:Class; in the sea metacontrol, rosa, too."),
     ] = "ours",
-    rules: Annotated[str | None, typer.Option(help="Rules of SUAVE: 2024 (the ROSA paper) or 2025.")] = None,
+    rules: Annotated[str | None, typer.Option(help="Of the sea: 2024 (the ROSA paper) or 2025.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of all chance in the run.")] = 0,
     json: Annotated[Path | None, typer.Option(help="Write the result as JSON.")] = None,
     plot: Annotated[Path | None, typer.Option(help="Draw the run as a PNG picture.")] = None,
@@ -78,7 +81,7 @@ def run(
             import matplotlib  # noqa: F401  # it is found out before the run that it is missing
     found = find_mission(mission)
     changed = _assignments(settings or []) | ({} if rules is None else {"rules": rules})
-    _, of_mission = own_values(options_of(manager), changed)
+    _, of_mission = own_values(options_of(manager, found), changed)
     run_settings, _ = split_settings(found, of_mission)
     console = open_console()
     with ExitStack() as stack:
@@ -107,7 +110,7 @@ def run(
             opened.listen(stack.enter_context(record_run(mcap, opened, seed, page.recorder)))
         progress = progress and not tui
         with narrator if progress else nullcontext():
-            doing = f"task layer: {task}" if manager == "ours" else f"manager: {manager}"
+            doing = f"task layer: {opened.task}" if manager == "ours" else f"manager: {manager}"
             console.print(f"[bold]{found.name}[/] ({doing}, seed {seed})")
             start = time.perf_counter()
             try:

@@ -113,8 +113,8 @@ class AdaptationLog:
     task plan that was made anew, and has steps that the one before had not, is one too, unless the action that is begun
     for it says as much.
 
-    Not an adaptation: the first action, the next one after one that is completed, the same one again, and whatever no
-    news has led to.
+    Not an adaptation: the first action, the next one after one that is completed, the next step of a plan, the same
+    action again, and whatever no news has led to.
 
     Args:
         kb: the knowledge base to listen to.
@@ -293,9 +293,12 @@ class AdaptationLog:
             return cause
         if cause is not None:
             return regained if regained.time > cause.time else cause  # there was nothing else to be done before
+        plan = self._new_plan()
+        if plan is None and self._plans():
+            return None  # it is the next step of the plan
         if regained.time >= self._last_tick:
             return regained
-        plan = self._new_plan()  # it has been feasible for a while, and waited for something else to end
+        # it has been feasible for a while, and waited for something else to end
         if plan is not None and not self._steps.issuperset(plan.steps):
             return self._cause_of_plan(plan)
         since = f"{regained.reason} (since {regained.time:.1f} s: {regained.text})"

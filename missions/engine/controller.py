@@ -12,6 +12,7 @@ from py_trees.decorators import FailureIsRunning
 from py_trees.trees import BehaviourTree
 
 from kb import ConfigurationManager, DiagnosticProblem, Event, EventKind, KnowledgeBase, RequiredAction
+from kb import Planner as ConfigurationPlanner
 from missions.engine.adaptations import Adaptation, AdaptationLog
 from missions.engine.mission import MISSION_STATUS, Message, Mission, MissionError, Percepts, Verdict, World
 from missions.engine.runner import Controller, Listener, MissionRun, Seen
@@ -30,6 +31,15 @@ TASK_KINDS: Final = ("bt", "pddl")
 class RosaController(Controller):
     """The knowledge base hears what is published, the manager keeps the architecture right, the task layer decides.
 
+    Args:
+        mission: what is to be done.
+        task: the kind of the task layer.
+        world: where it happens.
+        settings: how it is run.
+        manager: the name of who chooses configurations.
+        planner: who does; by priority if it is not given.
+        hears: returns what the knowledge base hears of a message.
+
     Attributes:
         percepts: what the task layer perceives beside what the knowledge base knows.
 
@@ -37,12 +47,21 @@ class RosaController(Controller):
         MissionError, rosa_pddl.RosaPddlError, kb.KnowledgeBaseError: the mission cannot be run.
     """
 
-    def __init__(self, mission: Mission, task: str, world: World, settings: RunSettings) -> None:
-        super().__init__(OURS, task)
+    def __init__(
+        self,
+        mission: Mission,
+        task: str,
+        world: World,
+        settings: RunSettings,
+        manager: str = OURS,
+        planner: ConfigurationPlanner | None = None,
+        hears: Callable[[Message], Message] = lambda message: message,
+    ) -> None:
+        super().__init__(manager, task)
         self.percepts = Percepts()
         self._mission, self._world = mission, world
         self.kb = self._kb = KnowledgeBase(mission.model(), clock=self._now)
-        self._manager = ConfigurationManager(self._kb, world.managed)
+        self._manager, self._hears = ConfigurationManager(self._kb, world.managed, planner=planner), hears
         self._task = build_task(task, mission, self._kb, self.percepts, self._now, settings.planning_delay_s)
         deciding = self._task.plans if self._task.is_planned else tuple
         self._log = AdaptationLog(self._kb, self._report_adaptation, deciding)
@@ -91,7 +110,7 @@ class RosaController(Controller):
     def receive(self, message: Message) -> Sequence[DiagnosticProblem]:
         started = perf_counter()
         self._log.news(float(message["time"]))
-        problems = self._kb.receive(message)
+        problems = self._kb.receive(self._hears(message))
         self._perceive(message)
         self._log.news(None)
         self.compute_s["knowledge base"] += perf_counter() - started
@@ -254,6 +273,8 @@ def build_task(
     """
     check_task(kind)
     if kind == "bt":
+        if mission.tree is None:
+            raise MissionError(f"mission {mission.name} has no tree; run it with --task pddl, or give it tree=...")
         root = mission.tree(kb, percepts)
         if not isinstance(root, Behaviour):
             raise MissionError(f"the tree of mission {mission.name} is {root!r}, not a py_trees behaviour")

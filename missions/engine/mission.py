@@ -112,6 +112,9 @@ class Sample:
         return cls(time, (nan, nan, nan), signals)
 
 
+FEW: Final = 16
+"""As many settings are named in a message; where there are more, it says what lists them."""
+
 TIME_LIMIT: Final = "time_limit"
 NO_SUCCESS: Final = ("not_found", "aborted", "ended_early")
 
@@ -207,13 +210,13 @@ class WorldKind(ABC):
 
 @dataclass(frozen=True)
 class Mission:
-    """One mission of the registry.
+    """One mission: of the registry, or of your own.
 
     Attributes:
         name: what it is called on the command line.
         summary: what happens in it, in a line.
         model: builds the knowledge about the robot.
-        tree: builds the task logic as a behaviour tree.
+        tree: builds the task logic as a behaviour tree; None if the mission is planned only.
         world: where it happens.
         domain: PDDL file with the same task logic as actions; None if it is made of what the actions declare, or the
             mission has a tree only.
@@ -227,13 +230,18 @@ class Mission:
         fixed: settings of the world that belong to this mission.
         why_not: says why its goal cannot be reached, from what is known and was sensed; empty if it knows no more
             than the planner. A mission that knows one ends as soon as its world `is_still`.
+        by_hand: builds a tree that commands the managed system itself, to compare with: `--manager bt`.
+        selects: whether the task layer selects configurations by itself, so that no other manager can.
+
+    Raises:
+        MissionError: a field is not what it should be.
     """
 
     name: str
     summary: str
     model: Callable[[], Model]
-    tree: Callable[[KnowledgeBase, Percepts], Behaviour]
-    world: WorldKind
+    tree: Callable[[KnowledgeBase, Percepts], Behaviour] | None = None
+    world: WorldKind = None  # type: ignore[assignment]  # refused below, with what to write instead
     domain: Path | None = None
     problem: "Path | DeclaredProblem | None" = None
     actions: Mapping[str, Callable[..., Behaviour]] = field(default_factory=dict)
@@ -241,6 +249,25 @@ class Mission:
     engines: tuple[str, ...] = ()
     fixed: Mapping[str, str] = field(default_factory=dict)
     why_not: Callable[[KnowledgeBase, Percepts], str] = lambda kb, percepts: ""
+    by_hand: Callable[[KnowledgeBase, Percepts, ManagedSystem], Behaviour] | None = None
+    selects: bool = False
+
+    def __post_init__(self) -> None:
+        optional = {name: getattr(self, name) for name in ("tree", "by_hand")}
+        functions = {name: getattr(self, name) for name in ("model", "facts", "why_not")}
+        functions |= {name: value for name, value in optional.items() if value is not None}
+        wrong = [(name, "a function") for name, value in functions.items() if not callable(value)]
+        wrong += [] if isinstance(self.world, WorldKind) else [("world", "an object of a subclass of WorldKind")]
+        wrong += (
+            [("actions", "a mapping of PDDL actions to behaviours")] if not isinstance(self.actions, Mapping) else []
+        )
+        files = [name for name in ("domain", "problem") if isinstance(getattr(self, name), str)]
+        wrong += [(name, "a pathlib.Path") for name in files]
+        wrong += [("engines", "a tuple of names")] if isinstance(self.engines, str) else []
+        for name, expected in wrong:
+            raise MissionError(f"{name} of mission {self.name} is {getattr(self, name)!r}; expected is {expected}")
+        if self.tree is None and self.problem is None:
+            raise MissionError(f"mission {self.name} has no task: give it a tree, or a PDDL domain and problem")
 
 
 def settings_of(mission: Mission) -> tuple[Setting, ...]:
@@ -259,8 +286,10 @@ def split_settings(mission: Mission, values: Mapping[str, str]) -> tuple[RunSett
     run, rest = own_values(RunSettings.describe(), values)
     world, unknown = own_values(mission.world.settings(), rest)
     for name in unknown:
-        close = near(name, [one.name for one in settings_of(mission)])
-        hint = f"did you mean {' or '.join(close)}?" if close else f"`rosa settings {mission.name}` lists them"
+        known = [one.name for one in settings_of(mission)]
+        close = near(name, known)
+        listed = f"there are {', '.join(known)}" if len(known) < FEW else f"`rosa settings {mission.name}` lists them"
+        hint = f"did you mean {' or '.join(close)}?" if close else listed
         raise MissionError(f"unknown setting {name!r} of mission {mission.name}; {hint}")
     fixed_run, fixed_world = own_values(RunSettings.describe(), mission.fixed)
     return RunSettings.read({**fixed_run, **run}), {**fixed_world, **world}

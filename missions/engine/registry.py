@@ -2,6 +2,8 @@
 
 from collections.abc import Iterator, Mapping
 from importlib import import_module
+from pathlib import Path
+from traceback import FrameSummary, extract_tb
 from typing import Any, TypeVar
 
 from missions.engine.mission import Mission, MissionError
@@ -44,8 +46,16 @@ class Registry(Mapping[str, T]):
         module, _, attribute = home.partition(":")
         try:
             return getattr(import_module(module), attribute)
-        except (ImportError, AttributeError, ValueError, SyntaxError) as error:
-            raise MissionError(f"cannot import {self.kind} {name!r}: {type(error).__name__}: {error}") from error
+        except Exception as error:  # whatever an author's module may raise
+            where = f" ({Path(at.filename).name}, line {at.lineno})" if (at := _place(error, module)) else ""
+            said = str(error) if isinstance(error, MissionError) else f"{type(error).__name__}: {error}"
+            raise MissionError(f"cannot import {self.kind} {name!r}: {said}{where}") from error
+
+
+def _place(error: Exception, module: str) -> FrameSummary | None:
+    """Return where in a module something was raised while it was imported."""
+    files = tuple(f"/{module.replace('.', '/')}{end}" for end in (".py", "/__init__.py"))
+    return next((one for one in reversed(extract_tb(error.__traceback__)) if one.filename.endswith(files)), None)
 
 
 MISSIONS = Registry[Mission](

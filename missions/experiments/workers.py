@@ -57,9 +57,7 @@ def _head(run: PlannedRun) -> dict[str, Any]:
 
 def _done(run: PlannedRun) -> tuple[dict[str, Any], dict[str, Any]]:
     settings = dict(run.settings)
-    opened = open_run(
-        find_mission(run.mission), manager=run.manager, task=run.task or "bt", seed=run.seed, settings=settings
-    )
+    opened = open_run(find_mission(run.mission), manager=run.manager, task=run.task, seed=run.seed, settings=settings)
     verdict = opened.run()
     data = json.loads(as_json(summary(opened, verdict, run.seed, settings)))
     figures = {name: value for name, value in data.items() if not isinstance(value, dict | list)}

@@ -134,7 +134,7 @@ def print_result(console: Console, run: MissionRun, verdict: Verdict, wall_s: fl
     for adaptation in run.adaptations if with_adaptations else ():
         _print_adaptation(console, adaptation)
     figures = {**run.results(), "simulated_s": run.world.now, "computed in_s": wall_s}
-    shown = [figure_in_words(name, value) for name, value in figures.items()]
+    shown = [figure_in_words(name, value, run.model) for name, value in figures.items()]
     for words, unit, value in [*shown, ("times real time", "", f"{run.world.now / wall_s:.1f}")]:
         console.print(f"{words + (f' [{unit}]' if unit else ''):<32}{value:>8}", highlight=False, markup=False)
     if run.problems:

@@ -11,11 +11,27 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any, Final, Self
 
+from kb import Model
 from kb.files import draft, put
 from missions.engine.mission import MissionError, Verdict
 from missions.engine.runner import MissionRun
 
-SIGNS: Final = {"j": "J", "w": "W", "percent": "%"}  # how units are written that a name has in small letters or in full
+COUNTS: Final = ("times", "samples", "points", "percent")
+UNITS: Final = {
+    **{name: name for name in ("s", "ms", "min", "h", "m", "mm", "cm", "km", "rad", "deg", "kg", *COUNTS)},
+    **{
+        "j": "J",
+        "kj": "kJ",
+        "w": "W",
+        "wh": "Wh",
+        "v": "V",
+        "hz": "Hz",
+        "percent": "%",
+        "m_s": "m/s",
+        "rad_s": "rad/s",
+    },
+}
+"""How a unit is written that is the end of a figure's name."""
 
 
 class OutputFile:
@@ -139,19 +155,25 @@ def timing_of(run: MissionRun, wall_s: float) -> dict[str, Any]:
     }
 
 
-def figure_in_words(name: str, value: float | None) -> tuple[str, str, str]:
+def figure_in_words(name: str, value: float | None, model: Model | None = None) -> tuple[str, str, str]:
     """Return what a figure is of, its unit and its value: "energy_used_j" is "energy used", "J" and "3152.6".
 
-    The unit is empty if the name has none; a value that did not come about is "-".
+    The unit is that of the model's attribute of this name, or else the end of the name, or empty; a value that did not
+    come about is "-".
     """
-    words, _, unit = name.rpartition("_")
+    ends = [end for end in UNITS if name.endswith(f"_{end}")]
+    unit = max(ends, key=len, default="")
+    words = name.removesuffix(f"_{unit}").replace("_", " ")
+    sign = UNITS.get(unit, "")
+    if model is not None and name in model.attributes:
+        words, sign = name.replace("_", " "), model.attributes[name].unit
     if value is None:
         shown = "-"
-    elif float(value).is_integer() and (not words or len(unit) > 3):  # a count of something, not an amount of a unit
+    elif float(value).is_integer() and (not sign or unit in COUNTS):  # a count of something, not an amount of a unit
         shown = f"{value:.0f}"
     else:
         shown = f"{value:.2f}" if abs(value) < 10 else f"{value:.1f}"
-    return (words.replace("_", " "), SIGNS.get(unit, unit), shown) if words else (name, "", shown)
+    return words, sign, shown
 
 
 def _rounded(value: object) -> object:

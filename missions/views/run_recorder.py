@@ -51,7 +51,7 @@ class RunRecorder(Listener):
         """Write down how it ended."""
         self.tick(run)
         self._show(run)
-        figures = [list(figure_in_words(name, value)) for name, value in run.results().items()]
+        figures = [list(figure_in_words(name, value, run.model)) for name, value in run.results().items()]
         shown = {"outcome": verdict.outcome, "success": verdict.success, "reason": verdict.reason, "figures": figures}
         self.recorder.put("result", 0, shown)
         self.recorder.close()

@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from missions import cli
-from missions.baselines.registry import MANAGERS, OURS
+from missions.baselines.registry import MANAGERS, OURS, POLICIES
 from missions.engine.registry import MISSIONS
 
 
@@ -279,4 +279,4 @@ def test_help_list_and_settings_start_without_what_they_do_not_need():
 
 def test_managers_that_the_help_names_are_those_there_are():
     shown = CliRunner().invoke(cli.app, ["run", "--help"], env={"COLUMNS": "200", "NO_COLOR": "1"}).output
-    assert ", ".join([OURS, *MANAGERS]) in " ".join(shown.split())
+    assert {OURS, *MANAGERS, *POLICIES} <= set(re.findall(r"\w+", shown))

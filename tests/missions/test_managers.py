@@ -194,11 +194,11 @@ def test_manager_of_ones_own_is_run_by_its_name(tmp_path, monkeypatch):
     [
         (
             "bd",
-            "unknown manager 'bd'; there are ours, none, random, bt, metacontrol, rosa; one of your own is given as",
+            "unknown manager 'bd'; there are ours, none, random, fixed, bt, metacontrol, rosa; one of your own is",
         ),
         ("nowhere:Thing", "cannot import manager 'nowhere:Thing': ModuleNotFoundError"),
         ("json:Thing", "cannot import manager 'json:Thing': AttributeError"),
-        ("json:loads", "'json:loads' is no subclass of missions.baselines.Manager"),
+        ("json:loads", "'json:loads' is no subclass of missions.baselines.Policy or Manager"),
     ],
 )
 def test_manager_that_cannot_be_had_is_refused_with_those_there_are(name, message):

@@ -17,6 +17,7 @@ from missions.engine.registry import find_mission
 from missions.views.names import planned_names
 from missions.views.plan import lines_of
 from rosa_bt import RosaAction
+from missions.uav.world import SKY
 from rosa_pddl import ActionSchema, DeclaredProblem, Outcome
 
 
@@ -54,8 +55,7 @@ SHELF = Mission(
     name="shelf",
     summary="fetch things",
     model=shelf_model,
-    tree=lambda kb, percepts: None,
-    world=None,
+    world=SKY,
     problem=DeclaredProblem(
         goal=("(fetched cup)", "(or (fetched book) (fetched lamp))"),
         objects=dict.fromkeys(THINGS, "thing"),

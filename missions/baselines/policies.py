@@ -1,0 +1,155 @@
+"""Managers of any mission, to compare ours with: its task layer and its world, configured by somebody else."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from kb import KnowledgeBase, Model, ReconfigurationPlan, Status
+from kb.diagnostics import COMPONENT_REPORTS
+from kb.views import ConfigurationView, DesignView
+from missions.engine.mission import Message, Mission, MissionError, World
+from missions.engine.settings import Setting
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
+
+Part = DesignView | ConfigurationView
+
+
+class Policy:
+    """Chooses designs and configurations in any mission; one of your own is run as `--manager package:Class`.
+
+    Attributes:
+        options: what can be set from outside; the values are in `given`.
+        adapts_tasks: whether the task layer hears that a constraint is violated or a component has failed.
+        tasks: the task layers that it goes with.
+        model: what it chooses from.
+        rng: all its chance.
+    """
+
+    options: ClassVar[tuple[Setting, ...]] = ()
+    adapts_tasks: ClassVar[bool] = True
+    tasks: ClassVar[tuple[str, ...]] = ("bt", "pddl")
+    is_waiting = True  # it may choose anew because time has passed
+
+    def __init__(self, model: Model, rng: "Generator", given: Mapping[str, Any]) -> None:
+        self.model, self.rng, self.given = model, rng, given
+
+    def pick(self, kb: KnowledgeBase, possible: Sequence[Part], selected: Part | None) -> Part | None:
+        """Return what to select of what is feasible, the first by priority first; None: leave it as it is."""
+        return possible[0] if selected is None and possible else None
+
+    def alter(self, mission: Mission, world: World) -> Mission:
+        """Return the mission as it is run under this manager."""
+        return mission if self.adapts_tasks else replace(mission, model=lambda: _unconstrained(mission.model()))
+
+    def hear(self, message: Message) -> Message:
+        """Return what the knowledge base hears of a message."""
+        if self.adapts_tasks:
+            return message
+        heard = [one for one in message["status"] if str(one["message"]).strip().casefold() not in COMPONENT_REPORTS]
+        return {**message, "status": heard}
+
+    def plan(self, kb: KnowledgeBase) -> ReconfigurationPlan | None:
+        """Choose for every function that is required, and for every component of its design."""
+        designs: dict[str, str] = {}
+        configurations: dict[str, str] = {}
+        for function in kb.functions.values():
+            if function.is_required:
+                design = self._choose(kb, [kb.designs[name] for name in function.designs], function.name, designs)
+                for name in design.components if isinstance(design, DesignView) else ():
+                    parts = [kb.configurations[one] for one in kb.components[name].configurations]
+                    self._choose(kb, parts, name, configurations)
+        if not (designs or configurations or any(kb.obsolete())):
+            return None
+        return kb.select(designs, configurations, f"chosen by the manager {type(self).__name__}")
+
+    def _choose(self, kb: KnowledgeBase, parts: Sequence[Part], whole: str, chosen: dict[str, str]) -> Part | None:
+        """Enter what is chosen anew; return what is selected then."""
+        selected = next((one for one in parts if one.is_selected), None)
+        possible = [one for one in parts if one.status is not Status.UNFEASIBLE]
+        made = self.pick(kb, sorted(possible, key=_rank), selected)
+        if made is None or (selected is not None and made.name == selected.name):
+            return selected
+        chosen[whole] = made.name
+        return made
+
+
+class Fixed(Policy):
+    """Leaves what it chose for an action as it is until the action ends; only the task layer adapts."""
+
+    options = (Setting("use", "", "-", "designs and configurations, separated by commas; else by priority", "-"),)
+
+    def __init__(self, model: Model, rng: "Generator", given: Mapping[str, Any]) -> None:
+        super().__init__(model, rng, given)
+        self.wanted = [name.strip() for name in given["use"].split(",") if name.strip()]
+        known = [*model.designs, *model.configurations]
+        for name in self.wanted:
+            if name not in known:
+                raise MissionError(f"setting use names {name!r}; the model has {', '.join(known)}")
+
+    def pick(self, kb: KnowledgeBase, possible: Sequence[Part], selected: Part | None) -> Part | None:
+        wanted = [one for one in possible if one.name in self.wanted]
+        return super().pick(kb, wanted or possible, selected)
+
+
+class Unmanaged(Fixed):
+    """Configures each action once, as if nothing were ever measured or failed; neither task nor architecture adapts."""
+
+    adapts_tasks = False
+
+
+class Random(Policy):
+    """Takes any feasible design and configuration, and any other after a while; the task layer adapts."""
+
+    options = (Setting("period_s", 15.0, "s", "from one choice to the next", "as SUAVE's random manager", low=0.1),)
+
+    def __init__(self, model: Model, rng: "Generator", given: Mapping[str, Any]) -> None:
+        super().__init__(model, rng, given)
+        self._turn, self._is_due, self._phase = 0, False, float(rng.random())
+
+    def plan(self, kb: KnowledgeBase) -> ReconfigurationPlan | None:
+        turn = int(kb.now / self.given["period_s"] + self._phase)
+        self._is_due, self._turn = turn != self._turn, turn
+        return super().plan(kb)
+
+    def pick(self, kb: KnowledgeBase, possible: Sequence[Part], selected: Part | None) -> Part | None:
+        if not possible or not (self._is_due or selected is None):
+            return None
+        return possible[int(self.rng.integers(len(possible)))]
+
+
+class ByHand(Policy):
+    """Lets the hand-written tree of the mission, `Mission.by_hand`, do all: it commands the components itself.
+
+    Its knowledge base is told what is measured and what has failed, and finds every action feasible.
+    """
+
+    tasks = ("bt",)
+
+    def alter(self, mission: Mission, world: World) -> Mission:
+        by_hand = mission.by_hand
+        if by_hand is None:
+            advice = "give it by_hand=lambda kb, percepts, managed: ..., or take another manager"
+            raise MissionError(f"mission {mission.name} has no hand-written tree; {advice}")
+
+        def model() -> Model:
+            made = _unconstrained(mission.model())
+            for action in made.actions.values():
+                made.change(action, functions=())
+            return made
+
+        return replace(mission, model=model, tree=lambda kb, percepts: by_hand(kb, percepts, world.managed))
+
+    def plan(self, kb: KnowledgeBase) -> ReconfigurationPlan | None:
+        return None
+
+
+def _rank(part: Part) -> tuple[bool, float, str]:
+    return part.priority is None, part.priority or 0.0, part.name
+
+
+def _unconstrained(model: Model) -> Model:
+    for constraint in model.constraints:
+        model.remove(constraint)
+    return model
