@@ -15,6 +15,7 @@ from missions.commands import (
     effort,
     listing,
     mcp,
+    new,
     plan,
     recordings,
     report,
@@ -50,6 +51,7 @@ def _options(
     pass
 
 
+app.command("new")(new.new)
 app.command("list")(listing.list_missions)
 app.command("settings")(listing.list_settings)
 app.command("run")(run.run)

@@ -5,9 +5,9 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from kb import KnowledgeBase, Model, ReconfigurationPlan, Status
-from kb.diagnostics import COMPONENT_REPORTS
+from kb.diagnostics import COMPONENT_REPORTS, FAILED
 from kb.views import ConfigurationView, DesignView
-from missions.engine.mission import Message, Mission, MissionError, World
+from missions.engine.mission import MISSION_STATUS, Message, Mission, MissionError, World
 from missions.engine.settings import Setting
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ class Policy:
 
     Attributes:
         options: what can be set from outside; the values are in `given`.
-        adapts_tasks: whether the task layer hears that a constraint is violated or a component has failed.
+        adapts_tasks: whether actions become unfeasible when a constraint is violated or a component has failed.
         tasks: the task layers that it goes with.
         model: what it chooses from.
         rng: all its chance.
@@ -44,11 +44,8 @@ class Policy:
         return mission if self.adapts_tasks else replace(mission, model=lambda: _unconstrained(mission.model()))
 
     def hear(self, message: Message) -> Message:
-        """Return what the knowledge base hears of a message."""
-        if self.adapts_tasks:
-            return message
-        heard = [one for one in message["status"] if str(one["message"]).strip().casefold() not in COMPONENT_REPORTS]
-        return {**message, "status": heard}
+        """Return what is heard of a message."""
+        return message if self.adapts_tasks else {**message, "status": [_as_percept(one) for one in message["status"]]}
 
     def plan(self, kb: KnowledgeBase) -> ReconfigurationPlan | None:
         """Choose for every function that is required, and for every component of its design."""
@@ -122,9 +119,10 @@ class Random(Policy):
 class ByHand(Policy):
     """Lets the hand-written tree of the mission, `Mission.by_hand`, do all: it commands the components itself.
 
-    Its knowledge base is told what is measured and what has failed, and finds every action feasible.
+    It reads from the knowledge base what is measured, and from the percepts whether "NAME has failed".
     """
 
+    adapts_tasks = False
     tasks = ("bt",)
 
     def alter(self, mission: Mission, world: World) -> Mission:
@@ -132,14 +130,7 @@ class ByHand(Policy):
         if by_hand is None:
             advice = "give it by_hand=lambda kb, percepts, managed: ..., or take another manager"
             raise MissionError(f"mission {mission.name} has no hand-written tree; {advice}")
-
-        def model() -> Model:
-            made = _unconstrained(mission.model())
-            for action in made.actions.values():
-                made.change(action, functions=())
-            return made
-
-        return replace(mission, model=model, tree=lambda kb, percepts: by_hand(kb, percepts, world.managed))
+        return replace(super().alter(mission, world), tree=lambda kb, percepts: by_hand(kb, percepts, world.managed))
 
     def plan(self, kb: KnowledgeBase) -> ReconfigurationPlan | None:
         return None
@@ -153,3 +144,11 @@ def _unconstrained(model: Model) -> Model:
     for constraint in model.constraints:
         model.remove(constraint)
     return model
+
+
+def _as_percept(status: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return what is reported of components as something that is sensed, which makes nothing unfeasible."""
+    if str(status["message"]).strip().casefold() not in COMPONENT_REPORTS:
+        return status
+    said = {f"{name} has failed": str(word).strip().casefold() in FAILED for name, word in status["values"].items()}
+    return {**status, "message": MISSION_STATUS, "values": said}

@@ -38,7 +38,7 @@ class RosaController(Controller):
         settings: how it is run.
         manager: the name of who chooses configurations.
         planner: who does; by priority if it is not given.
-        hears: returns what the knowledge base hears of a message.
+        hears: returns what is heard of a message.
 
     Attributes:
         percepts: what the task layer perceives beside what the knowledge base knows.
@@ -109,8 +109,9 @@ class RosaController(Controller):
 
     def receive(self, message: Message) -> Sequence[DiagnosticProblem]:
         started = perf_counter()
+        message = self._hears(message)
         self._log.news(float(message["time"]))
-        problems = self._kb.receive(self._hears(message))
+        problems = self._kb.receive(message)
         self._perceive(message)
         self._log.news(None)
         self.compute_s["knowledge base"] += perf_counter() - started

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from math import floor
 from typing import Any, Final, NamedTuple
 
+from missions.engine.mission import NO_SUCCESS
 from missions.experiments.results import CRASHED, Kept
 
 
@@ -73,6 +74,11 @@ class Group:
     def not_found(self) -> int:
         """How many runs never found what they searched for."""
         return sum(SEARCH in record and record[SEARCH] is None for record in self.records.values())
+
+    @property
+    def successes(self) -> int:
+        """How many runs reached the goal of the mission."""
+        return sum(record["outcome"] not in NO_SUCCESS for record in self.records.values())
 
     @property
     def searches(self) -> list[float]:

@@ -45,7 +45,9 @@ class Document:
         self._parts.append("\n".join(f"- {text}" for text in texts))
 
     def table(self, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-        """Add a table; the first column names the rows."""
+        """Add a table, without columns that hold nothing; the first column names the rows."""
+        full = [at for at in range(len(head)) if at == 0 or any(row[at] != NONE for row in rows)]
+        head, rows = [head[at] for at in full], [[row[at] for at in full] for row in rows]
         marks = ["---", *["---:"] * (len(head) - 1)]
         lines = [f"| {' | '.join(cell.replace('|', '&#124;') for cell in row)} |" for row in (head, marks, *rows)]
         self._parts.append("\n".join(lines))
@@ -94,7 +96,7 @@ def write_report(kept: Kept, folder: Path, *, pages: bool = False) -> list[Path]
         _add_standouts(document, parts)
     _add_crashes(document, kept)
     _add_speed(document, parts)
-    _add_method(document)
+    _add_method(document, searches=any(map(_is_search, parts)))
     texts = {"report.md": document.as_markdown().encode(), "report.html": document.as_html().encode()}
     with files_tried(f"make {folder}"):
         folder.mkdir(parents=True, exist_ok=True)
@@ -136,13 +138,13 @@ def _add_comparison(document: Document, comparison: Comparison) -> None:
 
 def _add_headlines(document: Document, comparison: Comparison, headlines: Mapping[str, str]) -> None:
     """Put the published table beside ours."""
-    head = ["manager", "runs"]
+    head = ["manager", "runs", "goal reached"]
     for label in headlines.values():
-        head += [f"{label}: published", "here, mean [95 %]", "sd [95 %]"]
-    found = any(SEARCH in record for group in comparison.groups for record in group.records.values())
+        head += [f"{label}: published", f"{label}: mean [95 %]", "sd [95 %]"]
+    found = _is_search(comparison)
     rows = []
     for group in comparison.groups:
-        row = [group.label, str(len(group.records))]
+        row = [group.label, str(len(group.records)), NONE if found else str(group.successes)]
         for name in headlines:
             published = group.published_of(name)
             values = list(group.values(name).values())
@@ -154,6 +156,10 @@ def _add_headlines(document: Document, comparison: Comparison, headlines: Mappin
             given = ", ".join(f"{name} = {value:g}" for name, value in group.inputs.items())
             source = "is an input taken from the paper's own figures"
             document.text(f"{group.label}: {given} {source}; its reaction times are reproduced, not predicted.")
+
+
+def _is_search(comparison: Comparison) -> bool:
+    return any(SEARCH in record for group in comparison.groups for record in group.records.values())
 
 
 def _add_clusters(document: Document, comparison: Comparison) -> None:
@@ -261,19 +267,20 @@ def _add_speed(document: Document, parts: Sequence[Comparison]) -> None:
         document.table(["mission, manager", "run, mean [s]", "longest [s]", "times real time"], rows)
 
 
-def _add_method(document: Document) -> None:
+def _add_method(document: Document, *, searches: bool) -> None:
     document.heading("How it was computed")
-    document.items(
-        [
-            "Intervals: 95 %, percentiles of 10,000 bootstrap resamples; differences are of runs with the same seed.",
-            "p: two-sided Mann-Whitney tests, corrected by Holm's method for all tests of one table; it says whether "
-            "two distributions differ, P(one > other) by how much (0.5: not at all).",
-            "A search that never succeeds counts as long as the mission, as in SUAVE; clusters are of those that did.",
-            "Two clusters: the cut that leaves the least variance within the parts. Separation is the distance of "
-            f"their means over the root of the mean of their variances; clear above {CLEAR}, that of an even spread.",
-            "Published: the table of the ROSA paper, 100 runs each.",
-        ]
-    )
+    said = [
+        "Intervals: 95 %, percentiles of 10,000 bootstrap resamples; differences are of runs with the same seed.",
+        "p: two-sided Mann-Whitney tests, corrected by Holm's method for all tests of one table; it says whether "
+        "two distributions differ, P(one > other) by how much (0.5: not at all).",
+    ]
+    of_searches = [
+        "A search that never succeeds counts as long as the mission, as in SUAVE; clusters are of those that did.",
+        "Two clusters: the cut that leaves the least variance within the parts. Separation is the distance of "
+        f"their means over the root of the mean of their variances; clear above {CLEAR}, that of an even spread.",
+        "Published: the table of the ROSA paper, 100 runs each.",
+    ]
+    document.items([*said, *(of_searches if searches else [])])
 
 
 def _estimates(values: Sequence[float]) -> list[str]:

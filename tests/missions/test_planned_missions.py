@@ -14,10 +14,10 @@ from missions.engine.declared import by_schema
 from missions.engine.mission import Mission, MissionError, Percepts
 from missions.engine.question import answer, ask, read_situation
 from missions.engine.registry import find_mission
+from missions.uav.world import SKY
 from missions.views.names import planned_names
 from missions.views.plan import lines_of
 from rosa_bt import RosaAction
-from missions.uav.world import SKY
 from rosa_pddl import ActionSchema, DeclaredProblem, Outcome
 
 

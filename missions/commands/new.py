@@ -1,0 +1,62 @@
+"""`rosa new`: a package for a robot of one's own, which runs and passes its tests as it is."""
+
+import keyword
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Annotated, Final
+
+import typer
+
+TEMPLATE: Final = Path(__file__).parents[1] / "template"
+FILES: Final = {
+    **{name: name for name in ("README.md", "campaign.toml", "bridge.toml")},
+    **{f"{name}.txt": f"my_robot/{name}.py" for name in ("model", "actions", "tree", "world")},
+    **{f"{name}.pddl": f"my_robot/{name}.pddl" for name in ("domain", "problem")},
+    **{"init.txt": "my_robot/__init__.py", "test.txt": "tests/test_my_robot.py", "project.txt": "pyproject.toml"},
+}
+NEEDS: Final = {"tree.txt": "bt", "domain.pddl": "pddl", "problem.pddl": "pddl", "bridge.toml": "ros2"}
+
+
+def new(
+    name: Annotated[str, typer.Argument(help="Of the robot: a folder and a Python package.")],
+    task: Annotated[str, typer.Option(help="How it decides what to do: bt (a behaviour tree), pddl, or both.")] = "bt",
+    ros2: Annotated[bool, typer.Option("--ros2", help="With a bridge.toml for a robot in ROS 2.")] = False,
+) -> None:
+    """Write a package with model, task logic, world and tests that runs at once; CHANGE marks what is yours."""
+    from missions.engine.mission import MissionError
+
+    if task not in ("bt", "pddl", "both"):
+        raise MissionError(f"--task is {task!r}; there are bt, pddl and both")
+    if not name.isidentifier() or name != name.lower() or keyword.iskeyword(name):
+        raise MissionError(f"a robot's name is that of a Python package, such as my_robot; {name!r} cannot be one")
+    folder = Path(name)
+    if folder.exists() or find_spec(name) is not None:
+        raise MissionError(f"there is something named {name} already; give the robot another name")
+    parts = {"bt", "pddl"} if task == "both" else {task}
+    parts |= {"ros2"} if ros2 else set()
+    try:
+        for template, target in FILES.items():
+            if NEEDS.get(template) in (None, *parts):
+                file = folder / target.replace("my_robot", name)
+                file.parent.mkdir(parents=True, exist_ok=True)
+                file.write_text(
+                    filled((TEMPLATE / template).read_text(encoding="utf-8"), name, parts), encoding="utf-8"
+                )
+    except OSError as error:
+        raise MissionError(f"cannot write {folder}: {error.strerror or error}") from error
+    typer.echo(f"{folder}/README.md says what is where; it runs and is tested by\n  cd {name}")
+    typer.echo(f"  rosa run {name}:MISSION\n  pytest")
+
+
+def filled(text: str, name: str, parts: set[str]) -> str:
+    """Return a template for a name, without what stands between `#if PART` (or `#if not PART`) and `#fi` for others."""
+    lines, kept = [], [True]
+    for line in text.splitlines(keepends=True):
+        if line.startswith("#if "):
+            *negated, part = line.split()[1:]
+            kept.append(kept[-1] and (part in parts) is not bool(negated))
+        elif line == "#fi\n":
+            kept.pop()
+        elif kept[-1]:
+            lines.append(line)
+    return "".join(lines).replace("my_robot", name)

@@ -1,0 +1,230 @@
+"""`rosa new` writes a robot that runs as it is; as a mission of one's own it is run by every manager there is."""
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from running import called
+
+from missions.baselines import Policy, open_run
+from missions.commands.new import TEMPLATE
+from missions.engine.mission import Mission, MissionError
+from missions.engine.recording import failed, measured
+from missions.engine.registry import find_mission
+from missions.experiments.campaign import read_campaign
+from missions.experiments.report import write_report
+from missions.experiments.results import Store, read_store
+from missions.experiments.workers import do
+from missions.views.output import figure_in_words
+
+NAMES = iter(f"robot_{number}" for number in range(100))
+
+
+@pytest.fixture
+def new(tmp_path, monkeypatch, capsys):
+    """Return what has `rosa new` write a robot with some options and returns the name; it can be imported then."""
+    monkeypatch.chdir(tmp_path)
+
+    def write(*options):
+        name = next(NAMES)
+        code, out, err = called(capsys, monkeypatch, "new", name, *options)
+        assert code == 0, err
+        assert f"rosa run {name}:MISSION" in out
+        monkeypatch.syspath_prepend(tmp_path / name)
+        return name
+
+    return write
+
+
+def check(*command, folder):
+    program, *arguments = command
+    command = [str(Path(sys.executable).with_name(program)), *arguments]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("options", [["--task", "bt"], ["--task", "pddl"], ["--task", "both", "--ros2"]])
+def test_new_robot_runs_and_is_clean_in_each_variant(new, options, tmp_path):
+    name = new(*options)
+    folder = tmp_path / name
+    check("ruff", "check", ".", folder=folder)
+    check("ruff", "format", "--check", ".", folder=folder)
+    assert open_run(find_mission(f"{name}:MISSION")).run().success
+    written = [path for path in folder.rglob("*") if path.is_file() and path.suffix != ".pyc"]
+    assert not [path for path in written if "#if" in path.read_text() or "#fi" in path.read_text()]
+    changes = [path.name for path in written if "CHANGE" in path.read_text()]
+    assert {"model.py", "world.py", "README.md"} < set(changes)
+    assert (folder / "bridge.toml").exists() is ("--ros2" in options)
+
+
+def test_new_robot_passes_its_own_tests_and_strict_types(new, tmp_path):
+    folder = tmp_path / new("--task", "both")
+    check("pytest", "-q", "-p", "no:randomly", "-p", "no:xdist", folder=folder)
+    check("mypy", "--cache-dir", str(tmp_path / "cache"), ".", folder=folder)
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "message"),
+    [
+        ("kb", [], "there is something named kb already"),
+        ("my-robot", [], "'my-robot' cannot be one"),
+        ("class", [], "'class' cannot be one"),
+        ("fine", ["--task", "htn"], "--task is 'htn'; there are bt, pddl and both"),
+    ],
+)
+def test_robot_that_cannot_be_written_is_refused_and_nothing_is(name, options, message, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    code, _, err = called(capsys, monkeypatch, "new", name, *options)
+    assert code == 2
+    assert message in " ".join(err.split())
+    assert not list(tmp_path.iterdir())
+
+
+def test_every_template_is_written_by_some_variant():
+    from missions.commands.new import FILES
+
+    assert {path.name for path in TEMPLATE.iterdir()} == set(FILES)
+
+
+def ended(mission, manager, **settings):
+    run = open_run(mission, manager=manager, settings=settings)
+    return run.run().outcome, run.results()["explored_m"], len(run.adaptations)
+
+
+def test_other_managers_run_a_mission_of_ones_own_and_do_what_they_are_for(new):
+    mission = find_mission(f"{new('--task', 'both')}:MISSION")
+    assert ended(mission, "ours")[0] == "explored_all"
+    assert ended(mission, "bt")[::2] == ("explored_all", 0)
+    outcome, explored_m, adaptations = ended(mission, "none")
+    assert (outcome, adaptations) == ("aborted", 0)
+    assert explored_m < 25  # by day's exposure it sees no further, and nobody looks after its energy
+    outcome, explored_m, adaptations = ended(mission, "fixed")
+    assert (outcome, adaptations > 0) == ("aborted", True)
+    assert explored_m < 25
+    assert ended(mission, "fixed", use="night")[0] == "explored_all"
+    often = open_run(mission, manager="random", settings={"period": "2"})
+    often.run()
+    chosen = [plan.parameters for plan in often.kb.plans if plan.parameters]
+    assert len(chosen) > 3
+    assert open_run(mission, manager="fixed", task="pddl").task == "pddl"
+
+
+class NightOwl(Policy):
+    """Takes what has the lowest priority."""
+
+    def pick(self, kb, possible, selected):
+        return possible[-1] if selected is None and possible else None
+
+
+def test_manager_of_ones_own_chooses_in_any_mission(new):
+    run = open_run(find_mission(f"{new()}:MISSION"), manager=NightOwl)
+    assert run.run().success
+    assert {name for plan in run.kb.plans for name in plan.parameters} == {"night"}
+
+
+def test_failures_make_nothing_unfeasible_where_nothing_adapts_and_are_sensed(new):
+    run = open_run(find_mission(f"{new()}:MISSION"), manager="none")
+    for message in (measured(0.0, energy=0.0), failed(0.0, "camera_node")):
+        run.controller.receive(message)
+    assert run.kb.is_feasible("explore")
+    assert run.controller.percepts.holds("camera_node has failed")
+
+
+@pytest.mark.parametrize(
+    ("mission", "manager", "message"),
+    [
+        (
+            "uav",
+            "rosa",
+            "there are ours, none, random, fixed, bt; one of your own is given as package:Class; rosa manages",
+        ),
+        ("uav", "bt", "mission uav has no hand-written tree"),
+        ("agv", "none", "the task layer of mission agv selects configurations; run it under ours"),
+        ("uav", "missions.baselines.modes:NoManager", "make it a subclass of missions.baselines.Policy"),
+    ],
+)
+def test_manager_that_does_not_go_with_a_mission_is_refused(mission, manager, message):
+    with pytest.raises(MissionError) as refusal:
+        open_run(find_mission(mission), manager=manager)
+    assert message in str(refusal.value)
+
+
+def test_configurations_to_use_are_those_of_the_model(new):
+    with pytest.raises(MissionError) as refusal:
+        open_run(find_mission(f"{new()}:MISSION"), manager="fixed", settings={"use": "nite"})
+    assert "setting use names 'nite'; the model has by_camera, by_wheels, day, night" in str(refusal.value)
+
+
+def test_report_on_a_mission_of_ones_own_shows_who_reached_the_goal_and_no_empty_columns(new, tmp_path):
+    name = new("--task", "bt")
+    campaign = replace(read_campaign(tmp_path / name / "campaign.toml"), runs=2, managers=("ours", "none", "fixed"))
+    folder = tmp_path / "runs"
+    with Store(folder, campaign) as store:
+        for run in campaign.planned():
+            store.keep(do(run))
+    write_report(read_store(folder), folder)
+    text = (folder / "report.md").read_text()
+    head, _, *rows = [line for line in text.split(f"## {name}:MISSION")[1].splitlines() if line.startswith("|")][:5]
+    assert head.startswith("| manager | runs | goal reached | duration_s: mean [95 %]")
+    assert [row.split(" | ")[:3] for row in rows] == [
+        ["| ours (bt)", "2", "2"],
+        ["| none", "2", "0"],
+        ["| fixed", "2", "0"],
+    ]
+    assert "published" not in text
+    assert "Published" not in text
+    assert "search" not in text
+
+
+def test_units_are_those_of_attributes_and_of_ends_that_are_units(new):
+    model = find_mission(f"{new()}:MISSION").model()
+    model.quality_attribute("tank_level", unit="l")
+    model.quality_attribute("time_left_s", unit="min")
+    shown = [figure_in_words(name, 4.5, model)[:2] for name in ("battery_left", "tank_level", "time_left_s")]
+    assert shown == [("battery left", ""), ("tank level", "l"), ("time left s", "min")]
+    assert figure_in_words("mean_speed_m_s", 0.25, model) == ("mean speed", "m/s", "0.25")
+    assert figure_in_words("hits_on_wall", 3.0, model) == ("hits on wall", "", "3")
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"tree": None}, "mission NAME has no task: give it a tree, or a PDDL domain and problem"),
+        ({"tree": "tree"}, "tree of mission NAME is 'tree'; expected is a function"),
+        ({"world": None}, "world of mission NAME is None; expected is an object of a subclass of WorldKind"),
+        ({"domain": "domain.pddl"}, "domain of mission NAME is 'domain.pddl'; expected is a pathlib.Path"),
+        ({"actions": ["explore"]}, "actions of mission NAME is ['explore']; expected is a mapping"),
+        ({"engines": "tamer"}, "engines of mission NAME is 'tamer'; expected is a tuple of names"),
+    ],
+)
+def test_mission_with_a_wrong_field_is_refused_in_a_sentence(new, changes, message):
+    name = new()
+    with pytest.raises(MissionError) as refusal:
+        replace(find_mission(f"{name}:MISSION"), **changes)
+    assert str(refusal.value).startswith(message.replace("NAME", name))
+
+
+def test_mission_that_cannot_be_made_is_refused_with_the_line(tmp_path, monkeypatch):
+    (tmp_path / "slip_of_mine.py").write_text(
+        "from missions.engine.mission import Mission\n\nMISSION = Mission(name='slip', trees=None)\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(MissionError) as refusal:
+        find_mission("slip_of_mine:MISSION")
+    assert "unexpected keyword argument 'trees' (slip_of_mine.py, line 3)" in str(refusal.value)
+
+
+def test_mission_that_is_only_planned_says_so_when_its_tree_is_asked_for(new):
+    mission = find_mission(f"{new('--task', 'pddl')}:MISSION")
+    assert isinstance(mission, Mission)
+    assert open_run(mission).task == "pddl"
+    with pytest.raises(MissionError, match="has no tree; run it with --task pddl"):
+        open_run(mission, task="bt")
+
+
+def test_unknown_setting_of_a_mission_of_ones_own_is_answered_with_those_there_are(new):
+    with pytest.raises(MissionError) as refusal:
+        open_run(find_mission(f"{new()}:MISSION"), settings={"zzz": "1"})
+    assert "there are duration_s, tick_period_s, planning_delay_s, cave_m, draws_per_s" in str(refusal.value)
