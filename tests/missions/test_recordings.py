@@ -2,7 +2,10 @@
 
 import json
 import random
+import shutil
 import sqlite3
+import subprocess
+from pathlib import Path
 from struct import error as Torn
 
 import pytest
@@ -112,6 +115,33 @@ def test_others_read_what_was_recorded(drop):
     assert len(messages) > 100
     last = ros.types().decode(ros.FLOAT, messages[-1][2].data).data
     assert last == [one for one in read_bag(drop).events if one.subject == "battery_level"][-1].arguments[1]
+
+
+MCAP = Path(cli.__file__).parent / "views" / "page" / "node_modules" / "@mcap" / "core"
+
+
+@pytest.mark.skipif(not (shutil.which("node") and MCAP.exists()), reason="needs Node.js: npm ci in missions/views/page")
+def test_foxgloves_library_reads_what_was_recorded(drop, tmp_path):
+    script = tmp_path / "read.mjs"
+    script.write_text(f"""
+import {{ readFileSync }} from 'node:fs';
+import {{ createRequire }} from 'node:module';
+const require = createRequire('{MCAP.as_posix()}/');
+const {{ McapIndexedReader, TempBuffer }} = require('@mcap/core');
+const {{ decompress }} = require('fzstd');
+const readable = new TempBuffer(readFileSync('{drop.as_posix()}'));
+const zstd = (data, size) => decompress(new Uint8Array(data), new Uint8Array(Number(size)));
+const reader = await McapIndexedReader.Initialize({{ readable, decompressHandlers: {{ zstd }} }});
+const counts = {{}};
+for await (const message of reader.readMessages()) {{
+  const topic = reader.channelsById.get(message.channelId).topic;
+  counts[topic] = (counts[topic] || 0) + 1;
+}}
+console.log(JSON.stringify(counts));
+""")
+    done = subprocess.run(["node", str(script)], capture_output=True, text=True, timeout=90, check=False)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout) == {topic: count for topic, (_, count) in read_bag(drop).topics.items()}
 
 
 def test_rosbags_reads_it_as_a_bag(drop, tmp_path):

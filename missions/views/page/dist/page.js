@@ -1,4 +1,4 @@
-/*! sources aa3cbaddd5ddc2eef91b1de9225a8fafc5052dcff3917d10dc5bc4e3ac20b6c3
+/*! sources 4304ed0a8fdc6d929ee38a9167d6a3d54b833c9e173612fa3e9668db0e9a7693
 
 @preact/signals: The MIT License (MIT)
 
