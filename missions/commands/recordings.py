@@ -10,7 +10,7 @@ import typer
 from missions.commands import FAILED, open_console
 
 if TYPE_CHECKING:
-    from kb import Event
+    from kb import Event, Model
     from missions.engine.runner import MissionRun
     from missions.wires.bags import Bag, Reader
 
@@ -55,6 +55,10 @@ def replay(
     if report is not None:
         page.write(report, recording)
     console = open_console()
+    if (recorded := bag.run.get("typeql")) and (changed := _changed(recorded, decisions.kb.model)):
+        console.print(
+            f"recorded with the model {bag.run['model']}, decided with {changed}", markup=False, highlight=False
+        )
     for moment in decisions.timeline:
         if heard or moment.what != "heard":
             console.print(str(moment), markup=False, highlight=False, soft_wrap=True)
@@ -150,6 +154,18 @@ def _notes(bag: "Bag | Reader") -> Iterator[str]:
         yield f"{bag.cut}; all before that is read"
     for problem, count in bag.problems.items():
         yield f"not read, {count} times: {problem}"
+
+
+def _changed(recorded: str, model: "Model") -> str:
+    """Return what is another model than the recorded one, in words; nothing if it is the same."""
+    from kb.typeql.writer import typeql_text
+
+    then, now = (dict.fromkeys(text.splitlines()) for text in (recorded, typeql_text(model)))
+    lines = [f"- {one}" for one in then if one not in now] + [f"+ {one}" for one in now if one not in then]
+    if not lines:
+        return ""
+    more = [f"... and {len(lines) - _SHOWN} more"] if len(lines) > _SHOWN else []
+    return "\n".join([f"{model.name}, which is another one (-: recorded, +: now)", *lines[:_SHOWN], *more])
 
 
 def _differences(bag: "Bag", events: "Sequence[Event]") -> list[tuple[float, str]]:

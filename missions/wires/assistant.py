@@ -136,6 +136,7 @@ def mcp_server(assistant: Assistant, *, allow_actions: bool = False) -> "MCPServ
     with needs("mcp", "the server for assistants"):
         from mcp.server import MCPServer
         from mcp.server.mcpserver.exceptions import ToolError
+        from pydantic import ValidationError
     kept = () if allow_actions else ("request_action", "cancel_action")
     tools = {name: getattr(assistant, name) for name in vars(Assistant) if name[0] != "_" and name not in kept}
 
@@ -144,7 +145,15 @@ def mcp_server(assistant: Assistant, *, allow_actions: bool = False) -> "MCPServ
             takes = signature(tools[name]).parameters if name in tools else arguments
             if unknown := arguments.keys() - takes:  # without it, another question would be answered
                 raise ToolError(f"{name} takes no {min(unknown)!r:.80}; it takes {', '.join(takes) or 'nothing'}")
-            return await super().call_tool(name, arguments, context)
+            try:
+                return await super().call_tool(name, arguments, context)
+            except ToolError as error:
+                if not isinstance(error.__cause__, ValidationError):
+                    raise
+                wrong, *_ = error.__cause__.errors()
+                given = "not given" if wrong["type"] == "missing" else f"given as {wrong['input']!r:.80}"
+                said = f"{wrong['loc'][0]} of {name} is {given}; it takes {', '.join(map(str, takes.values()))}"
+                raise ToolError(said) from None
 
     server = Server("rosa-taca", instructions=INSTRUCTIONS)
     for tool in tools.values():

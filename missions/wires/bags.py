@@ -205,17 +205,18 @@ class Reader:
         self._types = ros.types()
 
     def __iter__(self) -> Iterator[Raw]:
-        place = self._path
-        if place.is_dir() and not (place / "metadata.yaml").exists():
-            files = sorted(place.glob("*.mcap"))
-            if not files:
-                self.cut = "the folder has neither metadata.yaml nor a file .mcap; name the file .db3 itself"
-            for file in files:
-                yield from self._mcap(file)
-        elif place.suffix == ".mcap":
-            yield from self._mcap(place)
-        else:
-            yield from self._rosbag2()
+        place, is_any = self._path, False
+        files = sorted(place.glob("*.mcap"), key=lambda one: (len(one.name), one)) if place.is_dir() else [place]
+        if (place / "metadata.yaml").exists() if place.is_dir() else place.suffix != ".mcap":
+            for raw in self._rosbag2():
+                is_any = True
+                yield raw
+            if is_any or not self.cut or not place.is_dir():
+                return
+        elif not files:
+            self.cut = "the folder has neither metadata.yaml nor a file .mcap; name the file .db3 itself"
+        for file in files:  # `rosbags` takes none that has lost its end
+            yield from self._mcap(file)
 
     def _mcap(self, place: Path) -> Iterator[Raw]:
         """Yield the messages from the first byte on, without the index, which a file that is cut off does not have."""

@@ -144,7 +144,7 @@ class Bridge:
         if self._percepts is not None:
             self._percepts.receive({"status": list(_statuses(message))})
         for problem in problems:
-            self.refused.add(str(problem))
+            self.refused.add(f"{problem.key}: {problem.reason}")  # whatever the value, it is one kind
 
     def _publish(self, event: Event) -> None:
         kind = _KINDS.get(event.kind)

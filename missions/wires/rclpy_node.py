@@ -18,7 +18,7 @@ _TYPE: Final = re.compile(r"(?:sequence<)?([\w/]+)(?:<\d+>)?(?:, \d+)?>?(?:\[(\d
 _NAMES: Final = {"boolean": "bool", "octet": "byte", "float": "float32", "double": "float64", "wstring": "string"}
 
 
-class _Messages:
+class Messages:
     """Types of ROS 2 as the classes of its message packages."""
 
     def __init__(self) -> None:
@@ -78,7 +78,7 @@ class RclpyNode(TypedNode):
         except ImportError as error:
             where = "it comes with ROS 2 (pixi, RoboStack, a robot), not from PyPI; source its setup file, or use --dds"
             raise MissionError(f"rclpy is not installed ({error}); {where}, or rosbridge") from None
-        super().__init__("rclpy", _Messages())
+        super().__init__("rclpy", Messages())
         self._context = Context()
         rclpy.init(context=self._context)
         self._node = rclpy.create_node(name, context=self._context)

@@ -224,6 +224,15 @@ def test_events_are_published_as_the_original_compares_them(robot):
         until(lambda: any("because function look is needed by explore" in one for one in said))
 
 
+def test_unknown_keys_of_diagnostics_are_counted_each_as_one_kind(robot):
+    with bridged(robot) as (kb, bridge):
+        for value in range(5):
+            until(lambda n=value: bridge.heard > n, turn=lambda v=value: robot.diagnose(enrgy=v / 10))
+        assert list(bridge.refused) == ["enrgy: unknown attribute 'enrgy'; did you mean 'energy'?"]
+        assert sum(bridge.refused.values()) == bridge.heard
+        assert kb.attributes["energy"].value is None
+
+
 def test_nonsense_is_counted_refused_logged_once_and_survived(robot, caplog):
     rng = random.Random(4)
     with bridged(robot) as (kb, bridge):

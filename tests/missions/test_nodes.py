@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 import threading
@@ -19,7 +20,7 @@ from missions.engine.mission import MissionError
 from missions.wires import ros
 from missions.wires.dds import DdsNode, Structs
 from missions.wires.node import RosError
-from missions.wires.rclpy_node import RclpyNode
+from missions.wires.rclpy_node import Messages, RclpyNode
 from missions.wires.rosbridge import Rosbridge
 from missions.wires.rosbridge_server import RosbridgeServer
 from missions.wires.typed import made, told
@@ -218,6 +219,17 @@ def test_bytes_are_those_of_ros_2_and_of_rosbags():
         assert told(structs, one["type"], structs.find(one["type"]).deserialize(data)) == one["fields"]
         kept = ros.types()
         assert kept.encode(one["type"], kept.decode(one["type"], data))[: len(data)] == data
+
+
+def test_double_of_rclpy_has_the_fields_that_ros_2_wrote():
+    with rclpy_double.installed():
+        messages = Messages()
+        for one in recorded("ros2_cdr.json")["messages"]:
+            assert list(messages.fields(one["type"])) == list(one["fields"])
+            assert told(messages, one["type"], made(messages, one["type"], one["fields"])) == one["fields"]
+        answered = recorded("ros2_service_wire.json")["reply_to_us"]["decoded"]
+        names = re.findall(r"(\w+)=", answered.split("component=Component(")[1].split(")")[0])
+        assert list(messages.fields("rosa_msgs/msg/Component"))[: len(names)] == names
 
 
 def test_service_header_is_that_of_rmw_cyclonedds():

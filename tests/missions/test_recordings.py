@@ -194,7 +194,7 @@ def test_report_of_a_recording_is_that_of_the_run(tmp_path):
     assert sorted(map(repr, told)) == sorted(repr(row) for row in ran.rows if row[1] != "whatif")
 
 
-def test_replay_says_from_when_it_decides_otherwise(drop, tmp_path):
+def test_replay_says_from_when_it_decides_otherwise(drop, tmp_path, monkeypatch):
     other = tmp_path / "eager.py"
     other.write_text(
         "from dataclasses import replace\n"
@@ -207,6 +207,26 @@ def test_replay_says_from_when_it_decides_otherwise(drop, tmp_path):
     )
     said = rosa("replay", drop, "--mission", "suave_extended", "--task", "pddl", code=1)
     assert "decided otherwise from" in said
+    assert "which is another one" not in said
+    monkeypatch.syspath_prepend(tmp_path)
+    said = rosa("replay", drop, "--mission", "eager:MISSION", code=1)
+    assert said.startswith("recorded with the model suave_extended, decided with suave_extended, which is another one")
+    assert "0.4" in said.splitlines()[1]
+    said = rosa("replay", drop, "--mission", "uav", code=1)
+    assert said.startswith("recorded with the model suave_extended, decided with uav, which is another one")
+
+
+def test_folder_whose_file_is_cut_off_is_read_up_to_there(drop, tmp_path):
+    folder = as_rosbag2(drop, tmp_path / "bag")
+    whole, (file,) = read_bag(folder), folder.glob("*.mcap")
+    rosa("record", "convert", folder, tmp_path / "small_chunks.mcap")
+    data = (tmp_path / "small_chunks.mcap").read_bytes()
+    file.write_bytes(data[: len(data) * 3 // 4])
+    bag = read_bag(folder)
+    assert "is cut off" in bag.cut
+    assert len(bag.messages) > len(whole.messages) / 2
+    assert bag.messages == whole.messages[: len(bag.messages)]
+    assert "all before that is read" in rosa("replay", folder, "--mission", "suave_extended")
 
 
 @pytest.mark.parametrize("storage", StoragePlugin)
