@@ -136,7 +136,6 @@ def mcp_server(assistant: Assistant, *, allow_actions: bool = False) -> "MCPServ
     with needs("mcp", "the server for assistants"):
         from mcp.server import MCPServer
         from mcp.server.mcpserver.exceptions import ToolError
-        from pydantic import ValidationError
     kept = () if allow_actions else ("request_action", "cancel_action")
     tools = {name: getattr(assistant, name) for name in vars(Assistant) if name[0] != "_" and name not in kept}
 
@@ -148,9 +147,10 @@ def mcp_server(assistant: Assistant, *, allow_actions: bool = False) -> "MCPServ
             try:
                 return await super().call_tool(name, arguments, context)
             except ToolError as error:
-                if not isinstance(error.__cause__, ValidationError):
+                found = getattr(error.__cause__, "errors", list)()  # those of its check of the arguments
+                if not found:
                     raise
-                wrong, *_ = error.__cause__.errors()
+                wrong = found[0]
                 given = "not given" if wrong["type"] == "missing" else f"given as {wrong['input']!r:.80}"
                 said = f"{wrong['loc'][0]} of {name} is {given}; it takes {', '.join(map(str, takes.values()))}"
                 raise ToolError(said) from None
