@@ -147,7 +147,7 @@ def mcp_server(assistant: Assistant, *, allow_actions: bool = False) -> "MCPServ
             try:
                 return await super().call_tool(name, arguments, context)
             except ToolError as error:
-                found = getattr(error.__cause__, "errors", list)()  # those of its check of the arguments
+                found: list[Any] = getattr(error.__cause__, "errors", list)()  # those of its check of the arguments
                 if not found:
                     raise
                 wrong = found[0]
