@@ -1,17 +1,4 @@
-"""A run as an MCAP file, written as it happens: ROS 2's own messages, which Foxglove, `ros2 bag` and PlotJuggler open.
-
-| topic | type | what |
-|---|---|---|
-| /diagnostics | diagnostic_msgs/DiagnosticArray | what was heard: what a replay decides on |
-| /rosa/events | std_msgs/String | every event of the log as JSON: the complete truth |
-| /rosa/run | std_msgs/String | how it was run, and the model, as JSON |
-| /rosa/rows | std_msgs/String | what the report shows beside that, as JSON |
-| /rosa/log | rcl_interfaces/Log | what happened, and why, in words |
-| /behavior_tree | std_msgs/String | the tree as XML with a `_uid` for each node, anew when it changes |
-| /behavior_tree_log | nav2_msgs/BehaviorTreeLog | the statuses of its nodes as they change |
-| /pose, /tf | geometry_msgs/PoseStamped, tf2_msgs/TFMessage | where the robot is |
-| /attributes/NAME | std_msgs/Float64 | each measurement |
-"""
+"""A run as an MCAP file, written as it happens, in ROS 2's own messages; docs/recordings.md has its topics."""
 
 import json
 import logging

@@ -1,8 +1,9 @@
 """ROSA's own services: what the original's node `rosa_kb` answers, so that trees and planners elsewhere ask us."""
 
 import logging
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
+from functools import partialmethod
 from typing import Any, Final
 
 from kb import KnowledgeBase, KnowledgeBaseError, ReconfigurationPlan
@@ -21,6 +22,35 @@ BY_TYPE: Final = (
 )
 """Types of a parameter in rcl_interfaces/ParameterValue; an array of one has the type 5 more."""
 
+_SERVICES: Final = {
+    "action/request": "ActionQuery",
+    "action/insert": "ActionQuery",
+    "action/exists": "ActionQuery",
+    "action/selectable": "ActionQueryArray",
+    "function/adaptable": "AdaptableFunctions",
+    "function/insert": "FunctionQuery",
+    "component/adaptable": "AdaptableComponents",
+    "component/insert": "ComponentQuery",
+    "component/active/set": "ComponentQuery",
+    "component/active/get": "ComponentQuery",
+    "component_parameters/get": "GetComponentParameters",
+    "function_designs/selectable": "SelectableFunctionDesigns",
+    "function_designs/priority": "GetFunctionDesignPriority",
+    "component_configuration/selectable": "SelectableComponentConfigurations",
+    "component_configuration/priority": "GetComponentConfigurationPriority",
+    "select_configuration": "SelectedConfigurations",
+    "reconfiguration_plan/get": "ReconfigurationPlanQuery",
+    "reconfiguration_plan/get_latest": "ReconfigurationPlanQuery",
+    "reconfiguration_plan/result/set": "ReconfigurationPlanQuery",
+    "component_process/insert": "ComponentProcessQuery",
+    "component_process/end/set": "ComponentProcessQuery",
+    "component_process/get_active": "ComponentProcessQueryArray",
+    "function_design/insert": "FunctionDesignQuery",
+    "functional_requirement/insert": "FunctionalRequirementQuery",
+    "query": "Query",
+}
+"""The original's table: what is served under `/rosa_kb/`, and of which type; the method has the service's name."""
+
 
 class RosaServices:
     """Serves ROSA's table of services under `/rosa_kb/` with a knowledge base; requests go through its gate.
@@ -34,45 +64,10 @@ class RosaServices:
 
     def __init__(self, kb: KnowledgeBase, node: Node) -> None:
         self._kb, self._node = kb, node
-        table: Mapping[str, tuple[str, Callable[[Message], Message]]] = {
-            "action/request": ("ActionQuery", self._request),
-            "action/insert": ("ActionQuery", lambda one: self._insert("action", one)),
-            "action/exists": ("ActionQuery", self._action_exists),
-            "action/selectable": ("ActionQueryArray", self._selectable_actions),
-            "function/adaptable": (
-                "AdaptableFunctions",
-                lambda _: {"functions": self._functions(kb.adaptable_functions())},
-            ),
-            "function/insert": ("FunctionQuery", lambda one: self._insert("function", one)),
-            "component/adaptable": ("AdaptableComponents", self._adaptable_components),
-            "component/insert": ("ComponentQuery", lambda one: self._insert("component", one)),
-            "component/active/set": ("ComponentQuery", self._set_active),
-            "component/active/get": (
-                "ComponentQuery",
-                lambda one: {"component": self._component(_name(one, "component"))},
-            ),
-            "component_parameters/get": ("GetComponentParameters", self._parameters),
-            "function_designs/selectable": ("SelectableFunctionDesigns", self._selectable_designs),
-            "function_designs/priority": ("GetFunctionDesignPriority", self._design_priorities),
-            "component_configuration/selectable": (
-                "SelectableComponentConfigurations",
-                self._selectable_configurations,
-            ),
-            "component_configuration/priority": ("GetComponentConfigurationPriority", self._configuration_priorities),
-            "select_configuration": ("SelectedConfigurations", self._select),
-            "reconfiguration_plan/get": ("ReconfigurationPlanQuery", self._plan),
-            "reconfiguration_plan/get_latest": ("ReconfigurationPlanQuery", self._latest_plan),
-            "reconfiguration_plan/result/set": ("ReconfigurationPlanQuery", self._set_result),
-            "component_process/insert": ("ComponentProcessQuery", self._started),
-            "component_process/end/set": ("ComponentProcessQuery", self._ended),
-            "component_process/get_active": ("ComponentProcessQueryArray", self._active_processes),
-            "function_design/insert": ("FunctionDesignQuery", self._insert_design),
-            "functional_requirement/insert": ("FunctionalRequirementQuery", self._insert_requirement),
-            "query": ("Query", self._query),
-        }
         unknown = []
-        for name, (kind, answer) in table.items():
+        for name, kind in _SERVICES.items():
             package = "ros_typedb_msgs" if kind == "Query" else "rosa_msgs"
+            answer = getattr(self, f"_{name.replace('/', '_')}")
             try:
                 node.serve(f"/rosa_kb/{name}", f"{package}/srv/{kind}", self._answering(name, answer))
             except RosError:  # this node does not have its type
@@ -95,7 +90,7 @@ class RosaServices:
 
     # ---------------------------------------------------------------- actions
 
-    def _request(self, one: Message) -> Message:
+    def _action_request(self, one: Message) -> Message:
         """Request an action, or cancel it where `is_required` is false, as the original's tree does."""
         name = _name(one, "action")
         if not one["action"].get("is_required"):
@@ -110,33 +105,35 @@ class RosaServices:
             raise RosError(f"there is no action {name!r}; there are {', '.join(self._kb.actions)}")
         return {"action": self._action(name)}
 
-    def _selectable_actions(self, one: Message) -> Message:
-        asked = [_name({"action": action}, "action") for action in one.get("actions") or ()]
-        names = [name for name in self._kb.selectable_actions() if name in asked or not asked]
-        return {"actions": [self._action(name) for name in names]}
+    def _action_selectable(self, one: Message) -> Message:
+        asked = _names(one, "actions")
+        names = self._kb.selectable_actions()
+        return {"actions": [self._action(name) for name in names if name in asked or not asked]}
 
     # ---------------------------------------------------------------- what can be selected
 
-    def _adaptable_components(self, one: Message) -> Message:
-        names = self._kb.adaptable_components(tuple(map(str, one.get("selected_fds") or ())))
-        return {"components": [self._component(name) for name in names]}
+    def _function_adaptable(self, _: Message) -> Message:
+        return {"functions": list(map(self._function, self._kb.adaptable_functions()))}
 
-    def _selectable_designs(self, one: Message) -> Message:
+    def _component_adaptable(self, one: Message) -> Message:
+        names = self._kb.adaptable_components(tuple(map(str, one.get("selected_fds") or ())))
+        return {"components": list(map(self._component, names))}
+
+    def _function_designs_selectable(self, one: Message) -> Message:
         return {"fds": list(map(self._design, self._kb.selectable_designs(_name(one, "function"))))}
 
-    def _design_priorities(self, one: Message) -> Message:
-        return {"fds": [self._design(_name({"fd": fd}, "fd")) for fd in one.get("fds") or ()]}
+    def _function_designs_priority(self, one: Message) -> Message:
+        return {"fds": list(map(self._design, _names(one, "fds")))}
 
-    def _selectable_configurations(self, one: Message) -> Message:
+    def _component_configuration_selectable(self, one: Message) -> Message:
         names = self._kb.selectable_configurations(_name(one, "component"))
         return {"c_configs": list(map(self._configuration, names))}
 
-    def _configuration_priorities(self, one: Message) -> Message:
-        return {"c_configs": [self._configuration(_name({"c": c}, "c")) for c in one.get("c_configs") or ()]}
+    def _component_configuration_priority(self, one: Message) -> Message:
+        return {"c_configs": list(map(self._configuration, _names(one, "c_configs")))}
 
-    def _select(self, one: Message) -> Message:
-        designs = [_name({"fd": fd}, "fd") for fd in one.get("selected_fds") or ()]
-        configurations = [_name({"c": c}, "c") for c in one.get("selected_component_configs") or ()]
+    def _select_configuration(self, one: Message) -> Message:
+        designs, configurations = _names(one, "selected_fds"), _names(one, "selected_component_configs")
         self._kb.select(
             designs={self._kb.designs[name].function: name for name in designs},
             configurations={self._kb.configurations[name].component: name for name in configurations},
@@ -145,19 +142,18 @@ class RosaServices:
 
     # ---------------------------------------------------------------- plans, components, processes
 
-    def _plan(self, one: Message) -> Message:
-        return {"reconfig_plan": self._plan_message(self._meant_plan(one))}
+    def _reconfiguration_plan_get(self, one: Message) -> Message:
+        return {"reconfig_plan": self._plan(self._meant_plan(one))}
 
-    def _latest_plan(self, _: Message) -> Message:
+    def _reconfiguration_plan_get_latest(self, _: Message) -> Message:
         latest = self._kb.latest_plan
         if latest is None:
             raise RosError("there is no reconfiguration plan yet")
-        return {"reconfig_plan": self._plan_message(latest)}
+        return {"reconfig_plan": self._plan(latest)}
 
-    def _set_result(self, one: Message) -> Message:
-        plan = self._meant_plan(one)
-        self._kb.finish_plan(plan, str(one["reconfig_plan"].get("result")))
-        return {"reconfig_plan": self._plan_message(self._meant_plan(one))}
+    def _reconfiguration_plan_result_set(self, one: Message) -> Message:
+        self._kb.finish_plan(self._meant_plan(one), str(one["reconfig_plan"].get("result")))
+        return self._reconfiguration_plan_get(one)
 
     def _meant_plan(self, one: Message) -> ReconfigurationPlan:
         start = str(_part(one, "reconfig_plan").get("start_time"))
@@ -167,26 +163,28 @@ class RosaServices:
             raise RosError(f"no reconfiguration plan has start_time {start!r}; the latest: {latest}")
         return found[-1]
 
-    def _set_active(self, one: Message) -> Message:
-        name = _name(one, "component")
-        self._kb.component_active(name, bool(one["component"].get("is_active")))
-        return {"component": self._component(name)}
+    def _component_active_get(self, one: Message) -> Message:
+        return {"component": self._component(_name(one, "component"))}
 
-    def _parameters(self, one: Message) -> Message:
+    def _component_active_set(self, one: Message) -> Message:
+        self._kb.component_active(_name(one, "component"), bool(one["component"].get("is_active")))
+        return self._component_active_get(one)
+
+    def _component_parameters_get(self, one: Message) -> Message:
         view = self._kb.configurations[_name(one, "c_config")]
         return {"component": self._component(view.component), "parameters": parameter_messages(view.parameters)}
 
-    def _started(self, one: Message) -> Message:
+    def _component_process_insert(self, one: Message) -> Message:
         given = _part(one, "component_process")
         process = self._kb.component_started(_name(given, "component"), given.get("pid", 0))
         return {"component_process": self._process(process)}
 
-    def _ended(self, one: Message) -> Message:
+    def _component_process_end_set(self, one: Message) -> Message:
         given = _part(one, "component_process")
         self._kb.component_ended(_name(given, "component"), given.get("pid") or None)
         return {"component_process": given}
 
-    def _active_processes(self, _: Message) -> Message:
+    def _component_process_get_active(self, _: Message) -> Message:
         return {"component_process": [self._process(one) for one in self._kb.processes if one.end is None]}
 
     # ---------------------------------------------------------------- the model
@@ -197,21 +195,23 @@ class RosaServices:
             getattr(model, kind)(name)
         return {kind: getattr(self, f"_{kind}")(name)}
 
-    def _insert_design(self, one: Message) -> Message:
+    _action_insert = partialmethod(_insert, "action")
+    _function_insert = partialmethod(_insert, "function")
+    _component_insert = partialmethod(_insert, "component")
+
+    def _function_design_insert(self, one: Message) -> Message:
         given = _part(one, "function_design")
         function, name = self._kb.model.functions[_name(given, "function")], _name(one, "function_design")
-        components = [self._kb.model.components[str(c.get("name"))] for c in given.get("required_components") or ()]
+        components = [self._kb.model.components[c] for c in _names(given, "required_components")]
         if name not in self._kb.designs:
             function.design(name, components, priority=given.get("priority", 1.0))
         return {"function_design": self._design(name)}
 
-    def _insert_requirement(self, one: Message) -> Message:
-        given = _part(one, "functional_requirement")
-        action = self._kb.model.actions[_name(given, "action")]
-        wanted = [self._kb.model.functions[str(f.get("name"))] for f in given.get("required_functions") or ()]
-        there = self._kb.actions[action.name].functions
-        functions = [*(self._kb.model.functions[name] for name in there), *(f for f in wanted if f.name not in there)]
-        self._kb.model.change(action, functions=functions)
+    def _functional_requirement_insert(self, one: Message) -> Message:
+        given, model = _part(one, "functional_requirement"), self._kb.model
+        action = model.actions[_name(given, "action")]
+        names = dict.fromkeys([*self._kb.actions[action.name].functions, *_names(given, "required_functions")])
+        model.change(action, functions=[model.functions[name] for name in names])
         return {"functional_requirement": given}
 
     def _query(self, one: Message) -> Message:
@@ -224,20 +224,13 @@ class RosaServices:
         view = self._kb.actions[name]
         return {"name": name, "status": str(view.status), "is_required": view.is_required}
 
-    def _functions(self, names: Iterable[str]) -> list[Message]:
-        return [self._function(name) for name in names]
-
     def _function(self, name: str) -> Message:
         return {"name": name, "status": str(self._kb.functions[name].status)}
 
     def _component(self, name: str) -> Message:
         view = self._kb.components[name]
-        told: Message = {
-            "name": name,
-            "status": str(view.status),
-            "package": view.package,
-            "executable": view.executable,
-        }
+        told: Message = {"name": name, "status": str(view.status)}
+        told |= {"package": view.package, "executable": view.executable}
         told |= {"node_type": str(view.kind), "is_active": view.is_active, "always_improve": view.always_improve}
         return {**told, "parameters": parameter_messages(view.parameters_in_force)}
 
@@ -247,7 +240,7 @@ class RosaServices:
         return {
             **told,
             "function": self._function(view.function),
-            "required_components": [self._component(one) for one in view.components],
+            "required_components": list(map(self._component, view.components)),
         }
 
     def _configuration(self, name: str) -> Message:
@@ -255,13 +248,13 @@ class RosaServices:
         told = {"name": name, "status": str(view.status), "priority": float(view.priority or 0.0)}
         return {**told, "component": self._component(view.component)}
 
-    def _plan_message(self, plan: ReconfigurationPlan) -> Message:
+    def _plan(self, plan: ReconfigurationPlan) -> Message:
         return {
             **{"start_time": iso(plan.start), "end_time": "" if plan.end is None else iso(plan.end)},
             "result": plan.result or "",
-            "components_activate": [self._component(name) for name in plan.activate],
-            "components_deactivate": [self._component(name) for name in plan.deactivate],
-            "component_configurations": [self._configuration(name) for name in plan.parameters],
+            "components_activate": list(map(self._component, plan.activate)),
+            "components_deactivate": list(map(self._component, plan.deactivate)),
+            "component_configurations": list(map(self._configuration, plan.parameters)),
         }
 
     def _process(self, one: Process) -> Message:
@@ -306,3 +299,7 @@ def _name(one: Message, key: str) -> str:
     if not isinstance(name, str) or not name:
         raise RosError(f"{key} has a field 'name', a text")
     return name
+
+
+def _names(one: Message, key: str) -> list[str]:
+    return [_name({key: part}, key) for part in one.get(key) or ()]
