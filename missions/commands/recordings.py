@@ -126,24 +126,28 @@ def info(recording: Path) -> None:
 @record.command("convert")
 def convert(recording: Path, output: Path) -> None:
     """Write a recording as MCAP (whole again if it was cut off), or what was heard as lines of JSON, by the suffix."""
+    from kb.files import draft
     from missions.engine.mission import MissionError
+    from missions.engine.recording import line_of
     from missions.wires.bags import Bag, Reader, read_bag
     from missions.wires.mcap import McapFile
 
-    bag: Bag | Reader
-    if output.suffix == ".jsonl":
-        from kb.files import write_file
-        from missions.engine.recording import line_of
-
-        bag = read_bag(recording)
-        write_file(output, "".join(map(line_of, [bag.header(), *bag.messages])).encode())
-    elif output.suffix == ".mcap":
-        bag = Reader(recording)
-        with McapFile(output) as file:
-            for raw in bag:
-                file.copy(*raw)
-    else:
+    if output.suffix not in (".mcap", ".jsonl"):
         raise MissionError(f"{output} ends in neither .mcap nor .jsonl, which are what a recording is converted to")
+    bag: Bag | Reader
+    try:
+        with draft(output) as part:  # what is there stays until the new one is whole
+            if output.suffix == ".jsonl":
+                bag = read_bag(recording)
+                part.write_text("".join(map(line_of, [bag.header(), *bag.messages])), encoding="utf-8")
+            else:
+                bag = Reader(recording)
+                with McapFile(part) as file:
+                    for raw in bag:
+                        file.copy(*raw)
+            part.replace(output)
+    except OSError as error:
+        raise MissionError(f"cannot write {output}: {error.strerror or error}") from None
     console = open_console()
     for note in _notes(bag):
         console.print(note, style="yellow", markup=False, highlight=False)

@@ -129,8 +129,6 @@ def read_bag(path: str | Path) -> Bag:
     bag.topics = {topic: (kind, number) for (topic, kind), number in counts.items()}
     bag.cut = place.cut
     bag.problems += place.problems
-    if not bag.topics and bag.cut:
-        raise MissionError(f"cannot read the recording {path}: {bag.cut}")
     found.sort(key=lambda one: one[0])
     start = 0 if bag.run or not found else found[0][0]
     for stamp, statuses in found:  # a time in nanoseconds may miss the one that it was by a rounding
@@ -193,7 +191,7 @@ class Reader:
         problems: what is not read, in words.
 
     Raises:
-        MissionError: there is no such file or folder, or the extra `mcap` is missing.
+        MissionError: there is no such file or folder, or nothing of it can be read; or the extra `mcap` is missing.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -205,6 +203,14 @@ class Reader:
         self._types = ros.types()
 
     def __iter__(self) -> Iterator[Raw]:
+        is_any = False
+        for raw in self._messages():
+            is_any = True
+            yield raw
+        if self.cut and not is_any:
+            raise MissionError(f"cannot read the recording {self._path}: {self.cut}")
+
+    def _messages(self) -> Iterator[Raw]:
         place, is_any = self._path, False
         files = sorted(place.glob("*.mcap"), key=lambda one: (len(one.name), one)) if place.is_dir() else [place]
         if (place / "metadata.yaml").exists() if place.is_dir() else place.suffix != ".mcap":

@@ -3,10 +3,8 @@
 import json
 import logging
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from pathlib import Path
 from queue import SimpleQueue
-from secrets import token_hex
 from threading import Thread
 from typing import Any, BinaryIO, Final, Self
 
@@ -14,6 +12,7 @@ from py_trees.common import Status
 from py_trees.trees import BehaviourTree
 
 from kb import Event, EventKind, KnowledgeBase
+from kb.files import draft
 from kb.typeql.writer import typeql_text
 from missions.engine.controller import RosaController
 from missions.engine.mission import Message, MissionError
@@ -136,9 +135,8 @@ def _in_chunks(path: Path) -> None:
     from mcap import records
     from mcap.stream_reader import StreamReader
 
-    draft = path.with_name(f".rosa-{token_hex(8)}")
-    try:
-        with path.open("rb") as source, draft.open("xb") as target:
+    with draft(path) as part:
+        with path.open("rb") as source, part.open("wb") as target:
             writer = _writer(target, use_chunking=True)
             for record in StreamReader(source).records:
                 if isinstance(record, records.Schema):
@@ -148,10 +146,7 @@ def _in_chunks(path: Path) -> None:
                 elif isinstance(record, records.Message):
                     writer.add_message(record.channel_id, record.log_time, record.data, record.publish_time)
             writer.finish()
-        draft.replace(path)
-    finally:
-        with suppress(OSError):
-            draft.unlink(missing_ok=True)
+        part.replace(path)
 
 
 class McapRecorder(Listener):

@@ -324,6 +324,25 @@ def test_what_was_heard_is_converted_to_lines(drop, tmp_path):
     assert "neither .mcap nor .jsonl" in str(done.exception)
 
 
+def test_what_is_there_stays_until_what_is_converted_is_whole(drop, tmp_path):
+    copy = tmp_path / "copy.mcap"
+    copy.write_bytes(drop.read_bytes())
+    rosa("record", "convert", copy, copy)
+    assert read_bag(copy) == read_bag(drop)
+    kept, nonsense = copy.read_bytes(), tmp_path / "nonsense.mcap"
+    nonsense.write_text("no recording at all\n")
+    for source, target, said in (
+        (nonsense, copy, "cannot read the recording"),
+        (drop, tmp_path / "no" / "drop.mcap", "cannot write"),
+        (drop, tmp_path / "no" / "drop.jsonl", "cannot write"),
+    ):
+        done = CliRunner().invoke(cli.app, ["record", "convert", str(source), str(target)])
+        assert isinstance(done.exception, MissionError)
+        assert said in str(done.exception)
+    assert copy.read_bytes() == kept
+    assert {one.name for one in tmp_path.iterdir()} == {"copy.mcap", "nonsense.mcap"}
+
+
 def malformed(drop, folder):
     data = drop.read_bytes()
     (folder / "empty.mcap").write_bytes(b"")
