@@ -1,11 +1,10 @@
 """What the checks of a model can find, how bad that is, and what to do about it."""
 
-import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cache
-from importlib.resources import files
+from pathlib import Path
 from types import MappingProxyType
 
 
@@ -57,7 +56,9 @@ class Finding:
 @cache
 def rules() -> Mapping[str, Rule]:
     """Return what is looked for, by code: errors first."""
-    read = tomllib.loads(files(__package__).joinpath("rules.toml").read_text(encoding="utf-8"))
+    import tomllib  # it takes a while to import
+
+    read = tomllib.loads(Path(__file__).with_name("rules.toml").read_text(encoding="utf-8"))
     made = {code: Rule(Severity(one["severity"]), one["meaning"], one["advice"]) for code, one in read.items()}
     return MappingProxyType(made)
 

@@ -7,7 +7,7 @@ import json
 import re
 from collections.abc import Iterator, Mapping
 from html import escape
-from importlib.resources import files
+from pathlib import Path
 from typing import Final
 
 from kb.facts import Contents
@@ -22,7 +22,7 @@ _FITTED: Final = re.compile(r"\\u([0-9a-f]{4})")
 
 
 def metamodel() -> str:
-    return files("kb.owl").joinpath("rosa.owl").read_text(encoding="utf-8")
+    return Path(__file__).with_name("rosa.owl").read_text(encoding="utf-8")
 
 
 def owl_text(model: Contents) -> str:

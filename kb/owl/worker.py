@@ -14,11 +14,13 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from itertools import islice
-from multiprocessing.connection import Connection, Pipe
-from typing import Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from kb.exceptions import InvalidValue, KnowledgeBaseError, UnknownName
 from kb.owl.individuals import Individual
+
+if TYPE_CHECKING:
+    from multiprocessing.connection import Connection
 
 _PROGRAM: Final = "import sys; sys.path[:] = {path!r}; from kb.owl.queries import serve; serve({descriptor})"
 _MEMORY: Final = 4 << 30  # that it may use at most [bytes]
@@ -37,6 +39,8 @@ class Worker:
     """A process, from here; one thread at a time talks to it, and any error ends it."""
 
     def __init__(self) -> None:
+        from multiprocessing.connection import Pipe  # it takes a while to import
+
         self._owner, self._is_ready = os.getpid(), False
         self._line, theirs = Pipe()
         program = _PROGRAM.format(path=sys.path, descriptor=theirs.fileno())
@@ -133,7 +137,7 @@ def give_back(held: list[Worker] = _IDLE) -> None:
             worker.end()
 
 
-def answer(line: Connection, book: Callable[[str], Any]) -> None:
+def answer(line: "Connection", book: Callable[[str], Any]) -> None:
     """Do what comes in on a line to a process, with a book that is opened anew, until nothing can come any more."""
     resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
     line.send("ready")
