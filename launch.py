@@ -23,12 +23,14 @@ ROOT = Path(__file__).resolve().parent
 VENV = ROOT / ".venv"
 BIN = VENV / ("Scripts" if os.name == "nt" else "bin")
 MARK = VENV / "set-up-for"
-RUNNING, TESTING = {"optimal", "plot", "sim"}, "dev"
+PYTHON, TESTING = {"optimal", "plot", "sim"}, "dev"
 EXTRAS = {
+    **dict.fromkeys(("suave", "suave_extended", "agv", "uav", "campaign", "effort"), "sim"),
+    **{"--plot": "plot", "report": "plot", "--reason": "reason"},
     **{"--live": "live", "--tui": "tui", "watch": "tui", "--groot2": "groot2", "mcp": "mcp", "bridge": "ros2"},
     **{"replay": "mcap", "record": "mcap", "--cluster": "cluster"},
 }
-"""What words of a command line of `rosa` need beside what running needs; so does a file that ends in .mcap."""
+"""What words of a command line of `rosa` need beside the library; so does a file that ends in .mcap."""
 STEP = re.compile(r"\s*(Collecting|Building|Preparing|Installing)\b[^(]{0,60}")
 
 
@@ -38,7 +40,7 @@ def extras(arguments: list[str]) -> set[str]:
         return {TESTING}
     words = [one.partition("=")[0] for one in arguments[1:]]
     mcap = {"mcap"} if any(one.endswith(".mcap") for one in arguments) else set()
-    return RUNNING | mcap | {EXTRAS[one] for one in words if one in EXTRAS}
+    return (PYTHON if arguments[0] == "python" else set()) | mcap | {EXTRAS[one] for one in words if one in EXTRAS}
 
 
 def set_up(wished: set[str]) -> None:

@@ -61,8 +61,11 @@ def inconsistency(text: str) -> str | None:
     Raises:
         KnowledgeBaseError: there is no Java to run it with, or it cannot read the ontology.
     """
-    import owlready2
-
+    try:
+        import owlready2
+    except ImportError as error:
+        missing = "HermiT, the reasoner, comes with owlready2, which is not installed"
+        raise KnowledgeBaseError(f"{missing}; pip install 'rosa-taca[reason]' brings it") from error
     if shutil.which(owlready2.JAVA_EXE) is None:
         raise KnowledgeBaseError("HermiT, the reasoner, needs Java, which is not found; install a Java runtime")
     world = owlready2.World()

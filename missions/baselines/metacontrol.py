@@ -14,6 +14,7 @@ from missions.baselines.manager import Manager, Robot
 from missions.baselines.modes import SystemModes
 from missions.engine.mission import MissionError
 from missions.engine.settings import Setting
+from missions.extras import needs
 
 METAMODEL = Path(__file__).with_name("tomasys.owl")
 
@@ -50,7 +51,8 @@ def read_knowledge(path: Path) -> Knowledge:
     Raises:
         MissionError: the file cannot be read, or a design lacks what it needs.
     """
-    import owlready2
+    with needs("sim", "the manager metacontrol"):
+        import owlready2
 
     world = owlready2.World()
     try:

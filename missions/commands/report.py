@@ -32,8 +32,12 @@ def report(
         raise MissionError(f"one run is shown, or two beside each other, not {len(sources)}")
     if len(sources) == 1 and not sources[0].is_file() and sources[0].suffix not in (".html", ".mcap"):
         from missions.experiments.results import read_store
+        from missions.extras import needs
 
         kept = read_store(sources[0])
+        with needs("plot", "the report on a campaign"):
+            import matplotlib  # noqa: F401  # it is found out before anything is written
+            import scipy  # noqa: F401  # found out before anything is written
         from missions.experiments.report import write_report as write_campaign  # draws: only if there is something
 
         for path in write_campaign(kept, out or sources[0] / "report", pages=pages):

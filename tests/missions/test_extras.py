@@ -19,6 +19,8 @@ RUN = "import sys; sys.argv = ['rosa', *{arguments!r}]; from missions.cli import
 OPTIONAL = {
     "mujoco",
     "ortools",
+    "owlready2",
+    "scipy",
     "matplotlib",
     "starlette",
     "textual",
@@ -59,6 +61,8 @@ print(kb.selectable_actions())
         ("mujoco", ["run", "agv"], "sim"),
         ("mujoco", ["run", "uav"], "sim"),
         ("matplotlib", ["run", "suave", "--plot", "x.png"], "plot"),
+        ("owlready2", ["run", "suave", "--manager", "metacontrol"], "sim"),
+        ("owlready2", ["check", "--mission", "suave", "--reason"], "reason"),
         ("starlette", ["run", "suave", "--live", "0"], "live"),
         ("rosbags", ["run", "suave", "--record", "x.mcap"], "mcap"),
         ("textual", ["run", "suave", "--tui"], "tui"),
@@ -77,6 +81,32 @@ def test_missing_solver_is_named():
     done = without({"ortools"}, "from kb import OptimalPlanner; OptimalPlanner()")
     assert "KnowledgeBaseError" in done.stderr
     assert "pip install 'rosa-taca[optimal]'" in done.stderr
+
+
+IMPORTS = """
+import resource, sys
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+import kb
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before, *sys.modules)
+"""
+
+
+def test_knowledge_base_is_imported_in_20_megabytes_without_what_few_need():
+    done = subprocess.run([sys.executable, "-c", IMPORTS], capture_output=True, text=True, check=True)
+    kilobytes, *imported = done.stdout.split()
+    assert int(kilobytes) < 20 * 1024
+    late = {"lark", "ortools", "owlready2", "pyoxigraph", "numpy", "tomllib", "multiprocessing", "importlib.resources"}
+    assert not late & set(imported)
+
+
+def test_report_names_the_extra_that_it_needs(tmp_path):
+    campaign = tmp_path / "one.toml"
+    campaign.write_text('missions = ["suave"]\nruns = 1\n[settings]\nduration_s = 5\n')
+    folder = str(tmp_path / "out")
+    for arguments in (["campaign", str(campaign), "--workers", "1", "--out", folder], ["report", folder]):
+        done = without({"scipy"}, RUN.format(arguments=arguments))
+    assert done.returncode == 2
+    assert "pip install 'rosa-taca[plot]'" in " ".join(done.stderr.split())
 
 
 def test_version_is_said():
