@@ -1,6 +1,5 @@
 """Why this design or configuration and not that one."""
 
-from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -69,29 +68,16 @@ class ChoiceExplanation:
         return table(title, ("not", "status", "priority", "because"), others)
 
 
-def explain_choice(
-    state: State,
-    node: Node,
-    now: float,
-    preferred: str | None = None,
-    verdicts: Mapping[str, str] | None = None,
-    designs: Iterable[Node] | None = None,
-    nothing: str = "",
-) -> ChoiceExplanation:
+def explain_choice(state: State, node: Node, now: float) -> ChoiceExplanation:
     """Explain what is selected for a function or component, or would be, and why no other one is.
 
-    What was selected with a reason is explained by that, else by priority, or by another criterion: the name of the
-    part that it prefers, its verdicts on the possible parts by name, the designs that it chooses next (components are
-    chosen for after that), and why it leaves nothing to be selected.
+    What was selected with a reason is explained by that, else by priority.
     """
-    following = state
-    nothing = nothing or state.reason(_NOTED, node).text
-    if nothing:
-        designs = ()
+    following, nothing = state, state.reason(_NOTED, node).text
     if node.kind == "component":
         following = Overlay(state)
-        reselect(following, _first_designs(state) if designs is None else designs, ())
-    return _Chooser(state, following, node, now, preferred, verdicts or {}, nothing).explanation()
+        reselect(following, () if nothing else _first_designs(state), ())
+    return _Chooser(state, following, node, now, nothing).explanation()
 
 
 def note_nothing(state: State, reason: str) -> None:
@@ -120,24 +106,20 @@ class _Chooser:
     following: State
     node: Node
     now: float
-    preferred: str | None
-    verdicts: Mapping[str, str]
     nothing: str
 
     def __post_init__(self) -> None:
         self.possible = ranked(self.state, self.node)
         self.selected = next((part for part in self.node.parts if self.state.selected[part.index]), None)
         self.said = self.state.reason("selected", self.selected).text if self.selected else ""
-        self.first = self._preferred(self.preferred)
+        self.first = self._preferred()
         self.chosen = self.selected or self.first
 
-    def _preferred(self, name: str | None) -> Node | None:
+    def _preferred(self) -> Node | None:
         """Return the part that is preferred; None for none, and where only whoever gave a reason can tell."""
-        if self.nothing:
-            return None
-        if name is None and self.said:
+        if self.said and not self.nothing:
             return self.selected if self.selected in self.possible else None
-        return next((part for part in self.possible if name in (None, part.name)), None)
+        return self.possible[0] if self.possible and not self.nothing else None
 
     def explanation(self) -> ChoiceExplanation:
         others = tuple(
@@ -172,8 +154,6 @@ class _Chooser:
             return f"it was preferred before; now nothing would be: {self.nothing}"
         if chosen is not self.first:
             return "it was preferred before"
-        if chosen.name in self.verdicts:
-            return self.verdicts[chosen.name]
         if self.said:
             return self.said
         if len(self.possible) == 1:
@@ -189,8 +169,6 @@ class _Chooser:
             return "no choice with it would do either"
         if part is self.first:
             return self._why_not_yet()
-        if part.name in self.verdicts:
-            return self.verdicts[part.name]
         if self.said:
             return "it is not part of that choice" if self.first else "it is possible, but not selected yet"
         assert self.first is not None  # something is possible, so something is preferred

@@ -128,12 +128,6 @@ def by_priority(candidate: FunctionDesign | Configuration) -> tuple[bool, float,
     return candidate.priority is None, candidate.priority or 0, candidate.name
 
 
-def first_by_priority(candidates: Iterable[FunctionDesign | Configuration]) -> str | None:
-    """Return the name of the candidate that comes first; None for none."""
-    first = min(candidates, key=by_priority, default=None)
-    return None if first is None else first.name
-
-
 def ranked(state: State, whole: Node) -> list[Node]:
     """Return what can be chosen for a function or component, the first by priority first."""
     possible = (part for part in whole.parts if state.status[part.index] is not Status.UNFEASIBLE)

@@ -147,9 +147,7 @@ class Problem:
         return Choice({node.name: design.name for node, design in designs.items()}, configurations)
 
 
-def encode(
-    state: State, criterion: Criterion, functions: Iterable[Node] | None = None, forced: Node | None = None
-) -> Problem:
+def encode(state: State, criterion: Criterion, functions: Iterable[Node] | None = None) -> Problem:
     """Return what is to be chosen in a state.
 
     Args:
@@ -157,14 +155,13 @@ def encode(
         criterion: what makes a choice better.
         functions: to choose for these alone, as if nothing ran yet; by default for all that are required, from what
             runs and is selected now.
-        forced: a design or configuration that must be in the choice.
 
     Raises:
         UnknownName: the criterion names an attribute or a component that the model does not have.
     """
     check_names(state.network, criterion)
     with localcontext(Context(prec=60)):
-        return _Encoder(state, criterion, functions, forced).problem()
+        return _Encoder(state, criterion, functions).problem()
 
 
 def check_names(network: Network, criterion: Criterion) -> None:
@@ -179,16 +176,13 @@ def check_names(network: Network, criterion: Criterion) -> None:
 class _Encoder:
     """Encodes one problem; see `encode`."""
 
-    def __init__(
-        self, state: State, criterion: Criterion, functions: Iterable[Node] | None, forced: Node | None
-    ) -> None:
+    def __init__(self, state: State, criterion: Criterion, functions: Iterable[Node] | None) -> None:
         self._state = state
         self._criterion = criterion
-        self._forced = forced
         self._afresh = functions is not None
         if functions is None:
             functions = (node for node in state.network.functions.values() if state.required[node.index])
-        self._designs = {node: self._ranked(node) for node in functions}
+        self._designs = {node: ranked(state, node) for node in functions}
         stuck = [node for node, designs in self._designs.items() if not designs]
         self._kept = [design for node in stuck for design in node.parts if self._is_selected(design)]
         all_designs = [design for node in self._designs for design in node.parts]
@@ -249,9 +243,6 @@ class _Encoder:
         """Return what is estimated of nodes together."""
         return reduce(Effect.plus, (self._estimated[node] for node in nodes if node in self._estimated), self._nothing)
 
-    def _ranked(self, whole: Node) -> list[Node]:
-        return [self._forced] if self._forced in whole.parts else ranked(self._state, whole)
-
     def _is_selected(self, node: Node) -> bool:
         return not self._afresh and self._state.selected[node.index]
 
@@ -268,7 +259,7 @@ class _Encoder:
         return Slot(node, _undominated(options), self._nothing)
 
     def _component(self, node: Node) -> Slot:
-        cost, to_switch, nodes = self._costs.get(node, 0), self._cost_to_switch(node), self._ranked(node)
+        cost, to_switch, nodes = self._costs.get(node, 0), self._cost_to_switch(node), ranked(self._state, node)
         active = not self._afresh and self._state.active[node.index]
         asserted = not self._afresh and self._state.asserted_required[node.index]
         selected = [one for one in node.parts if self._is_selected(one)]
@@ -291,7 +282,7 @@ class _Encoder:
             _undominated(options or [Option(None, running.plus(self._effect(*selected)))]),
             idle,
             idle_node,
-            is_kept or self._forced in nodes or (stays and asserted),
+            is_kept or (stays and asserted),
         )
 
 

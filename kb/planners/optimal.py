@@ -5,14 +5,12 @@ from collections.abc import Mapping
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
-from kb.elements import Element, finite_number
+from kb.elements import finite_number
 from kb.exceptions import InvalidValue
-from kb.explanation.choice import ChoiceExplanation, explain_choice
 from kb.knowledge_base import KnowledgeBase
-from kb.planners.choice import Choice, Criterion, Optimum, choice_by_priority, ranked, summed_weights
+from kb.planners.choice import Choice, Criterion, Optimum, choice_by_priority, summed_weights
 from kb.planners.encoding import check_names, encode
 from kb.records import ReconfigurationPlan
-from kb.views import ElementView
 
 _log = logging.getLogger(__name__)
 
@@ -96,26 +94,6 @@ class OptimalPlanner:
         with kb.reading() as state:
             problem = encode(state, criterion)
         return None if problem.is_by_priority else self._solver.solve(problem, self._effort)
-
-    def explain_choice(self, kb: KnowledgeBase, element: ElementView | Element | str) -> ChoiceExplanation:
-        """Say why a function or component has what it has, by this planner's criterion; see `kb.explain_choice`.
-
-        It finds the best choice again, and the best one with each alternative: not a question for a tick.
-        """
-        asked, optimum, criterion = kb.explain_choice(element), self.optimum(kb), self.criterion(kb)
-        choice = optimum.choice if optimum is not None else None
-        nothing = optimum.reason if optimum is not None and choice is None else ""
-        chosen = {} if choice is None else choice.designs if asked.kind == "function" else choice.configurations
-        preferred, said = chosen.get(asked.name), dict[str, str]()
-        with kb.reading() as state:  # to encode them is quick; others need not wait for the answers
-            node = (state.network.functions if asked.kind == "function" else state.network.components)[asked.name]
-            rivals = [] if preferred is None else [one for one in ranked(state, node) if one.name != preferred]
-            problems = {one.name: encode(state, criterion, forced=one) for one in rivals}
-        if optimum is not None and preferred is not None:
-            said = self._solver.verdicts(optimum, preferred, problems, self._effort)
-        with kb.reading() as state:
-            designs = None if choice is None else [state.network.designs[name] for name in choice.designs.values()]
-            return explain_choice(state, node, kb.now, preferred, said, designs, nothing)
 
     def _is_due(self, kb: KnowledgeBase) -> bool:
         if kb.adaptable_functions() or kb.adaptable_components():

@@ -4,7 +4,7 @@ The only file that imports OR-tools; import it late, as that takes a while. One 
 is counted in work done instead of seconds make the answer the same on every machine.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from itertools import accumulate
 from typing import Any, Final
@@ -47,27 +47,6 @@ def solve(problem: Problem, effort: float = EFFORT) -> Optimum:
     same for the configurations of its components.
     """
     return _Search(problem, effort).optimum()
-
-
-def verdicts(optimum: Optimum, chosen: str, rivals: Mapping[str, Problem], effort: float = EFFORT) -> dict[str, str]:
-    """Return what is to be said of each design or configuration that can be chosen for a function or component.
-
-    The optimum holds the one that is `chosen`; a rival is the same problem with another forced into the choice.
-    """
-    others = {name: _compared(solve(problem, effort), optimum) for name, problem in rivals.items()}
-    return {chosen: optimum.reason, **others}
-
-
-def _compared(rival: Optimum, best: Optimum) -> str:
-    assert best.value is not None  # something is chosen
-    if rival.value is None:
-        return f"with it, {rival.reason}"
-    if abs(rival.value - best.value) <= best.resolution:
-        return f"with it a choice is worth {rival.worth} too, and comes later by priority and name"
-    if rival.value > best.value:
-        return f"with it a choice is worth {rival.worth}, as more effort has found only now"
-    known = "the best choice" if rival.is_proven else "the best choice that was found"
-    return f"with it {known} is worth {rival.worth}, less than {number(best.value)}"
 
 
 class _Program:

@@ -13,7 +13,7 @@ from kb import ConfigurationManager, InvalidValue, KnowledgeBase, Model, Priorit
 from kb.planners.choice import Criterion, summed_weights
 from kb.planners.encoding import encode
 from kb.planners.optimal import OptimalPlanner
-from kb.planners.solver import solve, verdicts
+from kb.planners.solver import solve
 
 SLOW = settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
 ATTRIBUTES = ("x0", "x1")
@@ -435,25 +435,6 @@ def test_component_that_nobody_switches_costs_only_to_be_configured(model):
     carried_out(kb, dear)
     assert selected(kb) == ["by light", "coarse", "dim"]
     assert (dear.latest.value, dear.latest.switching) == (2.4, 0.2)
-
-
-@SLOW
-@given(robots(), criteria())
-def test_every_rival_is_told_to_be_worth_less_or_later_or_not_to_fit(kb, criterion):
-    best = solve(encode(state_of(kb), criterion))
-    assume(best.choice and best.choice.designs)
-    for name, chosen in best.choice.designs.items():
-        possible = ranked(state_of(kb), state_of(kb).network.functions[name])
-        rivals = {part.name: encode(state_of(kb), criterion, forced=part) for part in possible if part.name != chosen}
-        said = verdicts(best, chosen, rivals)
-        assert set(said) == {*rivals, chosen}
-        for rival, problem in rivals.items():
-            forced = solve(problem)
-            assert said[rival].startswith("with it, ") is (forced.value is None)
-            assert ("less than" in said[rival]) is (forced.value is not None and forced.value < best.value)
-            if forced.choice is not None:
-                assert forced.value <= best.value
-                assert forced.choice.designs[name] == rival
 
 
 def test_what_is_not_in_the_model_is_an_error_that_names_what_is(model):

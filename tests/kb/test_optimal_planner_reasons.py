@@ -91,51 +91,19 @@ def test_what_is_minimised_is_said(model):
     assert plan.reason.endswith(planner.latest.reason)
 
 
-def test_value_and_explanation_agree_before_and_after_switching(model):
+def test_value_and_explanation_agree_after_switching(model):
     kb = KnowledgeBase(model, clock=Clock())
     kb.request_action("explore", "accuracy")
     planner = OptimalPlanner(switching_cost=0.1)
-    before = planner.explain_choice(kb, "see")
     carried_out(kb, planner)
     assert (planner.latest.value, planner.latest.switching) == (2.2, 0.3)
     assert planner.latest.worth == "2.2 (2.5 less 0.3 for switching)"
-    assert planner.latest.worth in before.reason
-    assert "less than 2.2" in before.alternatives[0].reason
-    after = planner.explain_choice(kb, "see")
-    assert after.reason == f"{BEST}, worth 2.5"
-    assert (
-        after.alternatives[0].reason
-        == "with it the best choice is worth 1.4 (1.5 less 0.1 for switching), less than 2.5"
-    )
-
-
-def test_choice_is_explained_by_what_the_others_would_be_worth(model):
-    kb, _ = at_work(model, planner := OptimalPlanner(budgets={"power": 40.0}))
-    best = "of all choices within power 40 this is the best for accuracy, worth 2.2"
-    assert str(planner.explain_choice(kb, "see")) == (
-        f"by both is selected for function see because {best}; "
-        "not by camera: with it the best choice is worth 1.5, less than 2.2"
-    )
-    assert str(planner.explain_choice(kb, kb.components["camera"])) == (
-        f"coarse is selected for component camera because {best}; "
-        "not fine: with it the best choice is worth 1.5, less than 2.2"
-    )
-
-
-def test_design_that_breaks_a_budget_is_explained_by_that(model):
-    kb = KnowledgeBase(model, clock=Clock())
-    kb.request_action("explore", "accuracy")
-    planner = OptimalPlanner(budgets={"power": 20.0})
-    assert str(planner.explain_choice(kb, "see")) == (
-        "by camera would be selected for function see because of all choices within power 20 this is the best for "
-        "accuracy, worth 1.2; not by both: with it, power would be 35 at least, more than 20"
-    )
+    assert planner.latest.worth in kb.explain_choice("see").reason
 
 
 def test_choice_by_priority_is_explained_by_priority(model):
     kb, _ = at_work(model, planner := OptimalPlanner(), None)
     assert planner.latest is None
-    assert planner.explain_choice(kb, "see") == kb.explain_choice("see")
     assert "priority number 1 is the lowest" in str(kb.explain_choice("see"))
 
 
@@ -161,9 +129,9 @@ def test_what_a_budget_leaves_nothing_for_is_told_wherever_one_asks(model, caplo
     reason = "power would be 10 at least, more than 5"
     assert caplog.messages == [f"nothing can be selected: {reason}"]
     assert planner.latest.reason == reason
-    for told in (kb.explain_choice("see"), planner.explain_choice(kb, "see")):
-        assert (told.chosen, told.is_selected) == (None, False)
-        assert str(told).startswith(f"nothing can be selected for function see because {reason}; not by camera: ")
+    told = kb.explain_choice("see")
+    assert (told.chosen, told.is_selected) == (None, False)
+    assert str(told).startswith(f"nothing can be selected for function see because {reason}; not by camera: ")
     assert "priority" not in str(kb.explain_choice("camera"))
     kb.cancel_action("explore")
     manager.update()
@@ -174,9 +142,9 @@ def test_what_is_selected_and_leaves_no_choice_within_a_budget_is_told(model):
     kb, _ = at_work(model, OptimalPlanner())
     poor = OptimalPlanner(budgets={"power": 5.0})
     assert poor.plan(kb) is None
-    for told in (kb.explain_choice("see"), poor.explain_choice(kb, "see")):
-        assert (told.chosen, told.is_selected) == ("by both", True)
-        assert told.reason == "it was preferred before; now nothing would be: power would be 10 at least, more than 5"
+    told = kb.explain_choice("see")
+    assert (told.chosen, told.is_selected) == ("by both", True)
+    assert told.reason == "it was preferred before; now nothing would be: power would be 10 at least, more than 5"
 
 
 def test_what_nothing_needs_is_given_up_even_if_nothing_can_be_chosen(model):
