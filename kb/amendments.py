@@ -7,20 +7,7 @@ from typing import Any, NamedTuple
 from kb.elements import CHECKS, Changeable, Constraint, Estimation
 from kb.facts import tables_of
 from kb.model import Model
-from kb.owl.individuals import (
-    MODEL,
-    PARAMETER,
-    PREFERENCE,
-    Declarer,
-    Ref,
-    Serials,
-    element_id,
-    from_json,
-    individual,
-    individuals,
-    parameter_values,
-    plain_json,
-)
+from kb.owl import individuals
 
 
 class Amendment(NamedTuple):
@@ -30,25 +17,27 @@ class Amendment(NamedTuple):
     written: Any
 
 
-def amendment(how: str, changed: Sequence[Changeable], serials: Serials) -> Amendment:
+def amendment(how: str, changed: Sequence[Changeable], serials: individuals.Serials) -> Amendment:
     if how == "removed":
-        return Amendment(how, element_id(changed[0], serials))
-    return Amendment(how, plain_json(made for one in changed for made in individual(one, serials)))
+        return Amendment(how, individuals.element_id(changed[0], serials))
+    return Amendment(
+        how, individuals.plain_json(made for one in changed for made in individuals.individual(one, serials))
+    )
 
 
-def amend(model: Model, serials: Serials, how: str, written: Any) -> None:  # noqa: ANN401  # what JSON holds
+def amend(model: Model, serials: individuals.Serials, how: str, written: Any) -> None:  # noqa: ANN401  # what JSON holds
     """Change a model as it was changed before; see `Amendment`."""
     is_id = how == "removed"
     if isinstance(written, str) is not is_id or isinstance(written, list | tuple) is is_id:
         raise TypeError(f"{how} {written!r} is no amendment of a model")
     named = (one for table in tables_of(model).values() for one in table.values())
     everything: tuple[Changeable, ...] = (*named, *model.constraints, *model.estimations)
-    known = {element_id(one, serials): one for one in everything}
+    known = {individuals.element_id(one, serials): one for one in everything}
     if is_id:
         model.remove(known[written])
         return
-    given = from_json(written)
-    declarer = Declarer(model, known)
+    given = individuals.from_json(written)
+    declarer = individuals.Declarer(model, known)
     if how == "declared":
         with model.at_once():
             declarer.declare(given)
@@ -65,23 +54,23 @@ def amend(model: Model, serials: Serials, how: str, written: Any) -> None:  # no
     )
 
 
-def rebuilt(declared: Sequence[Any], amendments: Iterable[Amendment]) -> tuple[Model, Serials]:
+def rebuilt(declared: Sequence[Any], amendments: Iterable[Amendment]) -> tuple[Model, individuals.Serials]:
     """Return a model that was declared so (in `plain_json`) and then amended so, and the numbers in it."""
-    given = from_json(declared)
-    names = [str(value) for one in given if one.kind == MODEL for value in one.values["name"]]
+    given = individuals.from_json(declared)
+    names = [str(value) for one in given if one.kind == individuals.MODEL for value in one.values["name"]]
     then = Model(names[0])
-    Declarer(then).declare(given)
-    numbers = Serials(then)
+    individuals.Declarer(then).declare(given)
+    numbers = individuals.Serials(then)
     for one in amendments:
         amend(then, numbers, *one)
     return then, numbers
 
 
-def amended_alike(then: Model, numbers: Serials, model: Model) -> Serials | None:
+def amended_alike(then: Model, numbers: individuals.Serials, model: Model) -> individuals.Serials | None:
     """Return the numbers of one model for another that is as it; None if it is not."""
     if then != model:
         return None
-    serials = Serials(Model(model.name))
+    serials = individuals.Serials(Model(model.name))
     for before, now in zip(then.constraints, model.constraints, strict=True):
         serials.give(now, numbers.of(before))
     for was, given in zip(then.estimations, model.estimations, strict=True):
@@ -111,14 +100,16 @@ def differences(then: Model, now: Model) -> list[str]:
 def _described(model: Model) -> dict[str, dict[str, object]]:
     """Return what a model says, by the ids of what has a name; anything else, which is what it says, by that."""
     found: dict[str, dict[str, object]] = {}
-    inner = {one.id: one for one in individuals(model)}
+    inner = {one.id: one for one in individuals.individuals(model)}
     for one in inner.values():
         values = {name: value for name, value in one.values.items() if name != "position"}
-        if one.kind in (PARAMETER, PREFERENCE):
+        if one.kind in (individuals.PARAMETER, individuals.PREFERENCE):
             continue
         if "name" in values:
             if "hasParameter" in values:
-                given = parameter_values(inner[ref.id] for ref in values["hasParameter"] if isinstance(ref, Ref))
+                given = individuals.parameter_values(
+                    inner[ref.id] for ref in values["hasParameter"] if isinstance(ref, individuals.Ref)
+                )
                 values["hasParameter"] = (str(given),)
             found[one.id] = {"kind": (one.kind,), **values}
         else:
@@ -129,4 +120,4 @@ def _described(model: Model) -> dict[str, dict[str, object]]:
 
 def _shown(values: object) -> str:
     listed = values if isinstance(values, tuple) else ()
-    return " and ".join(one.id if isinstance(one, Ref) else repr(one) for one in listed) or "none"
+    return " and ".join(one.id if isinstance(one, individuals.Ref) else repr(one) for one in listed) or "none"

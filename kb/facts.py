@@ -8,22 +8,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Final, NamedTuple, Protocol
 
-from kb.elements import (
-    KINDS,
-    Action,
-    Attribute,
-    Changeable,
-    Component,
-    Configuration,
-    Constrainable,
-    Constraint,
-    Element,
-    Estimation,
-    Expression,
-    Function,
-    FunctionDesign,
-    Owner,
-)
+from kb import elements
 from kb.status import Status
 
 
@@ -48,7 +33,7 @@ class MeasurementFact:
 class StatusFact:
     """A status is asserted, in place of the inferred one."""
 
-    element: Element | Constraint
+    element: elements.Element | elements.Constraint
     status: Status
 
 
@@ -56,14 +41,14 @@ class StatusFact:
 class RequiredFact:
     """An element is asserted to be required."""
 
-    element: Action | Function | Component
+    element: elements.Action | elements.Function | elements.Component
 
 
 @dataclass(frozen=True, slots=True)
 class SelectedFact:
     """A design or configuration is the one chosen."""
 
-    element: FunctionDesign | Configuration
+    element: elements.FunctionDesign | elements.Configuration
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,44 +114,46 @@ class Amended(NamedTuple):
     """One change of a model: how ("declared", "changed" or "removed"), of what; `put` makes it, once or again."""
 
     how: str
-    elements: tuple[Changeable, ...]
+    elements: tuple[elements.Changeable, ...]
     put: Callable[[], None]
 
 
-TABLES: Final[Mapping[str, type[Element]]] = {
-    "actions": Action,
-    "functions": Function,
-    "components": Component,
-    "designs": FunctionDesign,
-    "configurations": Configuration,
-    "attributes": Attribute,
+TABLES: Final[Mapping[str, type[elements.Element]]] = {
+    "actions": elements.Action,
+    "functions": elements.Function,
+    "components": elements.Component,
+    "designs": elements.FunctionDesign,
+    "configurations": elements.Configuration,
+    "attributes": elements.Attribute,
 }
 """The mapping of a model that holds the elements of each class."""
 
 
-class Contents(Owner, Protocol):
+class Contents(elements.Owner, Protocol):
     """A model, for those who read it or declare what a file says; see `Model`."""
 
-    attributes: Mapping[str, Attribute]
-    components: Mapping[str, Component]
-    configurations: Mapping[str, Configuration]
-    functions: Mapping[str, Function]
-    designs: Mapping[str, FunctionDesign]
-    actions: Mapping[str, Action]
+    attributes: Mapping[str, elements.Attribute]
+    components: Mapping[str, elements.Component]
+    configurations: Mapping[str, elements.Configuration]
+    functions: Mapping[str, elements.Function]
+    designs: Mapping[str, elements.FunctionDesign]
+    actions: Mapping[str, elements.Action]
     notes: list[str]
-    places: dict[Element | Constraint, str]
+    places: dict[elements.Element | elements.Constraint, str]
 
     @property
-    def constraints(self) -> tuple[Constraint, ...]: ...
+    def constraints(self) -> tuple[elements.Constraint, ...]: ...
     @property
-    def estimations(self) -> tuple[Estimation, ...]: ...
+    def estimations(self) -> tuple[elements.Estimation, ...]: ...
     @property
     def facts(self) -> tuple[Fact, ...]: ...
-    def constrain(self, elements: Iterable[Constrainable], expression: Expression) -> Constraint: ...
+    def constrain(
+        self, elements: Iterable[elements.Constrainable], expression: elements.Expression
+    ) -> elements.Constraint: ...
     def add_fact(self, fact: Fact) -> None: ...
 
 
-def tables_of(model: Contents) -> Mapping[type[Element], Mapping[str, Element]]:
+def tables_of(model: Contents) -> Mapping[type[elements.Element], Mapping[str, elements.Element]]:
     """Return all elements that have names by their class, so that what refers to others comes after these."""
     tables = {cls: getattr(model, word) for word, cls in TABLES.items()}
-    return {cls: tables[cls] for cls in KINDS if cls in tables}
+    return {cls: tables[cls] for cls in elements.KINDS if cls in tables}

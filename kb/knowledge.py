@@ -12,22 +12,12 @@ from functools import partial
 from types import MappingProxyType
 from typing import Any, Final
 
+from kb import facts
 from kb.amendments import amendment
 from kb.elements import Action, Attribute, Constraint, Element, Estimation, Parameters
 from kb.events import RECORDS, Event, Log, StatusChange
 from kb.explanation.choice import note_nothing
 from kb.explanation.reasons import reading, why_selected
-from kb.facts import (
-    ActiveFact,
-    Amended,
-    Contents,
-    Fact,
-    MeasurementFact,
-    RequiredActionFact,
-    RequiredFact,
-    SelectedFact,
-    StatusFact,
-)
 from kb.inference import infer_anew, propagate
 from kb.measurements import Judged, Measurements
 from kb.network import Network, Node, Ref
@@ -70,7 +60,7 @@ class Knowledge:
 
     def __init__(
         self,
-        model: Contents,
+        model: facts.Contents,
         clock: Callable[[], float],
         lock: AbstractContextManager[object],
         memory: Memory | None = None,
@@ -94,7 +84,7 @@ class Knowledge:
         self._layer = Overlay(self.state, lasting=True)
         self._is_laid = False
         self.pending: _Pending | None = None
-        self._amended: Amended | None = None
+        self._amended: facts.Amended | None = None
         self._before: Mapping[Node, Status] = {}
 
     # ---------------------------------------------------------------- putting in place
@@ -408,7 +398,7 @@ class Knowledge:
 
     # ---------------------------------------------------------------- the model
 
-    def begin(self, facts: Sequence[Fact], now: float) -> None:
+    def begin(self, facts: Sequence[facts.Fact], now: float) -> None:
         for position, fact in enumerate(facts):
             self._begin_with(fact, -position - 1, now)
         self.log = Log(self._memory)
@@ -416,22 +406,22 @@ class Knowledge:
         self.changed_by.clear()
         self.feasibility, self.revision, self.state.version = None, 1, 1
 
-    def _begin_with(self, fact: Fact, number: int, now: float) -> None:
-        if isinstance(fact, MeasurementFact):
+    def _begin_with(self, fact: facts.Fact, number: int, now: float) -> None:
+        if isinstance(fact, facts.MeasurementFact):
             node, time = self.network.attributes[fact.attribute], now if fact.time is None else fact.time
             if fact.latest:
                 self.measure(node, fact.value, time)
             else:
                 self.measurements.history(node).add(time, fact.value)
-        elif isinstance(fact, StatusFact):
+        elif isinstance(fact, facts.StatusFact):
             self.apply(now, "assert_status", (self.network.find(fact.element).ref, str(fact.status), "", None))
-        elif isinstance(fact, RequiredFact):
+        elif isinstance(fact, facts.RequiredFact):
             self.apply(now, "assert_required", (self.network.find(fact.element).ref, True))
-        elif isinstance(fact, SelectedFact):
+        elif isinstance(fact, facts.SelectedFact):
             self.apply(now, "assert_selected", (self.network.find(fact.element).ref, True, ""))
-        elif isinstance(fact, ActiveFact):
+        elif isinstance(fact, facts.ActiveFact):
             self.apply(now, "component_active", (fact.component, True, ""))
-        elif isinstance(fact, RequiredActionFact):
+        elif isinstance(fact, facts.RequiredActionFact):
             self.records.begin_request(fact, number, now)
             if fact.action in self.records.required:
                 node = self.network.actions[fact.action]
@@ -446,7 +436,7 @@ class Knowledge:
         with self._lock:
             self.settle(now)
 
-    def amended(self, change: Amended) -> None:
+    def amended(self, change: facts.Amended) -> None:
         """Know what follows from a change of the model; nothing more if that is known already."""
         with self._lock:
             self.finish()
@@ -473,7 +463,7 @@ class Knowledge:
             self.pending = event, (partial(self._renew, change, nodes),), False, True
             self.finish()
 
-    def _renew(self, change: Amended, known: Sequence[Node]) -> None:
+    def _renew(self, change: facts.Amended, known: Sequence[Node]) -> None:
         """Relate what is in the model now, and infer all anew; it may be done again."""
         self.network.renew()
         if change.how == "removed":

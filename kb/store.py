@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, Final
 from weakref import WeakSet
 
+from kb import store_file
 from kb.amendments import Amendment, amend, amended_alike, differences, rebuilt
 from kb.events import Event
 from kb.exceptions import InvalidValue
@@ -24,24 +25,6 @@ from kb.files import sync_folder
 from kb.knowledge import Knowledge
 from kb.model import Model
 from kb.owl.individuals import Serials, individuals, plain_json
-from kb.store_file import (
-    BROKEN,
-    WHOLE_CHECK,
-    Mark,
-    Row,
-    Snapshot,
-    StoreError,
-    beside,
-    check_format,
-    damaged,
-    guarded,
-    history,
-    make,
-    opened,
-    survey,
-    write_about,
-    write_life,
-)
 
 KEPT: Final = 10_000  # how many measurements of each attribute are kept; the newest
 _EXCESS: Final = """
@@ -83,8 +66,8 @@ class Store:
         self.saved = 0
         self.error: str | None = None
         self.left: tuple[str, ...] = ()
-        self.is_new = model is not None and make(self.path, _declared(model))
-        self._guard, self._mark = guarded(self.path), -1
+        self.is_new = model is not None and store_file.make(self.path, _declared(model))
+        self._guard, self._mark = store_file.guarded(self.path), -1
         self._using = threading.Lock()
         self._progress = threading.Condition()
         self._wake = threading.Event()
@@ -95,8 +78,8 @@ class Store:
         self._knowledge: Knowledge
         self._lock: AbstractContextManager[object] = threading.RLock()
         try:
-            check_format(self.path, self._guard)
-            self._connection, found = opened(self.path)
+            store_file.check_format(self.path, self._guard)
+            self._connection, found = store_file.opened(self.path)
         except BaseException:
             os.close(self._guard)
             raise
@@ -105,7 +88,7 @@ class Store:
         self._snapshot = 0 if found.snapshot is None else found.snapshot.number
         before = 0 if found.snapshot is None else found.snapshot.others
         self._others = before + sum(row.verb != "measure" for row in found.rows)
-        self._checked, self._to_check = 0, self._snapshot if self.path.stat().st_size > WHOLE_CHECK else 0
+        self._checked, self._to_check = 0, self._snapshot if self.path.stat().st_size > store_file.WHOLE_CHECK else 0
         self._synced = 0.0
         self.time = found.rows[-1].time if found.rows else found.snapshot.time if found.snapshot else 0.0
         try:
@@ -150,7 +133,9 @@ class Store:
         """Check all of it; returns how many events it holds, or raises StoreError."""
         self.check_owner()
         with self._using:
-            found = survey(self._connection, Mark(self._id, self._written, self._tail), is_whole=True)
+            found = store_file.survey(
+                self._connection, store_file.Mark(self._id, self._written, self._tail), is_whole=True
+            )
             if found.problem:
                 raise found.error(self.path)
             ((count,),) = self._connection.execute("SELECT COUNT(*) FROM events")
@@ -159,13 +144,13 @@ class Store:
     def check_owner(self) -> None:
         """Raise StoreError in a process that was forked from the one that has opened the store."""
         if self.is_orphan:
-            raise StoreError(
+            raise store_file.StoreError(
                 f"{self.path}: the store is open in the process that this one was forked from, which goes on with it. "
                 "Make a knowledge base with a store of its own here"
             )
 
     def _events(self, after: int, only: str, most: int = -1) -> list[Event]:
-        return [row.event for row in history(self._connection, after, self._written, only, most)]
+        return [row.event for row in store_file.history(self._connection, after, self._written, only, most)]
 
     def _matched(self, model: Model | None) -> tuple[Model, Serials]:
         """Return the model that is gone on with, as it was amended, and the numbers in it."""
@@ -183,7 +168,7 @@ class Store:
         alike = amended_alike(then, numbers, model)
         if alike is not None:
             return model, alike
-        raise StoreError(
+        raise store_file.StoreError(
             f"{self.path}: the store is of another model: {'; '.join(differences(then, model))}. Give that model, or "
             f"name another file; `rosa store migrate {self.path} MODEL` takes the facts over to another model"
         )
@@ -196,12 +181,14 @@ class Store:
         with _blamed(self.path):
             try:
                 flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW
-                self._mark = os.open(beside(self.path, "mark"), flags, 0o666)
+                self._mark = os.open(store_file.beside(self.path, "mark"), flags, 0o666)
                 self._acknowledge()
                 os.fsync(self._mark)
                 sync_folder(self.path.parent)
             except OSError as error:
-                raise StoreError(f"{beside(self.path, 'mark')}: it cannot be written: {error.strerror}") from None
+                raise store_file.StoreError(
+                    f"{store_file.beside(self.path, 'mark')}: it cannot be written: {error.strerror}"
+                ) from None
             self._connection.execute("PRAGMA journal_mode=WAL")
             self._connection.execute("PRAGMA synchronous=FULL")
             (page,) = self._connection.execute("PRAGMA page_size").fetchone()
@@ -241,19 +228,21 @@ class Store:
             if unsaved and not self._is_given_up:
                 self._is_stopping = False
                 self._begin()
-                raise StoreError(f"{self.error}. {unsaved} events are not saved; make room, and close it again")
+                raise store_file.StoreError(
+                    f"{self.error}. {unsaved} events are not saved; make room, and close it again"
+                )
         self._end()
         if unsaved:
-            raise StoreError(f"{self.error}. {unsaved} events are lost; what is in the file is sound")
+            raise store_file.StoreError(f"{self.error}. {unsaved} events are lost; what is in the file is sound")
 
     def _end(self) -> None:
-        with suppress(StoreError):
+        with suppress(store_file.StoreError):
             self._past = self.events(measurements=False)
         with self._using, suppress(sqlite3.Error):
             if self._mark >= 0 and self.error is None:
                 self._live(is_open=False)
                 self._connection.execute("PRAGMA journal_mode=DELETE")
-                beside(self.path, "mark").unlink(missing_ok=True)
+                store_file.beside(self.path, "mark").unlink(missing_ok=True)
         self._release()
         with self._progress:
             self._progress.notify_all()
@@ -277,7 +266,7 @@ class Store:
                 os.close(descriptor)
 
     def _live(self, *, is_open: bool) -> None:
-        write_life(self._connection, self._id, is_open=is_open, last=self._written, tail=self._tail)
+        store_file.write_life(self._connection, self._id, is_open=is_open, last=self._written, tail=self._tail)
         self._connection.commit()
 
     def _begin(self) -> None:
@@ -312,7 +301,7 @@ class Store:
         until = min(self._checked + _SLICE, self._to_check)
         try:
             with self._using:
-                for _ in history(self._connection, self._checked, until):
+                for _ in store_file.history(self._connection, self._checked, until):
                     pass
             self._checked = until
         except (sqlite3.Error, ValueError) as error:
@@ -358,7 +347,7 @@ class Store:
         That is not forced to the disk each time, which would double the wait: a process that is killed leaves it as it
         is, and when the power fails, it is the mark that is behind, not the database.
         """
-        os.pwrite(self._mark, Mark(self._id, self._written, self._tail).written(), 0)
+        os.pwrite(self._mark, store_file.Mark(self._id, self._written, self._tail).written(), 0)
 
     def _needs_snapshot(self, batch: Iterable[Event], last: int) -> bool:
         if any(event.verb == "amend" for event in batch):
@@ -378,20 +367,20 @@ class Store:
     ) -> None:
         rows, before = [], self._tail
         for event in batch:
-            rows.append(Row.of(event, before))
+            rows.append(store_file.Row.of(event, before))
             before = rows[-1].digest
         others = self._others + sum(row.verb != "measure" for row in rows)
         try:
             self._connection.executemany("INSERT INTO events VALUES (?, ?, ?, ?, ?, ?, ?)", rows)
             if snapshot is not None:
-                kept = Snapshot.of(*snapshot, others, before)
+                kept = store_file.Snapshot.of(*snapshot, others, before)
                 self._connection.execute("INSERT OR REPLACE INTO snapshots VALUES (?, ?, ?, ?, ?, ?)", kept)
                 self._connection.execute("DELETE FROM snapshots WHERE number < ?", (self._snapshot,))
                 # not what was written since the last one, from which all can be known again
                 self._connection.execute(_EXCESS, (self.keep, self._snapshot))
             if model is not None:
-                write_about(self._connection, self._id, _declared(model), rows[-1].number)
-                write_life(self._connection, self._id, is_open=False, last=rows[-1].number, tail=before)
+                store_file.write_about(self._connection, self._id, _declared(model), rows[-1].number)
+                store_file.write_life(self._connection, self._id, is_open=False, last=rows[-1].number, tail=before)
             self._connection.commit()
         except BaseException:
             with suppress(sqlite3.Error):
@@ -426,8 +415,8 @@ def _declared(model: Model) -> str:
 def _blamed(path: Path) -> Iterator[None]:
     try:
         yield
-    except BROKEN as error:
-        raise damaged(path, error) from None
+    except store_file.BROKEN as error:
+        raise store_file.damaged(path, error) from None
 
 
 # -------------------------------------------------------------------- forks

@@ -15,36 +15,8 @@ from enum import StrEnum
 from typing import Any, Final, NamedTuple
 from urllib.parse import quote
 
-from kb.elements import (
-    REFERENCES,
-    Action,
-    Attribute,
-    Changeable,
-    Component,
-    Configuration,
-    Constraint,
-    Element,
-    Estimation,
-    Expression,
-    Function,
-    FunctionDesign,
-    choice,
-    finite_number,
-)
+from kb import elements, facts
 from kb.exceptions import InvalidValue, KnowledgeBaseError, ModelError, UnknownName
-from kb.facts import (
-    ActiveFact,
-    Contents,
-    Fact,
-    MeasurementFact,
-    PlanFact,
-    ProcessFact,
-    RequiredActionFact,
-    RequiredFact,
-    SelectedFact,
-    StatusFact,
-    tables_of,
-)
 from kb.status import Status
 
 
@@ -68,22 +40,22 @@ class Individual(NamedTuple):
 PARAMETER, PREFERENCE, MODEL, STATED = "Parameter", "Preference", "RobotModel", "Fact"
 
 CLASSES: Final[Mapping[type, str]] = {
-    Attribute: "Attribute",
-    Component: "Component",
-    Configuration: "ComponentConfiguration",
-    Function: "Function",
-    FunctionDesign: "FunctionDesign",
-    Action: "Action",
-    Constraint: "Constraint",
-    Estimation: "Estimation",
-    MeasurementFact: "Measurement",
-    StatusFact: "AssertedStatus",
-    RequiredFact: "AssertedRequirement",
-    SelectedFact: "Selection",
-    ActiveFact: "Activity",
-    RequiredActionFact: "RequiredAction",
-    ProcessFact: "ComponentProcess",
-    PlanFact: "ReconfigurationPlan",
+    elements.Attribute: "Attribute",
+    elements.Component: "Component",
+    elements.Configuration: "ComponentConfiguration",
+    elements.Function: "Function",
+    elements.FunctionDesign: "FunctionDesign",
+    elements.Action: "Action",
+    elements.Constraint: "Constraint",
+    elements.Estimation: "Estimation",
+    facts.MeasurementFact: "Measurement",
+    facts.StatusFact: "AssertedStatus",
+    facts.RequiredFact: "AssertedRequirement",
+    facts.SelectedFact: "Selection",
+    facts.ActiveFact: "Activity",
+    facts.RequiredActionFact: "RequiredAction",
+    facts.ProcessFact: "ComponentProcess",
+    facts.PlanFact: "ReconfigurationPlan",
 }
 """The kind of each class of element and fact, in the order in which they can be declared."""
 
@@ -96,35 +68,35 @@ GENERAL: Final[Mapping[str, str]] = {
 """The kind of which another is a special one."""
 
 SPECIAL: Final[Mapping[tuple[type, str], str]] = {
-    (Attribute, "quality"): "QualityAttribute",
-    (Attribute, "environmental"): "EnvironmentalAttribute",
-    (Component, "process"): "ProcessComponent",
-    (Component, "lifecycle"): "LifecycleComponent",
+    (elements.Attribute, "quality"): "QualityAttribute",
+    (elements.Attribute, "environmental"): "EnvironmentalAttribute",
+    (elements.Component, "process"): "ProcessComponent",
+    (elements.Component, "lifecycle"): "LifecycleComponent",
 }
 """The special kind of elements of a class by their own `kind`, where they have one."""
 
 _PROPERTIES: Final[Mapping[tuple[type, str], str]] = {
-    (Action, "functions"): "requires",
-    (FunctionDesign, "function"): "realises",
-    (FunctionDesign, "components"): "uses",
-    (Configuration, "component"): "configures",
-    (Configuration, "parameters"): "hasParameter",
-    (Constraint, "attribute"): "compares",
-    (Constraint, "constrained"): "constrains",
-    (Estimation, "attribute"): "affects",
-    (Estimation, "causer"): "causedBy",
-    (Estimation, "kind"): "effect",
-    (MeasurementFact, "attribute"): "measures",
-    (StatusFact, "element"): "about",
-    (RequiredFact, "element"): "about",
-    (SelectedFact, "element"): "about",
-    (ActiveFact, "component"): "about",
-    (ProcessFact, "component"): "about",
-    (RequiredActionFact, "action"): "about",
-    (RequiredActionFact, "preference"): "hasPreference",
-    (PlanFact, "activate"): "activates",
-    (PlanFact, "deactivate"): "deactivates",
-    (PlanFact, "parameters"): "setsParametersOf",
+    (elements.Action, "functions"): "requires",
+    (elements.FunctionDesign, "function"): "realises",
+    (elements.FunctionDesign, "components"): "uses",
+    (elements.Configuration, "component"): "configures",
+    (elements.Configuration, "parameters"): "hasParameter",
+    (elements.Constraint, "attribute"): "compares",
+    (elements.Constraint, "constrained"): "constrains",
+    (elements.Estimation, "attribute"): "affects",
+    (elements.Estimation, "causer"): "causedBy",
+    (elements.Estimation, "kind"): "effect",
+    (facts.MeasurementFact, "attribute"): "measures",
+    (facts.StatusFact, "element"): "about",
+    (facts.RequiredFact, "element"): "about",
+    (facts.SelectedFact, "element"): "about",
+    (facts.ActiveFact, "component"): "about",
+    (facts.ProcessFact, "component"): "about",
+    (facts.RequiredActionFact, "action"): "about",
+    (facts.RequiredActionFact, "preference"): "hasPreference",
+    (facts.PlanFact, "activate"): "activates",
+    (facts.PlanFact, "deactivate"): "deactivates",
+    (facts.PlanFact, "parameters"): "setsParametersOf",
 }
 """What a field is called, where that is not its own name."""
 
@@ -143,42 +115,42 @@ def property_of(cls: type, field: str) -> str:
 class Serials:
     """Numbers for what has no name; one that was given stays, whatever else is removed from the model."""
 
-    def __init__(self, model: Contents) -> None:
-        self._given: dict[Changeable, int] = {}
+    def __init__(self, model: facts.Contents) -> None:
+        self._given: dict[elements.Changeable, int] = {}
         self._next = 0
-        listed: tuple[Constraint | Estimation, ...] = (*model.constraints, *model.estimations)
+        listed: tuple[elements.Constraint | elements.Estimation, ...] = (*model.constraints, *model.estimations)
         for one in listed:
             self.of(one)
 
-    def of(self, one: Constraint | Estimation) -> int:
+    def of(self, one: elements.Constraint | elements.Estimation) -> int:
         if one not in self._given:
             self.give(one, self._next)
         return self._given[one]
 
-    def give(self, one: Changeable, number: int) -> None:
+    def give(self, one: elements.Changeable, number: int) -> None:
         self._given[one] = number
         self._next = max(self._next, number + 1)
 
 
-def element_id(element: Changeable, serials: Serials) -> str:
-    name = element.name if isinstance(element, Element) else str(serials.of(element))
+def element_id(element: elements.Changeable, serials: Serials) -> str:
+    name = element.name if isinstance(element, elements.Element) else str(serials.of(element))
     return named_id(type(element), name)
 
 
-def individuals(model: Contents, serials: Serials | None = None) -> Iterator[Individual]:
+def individuals(model: facts.Contents, serials: Serials | None = None) -> Iterator[Individual]:
     """Yield all that a model says, in an order in which it can be declared; what it states to be so comes last."""
     serials = serials or Serials(model)
     yield Individual(MODEL, f"{MODEL}.{_escaped(model.name)}", {"name": (model.name,)})
-    tables = [table.values() for table in tables_of(model).values()]
-    kinds: list[Iterable[Changeable]] = [*tables, model.constraints, model.estimations]
-    for elements in kinds:
-        for position, element in enumerate(elements):
+    tables = [table.values() for table in facts.tables_of(model).values()]
+    kinds: list[Iterable[elements.Changeable]] = [*tables, model.constraints, model.estimations]
+    for listed in kinds:
+        for position, element in enumerate(listed):
             yield from _described(element, element_id(element, serials), position, serials)
     for position, fact in enumerate(model.facts):
         yield from _described(fact, f"{STATED}.{position}", position, serials)
 
 
-def individual(element: Changeable, serials: Serials) -> tuple[Individual, ...]:
+def individual(element: elements.Changeable, serials: Serials) -> tuple[Individual, ...]:
     """Return one element of a model, with what is nested in it; the element comes last."""
     return tuple(_described(element, element_id(element, serials), 0, serials))
 
@@ -187,7 +159,7 @@ def nested(kind: str, owner: str, values: Mapping[str, Any]) -> Iterator[Individ
     for key, value in values.items():
         inner = f"{kind}.{owner}.{_escaped(key)}"
         if kind == PREFERENCE:
-            yield Individual(kind, inner, {"prefers": (Ref(named_id(Attribute, key)),), "weight": (value,)})
+            yield Individual(kind, inner, {"prefers": (Ref(named_id(elements.Attribute, key)),), "weight": (value,)})
         else:
             written = json.dumps(value)
             sort = _sort(value)
@@ -215,16 +187,18 @@ def parameter_values(parameters: Iterable[Individual]) -> dict[str, Any]:
     return {str(one.values["key"][0]): json.loads(str(one.values["parameterValue"][0])) for one in parameters}
 
 
-def _described(one: Changeable | Fact, own: str, position: int, serials: Serials) -> Iterator[Individual]:
+def _described(
+    one: elements.Changeable | facts.Fact, own: str, position: int, serials: Serials
+) -> Iterator[Individual]:
     values: dict[str, tuple[Value, ...]] = {"position": (position,)}
     for field in fields(one):
         value = getattr(one, field.name)
-        if field.name == "model" or (field.name == "kind" and not isinstance(one, Estimation)):
+        if field.name == "model" or (field.name == "kind" and not isinstance(one, elements.Estimation)):
             continue
         if isinstance(value, Mapping):
-            inner = list(nested(PARAMETER if isinstance(one, Configuration) else PREFERENCE, own, value))
+            inner = list(nested(PARAMETER if isinstance(one, elements.Configuration) else PREFERENCE, own, value))
             yield from inner
-            if not inner and isinstance(one, RequiredActionFact):
+            if not inner and isinstance(one, facts.RequiredActionFact):
                 values["prefersNothing"] = (True,)
             plain: tuple[Value, ...] = tuple(Ref(each.id) for each in inner)
         else:
@@ -238,9 +212,9 @@ def _described(one: Changeable | Fact, own: str, position: int, serials: Serials
 def _plain(cls: type, field: str, value: object, serials: Serials) -> Iterator[Value]:
     if value is None or value == "" or value in (math.inf, -math.inf):
         return
-    if isinstance(value, Constraint):
+    if isinstance(value, elements.Constraint):
         yield Ref(element_id(value, serials))
-    elif isinstance(value, Element):
+    elif isinstance(value, elements.Element):
         yield Ref(named_id(type(value), value.name))
     elif field in ("agreement", "rates"):
         if value:
@@ -248,8 +222,8 @@ def _plain(cls: type, field: str, value: object, serials: Serials) -> Iterator[V
     elif isinstance(value, tuple):
         for one in value:
             yield from _plain(cls, field, one, serials)
-    elif isinstance(value, str) and field in REFERENCES:
-        yield Ref(named_id(REFERENCES[field], value))
+    elif isinstance(value, str) and field in elements.REFERENCES:
+        yield Ref(named_id(elements.REFERENCES[field], value))
     elif isinstance(value, StrEnum):
         yield str(value)
     elif isinstance(value, str | bool | int | float):
@@ -282,9 +256,9 @@ _UNSAID: Final = frozenset({"position", "prefersNothing"})
 class Declarer:
     """Declares individuals in a model, of which they may refer to the elements that are known, by id."""
 
-    def __init__(self, model: Contents, known: Mapping[str, Changeable] | None = None) -> None:
+    def __init__(self, model: facts.Contents, known: Mapping[str, elements.Changeable] | None = None) -> None:
         self.model = model
-        self.known: dict[str, Changeable] = dict(known or {})
+        self.known: dict[str, elements.Changeable] = dict(known or {})
         self.nested: dict[str, Individual] = {}
 
     def declare(self, given: Iterable[Individual]) -> None:
@@ -311,7 +285,7 @@ class Declarer:
             if name in one.values:
                 found[field.name] = self._value(cls, field.name, one.values[name])
             elif field.name in _LISTS:
-                found[field.name] = {} if cls is Configuration else ()
+                found[field.name] = {} if cls is elements.Configuration else ()
             elif field.default is MISSING and field.name != "model":
                 raise ModelError(f"it has no {name}")
         if "prefersNothing" in one.values:
@@ -319,17 +293,17 @@ class Declarer:
         return found
 
     def _value(self, cls: type, field: str, given: tuple[Value, ...]) -> object:
-        if cls is Configuration and field == "parameters":
+        if cls is elements.Configuration and field == "parameters":
             with _well_written():
                 return parameter_values(self._inner(one) for one in given)
         if field == "preference":
             return dict(self._weight(self._inner(one)) for one in given)
-        if field in REFERENCES:
-            names = tuple(self._element(one, REFERENCES[field]).name for one in given)
+        if field in elements.REFERENCES:
+            names = tuple(self._element(one, elements.REFERENCES[field]).name for one in given)
             return names if field in _LISTS else _single(field, names)
         if field in ("constrained", "causer", "element"):
-            elements = tuple(self._element(one, object) for one in given)
-            return elements if field in _LISTS else _single(field, elements)
+            players = tuple(self._element(one, object) for one in given)
+            return players if field in _LISTS else _single(field, players)
         value = _single(field, given)
         if isinstance(value, Ref):
             raise ModelError(f"{field} is a value, not {value.id}")
@@ -345,7 +319,7 @@ class Declarer:
 
     def _weight(self, one: Individual) -> tuple[str, Any]:
         attribute = _single("prefers", one.values.get("prefers", ()))
-        return self._element(attribute, Attribute).name, _single("weight", one.values.get("weight", ()))
+        return self._element(attribute, elements.Attribute).name, _single("weight", one.values.get("weight", ()))
 
     def _element(self, value: Value, cls: type) -> Any:  # noqa: ANN401  # an element of the class
         found = self.known.get(value.id) if isinstance(value, Ref) else None
@@ -354,25 +328,25 @@ class Declarer:
             raise UnknownName(CLASSES.get(cls, "individual"), _shown(value), known)
         return found
 
-    def _make(self, one: Individual) -> Changeable | None:
+    def _make(self, one: Individual) -> elements.Changeable | None:
         cls = _BY_KIND[GENERAL.get(one.kind, one.kind)]
         values = self.values(cls, one)
-        if cls is Estimation:
+        if cls is elements.Estimation:
             return self.model.add_estimation(**values)
-        if cls is Constraint:
-            constrained, value = values.pop("constrained"), finite_number(values.pop("value"))
-            return self.model.constrain(constrained, Expression(**values, value=value))
-        if issubclass(cls, Element):
+        if cls is elements.Constraint:
+            constrained, value = values.pop("constrained"), elements.finite_number(values.pop("value"))
+            return self.model.constrain(constrained, elements.Expression(**values, value=value))
+        if issubclass(cls, elements.Element):
             return self._declared(cls, one.kind, **values)
-        if cls is StatusFact:
-            values["status"] = choice("status", Status, values["status"])
+        if cls is facts.StatusFact:
+            values["status"] = elements.choice("status", Status, values["status"])
         self.model.add_fact(cls(**values))
         return None
 
-    def _declared(self, cls: type[Element], kind: str, name: str, **values: object) -> Element:
-        if cls in (Attribute, Component):
+    def _declared(self, cls: type[elements.Element], kind: str, name: str, **values: object) -> elements.Element:
+        if cls in (elements.Attribute, elements.Component):
             special = {other: one for (of, one), other in SPECIAL.items() if of is cls}
-            if cls is Attribute and kind not in special:
+            if cls is elements.Attribute and kind not in special:
                 raise ModelError(f"an attribute is a {' or an '.join(special)}; say which")
             values |= {"kind": special[kind]} if kind in special else {}
         return self.model.declare(cls, name, **values)

@@ -703,7 +703,6 @@ def test_history_that_is_too_long_to_be_checked_at_once_is_checked_while_it_is_u
     path.write_bytes(content[:place] + b'["load",701.0]' + content[place + 14 :])
     with pytest.raises(StoreError, match="event 702 is not as it was written"):
         KnowledgeBase(robot(), store=path)
-    monkeypatch.setattr("kb.store.WHOLE_CHECK", 1000)
     monkeypatch.setattr("kb.store_file.WHOLE_CHECK", 1000)
     kb = KnowledgeBase(robot(), store=path, clock=Clock(9.0))
     assert kb.attributes["load"].value == 7.0
