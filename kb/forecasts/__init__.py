@@ -13,7 +13,18 @@ from typing import NamedTuple
 from kb.elements import FUNCTIONS, Attribute, exact, finite_number, listed
 from kb.exceptions import InvalidValue
 from kb.explanation.reasons import reading, why
-from kb.forecasts.extrapolation import LEVEL, Curve, Outlook, Series, constant, slope_of, straight, trend
+from kb.forecasts.extrapolation import (
+    LEVEL,
+    Curve,
+    Outlook,
+    Series,
+    by_function,
+    constant,
+    periodic,
+    slope_of,
+    straight,
+    trend,
+)
 from kb.inference import propagate
 from kb.knowledge import Knowledge
 from kb.network import Node
@@ -22,7 +33,7 @@ from kb.state import Overlay, State
 from kb.status import OPERATORS, Status
 from kb.views import Readable, named
 
-_MOST_SAMPLES, _MOST_REQUESTS, _MOST_FITS = 4096, 256, 4096
+_MOST_SAMPLES, _MOST_REQUESTS, _MOST_FITS = 2048, 256, 4096
 _LOOKS, _HALVINGS = 256, 24
 """At how many instants a horizon is looked at, and how often it is halved where something changes between two."""
 _WORSE, _EXPECTED, _BETTER = -1, 0, 1
@@ -165,16 +176,16 @@ class Forecaster:
             return "what was measured is stale"
         requests = self._known.records.requests
         past = next(reversed(requests), 0), self._known.records.last_end
-        key = *history.pairs[-2:], len(history.pairs), past, doing, element.forecasting, element.rates
+        key = *history.pairs[-2:], len(history.pairs), history.begins, past, doing, element.forecasting, element.rates
         known = self._outlooks.get(node.index)
         if known is None or known[0] != key:
             if self._deeds[0] != past:
                 self._deeds = past, _Deeds(list(requests.values())[-_MOST_REQUESTS:])
-            pairs = history.pairs[-2 * _MOST_SAMPLES :]
-            known = self._outlooks[node.index] = key, self._made(node, Series(pairs[::2], pairs[1::2]), doing)
+            series = Series(history.pairs[::2], history.pairs[1::2])
+            known = self._outlooks[node.index] = key, self._made(node, series, history.begins, doing)
         return known[1]
 
-    def _made(self, node: Node, series: Series, doing: frozenset[str]) -> Outlook | str:
+    def _made(self, node: Node, series: Series, begins: float, doing: frozenset[str]) -> Outlook | str:
         element, deeds, last = node.attribute, self._deeds[1], len(series.times) - 1
         way, function = element.forecasting, FUNCTIONS.get(element.forecasting)
         is_stated = not way or any(not rate.while_ or rate.while_ in doing for rate in element.rates)
@@ -182,15 +193,27 @@ class Forecaster:
             return f"it is forecast by the function {way}, which this program has not given"
 
         def fit(place: int, ahead: float) -> Curve | None:
-            past = Series(series.times[: place + 1], series.values[: place + 1])
+            past = series.until(place, _MOST_SAMPLES)
             if is_stated:
                 return _rated(element, past, deeds, doing if place == last else None)
-            return trend(past, ahead) if way == "trend" else constant(past)
+            if function is not None:
+                return by_function(function, past)
+            return trend(past, ahead) if way == "trend" else periodic(past) if way == "periodic" else constant(past)
+
+        def remembered(place: int, ahead: float) -> Curve | None:
+            key = node.index, way, begins, series.times[place], series.values[place], ahead if way == "trend" else 0.0
+            if is_stated or way == "constant":
+                return fit(place, ahead)
+            if key not in self._fits:
+                if len(self._fits) >= _MOST_FITS:
+                    self._fits.clear()
+                self._fits[key] = fit(place, ahead)
+            return self._fits[key]
 
         def is_alike(start: float, end: float) -> bool:
             return all(done == doing for _, _, done in deeds.between(start, end))
 
-        return Outlook(series, fit, is_alike, is_stated=is_stated)
+        return Outlook(series, remembered, is_alike, is_stated=is_stated)
 
 
 def feasible_until(

@@ -6,22 +6,32 @@ often enough. After misses it widens, after hits it narrows (Gibbs and Candes, "
 distribution shift", NeurIPS 2021). All is a function of the series; what was worked out before is only remembered.
 """
 
+import logging
 import math
+import operator
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
 from itertools import combinations, pairwise
 from statistics import median
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
+
+from kb.elements import finite_number
+
+_log = logging.getLogger(__name__)
 
 LEVEL: Final = 0.9
 """How often an interval shall hold what comes."""
-_ORIGINS, _GAPS = 32, 8
+_ORIGINS, _GAPS = 20, 8
 """From how many earlier points it is looked how far a forecast was off, and how many lie within a horizon at most."""
-_PACE: Final = 0.02
+_PACE: Final = 0.05
 """How quickly an interval adapts after a hit or a miss."""
 _REACH: Final = 4.0
 """How much further ahead than it could be checked a forecast goes; its interval grows with the time then."""
 _MOST_POINTS, _LEAST_POINTS = 24, 8
+_WAVE_POINTS, _PERIODS, _ROUNDS = 64, 40, 6
+"""On how many points a wave is fitted, how many periods are tried, and how often it is looked between the best ones."""
+_SEEN: Final = 0.75
+"""It is looked back for as long that a period is at most such a part of that, if so much was seen."""
 _ROUNDING: Final = 1e-9
 
 
@@ -37,6 +47,11 @@ class Series(NamedTuple):
 
     times: Sequence[float]
     values: Sequence[float]
+
+    def until(self, place: int, most: int) -> "Series":
+        """Return those up to a place, no more than so many."""
+        first = max(0, place + 1 - most)
+        return Series(self.times[first : place + 1], self.values[first : place + 1])
 
     def between(self, start: float, end: float) -> "Series":
         """Return those from one time to another [s]."""
@@ -73,6 +88,66 @@ def trend(series: Series, ahead: float) -> Curve | None:
         return None
     heights = (value - slope * (time - end) for time, value in zip(*lately, strict=True))
     return straight(end, median(heights), slope)
+
+
+def periodic(series: Series) -> Curve | None:
+    """Go on as a wave and its first overtone: for each of many periods by least squares, then between the best ones."""
+    if len(series.times) < _LEAST_POINTS:
+        return None
+    import numpy as np
+
+    def misfits(periods: Any) -> Any:  # noqa: ANN401  # arrays
+        angles = 2 * math.pi * times / periods[:, None]
+        basis, _ = np.linalg.qr(np.stack([np.ones_like(angles), np.cos(angles), np.sin(angles)], axis=2))
+        rest = values - (basis @ (basis.transpose(0, 2, 1) @ values[:, None]))[:, :, 0]
+        return (rest * rest).sum(axis=1)
+
+    end = series.times[-1]
+    width = (end - series.times[-_WAVE_POINTS:][0]) / _WAVE_POINTS
+    while True:
+        found = sorted({bisect_right(series.times, end - width * back) for back in range(_WAVE_POINTS)} - {0})
+        times = np.array([series.times[place - 1] - end for place in found])
+        values = np.array([series.values[place - 1] for place in found])
+        span = -float(times[0])
+        if len(found) < _LEAST_POINTS or not span:
+            return None
+        periods = np.geomspace(4 * width, 3 * span, _PERIODS)
+        for _ in range(_ROUNDS):
+            best = int(np.argmin(misfits(periods)))
+            periods = np.linspace(periods[max(best - 1, 0)], periods[min(best + 1, len(periods) - 1)], _MOST_POINTS)
+        period = float(periods[int(np.argmin(misfits(periods)))])
+        if period < _SEEN * span or end - width * _WAVE_POINTS < series.times[0]:
+            break
+        width *= 2
+    waves = range(1, 3 if period < _SEEN * span else 2)
+    angles = [2 * math.pi * wave / period for wave in waves]
+    columns = [np.ones_like(times), *(one(angle * times) for angle in angles for one in (np.cos, np.sin))]
+    base, *swings = np.linalg.lstsq(np.stack(columns, axis=1), values, rcond=None)[0].tolist()
+    low, high = float(values.min()), float(values.max())
+    low, high = 2 * low - high, 2 * high - low
+
+    def value(then: float) -> float:
+        turns = [
+            swing for angle in angles for swing in (math.cos(angle * (then - end)), math.sin(angle * (then - end)))
+        ]
+        return float(min(max(base + sum(map(operator.mul, swings, turns)), low), high))
+
+    return Curve(value, f"goes up and down every {period:.3g} s")
+
+
+def by_function(function: Callable[[Sequence[tuple[float, float]], float], float | None], series: Series) -> Curve:
+    """Go on as a function of one's own says; what it raises is logged, and then nothing is known."""
+    samples = tuple(zip(*series, strict=True))
+
+    def value(then: float) -> float | None:
+        try:
+            found = function(samples, then)
+            return None if found is None else finite_number(found)
+        except Exception:
+            _log.exception("the forecast %r failed", function)
+            return None
+
+    return Curve(value, "goes on as a function of the model's says")
 
 
 class Outlook:

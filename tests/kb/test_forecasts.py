@@ -1,6 +1,8 @@
 """What attributes are expected to be, and until when actions stay feasible."""
 
 import math
+import subprocess
+import sys
 
 import pytest
 from clocks import Clock
@@ -182,3 +184,122 @@ def test_a_rate_that_is_updated_is_an_event_that_can_be_told_again(clock):
         other.tell(event)
     assert other.forecast("energy", 100.0) == kb.forecast("energy", 100.0)
     assert other.forecast("energy", 100.0).value == pytest.approx(0.7)
+
+
+def half_of(samples, time):
+    return samples[-1][1] / 2
+
+
+def out_of_order(samples, time):
+    raise ZeroDivisionError("a bad day")
+
+
+def test_function_of_ones_own_forecasts_and_what_it_raises_is_not_known(clock, caplog):
+    model = rover()
+    model.attributes["energy"].forecast(half_of)
+    assert model.attributes["energy"].forecasting == f"{__name__}:half_of"
+    kb = lives(model, clock, until=30, energy=lambda t: 0.8)
+    ahead = kb.forecast("energy", 5.0)
+    assert (ahead.value, ahead.low, ahead.high) == (0.4, 0.0, pytest.approx(0.8))  # it was off by 0.4 each time
+    model.attributes["energy"].forecast(out_of_order)
+    assert kb.forecast("energy", 5.0).value is None
+    assert "a bad day" in caplog.text
+    model.change("energy", forecasting="elsewhere:unknown")
+    assert "elsewhere:unknown, which this program has not given" in kb.forecast("energy", 5.0).reason
+
+
+def wave(period, swing=1.25, shift=0.0):
+    return lambda t: 2.5 + swing * math.cos(2 * math.pi * (t + shift) / period)
+
+
+def test_period_is_found_in_half_of_it(clock):
+    model = rover()
+    model.attributes["light"].forecast("periodic")
+    kb = lives(model, clock, until=40, light=wave(80.0))
+    for ahead in (5.0, 20.0):
+        found = kb.forecast("light", ahead)
+        assert found.value == pytest.approx(wave(80.0)(40.0 + ahead), abs=0.01)
+        assert found.low <= found.value <= found.high
+    assert "goes up and down every 80 s" in str(found)
+    assert str(found).startswith("light is 2.5 lx (")
+
+
+def test_action_is_unfeasible_when_the_wave_is_below_what_it_needs(clock):
+    model = rover()
+    model.attributes["light"].forecast("periodic")
+    kb = lives(model, clock, until=160, energy=lambda t: 1.0, light=lambda t: 8 * wave(80.0)(t) - 9.5)
+    low = math.acos((10.5 / 8 - 2.5) / 1.25) / math.pi * 40  # the phase at which only the night is left to see by
+    found = kb.feasible_until("explore", within=60)
+    assert found.at == pytest.approx(160 + low, abs=0.1)
+    assert "light goes up and down every 80 s and reaches 1 lx" in found.reason
+    for time in (found.at - 1, found.at + 1):
+        assert kb.situation(at=time).is_feasible("explore") is (time < found.at)
+
+
+@pytest.mark.parametrize(("period", "swing"), [(50.0, 1.25), (80.0, 2.0)])
+def test_interval_covers_again_within_a_period_after_the_regime_has_changed(clock, period, swing):
+    model = rover()
+    model.attributes["light"].forecast("periodic")
+    calm, other = wave(80.0), wave(period, swing, 15.0)
+    kb = KnowledgeBase(model, clock=clock)
+    held = {"calm": [], "changed": []}
+    asked = {}
+    for second in range(440):
+        clock.now = float(second)
+        light = (calm if second < 240 else other)(clock.now)
+        kb.measure("light", light)
+        if second in asked:
+            when = "calm" if 100 < second < 240 else "changed" if second >= 240 + 80 + 10 else None
+            held.get(when, []).append(asked[second].low - 1e-9 <= light <= asked[second].high + 1e-9)
+        ahead = kb.forecast("light", 10.0)
+        if ahead.low is not None and second % 2 == 0:
+            asked[second + 10] = ahead
+    for when in held.values():
+        assert len(when) > 40
+        assert sum(when) / len(when) >= 0.8
+
+
+def test_rate_is_learned_while_its_action_alone_is_done(clock):
+    model = rover()
+    energy = model.attributes["energy"]
+    energy.changes(-0.01, while_="explore", learns=True)
+    energy.changes(0.01, while_="charge", learns=True)
+    kb = lives(model, clock, until=5)
+    assert kb.forecast("energy", 10.0).value == pytest.approx(0.975 - 0.1)  # too few to say otherwise
+    kb = lives(model, Clock(), until=0)
+    clock = Clock()
+    kb = lives(model, clock, until=20)
+    assert kb.forecast("energy", 10.0).value == pytest.approx(0.9 - 0.05)
+    kb.cancel_action("explore")
+    kb.request_action("charge")
+    for _ in range(10):
+        clock.now += 1.0
+        kb.measure("energy", 0.9 + 0.002 * (clock.now - 20.0))
+    assert kb.forecast("energy", 10.0).value == pytest.approx(0.92 + 0.02)
+    assert kb.forecast("energy", 10.0, doing="explore").value == pytest.approx(0.92 - 0.05)
+
+
+def steps_of(kb, clock):
+    """Return which functions are called when something is measured."""
+    called = []
+    before = sys.getprofile()
+    sys.setprofile(lambda frame, event, _: called.append(frame.f_code.co_qualname) if event == "call" else None)
+    clock.now += 1.0
+    kb.measure("light", 11.0)
+    sys.setprofile(before)
+    return called
+
+
+def test_what_is_not_asked_costs_nothing(clock):
+    plain, stated = rover(), rover()
+    stated.attributes["light"].forecast("periodic")
+    stated.attributes["light"].changes(0.1, while_="charge")
+    taken = []
+    for model in (plain, stated):
+        clock = Clock()
+        taken.append(steps_of(lives(model, clock, until=30, light=lambda t: 11.0), clock))
+    assert taken[0] == taken[1]
+    assert taken[0]
+    code = "import sys, kb; kb.Model('m').quality_attribute('x').forecast('periodic'); print('numpy' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
