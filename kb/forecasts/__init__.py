@@ -196,24 +196,22 @@ class Forecaster:
             past = series.until(place, _MOST_SAMPLES)
             if is_stated:
                 return _rated(element, past, deeds, doing if place == last else None)
-            if function is not None:
-                return by_function(function, past)
-            return trend(past, ahead) if way == "trend" else periodic(past) if way == "periodic" else constant(past)
-
-        def remembered(place: int, ahead: float) -> Curve | None:
-            key = node.index, way, begins, series.times[place], series.values[place], ahead if way == "trend" else 0.0
-            if is_stated or way == "constant":
-                return fit(place, ahead)
+            key = node.index, way, begins, past.times[-1], past.values[-1], ahead if way == "trend" else 0.0
             if key not in self._fits:
                 if len(self._fits) >= _MOST_FITS:
                     self._fits.clear()
-                self._fits[key] = fit(place, ahead)
+                if way == "periodic":
+                    self._fits[key] = periodic(past)
+                elif way == "trend":
+                    self._fits[key] = trend(past, ahead)
+                else:
+                    self._fits[key] = constant(past) if function is None else by_function(function, past)
             return self._fits[key]
 
         def is_alike(start: float, end: float) -> bool:
             return all(done == doing for _, _, done in deeds.between(start, end))
 
-        return Outlook(series, remembered, is_alike, is_stated=is_stated)
+        return Outlook(series, fit, is_alike, is_stated=is_stated)
 
 
 def feasible_until(
