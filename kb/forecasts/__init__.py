@@ -13,18 +13,7 @@ from typing import NamedTuple
 from kb.elements import FUNCTIONS, Attribute, exact, finite_number, listed
 from kb.exceptions import InvalidValue
 from kb.explanation.reasons import reading, why
-from kb.forecasts.extrapolation import (
-    LEVEL,
-    Curve,
-    Outlook,
-    Series,
-    by_function,
-    constant,
-    periodic,
-    slope_of,
-    straight,
-    trend,
-)
+from kb.forecasts.extrapolation import LEVEL, WAYS, Curve, Outlook, Series, by_function, slope_of, straight
 from kb.inference import propagate
 from kb.knowledge import Knowledge
 from kb.network import Node
@@ -40,15 +29,9 @@ _WORSE, _EXPECTED, _BETTER = -1, 0, 1
 
 
 class Forecast(NamedTuple):
-    """What an attribute is expected to be at a time.
+    """What an attribute is expected to be at a time [s, by the clock], between which values how often, and why.
 
-    Attributes:
-        attribute: its name.
-        at: the time [s, by the clock of the knowledge base].
-        value: expected then, in the attribute's unit; None for "do not know".
-        low, high: it is between these as often as `level` says; None for "do not know".
-        level: 0.9.
-        reason: why, in words.
+    Value, low and high are None for "do not know".
     """
 
     attribute: str
@@ -64,15 +47,9 @@ class Forecast(NamedTuple):
 
 
 class FeasibleUntil(NamedTuple):
-    """Until when an action stays feasible, as far as is known.
+    """When an action is expected to become unfeasible [s, by the clock], and why; None for not `within` s from `now`.
 
-    Attributes:
-        action: its name.
-        at: when it is expected to become unfeasible [s, by the clock]; None if not within the horizon asked for.
-        earliest, latest: when it does if the intervals' worse ends come, or the better ones; None likewise.
-        reason: why, in words.
-        now: when it was asked [s].
-        within: the horizon [s].
+    It is as early if what it depends on is at the worse ends of the intervals, and as late if at the better ones.
     """
 
     action: str
@@ -127,16 +104,9 @@ class Forecaster:
         self._deeds: tuple[object, _Deeds] = None, _Deeds(())
 
     def __call__(self, attribute: str, horizon: float, *, doing: Iterable[str] | None = None) -> Forecast:
-        """Say what an attribute is expected to be.
+        """Say what an attribute is expected to be so far ahead of now [s].
 
-        Args:
-            attribute: its name.
-            horizon: how far ahead of now [s].
-            doing: names of the actions that are done meanwhile; those that are required now by default.
-
-        Raises:
-            UnknownName: no such attribute or action.
-            InvalidValue: the horizon is no time from 0.
+        By default the actions that are required now are done meanwhile.
         """
         now, ahead = self._base.now, _horizon(horizon)
         with self._base.reading() as state:
@@ -153,10 +123,10 @@ class Forecaster:
     def at(self, state: State, node: Node, time: float, now: float, doing: frozenset[str]) -> Forecast:
         """Forecast an attribute for a time [s] while something is done."""
         outlook = self.outlook(state, node, doing)
-        expected = None if isinstance(outlook, str) else outlook.at(time)
-        if isinstance(outlook, str) or expected is None:
-            cause = outlook if isinstance(outlook, str) else "too little was measured to go so far ahead"
-            reason = f"it is not known what {node.name} is in {time - now:.3g} s: {cause}"
+        too_far = "too little was measured to go so far ahead"
+        expected = outlook if isinstance(outlook, str) else outlook.at(time) or too_far
+        if isinstance(expected, str):
+            reason = f"it is not known what {node.name} is in {time - now:.3g} s: {expected}"
             return Forecast(node.name, time, None, None, None, LEVEL, reason)
         value, radius, words = expected
         low, value, high = (_possible(node, value + side * (radius or 0.0)) for side in (_WORSE, _EXPECTED, _BETTER))
@@ -193,19 +163,14 @@ class Forecaster:
             return f"it is forecast by the function {way}, which this program has not given"
 
         def fit(place: int, ahead: float) -> Curve | None:
-            past = series.until(place, _MOST_SAMPLES)
+            past = series.between(series.times[max(0, place - _MOST_SAMPLES)], series.times[place])
             if is_stated:
                 return _rated(element, past, deeds, doing if place == last else None)
             key = node.index, way, begins, past.times[-1], past.values[-1], ahead if way == "trend" else 0.0
             if key not in self._fits:
                 if len(self._fits) >= _MOST_FITS:
                     self._fits.clear()
-                if way == "periodic":
-                    self._fits[key] = periodic(past)
-                elif way == "trend":
-                    self._fits[key] = trend(past, ahead)
-                else:
-                    self._fits[key] = constant(past) if function is None else by_function(function, past)
+                self._fits[key] = WAYS[way](past, ahead) if function is None else by_function(function, past)
             return self._fits[key]
 
         def is_alike(start: float, end: float) -> bool:
@@ -331,7 +296,6 @@ def _said(node: Node, words: str) -> str:
 
 
 def _horizon(given: float) -> float:
-    horizon = finite_number(given)
-    if horizon < 0:
-        raise InvalidValue(f"a horizon is a time in seconds from 0, not {given!r}")
-    return horizon
+    if (horizon := finite_number(given)) >= 0:
+        return horizon
+    raise InvalidValue(f"a horizon is a time in seconds from 0, not {given!r}")

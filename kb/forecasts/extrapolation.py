@@ -28,10 +28,9 @@ _PACE: Final = 0.05
 _REACH: Final = 4.0
 """How much further ahead than it could be checked a forecast goes; its interval grows with the time then."""
 _MOST_POINTS, _LEAST_POINTS = 24, 8
-_WAVE_POINTS, _PERIODS, _ROUNDS = 64, 40, 6
-"""On how many points a wave is fitted, how many periods are tried, and how often it is looked between the best ones."""
-_SEEN: Final = 0.75
-"""It is looked back for as long that a period is at most such a part of that, if so much was seen."""
+_WAVE_POINTS, _PERIODS, _ROUNDS, _SEEN = 64, 40, 6, 0.75
+"""On how many points a wave is fitted, how many periods are tried, how often it is looked between the best ones, and
+which part of what is looked at a period may be, if so much was seen."""
 _ROUNDING: Final = 1e-9
 
 
@@ -42,16 +41,14 @@ class Curve(NamedTuple):
     words: str
 
 
+Fit = Callable[[int, float], Curve | None]
+
+
 class Series(NamedTuple):
     """Measurements by time [s]."""
 
     times: Sequence[float]
     values: Sequence[float]
-
-    def until(self, place: int, most: int) -> "Series":
-        """Return those up to a place, no more than so many."""
-        first = max(0, place + 1 - most)
-        return Series(self.times[first : place + 1], self.values[first : place + 1])
 
     def between(self, start: float, end: float) -> "Series":
         """Return those from one time to another [s]."""
@@ -59,7 +56,7 @@ class Series(NamedTuple):
         return Series(self.times[first:last], self.values[first:last])
 
 
-def constant(series: Series) -> Curve:
+def constant(series: Series, _: float) -> Curve | None:
     """Stay as measured last."""
     return straight(series.times[-1], series.values[-1], 0.0)
 
@@ -90,7 +87,7 @@ def trend(series: Series, ahead: float) -> Curve | None:
     return straight(end, median(heights), slope)
 
 
-def periodic(series: Series) -> Curve | None:
+def periodic(series: Series, _: float) -> Curve | None:
     """Go on as a wave and its first overtone: for each of many periods by least squares, then between the best ones."""
     if len(series.times) < _LEAST_POINTS:
         return None
@@ -150,24 +147,17 @@ def by_function(function: Callable[[Sequence[tuple[float, float]], float], float
     return Curve(value, "goes on as a function of the model's says")
 
 
+WAYS: Final = {"constant": constant, "trend": trend, "periodic": periodic}
+
+
 class Outlook:
     """How one series goes on, and how far that may be off, by how far ahead it is.
 
-    Args:
-        series: what was measured.
-        fit: continues the series from one of its places, to be right about so far ahead [s]; None if it cannot.
-        is_alike: whether what is forecast from one time to another [s] is like what is forecast now.
-        is_stated: whether it is known to go on so, however little was seen.
+    It is continued by `fit` from one of its places, to be right about so far ahead [s]. Spans of time are alike if the
+    same is done in both; one that is stated is known to go on so, however little was seen.
     """
 
-    def __init__(
-        self,
-        series: Series,
-        fit: Callable[[int, float], Curve | None],
-        is_alike: Callable[[float, float], bool],
-        *,
-        is_stated: bool,
-    ) -> None:
+    def __init__(self, series: Series, fit: Fit, is_alike: Callable[[float, float], bool], *, is_stated: bool) -> None:
         self._series, self._fit, self._is_alike, self._is_stated = series, fit, is_alike, is_stated
         steps = sorted(two - one for one, two in pairwise(series.times[-2 * _LEAST_POINTS :]) if two > one)
         self._step = 2.0 ** math.floor(math.log2(steps[len(steps) // 2])) if steps else 1.0
