@@ -93,7 +93,7 @@ def periodic(series: Series, _: float) -> Curve | None:
         return None
     import numpy as np
 
-    def misfits(periods: Any) -> Any:  # noqa: ANN401  # arrays
+    def misfits(periods: Any) -> Any:  # noqa: ANN401  # arrays of numpy
         angles = 2 * math.pi * times / periods[:, None]
         basis, _ = np.linalg.qr(np.stack([np.ones_like(angles), np.cos(angles), np.sin(angles)], axis=2))
         rest = values - (basis @ (basis.transpose(0, 2, 1) @ values[:, None]))[:, :, 0]
