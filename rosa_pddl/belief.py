@@ -15,7 +15,7 @@ from typing import Protocol, runtime_checkable
 
 from kb.events import Log
 from kb.explanation.reasons import Explanation
-from rosa_pddl.domain import Domain, Feasibility, State, Step, UpThing, head_of
+from rosa_pddl.domain import Domain, Feasibility, State, Step, UpThing, exact, head_of, number_fact, numbers_in
 from rosa_pddl.exceptions import SensingError, UnknownObjectError, UnsupportedPddlError
 from rosa_pddl.problem import Problem, feasible_atoms, initial_state, lock_of, with_costs, without_feasibility
 from rosa_pddl.resource_usage import ResourceUsage
@@ -26,8 +26,8 @@ _MOST_DOMAINS = 8
 _MOST_PASSED_OVER = 100
 
 Sense = Callable[[], Mapping[str, bool | float]]
-"""Returns what is sensed now: by text, whether a fact such as `(lit room)` holds, and the value of a number such as
-`(length a b)`."""
+"""Returns what is sensed now: by text, whether a fact such as `(lit room)` holds, the value of a number such as
+`(length a b)`, and whether an object such as `sample_9 - sample` is there."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class Belief:
         self._numeric = domain.numeric
         self._answer: Mapping[str, bool | float] = {}
         self._sensed = _Sensed()
-        self._taken_in: tuple[State, Mapping[str, bool]] | None = None
+        self._taken_in: tuple[State, Mapping[str, bool], Mapping[str, float] | None] | None = None
         self._usage = ResourceUsage(domain)
         self.passed_over: dict[str, None] = {}
 
@@ -100,14 +100,39 @@ class Belief:
         """The atoms that were spoken of when it was last sensed."""
         return self._sensed.facts.keys()
 
+    def use(self, domain: Domain) -> None:
+        """Go on with a domain of other objects; what was known of objects that it lacks is forgotten."""
+        gone = {*self.domain.types} - {*domain.types}
+        self.domain, self._usage = domain, ResourceUsage(domain)
+        kept = frozenset(fact for fact in self._now.facts if gone.isdisjoint(_names_in(fact)))
+        numbers = {text: value for text, value in self._now.numbers.items() if gone.isdisjoint(_names_in(text))}
+        self._now = replace(self._now, facts=kept, numbers=numbers)
+        self._answer, self._sensed, self._taken_in = {}, _Sensed(), None
+        self.passed_over.clear()
+
+    def appeared(self) -> Iterator[tuple[str, str, bool]]:
+        """Yield the objects that are sensed to be there, or gone, other than is known: name, type, whether there."""
+        self._read()
+        for text, is_there in self._answer.items():
+            name, mark, kind = str(text).partition(" - ")
+            if mark and is_there is not (name in self.domain.types):
+                if not isinstance(is_there, bool):
+                    raise SensingError(f"sense returned {is_there!r} for {text!r}, expected True or False")
+                yield name, kind, is_there
+
     def observe(self) -> State:
         """Take in what is sensed; return what is true then, with what is feasible."""
         sensed, facts = self._read(), self._now.facts
         # large worlds are looked at several times a tick, and mostly nothing has changed
-        if self._taken_in is None or self._taken_in[0] is not facts or self._taken_in[1] is not sensed.facts:
+        last, numbers = self._taken_in, sensed.numbers if self.domain.computed else None
+        if last is None or last[0] is not facts or last[1] is not sensed.facts or last[2] is not numbers:
             facts = facts.difference(sensed.facts) | sensed.true
+            computed = {text: value for text, value in (numbers or {}).items() if head_of(text) in self.domain.computed}
+            if computed:
+                old = {number_fact(text, value) for text, value in numbers_in(facts).items() if text in computed}
+                facts = (facts - old) | {number_fact(text, exact(value)) for text, value in computed.items()}
             self._now = replace(self._now, facts=facts)
-            self._taken_in = (facts, sensed.facts)
+            self._taken_in = (facts, sensed.facts, numbers)
         return facts | feasible_atoms(self.domain, self._kb)
 
     def start(self, key: object, step: Step, state: State) -> None:
@@ -178,6 +203,8 @@ class Belief:
         for text, value in answer.items():
             if not isinstance(text, str):
                 raise SensingError(f"sense returned {text!r}: {value!r}, expected a text such as '(lit room)' first")
+            if " - " in text:
+                continue  # an object: the executor has taken it in before
             try:
                 atom = self.domain.atom(text)
             except UnknownObjectError as error:  # the world may hold more than the files say; a slip is another matter
@@ -196,6 +223,10 @@ class Belief:
             elif not self.domain.is_feasibility(atom):
                 facts[atom] = bool(known)
         return facts, numbers
+
+
+def _names_in(fact: str) -> list[str]:
+    return fact.replace("(", " ").replace(")", " ").split()
 
 
 class FeasibilityEvents:
@@ -247,6 +278,11 @@ class ExpectedEffects:
         self._domain, self._kb = domain, kb
         self._unmet: dict[tuple[Step, str], UnmetEffect] = {}
         self._without = lru_cache(_MOST_DOMAINS)(self._made)
+
+    def use(self, domain: Domain) -> None:
+        """Go on with a domain of other objects."""
+        self._domain = domain
+        self._without.cache_clear()
 
     @property
     def unmet(self) -> tuple[UnmetEffect, ...]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from fractions import Fraction
 from typing import Any, Protocol, TypeAlias
 
 from rosa_pddl.exceptions import PddlError, UnknownNameError, UnknownObjectError, nearest
@@ -13,7 +14,16 @@ UpThing: TypeAlias = Any
 """A problem, expression, effect or engine of unified-planning, which ships no types."""
 
 State = frozenset[str]
-"""The true atoms, as text: `frozenset({"(lit room)", "(action_feasible scan)"})`."""
+"""The true atoms, as text: `frozenset({"(lit room)", "(action_feasible scan)"})`.
+
+A number that actions compute with, see `Domain.computed`, is one too: `(= (fuel rover) 80.5)`.
+"""
+
+Exact: TypeAlias = int | Fraction
+"""A number that is added up and compared without rounding."""
+
+# Below this a float that is whole is the whole number that is written.
+_ALL_WHOLE = 2**53
 
 
 class Feasibility(Protocol):
@@ -131,6 +141,7 @@ class Domain:
         types: for each object its type and the ancestors of that, in lower case.
         oversights: what may be one in the files, in sentences, such as a misspelt requirement.
         derived: for the name of a derived predicate, in lower case, its variables and the condition that it stands for.
+        computed: the names of the numbers that conditions compare and effects change; their values are part of a state.
         resources: what actions use up; the limits stand here, and neither in `goals` nor in those of `up_problem`.
     """
 
@@ -148,6 +159,7 @@ class Domain:
     types: Mapping[str, tuple[str, ...]] = field(repr=False)
     oversights: tuple[str, ...] = ()
     resources: tuple[Resource, ...] = ()
+    computed: frozenset[str] = frozenset()
     derived: dict[str, tuple[tuple[UpThing, ...], UpThing]] = field(default_factory=dict, repr=False)
     _atoms: dict[str, str] = field(default_factory=dict, init=False, repr=False)
 
@@ -241,6 +253,13 @@ class Domain:
         action = dict(zip(names, given, strict=True)).get(known.action, known.action) if known.action else None
         return Step(schema, given, action)
 
+    def stated(self, fact: str) -> tuple[UpThing, UpThing]:
+        """Return a fact of a state as unified-planning's expression and its value: true, or a number."""
+        manager = self.up_problem.environment.expression_manager
+        for text, value in numbers_in([fact]).items():
+            return self.expression(text), manager.auto_promote(value)[0]
+        return self.expression(fact), manager.TRUE()
+
     def expression(self, atom: str) -> UpThing:
         """Return an atom as unified-planning's expression."""
         name, *arguments = atom[1:-1].split()
@@ -272,9 +291,32 @@ class Domain:
         return self.outside[self.inside[kind, word.lower()]]
 
 
+def exact(value: float | Fraction) -> Exact:
+    """Return a number as it is written in decimals, so that sums are exact: 0.1 is a tenth."""
+    if isinstance(value, int):
+        return value
+    if isinstance(value, float) and value.is_integer() and abs(value) < _ALL_WHOLE:
+        return int(value)
+    written = value if isinstance(value, Fraction) else Fraction(str(float(value)))
+    return written.numerator if written.denominator == 1 else written
+
+
+def number_fact(text: str, value: Exact) -> str:
+    """Return the fact that a number has a value: `(= (fuel rover) 80.5)`; a third is written `1/3`."""
+    is_decimal = not isinstance(value, int) and Fraction(str(float(value))) == value
+    return f"(= {text} {float(value) if is_decimal else value})"
+
+
+def numbers_in(facts: Iterable[str]) -> dict[str, Exact]:
+    """Return the numbers of a state by their text."""
+    found = [atom[3:-1].rpartition(" ") for atom in facts if atom.startswith("(= ")]
+    return {text: exact(Fraction(value)) for text, _, value in found}
+
+
 def head_of(atom: str) -> str:
-    """Return the name that an atom, or a numeric fact, begins with: lit of `(lit room)`."""
-    return atom[1:-1].split(" ", 1)[0]
+    """Return the name that an atom begins with, or whose value a fact states: lit of `(lit room)`."""
+    inside = atom[4:] if atom.startswith("(= (") else atom[1:-1]
+    return inside.split(" ", 1)[0].rstrip(")")
 
 
 def conjuncts(formulas: Iterable[UpThing]) -> Iterator[UpThing]:

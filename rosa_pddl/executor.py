@@ -9,10 +9,11 @@ from py_trees.common import Status
 from rosa_pddl.belief import Belief, ExpectedEffects, FeasibilityEvents, Sense, UnmetEffect
 from rosa_pddl.domain import Domain, Feasibility, State, Step
 from rosa_pddl.exceptions import MissingBehaviourError, UnknownNameError, nearest
+from rosa_pddl.formulas import conditions
 from rosa_pddl.goals import Goals, PlanningTask
-from rosa_pddl.plan_monitor import PlanExecution, PlanMonitor
+from rosa_pddl.plan_monitor import PlanExecution, PlanMonitor, shared_components
 from rosa_pddl.planner import Planner
-from rosa_pddl.problem import Problem, unlock
+from rosa_pddl.problem import Problem, lock_of, unlock, with_object, without_object
 from rosa_pddl.replanning import (
     Decision,
     PlannerClient,
@@ -24,7 +25,7 @@ from rosa_pddl.replanning import (
     decide,
     news_of,
 )
-from rosa_pddl.validate import StepEvent, because, missing_at_end, missing_meanwhile
+from rosa_pddl.validate import StepEvent, because, goal_holds, missing_at_end, missing_meanwhile
 
 Factory = Callable[[Step], Behaviour]
 
@@ -219,7 +220,10 @@ class PlanExecutor(Behaviour):
         self._monitor = PlanMonitor(self._effects, lambda: self._belief.numbers)
         task = PlanningTask(self._effects, lambda: self._belief.numbers)
         self._client = PlannerClient(self._planner, clock, delay_s)
-        self._replanning = Replanning(self.goals, self._effects, task, self._monitor, self._client, clock, self._policy)
+        clash = shared_components(kb) if self._policy.side_by_side else None
+        self._replanning = Replanning(
+            self.goals, self._effects, task, self._monitor, self._client, clock, self._policy, clash
+        )
         self._setbacks = self._replanning.setbacks
         self._setup_arguments: dict[str, object] = {}
         self._running: list[_RunningStep] = []
@@ -235,6 +239,57 @@ class PlanExecutor(Behaviour):
         self._took_s: dict[str, float] = {}
         self._switches = 0
         self._is_midway = False
+
+    @property
+    def state(self) -> State:
+        """What is true now, as it is believed: facts, numbers such as `(= (fuel rover) 80)`, what is feasible."""
+        return self._belief.observe()
+
+    def holds(self, text: str) -> bool:
+        """Whether a condition such as `(and (lit hall) (>= (fuel rover) 20))` holds now, as it is believed.
+
+        Raises:
+            PddlError: the text is no PDDL.
+            UnknownNameError: it mentions what the domain does not have.
+        """
+        with lock_of(self._domain):
+            asked = [one.expression for one in conditions(self._domain, text)]
+        return goal_holds(self._domain, self.state, asked)
+
+    def objects(self, type_name: str) -> tuple[str, ...]:
+        """The objects of a type and of its subtypes, in the order of the files and then of their appearance."""
+        return self._domain.objects_of(self._domain.spelling("type", type_name, type_name))
+
+    def add_object(self, name: str, type_name: str) -> None:
+        """Take in an object that has appeared; facts of it may be sensed from then on. Call it between ticks.
+
+        Raises:
+            UnknownNameError: there is no such type, or the name is taken or none.
+        """
+        self._use(with_object(self._domain, name, type_name))
+
+    def remove_object(self, name: str) -> None:
+        """Forget an object that is gone: steps that are done with it are stopped, plans with it given up.
+
+        Raises:
+            UnknownNameError: there is no such object, or it is a ROSA action.
+        """
+        domain = without_object(self._domain, name)
+        self._release([one for one in self._running if name in one.step.arguments])
+        self._use(domain)
+        if self._plan is not None and any(name in step.arguments for step in self._plan.unfinished_steps):
+            self._want(Decision(f"{name} is gone", is_needed=True))
+
+    def _use(self, domain: Domain) -> None:
+        with lock_of(domain):
+            self._domain = domain
+            for part in (self._belief, self._effects, self.goals):
+                part.use(domain)
+            self._monitor = PlanMonitor(self._effects, lambda: self._belief.numbers)
+            self._replanning.use(PlanningTask(self._effects, lambda: self._belief.numbers), self._monitor)
+        self._found_valid = self._expected = None
+        if self._plan is not None:
+            self._plan = replace(self._plan, domain=self._effects.domain)
 
     @property
     def findings(self) -> tuple[str, ...]:
@@ -324,6 +379,8 @@ class PlanExecutor(Behaviour):
 
     def _advance(self) -> Status:
         self._cause = self._feasibility.latest()
+        for name, kind, is_there in tuple(self._belief.appeared()):
+            self.add_object(name, kind) if is_there else self.remove_object(name)
         self._watch(self._belief.observe())
         self._tick_steps(tuple(self._running))
         self._take_plan()

@@ -1,6 +1,6 @@
 """Formulas and numbers written as PDDL, such as `(and (lit hall) (not (broken hall)))`, in the names of a domain."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Final
@@ -11,14 +11,8 @@ from rosa_pddl.syntax import ANY, Node, Source, parse, start_of, typed
 from rosa_pddl.validate import text_of
 
 COMPARISONS: Final = ("<", ">", "<=", ">=")
-_CHANGES = ("assign", "increase", "decrease", "scale-up", "scale-down")
+CHANGES: Final = ("assign", "increase", "decrease", "scale-up", "scale-down")
 _CONNECTIVES = ("and", "or", "not", "imply", "when", "forall", "exists")
-NUMBERS: Final = (
-    "numbers may be costs only, or resources: effects use them up by (increase (NAME) AMOUNT), the goal limits them "
-    "by (<= (NAME) LIMIT), and no action changes what AMOUNT and LIMIT are made of. For more than that, a numeric "
-    "engine such as ENHSP (up-enhsp) would do"
-)
-"""What messages say may be done with numbers."""
 
 Scope = Mapping[str, UpThing]
 """Variables, such as `?x`, and what they are as unified-planning's expressions."""
@@ -61,8 +55,10 @@ class Formulas:
             raise self.source.error(node, f"found {node.word!r}, expected a list such as '({node.word})'")
         if not node.children:
             return self.manager.TRUE()
-        if head in (*COMPARISONS, *_CHANGES) or (head == "=" and any(part.is_list for part in rest)):
-            raise self.numeric(node, place, "computes with numbers")
+        if head in COMPARISONS or (head == "=" and any(part.is_list for part in rest)):
+            return self._comparison(node, scope, place)
+        if head in CHANGES:
+            raise self.numeric(node, place, "is an effect")
         if head == "preference":
             message = f"found {start_of(node)!r}: no installed engine takes preferences; LPG (up-lpg) by itself would "
             message += "do. Leave it out and add it as a soft goal: goals.add(TEXT, worth=COST)"
@@ -172,7 +168,7 @@ class Formulas:
             message = f"found {start_of(node)!r}, which is derived: it is neither stated nor changed"
             raise self.source.error(node, message)
         if inside is None:
-            raise self._unknown_name("predicate", node.children[0], (*_CONNECTIVES, *_CHANGES))
+            raise self._unknown_name("predicate", node.children[0], (*_CONNECTIVES, *CHANGES))
         fluent = self._problem.fluent(inside)
         arguments = [self._term(part, scope) for part in node.children[1:]]
         name, signature = self._domain.outside[inside], fluent.signature
@@ -186,6 +182,19 @@ class Formulas:
             message = f"the arguments of {name!r} are of other types than declared: ({' '.join([name, *typed_as])})"
             raise self._unknown(node, message)
         return fluent(*arguments)
+
+    def _comparison(self, node: Node, scope: Scope, place: str) -> UpThing:
+        self._expect(node, 2)
+        known = self._domain.computed
+        if numbers_of(node, ["total-cost"]):
+            raise self.numeric(node, place, "compares (total-cost), which is for the metric; add a number of its own")
+        for name in numbers_of(node, (one.lower() for one in self._domain.numeric)):
+            if name not in {one.lower() for one in known}:
+                others = f"; compared are {', '.join(sorted(known))}" if known else ""
+                raise self.numeric(node, place, f"compares {name}, which no condition of the files does{others}")
+        manager, (one, other) = self.manager, (self.number(part, scope) for part in node.children[1:])
+        kinds = {"<": manager.LT, "<=": manager.LE, ">": manager.GT, ">=": manager.GE, "=": manager.Equals}
+        return kinds[node.head](one, other)
 
     def number(self, node: Node, scope: Scope) -> UpThing:
         manager = self.manager
@@ -203,7 +212,7 @@ class Formulas:
         return manager.Int(value.numerator) if value.denominator == 1 else manager.Real(value)
 
     def numeric(self, node: Node, place: str, why: str) -> PddlError:
-        return self.source.unsupported(node, f"{start_of(node)!r} in {place} {why}; {NUMBERS}")
+        return self.source.unsupported(node, f"{start_of(node)!r} in {place} {why}")
 
     def _term(self, node: Node, scope: Scope) -> UpThing:
         if node.is_list:
@@ -230,6 +239,11 @@ class Formulas:
 
 def _is_compatible(kind: UpThing, given: UpThing) -> bool:
     return bool(kind.is_compatible(given.type))
+
+
+def numbers_of(node: Node, names: Iterable[str]) -> set[str]:
+    """Return which of some numbers, given in lower case, stand in a formula."""
+    return set(_heads(node)) & set(names)
 
 
 def _heads(node: Node) -> Iterator[str]:

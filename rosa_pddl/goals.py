@@ -14,11 +14,11 @@ from functools import lru_cache
 from numbers import Real
 
 from rosa_pddl.belief import ExpectedEffects
-from rosa_pddl.domain import FEASIBLE, Domain, Schema, State, Step, UpThing, conjuncts, head_of
+from rosa_pddl.domain import FEASIBLE, Domain, Schema, State, Step, UpThing, conjuncts, exact, head_of
 from rosa_pddl.exceptions import GoalError, nearest
 from rosa_pddl.formulas import Condition, conditions
 from rosa_pddl.outcomes import PlanningResult
-from rosa_pddl.problem import Problem, action_costs, exact, lock_of
+from rosa_pddl.problem import Problem, action_costs, lock_of
 from rosa_pddl.validate import mentioned_atoms
 
 _MOST_REMEMBERED = 64
@@ -119,6 +119,11 @@ class Goals:
         before, self._goals = self._goals, {part.text: Goal(part.text, part.expression) for part in read}
         self.version += before != self._goals
 
+    def use(self, domain: Domain) -> None:
+        """Go on with a domain of other objects, for which the goals may ask other things."""
+        self._domain = domain
+        self.version += 1
+
     def __contains__(self, text: object) -> bool:
         return text in self._goals
 
@@ -214,7 +219,8 @@ class GoalSimplifier:
     def _rest(self, goal: UpThing, state: State) -> tuple[UpThing, ...]:
         if goal not in self._lasting:
             atoms = mentioned_atoms(self._domain, [goal], (), {})
-            self._lasting[goal] = tuple(sorted({atom for atom in atoms if head_of(atom) not in self._changed}))
+            kept = self._changed | self._domain.computed
+            self._lasting[goal] = tuple(sorted({atom for atom in atoms if head_of(atom) not in kept}))
         lasting = tuple((atom, atom in state) for atom in self._lasting[goal])
         return self._substituted(goal, lasting) if lasting else (goal,)
 

@@ -1,26 +1,39 @@
-"""A domain translated once, in the background, such that any state, goal and numbers can be put in."""
+"""A domain instantiated once, such that any state, goal and numbers can be put in."""
 
 import math
 import threading
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property, lru_cache, partial
 from itertools import count, product
-from typing import TypeAlias
+from typing import Any, TypeAlias
 from weakref import WeakKeyDictionary
 
-from rosa_pddl.domain import FEASIBLE, Domain, State, Step, UpThing, head_of
-from rosa_pddl.engines import fast_downward
-from rosa_pddl.engines.fast_downward import Effect, Operator, SasTask
+from rosa_pddl.domain import Domain, Exact, State, Step, UpThing, head_of, numbers_in
 from rosa_pddl.engines.processes import Cancelled, ProcessHandle
 from rosa_pddl.exceptions import RosaPddlError, UnsupportedPddlError
+from rosa_pddl.instances import (
+    ActionPattern,
+    Node,
+    bound,
+    compiled,
+    conjuncts_of,
+    joined,
+    patterns_of,
+    reach,
+    row_of,
+    text_of_row,
+)
+from rosa_pddl.invariants import Change as Swap
+from rosa_pddl.invariants import groups
 from rosa_pddl.outcomes import Outcome, Trouble, trouble_of
-from rosa_pddl.problem import Exact, Problem, lock_of
+from rosa_pddl.problem import Problem, lock_of
 from rosa_pddl.resource_usage import Numbers, ResourceUsage, Sum, whole
-from rosa_pddl.search import Fact, Operation, Task, TaskGraph
-from rosa_pddl.validate import literals
+from rosa_pddl.search import Change, Fact, Number, Operation, Rule, Task, TaskGraph, Test
 
 # Fast Downward adds up costs in 32 bits; this leaves room for plans of a thousand of the dearest steps.
 _MOST_COST = 2_000_000
@@ -28,51 +41,46 @@ _MOST_COST = 2_000_000
 _FEW_STATES = 1e6
 # In this process estimates pay earlier.
 _FEWEST_STATES = 500
-# Beyond this many, only the atoms of a predicate that held or were named are kept alive.
-_MOST_ATOMS = 5000
-_MOST_DOMAINS = 8
-# unified-planning's problem of steps that follow one another, and what steps cost and use up
-_INSTANTANEOUS: "WeakKeyDictionary[Domain, tuple[UpThing, ResourceUsage]]" = WeakKeyDictionary()
+_MOST_INSTANCES = 1_000_000
+_MOST_DOMAINS, _MOST_STATES = 8, 8
+_TRUTHS = ("add", "delete")
+# unified-planning's problem of steps that follow one another, what they cost and use up, and its actions as patterns
+_INSTANTANEOUS: "WeakKeyDictionary[Domain, tuple[UpThing, ResourceUsage, tuple[ActionPattern, ...]]]"
+_INSTANTANEOUS = WeakKeyDictionary()
 
 
 class NotRepresentableError(RosaPddlError):
-    """A translated task does not fit this state or goal; the message says why."""
+    """A task does not fit an engine; the message says why."""
 
 
 class UnreachableGoalError(RosaPddlError):
-    """A fact of the goal cannot become true from any state that the translated task fits; the message names it."""
+    """A fact of the goal cannot become true from any state that the task fits; the message names it."""
 
 
-# ---------------------------------------------------------------- the translated task
+# ---------------------------------------------------------------- the grounded task
 
 
 @dataclass(frozen=True, eq=False)
 class _Ready:
-    """An operator: what it needs of the frozen variables is asked before the search; the rest is on the others."""
+    """An operator: what it needs of the facts that nothing changes is asked before the search."""
 
     number: int
     step: Step
-    needs: tuple[Fact, ...]
-    prevail: tuple[Fact, ...]
-    effects: tuple[Effect, ...]
+    lasting: frozenset[str]
+    missing: frozenset[str]
+    operation: Operation
     cost: Sum
     uses: tuple[Sum, ...]
 
     @cached_property
-    def operation(self) -> Operation:
-        """As the exact search reads it, but for its cost and uses."""
-        before = [(variable, value) for _, variable, value, _ in self.effects if value >= 0]
-        effects = tuple([(given, variable, after) for given, variable, _, after in self.effects])
-        return Operation(self.number, tuple(sorted({*self.prevail, *before})), effects, 0, ())
-
-    @cached_property
     def text(self) -> str:
         """As Fast Downward reads it, but for its cost."""
-        kept = [f"{variable} {value}" for variable, value in self.prevail]
-        lines = ["begin_operator", str(self.number), str(len(kept)), *kept, str(len(self.effects))]
-        for given, variable, before, after in self.effects:
+        kept = [f"{variable} {value}" for variable, value in self.operation.needs]
+        effects = self.operation.effects
+        lines = ["begin_operator", str(self.number), str(len(kept)), *kept, str(len(effects))]
+        for given, variable, after in effects:
             conditions = [f"{one} {value}" for one, value in given]
-            lines.append(" ".join([str(len(given)), *conditions, f"{variable} {before} {after}"]))
+            lines.append(" ".join([str(len(given)), *conditions, f"{variable} -1 {after}"]))
         return "\n".join([*lines, ""])
 
 
@@ -80,37 +88,133 @@ SearchTask: TypeAlias = tuple[TaskGraph, Task, tuple[int, ...]]
 """What the exact search is asked: a graph, the same as a task, and what the amounts of each resource were scaled by."""
 
 
-class Grounded:
-    """A translated task. Variables that no operator changes are frozen: they are looked at before the search.
+@dataclass(frozen=True)
+class _Fitted:
+    """A state and a goal put in: values, what shall hold, what of it is derived, and the facts that nothing changes."""
 
-    It fits other states than `base`, which was translated, if it is patchable. What does not fit raises
-    NotRepresentableError, a fact of the goal that cannot become true UnreachableGoalError, and an amount that has no
+    state: tuple[int, ...]
+    goal: tuple[Fact, ...]
+    tests: tuple[Test, ...]
+    rules: tuple[Rule, ...]
+    frozen: State
+
+
+class _Variables:
+    """Which variable, and which of its values, says that an atom holds, or does not."""
+
+    def __init__(self) -> None:
+        self.sizes: list[int] = []
+        self.places: dict[str, Fact] = {}
+        self.none: dict[int, int] = {}
+        self.shadows: dict[str, int] = {}
+
+    def add(self, atoms: Sequence[str], *, may_be_none: bool) -> None:
+        number = len(self.sizes)
+        self.places.update({atom: (number, value) for value, atom in enumerate(atoms)})
+        if may_be_none:
+            self.none[number] = len(atoms)
+        self.sizes.append(len(atoms) + may_be_none)
+
+    def shadow(self, atom: str) -> None:
+        """Keep whether an atom holds in a variable of its own too, as more than one value says that it does not."""
+        if atom in self.places and atom not in self.shadows and self.sizes[self.places[atom][0]] > 2:
+            self.shadows[atom] = len(self.sizes)
+            self.sizes.append(2)
+
+    def fact(self, atom: str, truth: bool) -> Fact | None:
+        """Return the fact that says so; None if several values do."""
+        variable, value = self.places[atom]
+        if truth:
+            return variable, value
+        if atom in self.shadows:
+            return self.shadows[atom], 1
+        return (variable, 1 - value) if self.sizes[variable] == 2 else None
+
+
+class _Rules:
+    """Makes facts of conditions: what is no conjunction is derived by rules, numbers are compared."""
+
+    def __init__(self, variables: _Variables, first: int, number: Callable[[object], Number]) -> None:
+        self._variables, self._next, self._number = variables, first, number
+        self._known: dict[Node, tuple[int, int]] = {}
+        self.rules: list[Rule] = []
+
+    @property
+    def derived(self) -> int:
+        """How many variables are derived."""
+        return len(self._known)
+
+    def taken(self, node: Node) -> tuple[list[Fact], list[Test]]:
+        """Return the facts and the comparisons that a condition, which is not plainly false, asks for."""
+        facts, tests = list[Fact](), list[Test]()
+        for part in conjuncts_of(node):
+            if part[0] == "atom":
+                fact = self._variables.fact(part[2], part[1])
+                facts.append(fact or (self._derived(part)[0], 0))
+            elif part[0] == "or":
+                facts.append((self._derived(part)[0], 0))
+            else:
+                kind, one, other = part
+                tests.append((str(kind), self._number(one), self._number(other)))
+        return facts, tests
+
+    def _derived(self, node: tuple[Any, ...]) -> tuple[int, int]:
+        """Return the variable that is 0 if a disjunction holds, or an atom that several values deny; and its layer."""
+        if node not in self._known:
+            ways: list[tuple[list[Fact], list[Test]]]
+            if node[0] == "atom":
+                variable, value = self._variables.places[str(node[2])]
+                others = (other for other in range(self._variables.sizes[variable]) if other != value)
+                ways = [([(variable, other)], []) for other in others]
+            else:
+                ways = [self.taken(part) for part in node[1:]]
+            layers = dict(self._known.values())
+            layer = 1 + max((layers.get(one, -1) for facts, _ in ways for one, _ in facts), default=-1)
+            self._known[node] = self._next, layer
+            self.rules += [Rule(layer, tuple(facts), self._next, tuple(tests)) for facts, tests in ways]
+            self._next += 1
+        return self._known[node]
+
+
+class Grounded:
+    """A grounded task. Facts that no operator changes are frozen: they are looked at before the search.
+
+    It fits all states whose atoms are within reach of the base, and that break none of the exclusions that were found;
+    `covers` says so. A fact of the goal that cannot become true raises UnreachableGoalError, an amount that has no
     value, or one that is not counted with, UnsupportedPddlError.
+
+    Args:
+        domain: what `load_domain` returned.
+        base: atoms that may hold at first; those of all states that it has to fit.
+        states: some that it has to fit.
+        go_on: called every now and then; what it raises ends the making.
     """
 
-    def __init__(self, domain: Domain, task: SasTask, usage: ResourceUsage, base: State, is_patchable: bool) -> None:
-        self._domain, self._task, self._usage = domain, task, usage
-        self.is_patchable = is_patchable and not task.rules
-        operators = [operator for operator in task.operators if not operator.name.startswith(fast_downward.ADDED)]
-        # a task with axioms fits one state only, so all its variables are written, under their own numbers
-        written = _changing(operators) if self.is_patchable else range(len(task.variables))
-        self._number = {variable: number for number, variable in enumerate(written)}
-        self._frozen = [variable for variable in range(len(task.variables)) if variable not in self._number]
-        self._sizes = tuple([len(task.variables[variable].values) for variable in written])
-        self._is_conditional = any(given for operator in operators for given, *_ in operator.effects)
-        self._facts = dict(_named_facts(domain, task))
-        # the value that says that no other atom of the variable holds; -1 if one always does
-        self._none = [
-            next((value for value, text in enumerate(variable.values) if not text.startswith("Atom ")), -1)
-            for variable in task.variables
-        ]
-        self._mutexes = [group for group in task.mutexes if len({variable for variable, _ in group}) > 1]
-        self._constants = base - self._facts.keys()
-        self._operators = [self._operator(index, operator) for index, operator in enumerate(operators)]
+    def __init__(self, domain: Domain, base: State, states: Sequence[State], go_on: Callable[[int], None]) -> None:
+        self.domain, self.base, self.states = domain, base, tuple(states)
+        _, self._usage, patterns = _instantaneous(domain)
+        self._reach = reach(patterns, [row_of(atom) for atom in sorted(base)], go_on)
+        self._asked = frozenset(name for pattern in patterns for name in _names(pattern))
+        self._possible = frozenset(text_of_row(name, row) for name, rows in self._reach.rows.items() for row in rows)
+        instances = list(self._instances(patterns))
+        self._numbers = {
+            text: -1 - k
+            for k, text in enumerate(
+                dict.fromkeys(one[2] for instance in instances for one in instance.effects if one[1] not in _TRUTHS)
+            )
+        }
+        self._variables = self._encoded(instances)
+        self._known, self._constants = numbers_in(self.states[-1]), dict[str, Exact | None]()
+        self._rules = _Rules(self._variables, len(self._variables.sizes), self._number)
+        self._operators = [self._operator(number, one) for number, one in enumerate(instances)]
+        self._all_sizes = (*self._variables.sizes, *[2] * self._rules.derived)
+        self._frozen_atoms = self._possible - self._variables.places.keys()
+        self._is_conditional = any(given for one in self._operators for given, *_ in one.operation.effects)
         amounts = [amount for one in self._operators for amount in (one.cost, *one.uses)]
         self._mentioned = tuple(dict.fromkeys(text for amount in amounts for _, text in amount.terms))
-        self._possible = lru_cache(maxsize=64)(self._possible_with)
+        self._ready = lru_cache(maxsize=64)(self._ready_with)
         self._graph = lru_cache(maxsize=4)(self._graph_of)
+        self._wanted = lru_cache(maxsize=64)(self._compiled_goal)
 
     @property
     def size(self) -> int:
@@ -119,57 +223,257 @@ class Grounded:
     def step(self, number: int) -> Step:
         return self._operators[number].step
 
+    def covers(self, state: State) -> bool:
+        """Whether the task fits a state."""
+        strange = (atom for atom in state - self._possible if head_of(atom) in self._asked)
+        if next(strange, None) is not None or self._values(state) is None:
+            return False
+        known = numbers_in(state) if self._constants else {}
+        return all(known.get(text) == value for text, value in self._constants.items())
+
     def search_task(self, problem: Problem, numbers: Numbers) -> SearchTask:
         """Put the state and the goal of a problem in, and the values that its costs and limits are made of."""
-        state, goal, frozen = self._fitted(problem)
+        fitted = self._fitted(problem)
         mentioned = tuple([numbers.get(text) for text in self._mentioned])
-        weights = frozenset(problem.weights.items())
-        graph, task, scales = self._graph(frozen, goal, mentioned, state if self._task.rules else (), weights)
+        graph, task, scales = self._graph(replace(fitted, state=()), mentioned, frozenset(problem.weights.items()))
         left = self._usage.remaining(numbers)
         limits = tuple([one.whole(scale) for one, scale in zip(left, scales, strict=True)])
-        return graph, Task(task.sizes, state, goal, task.operations, limits, task.rules), scales
+        rest = (task.rules, task.numbers, task.tests)
+        return graph, Task(task.sizes, fitted.state, task.goal, task.operations, limits, *rest), scales
 
     def written(self, problem: Problem, numbers: Numbers) -> tuple[str, str, Mapping[int, Exact]] | None:
         """Write the task for Fast Downward, and how to search it optimally; None if the goal holds already.
 
         Last comes what each step costs more than was written, where costs had to be rounded down.
         """
-        state, goal, frozen = self._fitted(problem)
-        ready = self._weighed(frozen, frozenset(problem.weights.items()))
+        fitted = self._fitted(problem)
+        if fitted.tests or any(one.operation.tests or one.operation.changes for one in self._operators):
+            raise NotRepresentableError("Fast Downward plans without numbers that rise and fall")
+        ready = self._weighed(fitted.frozen, frozenset(problem.weights.items()))
         costs, rounded_off = self._whole_costs([one.cost for one in ready], numbers)
-        if not goal:
+        if not fitted.goal:
             return None
-        text = [self._head, "begin_state\n", *(f"{value}\n" for value in state), "end_state\nbegin_goal\n"]
-        text += [f"{len(goal)}\n", *(f"{variable} {value}\n" for variable, value in goal)]
+        rules = (*self._rules.rules, *fitted.rules)
+        layers = {rule.variable: rule.layer for rule in rules}
+        sizes = [*self._all_sizes, *[2] * (len(fitted.state) - len(self._all_sizes))]
+        # unit costs are written as costs of 1
+        text = ["begin_version\n3\nend_version\nbegin_metric\n1\nend_metric\n", f"{len(sizes)}\n"]
+        for number, size in enumerate(sizes):
+            values = [f"Atom v{number}({value})\n" for value in range(size)]
+            text += [f"begin_variable\nvar{number}\n{layers.get(number, -1)}\n{size}\n", *values, "end_variable\n"]
+        text += ["0\nbegin_state\n", *(f"{value}\n" for value in fitted.state), "end_state\nbegin_goal\n"]
+        text += [f"{len(fitted.goal)}\n", *(f"{variable} {value}\n" for variable, value in fitted.goal)]
         text += ["end_goal\n", f"{len(ready)}\n"]
         text += [f"{one.text}{cost}\nend_operator\n" for one, cost in zip(ready, costs, strict=True)]
-        text.append(self._task.axioms)
-        is_blind = math.prod(map(float, self._sizes)) <= _FEW_STATES or self._is_conditional or self._task.rules
+        text.append(f"{len(rules)}\n")
+        for rule in rules:
+            needs = [f"{variable} {value}\n" for variable, value in rule.needs]
+            text += [f"begin_rule\n{len(needs)}\n", *needs, f"{rule.variable} 1 0\nend_rule\n"]
+        is_blind = math.prod(map(float, sizes)) <= _FEW_STATES or self._is_conditional or rules
         lost = {one.number: amount for one, amount in zip(ready, rounded_off, strict=True) if amount}
         return "".join(text), "blind" if is_blind else "lmcut", lost
 
+    # ------------------------------------------------------------ making
+
+    def _instances(self, patterns: Sequence[ActionPattern]) -> Iterator["_Instance"]:
+        order = {name: number for number, name in enumerate(self.domain.types)}
+        for pattern, rows in zip(patterns, self._reach.instances, strict=True):
+            for row in sorted(rows, key=lambda one: [order[word] for word in one]):
+                needs = self._bound(pattern.needs, row)
+                if needs is not False:
+                    yield self._instance(pattern, row, needs)
+
+    def _instance(self, pattern: ActionPattern, row: Sequence[str], node: Node) -> "_Instance":
+        parts = conjuncts_of(node)
+        needs = frozenset([str(one[2]) for one in parts if one[0] == "atom" and one[1]])
+        denies = frozenset([str(one[2]) for one in parts if one[0] == "atom" and not one[1]])
+        effects = list[_Effect]()
+        for effect, ranges in pattern.effects:
+            for more in product(*(things for _, things in ranges)):
+                inner = (*row, *more)
+                condition = self._bound(effect.condition, inner)
+                text = text_of_row(effect.name, bound(effect.words, inner))
+                if condition is not False and (effect.kind != "delete" or text in self._possible):
+                    effects.append((condition, effect.kind, text, self._bound_number(effect.amount, inner)))
+        made = {text for condition, kind, text, _ in effects if kind == "add" and condition is True}
+        deleted = {text for _, kind, text, _ in effects if kind == "delete"} - made
+        kept = [
+            one
+            for one in effects
+            if not (one[1] == "delete" and one[2] in made) and not (one[1] == "add" and one[2] in needs - deleted)
+        ]
+        others = joined(True, [one for one in parts if one[0] != "atom"])
+        return _Instance(self.domain.step(pattern.name, row), needs, denies, others, kept)
+
+    def _bound(self, node: Node, row: Sequence[str], state: State | None = None) -> Node:
+        """Return a condition of what it is bound to; what is out of reach never holds.
+
+        Given a state, what no operator changes or looks at is as it is there.
+        """
+        if isinstance(node, bool):
+            return node
+        head, *parts = node
+        if head == "atom":
+            truth, name, words = parts
+            known = bound(words, row)
+            text = text_of_row(name, known)
+            is_kept = known in self._reach.rows.get(name, {}) if state is None else text in self._variables.places
+            return ("atom", truth, text) if is_kept else (text in (state or ())) is truth
+        if head == "same":
+            one, other = bound(tuple(parts[1:]), row)
+            return (one == other) is parts[0]
+        if head in ("and", "or"):
+            return joined(head == "and", [self._bound(part, row, state) for part in parts])
+        return head, *(self._bound_number(part, row) for part in parts)
+
+    def _bound_number(self, number: object, row: Sequence[str]) -> object:
+        if not isinstance(number, tuple):
+            return number
+        head, *parts = number
+        if head == "number":
+            return head, text_of_row(parts[0], bound(parts[1], row))
+        return head, *(self._bound_number(part, row) for part in parts)
+
+    def _encoded(self, instances: Sequence["_Instance"]) -> _Variables:
+        variables = _Variables()
+        changed = dict.fromkeys(text for one in instances for _, kind, text, _ in one.effects if kind in _TRUTHS)
+        atoms = {text: (row_of(text)[0], *row_of(text)[1]) for text in changed}
+        texts = {atom: text for text, atom in atoms.items()}
+        swaps = [one.swap(atoms) for one in instances]
+        states = [[atoms[text] for text in sorted(state & atoms.keys())] for state in self.states]
+        left = dict(changed)
+        for group in groups(swaps, states, list(atoms.values())):
+            members = {texts[atom] for atom in group}
+            is_lost = any(one.may_empty(members) for one in instances)
+            variables.add(
+                [texts[atom] for atom in group], may_be_none=is_lost or not all(map(members.intersection, self.states))
+            )
+            for text in members:
+                del left[text]
+        looked_at = dict[str, bool]()  # by atom, whether it is denied
+        for one in instances:
+            looked_at.update(dict.fromkeys(one.denies & changed.keys(), True))
+            for node in (one.others, *(condition for condition, *_ in one.effects)):
+                for text, truth in _literals(node):
+                    looked_at[text] = looked_at.get(text, False) or not truth
+        for text in dict.fromkeys((*left, *looked_at)):
+            if text not in variables.places:
+                variables.add([text], may_be_none=True)
+        for text in sorted(text for text, is_denied in looked_at.items() if is_denied):
+            variables.shadow(text)
+        return variables
+
+    def _operator(self, number: int, one: "_Instance") -> _Ready:
+        variables, rules, places = self._variables, self._rules, self._variables.places
+        facts, tests = rules.taken(one.others)
+        facts += [fact for text in one.needs if text in places and (fact := variables.fact(text, True))]
+        facts += [fact for text in one.denies if text in places and (fact := variables.fact(text, False))]
+        made = {places[text][0] for given, kind, text, _ in one.effects if kind == "add" and given is True}
+        effects = list[tuple[tuple[Fact, ...], int, int]]()
+        changes = list[Change]()
+        for condition, kind, text, amount in sorted(one.effects, key=lambda effect: effect[1] != "delete"):
+            if kind not in _TRUTHS:
+                given, compared = rules.taken(condition)
+                value = self._number(amount)
+                value = ("-", 0, value) if kind == "decrease" else value
+                changes.append(Change(tuple(given), tuple(compared), self._numbers[text], kind != "assign", value))
+                continue
+            given, compared = rules.taken(condition)
+            if compared:
+                given, _ = rules.taken(("or", condition))
+            variable, value = places[text]
+            if kind == "add":
+                effects.append((tuple(given), variable, value))
+            elif variable not in made:
+                own = [] if variables.sizes[variable] == 2 and variables.none.get(variable) == 1 else [places[text]]
+                own = [] if condition is True and text in one.needs else own
+                effects.append(((*given, *own), variable, variables.none[variable]))
+            if text in variables.shadows:
+                effects.append((tuple(given), variables.shadows[text], int(kind == "delete")))
+        operation = Operation(number, tuple(sorted(set(facts))), tuple(effects), 0, (), tuple(tests), tuple(changes))
+        lasting, missing = one.needs - places.keys(), one.denies - places.keys()
+        cost, uses = self._usage.cost_of(one.step), self._usage.uses_of(one.step)
+        return _Ready(number, one.step, lasting, missing, operation, cost, uses)
+
+    def _number(self, number: object, known: Mapping[str, Exact] | None = None) -> Number:
+        """Return a number as the search reads it; one that nothing changes is what it is."""
+        if not isinstance(number, tuple):
+            return number  # type: ignore[return-value]  # it is exact
+        head, *parts = number
+        if head == "number" and parts[0] in self._numbers:
+            return "n", self._numbers[parts[0]]
+        if head == "number" and known is None:
+            self._constants[parts[0]] = self._known.get(parts[0])
+        if head == "number":
+            return (self._known if known is None else known).get(parts[0])
+        return head, *(self._number(part, known) for part in parts)
+
+    # ------------------------------------------------------------ putting in
+
+    def _values(self, state: State) -> tuple[int, ...] | None:
+        """Return the values of the variables; None if no value of one, or more than one, says what holds."""
+        variables = self._variables
+        values: list[int | None] = [None] * len(self._all_sizes)
+        for atom in state & variables.places.keys():
+            variable, value = variables.places[atom]
+            if values[variable] is not None:
+                return None
+            values[variable] = value
+            if atom in variables.shadows:
+                values[variables.shadows[atom]] = 0
+        single = [variables.none.get(variable, 1) if value is None else value for variable, value in enumerate(values)]
+        # a shadow, or what is derived, is 1 otherwise; of other variables without such a value one atom has to hold
+        if any(value is None and variable in self._always for variable, value in enumerate(values)):
+            return None
+        return tuple(single)
+
+    @cached_property
+    def _always(self) -> frozenset[int]:
+        """The variables of which some atom holds at all times."""
+        return frozenset(variable for variable, _ in self._variables.places.values()) - self._variables.none.keys()
+
+    def _fitted(self, problem: Problem) -> _Fitted:
+        state, known = problem.state, numbers_in(problem.state)
+        values = self._values(state)
+        if values is None or not self.covers(state):
+            raise NotRepresentableError("the state is none that the task was made for")
+        wanted = self._bound(self._wanted(problem.wanted), (), state)
+        if wanted is False:
+            raise UnreachableGoalError("nothing that can be done makes the goal so")
+        rules = _Rules(self._variables, len(self._all_sizes), partial(self._number, known=known))
+        taken, tests = rules.taken(wanted)
+        goal = dict(taken)
+        if len(goal) < len(set(taken)):
+            raise UnreachableGoalError("facts of the goal exclude one another")
+        tail = [known.get(text) for text in reversed(self._numbers)]
+        whole_state: Any = (*values, *[1] * rules.derived, *tail)
+        frozen = state & self._frozen_atoms
+        return _Fitted(whole_state, tuple(sorted(goal.items())), tuple(tests), tuple(rules.rules), frozen)
+
+    def _compiled_goal(self, goals: tuple[UpThing, ...]) -> Node:
+        with lock_of(self.domain):
+            return joined(True, [compiled(self.domain, goal, {}) for goal in goals])
+
     def _graph_of(
-        self,
-        frozen: tuple[int, ...],
-        goal: tuple[Fact, ...],
-        mentioned: Sequence[Exact | None],
-        start: tuple[int, ...],
-        weights: frozenset[tuple[Step, int]],
+        self, fitted: _Fitted, mentioned: Sequence[Exact | None], weights: frozenset[tuple[Step, int]]
     ) -> SearchTask:
-        """Return a task without its start (but for axioms) and limits; what its graph has worked out is kept."""
+        """Return a task without its start and limits; what its graph has worked out is kept."""
         numbers = {text: value for text, value in zip(self._mentioned, mentioned, strict=True) if value is not None}
-        ready = self._weighed(frozen, weights)
+        ready = self._weighed(fitted.frozen, weights)
         amounts = [self._values_of([one.cost for one in ready], "costs", numbers)]
-        for index, resource in enumerate(self._domain.limited):
+        for index, resource in enumerate(self.domain.limited):
             uses = [one.uses[index] for one in ready]
             amounts.append(self._values_of(uses, f"uses of {resource.name}", numbers))
         columns, (_, *scales) = zip(*map(whole, amounts), strict=True)
         operations = [
-            Operation(one.number, one.operation.needs, one.operation.effects, cost, tuple(more))
+            Operation(*one.operation[:3], cost, tuple(more), *one.operation[5:])
             for one, (cost, *more) in zip(ready, zip(*columns, strict=True), strict=True)
         ]
-        task = Task(self._sizes, start, goal, tuple(operations), (0,) * len(scales), self._task.rules)
-        is_guided = math.prod(map(float, self._sizes)) > _FEWEST_STATES
+        derived = len({rule.variable for rule in fitted.rules})
+        sizes, tail = (*self._all_sizes, *[2] * derived), len(self._numbers)
+        rules = tuple(sorted((*self._rules.rules, *fitted.rules), key=lambda rule: rule.layer))
+        task = Task(sizes, (), fitted.goal, tuple(operations), (0,) * len(scales), rules, tail, fitted.tests)
+        is_guided = math.prod(map(float, sizes)) > _FEWEST_STATES
         return TaskGraph(task, is_guided=is_guided), task, tuple(scales)
 
     def _values_of(self, sums: Sequence[Sum], what: str, numbers: Numbers) -> list[Exact]:
@@ -178,76 +482,18 @@ class Grounded:
         if least < 0:
             terms = " + ".join(text for _, text in sums[amounts.index(least)].terms)
             message = f"{terms} comes to {float(least):g}; {what} are 0 or more"
-            raise UnsupportedPddlError(message, self._domain.problem_file)
+            raise UnsupportedPddlError(message, self.domain.problem_file)
         return amounts
 
-    def _possible_with(self, frozen: tuple[int, ...]) -> tuple[_Ready, ...]:
-        values = dict(zip(self._frozen, frozen, strict=True))
-        return tuple([one for one in self._operators if all(values[fact[0]] == fact[1] for fact in one.needs)])
+    def _ready_with(self, frozen: State) -> tuple[_Ready, ...]:
+        return tuple([one for one in self._operators if one.lasting <= frozen and one.missing.isdisjoint(frozen)])
 
-    def _weighed(self, frozen: tuple[int, ...], weights: frozenset[tuple[Step, int]]) -> tuple[_Ready, ...]:
-        possible, times = self._possible(frozen), dict(weights)
+    def _weighed(self, frozen: State, weights: frozenset[tuple[Step, int]]) -> tuple[_Ready, ...]:
+        possible, times = self._ready(frozen), dict(weights)
         if not times:
             return possible
         left = [one for one in possible if times.get(one.step, 1)]
         return tuple([replace(one, cost=one.cost.times(times[one.step])) if one.step in times else one for one in left])
-
-    def _fitted(self, problem: Problem) -> tuple[tuple[int, ...], tuple[Fact, ...], tuple[int, ...]]:
-        """Put a state and a goal in: the value of each variable, what shall hold, the values of frozen variables."""
-        values = self._values(problem.state) if self.is_patchable else list(self._task.initial)
-        goal = self._goal(problem, values) if self.is_patchable else self._task.goal
-        state = tuple([values[variable] for variable in self._number])
-        inside = tuple([(self._number[variable], value) for variable, value in goal])
-        return state, inside, tuple([values[variable] for variable in self._frozen])
-
-    def _values(self, state: State) -> list[int]:
-        constants = state - self._facts.keys()
-        if constants != self._constants:
-            odd = min(constants ^ self._constants)
-            was = "true for good" if odd in self._constants else "out of reach"
-            raise NotRepresentableError(f"{odd} was found to be {was}")
-        values = [-1] * len(self._none)
-        for atom in state - constants:
-            variable, value = self._facts[atom]
-            if values[variable] >= 0:
-                raise NotRepresentableError(f"{atom} holds together with another fact that was found to exclude it")
-            values[variable] = value
-        for variable, value in enumerate(values):
-            if value < 0:
-                values[variable] = self._none[variable]
-                if values[variable] < 0:
-                    raise NotRepresentableError(f"none of {', '.join(self._task.variables[variable].values)} holds")
-        for group in self._mutexes:
-            if sum([values[variable] == value for variable, value in group]) > 1:
-                names = ", ".join(self._task.variables[variable].values[value] for variable, value in group)
-                raise NotRepresentableError(f"several of {names} hold, which were found to exclude one another")
-        return values
-
-    def _goal(self, problem: Problem, values: Sequence[int]) -> list[Fact]:
-        goal: dict[int, int] = {}
-        for atom, wanted in self._literals(problem.wanted):
-            text = atom if wanted else f"(not {atom})"
-            if atom not in self._facts:
-                if (atom in self._constants) != wanted:
-                    raise UnreachableGoalError(f"nothing that can be done makes {text} so")
-                continue
-            variable, value = self._facts[atom]
-            if not wanted:
-                if len(self._task.variables[variable].values) != 2:
-                    raise NotRepresentableError(f"the goal {text} leaves several ways open")
-                value = 1 - value
-            if goal.setdefault(variable, value) != value:
-                raise UnreachableGoalError(f"{text} excludes another fact of the goal")
-            if variable not in self._number and values[variable] != value:
-                raise UnreachableGoalError(f"nothing that can be done makes {text} so")
-        return [(variable, value) for variable, value in sorted(goal.items()) if variable in self._number]
-
-    def _literals(self, goals: Iterable[UpThing]) -> Iterator[tuple[str, bool]]:
-        for goal in goals:
-            found = literals(self._domain, goal)
-            if found is None:
-                raise NotRepresentableError(f"the goal {goal} leaves several ways open")
-            yield from found
 
     def _whole_costs(self, sums: Sequence[Sum], numbers: Numbers) -> tuple[list[int], list[Exact]]:
         """Return costs as whole numbers for Fast Downward, and what is lost if they must be rounded down for that."""
@@ -259,58 +505,64 @@ class Grounded:
         written = [math.floor(cost * scale) for cost in costs]
         return written, [cost - one / scale for cost, one in zip(costs, written, strict=True)]
 
-    @cached_property
-    def _head(self) -> str:
-        # unit costs are written as costs of 1
-        lines = ["begin_version", "3", "end_version", "begin_metric", "1", "end_metric", str(len(self._number))]
-        for variable, number in self._number.items():
-            known = self._task.variables[variable]
-            lines += ["begin_variable", f"var{number}", str(known.layer), str(len(known.values))]
-            lines += [*known.values, "end_variable"]
-        return "\n".join([*lines, "0", ""])
 
-    def _operator(self, index: int, operator: Operator) -> _Ready:
-        head, *words = operator.name.split()
-        outside, number = self._domain.outside, self._number
-        step = self._domain.step(outside[head], [outside[word] for word in words])
-        needs = tuple([fact for fact in operator.prevail if fact[0] not in number])
-        prevail = tuple([(number[variable], value) for variable, value in operator.prevail if variable in number])
-        effects = tuple(
-            [
-                (tuple([(number[one], value) for one, value in given]), number[variable], before, after)
-                for given, variable, before, after in operator.effects
-            ]
-        )
-        return _Ready(index, step, needs, prevail, effects, self._usage.cost_of(step), self._usage.uses_of(step))
+_Effect: TypeAlias = tuple[Node, str, str, object]
 
 
-def _changing(operators: Iterable[Operator]) -> list[int]:
-    """Return the variables that an operator changes, or that it looks at to see what to change."""
-    effects = [effect for operator in operators for effect in operator.effects]
-    looked_at = {variable for conditions, *_ in effects for variable, _ in conditions}
-    return sorted({variable for _, variable, _, _ in effects} | looked_at)
+@dataclass(frozen=True)
+class _Instance:
+    """An action with its arguments: the atoms it needs and denies, what else it needs, and its effects."""
+
+    step: Step
+    needs: frozenset[str]
+    denies: frozenset[str]
+    others: Node
+    effects: list[_Effect]
+
+    def swap(self, atoms: Mapping[str, tuple[str, ...]]) -> Swap:
+        """Return what it does to some atoms, which are given by their texts."""
+        deleted = [atoms[text] for given, kind, text, _ in self.effects if kind == "delete" and given is True]
+        added = tuple([atoms[text] for _, kind, text, _ in self.effects if kind == "add"])
+        return Swap(frozenset([atoms[text] for text in self.needs if text in atoms]), added, frozenset(deleted))
+
+    def may_empty(self, group: AbstractSet[str]) -> bool:
+        """Whether it may take an atom of a group away with none for certain in its place."""
+        if any(kind == "add" and given is True and text in group for given, kind, text, _ in self.effects):
+            return False
+        return any(kind == "delete" and text in group for _, kind, text, _ in self.effects)
 
 
-def _named_facts(domain: Domain, task: SasTask) -> Iterable[tuple[str, Fact]]:
-    for number, variable in enumerate(task.variables):
-        for value, text in enumerate(variable.values):
-            if text.startswith("Atom "):
-                head, _, arguments = text.removeprefix("Atom ").removesuffix(")").partition("(")
-                words = [head, *(word.strip() for word in arguments.split(",") if word.strip())]
-                if all(word in domain.outside for word in words):
-                    yield f"({' '.join(domain.outside[word] for word in words)})", (number, value)
+def _names(pattern: ActionPattern) -> Iterator[str]:
+    waiting: list[object] = [pattern.needs]
+    for effect, _ in pattern.effects:
+        waiting += [("atom", True, effect.name)] if effect.kind in _TRUTHS else []
+        waiting.append(effect.condition)
+    for node in waiting:
+        if isinstance(node, tuple) and node[0] == "atom":
+            yield node[2]
+        elif isinstance(node, tuple) and node[0] in ("and", "or"):
+            waiting += node[1:]
 
 
-# ---------------------------------------------------------------- translation
+def _literals(node: Node) -> Iterator[tuple[str, bool]]:
+    if isinstance(node, tuple) and node[0] == "atom":
+        yield str(node[2]), bool(node[1])
+    elif isinstance(node, tuple) and node[0] in ("and", "or"):
+        for part in node[1:]:
+            yield from _literals(part)
+
+
+# ---------------------------------------------------------------- kept
 
 Grounding: TypeAlias = Future[Grounded | Trouble]
-"""The translated task, or why there is none: a value, as an exception that many raise would keep their frames."""
+"""The grounded task, or why there is none: a value, as an exception that many raise would keep their frames."""
 
 
-def _instantaneous(domain: Domain) -> tuple[UpThing, ResourceUsage]:
+def _instantaneous(domain: Domain) -> tuple[UpThing, ResourceUsage, tuple[ActionPattern, ...]]:
     with lock_of(domain):
         if domain not in _INSTANTANEOUS:
-            _INSTANTANEOUS[domain] = Problem(domain, frozenset()).build(), ResourceUsage(domain)
+            up_problem = Problem(domain, frozenset()).build()
+            _INSTANTANEOUS[domain] = up_problem, ResourceUsage(domain), patterns_of(domain, up_problem)
         return _INSTANTANEOUS[domain]
 
 
@@ -319,50 +571,55 @@ def usage_of(domain: Domain) -> ResourceUsage:
     return _instantaneous(domain)[1]
 
 
-def translated(
-    problem: Problem, alive: Mapping[str, tuple[str, ...]] | None, process: ProcessHandle, limit_s: float
+def grounded(
+    problem: Problem, named: Iterable[str], before: Grounded | None, process: ProcessHandle, limit_s: float
 ) -> Grounded:
-    """Translate a problem, starting from its state, in so much wall-clock time [s].
+    """Ground a domain in so much wall-clock time [s], for a state and what fitted before; raises Trouble, or Cancelled.
 
-    Atoms are kept alive by the predicate in the names of unified-planning; None is for this problem only. Raises
-    UnsupportedPddlError for what the translator does not read, else as `translate`.
+    What is named, and what may be feasible, may hold too.
     """
-    domain = problem.domain
-    up_problem, usage = _instantaneous(domain)
-    kept = [atom for atoms in (alive or {}).values() for atom in atoms]
-    task = fast_downward.translate(
-        fast_downward.written_domain(up_problem, alive),
-        fast_downward.written_problem(problem, problem.wanted if alive is None else None, kept),
-        process,
-        limit_s=limit_s,
-        for_any_state=alive is not None,
-    )
-    return Grounded(domain, task, usage, problem.state, is_patchable=alive is not None)
+    domain, deadline = problem.domain, time.monotonic() + limit_s
+
+    def go_on(instances: int) -> None:
+        process.check()
+        if time.monotonic() > deadline:
+            message = f"the task of {domain.name} was not grounded in {limit_s:.3g} s; allow more time or ask for less"
+            raise Trouble(Outcome.OUT_OF_TIME, message)
+        if instances > _MOST_INSTANCES:
+            message = f"{domain.name} has more than {_MOST_INSTANCES} actions with their arguments; name fewer objects"
+            raise Trouble(Outcome.OUT_OF_MEMORY, message)
+
+    go_on(0)
+    feasible = map(domain.feasible_atom, domain.rosa_actions if domain.tracks_feasibility else ())
+    base, states = (before.base, before.states) if before else (frozenset[str](), ())
+    may_hold = base.union(feasible, named, (atom for atom in problem.state if not atom.startswith("(= ")))
+    return Grounded(domain, may_hold, (*states, problem.state)[-_MOST_STATES:], go_on)
 
 
 @dataclass(frozen=True)
 class _Begun:
-    base: Problem
-    changing: frozenset[str]
+    named: State
     tries: int = 1
     future: Grounding = field(default_factory=Future)
     asked: Iterator[int] = field(default_factory=partial(count, 1))
 
     @property
-    def is_worth_another_try(self) -> bool:
-        """Whether it failed for what may pass; then it is made again after 2, 4, 8, ... questions."""
-        made = self.future.result(0) if self.future.done() else None
-        is_passing = isinstance(made, Trouble) and made.outcome.is_passing
-        return is_passing and next(self.asked) >= 2**self.tries
+    def made(self) -> Grounded | Trouble | None:
+        return self.future.result(0) if self.future.done() else None
+
+    def serves(self, state: State, named: State) -> bool:
+        """Whether nothing has to be made anew; what failed for what may pass is, after 2, 4, 8, ... questions."""
+        made = self.made
+        if isinstance(made, Trouble):
+            return not made.outcome.is_passing or next(self.asked) < 2**self.tries
+        return made is not None and named <= self.named and made.covers(state)
 
 
 class Groundings:
-    """The translated task of each domain, made in a thread of its own when first asked for.
+    """The grounded task of each domain, made in a thread of its own when first asked for, and anew when it must grow.
 
-    Which atoms are kept alive depends on what was asked for and named so far, never on how long anything takes. What
-    the translator finds reachable from the first state is alive anyway. Atoms of predicates that the actions only make
-    true, only make false, or that say what is feasible are kept alive by themselves; atoms of predicates that no action
-    changes are so once they were named, or were found to have changed.
+    What it fits depends on what was asked for and named so far, never on how long anything takes. All that may be
+    feasible, and what was named, may hold from the beginning; other things that nothing makes true, once they did.
     """
 
     def __init__(self, limit_s: float, memory_bytes: int | None) -> None:
@@ -372,81 +629,38 @@ class Groundings:
         self._processes: set[ProcessHandle] = set()
 
     def ask(self, problem: Problem, changing: Iterable[str] = ()) -> Grounding:
-        """Begin to translate if that is needed, without waiting; atoms that are sensed, for one, may be changing."""
-        begun, named = self._begun.get(problem.domain), frozenset(changing)
-        if begun is not None:
-            named |= _untouched(problem.domain, (problem.state ^ begun.base.state) - begun.changing)
-            is_again = begun.is_worth_another_try
-            if named <= begun.changing and not is_again:
-                return begun.future
-            named |= begun.changing
-            problem = begun.base
-        tries = begun.tries + 1 if begun is not None and is_again else 1
-        self._begun.pop(problem.domain, None)
-        begun = self._begun[problem.domain] = _Begun(problem, named, tries)
+        """Begin to ground if that is needed, without waiting; atoms that are sensed, for one, may be changing."""
+        before, named = self._begun.pop(problem.domain, None), frozenset(changing)
+        if before is None or not before.serves(problem.state, named):
+            tries = before.tries + 1 if before is not None and isinstance(before.made, Trouble) else 1
+            begun = _Begun(named | (before.named if before else frozenset()), tries)
+            name = f"grounding of {problem.domain.name}"
+            threading.Thread(target=self._work, args=(problem, begun, before), name=name, daemon=True).start()
+        else:
+            begun = before
+        self._begun[problem.domain] = begun
         if len(self._begun) > _MOST_DOMAINS:
             del self._begun[next(iter(self._begun))]
-        name = f"translator of {problem.domain.name}"
-        threading.Thread(target=self._work, args=(begun,), name=name, daemon=True).start()
         return begun.future
 
     def close(self) -> None:
-        """Stop what is being translated, and forget the rest."""
+        """Stop what is being grounded, and forget the rest."""
         self._begun.clear()
         for process in tuple(self._processes):
             process.cancel()
 
-    def _work(self, begun: _Begun) -> None:
+    def _work(self, problem: Problem, begun: _Begun, before: _Begun | None) -> None:
         process = ProcessHandle(self._memory_bytes)
         self._processes.add(process)
         try:
-            alive = _alive(begun.base, begun.changing)
-            begun.future.set_result(translated(begun.base, alive, process, self._limit_s))
+            made = None if before is None else process.wait(before.future, self._limit_s)
+            if before is None or not isinstance(made, Grounded) or not before.serves(problem.state, begun.named):
+                known = made if isinstance(made, Grounded) else None
+                made = grounded(problem, begun.named, known, process, self._limit_s)
+            begun.future.set_result(made)
         except Cancelled:
             begun.future.set_result(Trouble(Outcome.ENGINE_CRASHED, "the planner was closed"))
         except Exception as error:  # whatever it is, it belongs to those who wait for the task
             begun.future.set_result(trouble_of(error))
         finally:
             self._processes.discard(process)
-
-
-def _untouched(domain: Domain, atoms: frozenset[str]) -> frozenset[str]:
-    """Return the atoms of predicates that no action changes."""
-    if not atoms:
-        return atoms  # quickly, as every planning asks
-    added, deleted = _directions(domain)
-    touched = {domain.outside[name] for name in added | deleted}
-    return frozenset(atom for atom in atoms if head_of(atom) not in touched)
-
-
-def _alive(problem: Problem, changing: Iterable[str]) -> dict[str, tuple[str, ...]]:
-    """Return the atoms to keep alive, by predicate."""
-    domain = problem.domain
-    added, deleted = _directions(domain)
-    alive: dict[str, set[str]] = {}
-    for fluent in domain.up_problem.fluents:
-        is_one_way = (fluent.name in added) != (fluent.name in deleted)
-        if fluent.type.is_bool_type() and (domain.outside[fluent.name].lower() == FEASIBLE or is_one_way):
-            alive[fluent.name] = set(_instances(problem, fluent))
-    for atom in changing:
-        name = domain.inside["predicate", head_of(atom).lower()]
-        if not (name in added and name in deleted):
-            alive.setdefault(name, set()).add(atom)
-    return {name: tuple(sorted(atoms)) for name, atoms in alive.items()}
-
-
-def _directions(domain: Domain) -> tuple[set[str], set[str]]:
-    """Return the predicates that actions make true, and those that they make false."""
-    effects = [one for schema in domain.schema_of.values() for one in schema.start_effects + schema.end_effects]
-    added = {one.fluent.fluent().name for one in effects if not one.value.is_false()}
-    return added, {one.fluent.fluent().name for one in effects if not one.value.is_true()}
-
-
-def _instances(problem: Problem, fluent: UpThing) -> Iterator[str]:
-    domain = problem.domain
-    head = domain.outside[fluent.name]
-    choices = [domain.objects_of(domain.outside[parameter.type.name]) for parameter in fluent.signature]
-    if math.prod(map(len, choices)) > _MOST_ATOMS:
-        yield from (atom for atom in problem.state if head_of(atom) == head)
-        return
-    yield from (f"({' '.join((head, *words))})" for words in product(*choices))

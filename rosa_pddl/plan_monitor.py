@@ -3,15 +3,16 @@
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import chain, groupby
 from typing import NamedTuple
 
 from rosa_pddl.belief import ExpectedEffects
-from rosa_pddl.domain import Domain, State, Step, TimedStep, head_of
+from rosa_pddl.domain import Domain, Feasibility, State, Step, TimedStep, exact, head_of
 from rosa_pddl.exceptions import UnsupportedPddlError
 from rosa_pddl.goals import Goal, Goals
 from rosa_pddl.outcomes import PlanningResult
-from rosa_pddl.problem import Problem, exact
+from rosa_pddl.problem import Problem
 from rosa_pddl.resource_usage import Remaining, ResourceUsage, sum_of
 from rosa_pddl.validate import (
     SAME_TIME_S,
@@ -29,6 +30,25 @@ _SAME_COST = 1e-9
 
 _Touched = tuple[frozenset[str], frozenset[str]]
 _Numbers = Mapping[str, float]
+Clash = Callable[[Step, Step], bool]
+"""Whether two steps may not be done at once, whatever their conditions and effects say."""
+
+
+def shared_components(kb: Feasibility) -> Clash:
+    """Return which steps are done with the same component, in any design of what their ROSA actions require."""
+
+    @cache
+    def components(action: str | None) -> frozenset[str]:
+        functions, designs = (getattr(kb, kind, {}) for kind in ("functions", "designs"))
+        required = getattr(kb.actions[action], "functions", ()) if action is not None else ()
+        chosen = (designs[design] for name in required for design in functions[name].designs)
+        return frozenset(component for design in chosen for component in design.components)
+
+    def clash(one: Step, other: Step) -> bool:
+        is_same = one.action is not None and one.action == other.action
+        return is_same or bool(components(one.action) & components(other.action))
+
+    return clash
 
 
 class Prediction(NamedTuple):
@@ -53,13 +73,29 @@ class PlanExecution:
     happened: frozenset[StepEvent] = frozenset()
 
     @classmethod
-    def of(cls, domain: Domain, result: PlanningResult, goals: tuple[Goal, ...]) -> "PlanExecution":
-        """Order a plan: a schedule by what its steps need of one another, other plans one step after the other."""
+    def of(
+        cls, domain: Domain, result: PlanningResult, goals: tuple[Goal, ...], clash: Clash | None = None
+    ) -> "PlanExecution":
+        """Order a plan: a schedule by what its steps need of one another, other plans one step after the other.
+
+        Given which steps clash, in what they are done with, a step waits only for the end of those before it that it
+        clashes with, or of which one changes what the other needs or changes, at whatever time: all orders of what is
+        left then come to the same.
+        """
         if result.schedule:
             return _scheduled(domain, result.schedule, goals)
-        count = len(result.steps)
-        after = tuple(frozenset({StepEvent(number - 1, True)} if number else ()) for number in range(count))
-        return cls(domain, result.steps, one_after_the_other(count), after, goals)
+        steps = result.steps
+        touched = [_touched(domain, step) for step in steps] if clash else []
+        after = []
+        for number, step in enumerate(steps):
+            before = range(max(number - 1, 0), number) if clash is None else range(number)
+            waits = [
+                one
+                for one in before
+                if clash is None or clash(steps[one], step) or _interfere(touched[one], touched[number])
+            ]
+            after.append(frozenset(StepEvent(one, True) for one in waits))
+        return cls(domain, steps, one_after_the_other(len(steps)), tuple(after), goals)
 
     def with_event(self, *events: StepEvent) -> "PlanExecution":
         return replace(self, happened=self.happened.union(events))

@@ -16,7 +16,7 @@ from rosa_pddl import search
 from rosa_pddl.domain import Domain, Schema, Step, UpThing
 from rosa_pddl.engines import fast_downward
 from rosa_pddl.engines.processes import Cancelled, ProcessHandle
-from rosa_pddl.engines.unified_planning import LABEL_SETTING, TRANSLATED, asked, missing
+from rosa_pddl.engines.unified_planning import LABEL_SETTING, NUMERIC, TRANSLATED, asked, missing
 from rosa_pddl.exceptions import (
     PlannerSettingError,
     PlanningBudgetError,
@@ -30,11 +30,12 @@ from rosa_pddl.grounding import (
     Groundings,
     NotRepresentableError,
     UnreachableGoalError,
-    translated,
+    grounded,
     usage_of,
 )
+from rosa_pddl.instances import is_out_of_reach
 from rosa_pddl.outcomes import Attempt, Outcome, PlanningResult, Trouble, trouble_of
-from rosa_pddl.problem import Problem
+from rosa_pddl.problem import Problem, lock_of
 from rosa_pddl.resource_usage import Numbers
 from rosa_pddl.validate import flaw, missing_at_start, schedule_flaw
 
@@ -280,8 +281,8 @@ class _Portfolio:
         known = self._remembered()
         if known is not None:
             return known
-        is_translated = self._grounding is not None and self._grounding.done()
-        if not is_translated or self._settings.engine not in _EXACT or not self._settings.moves:
+        is_grounded = self._grounding is not None and self._grounding.done()
+        if not is_grounded or self._settings.engine not in _EXACT or not self._settings.moves:
             return None
         began = time.monotonic()
         try:
@@ -342,6 +343,8 @@ class _Portfolio:
         deadline = time.monotonic() + settings.timeout_s
         # without a translation to wait for, what keeps the warm way keeps the cold one, which says so
         ways = [way for way in settings.ways if way != "warm" or self._grounding is not None]
+        if self._problem.domain.computed and settings.engine in TRANSLATED and NUMERIC not in ways:
+            ways.insert(1 + max(ways.index(way) for way in ("warm", "cold") if way in ways), NUMERIC)
         for number, way in enumerate(ways, start=1):
             left_s = _left_s(deadline)
             yield way, min(settings.budgets_s.get(way, left_s if number == len(ways) else left_s / 2), left_s)
@@ -371,9 +374,14 @@ class _Portfolio:
         if way == "warm":
             return self._searched(self._warm_task(_left_s(deadline)), deadline, self._settings.engine)
         if way in ("cold", LABEL_SETTING):
-            task = translated(self._problem, None, self._process, _left_s(deadline))
+            task = grounded(self._problem, (), None, self._process, _left_s(deadline))
             return self._searched(task, deadline, self._engine_of(way))
         overlapping = self._settings.overlapping
+        if overlapping:
+            with lock_of(self._problem.domain):
+                if is_out_of_reach(self._problem.domain, self._problem.state, self._problem.wanted):
+                    message = "not even if nothing that was made so were ever undone"
+                    return PlanningResult(Outcome.UNSOLVABLE_PROVEN, message=message)
         return asked(way, self._problem, self._process, limit_s=_left_s(deadline), overlapping=overlapping)
 
     def _warm_task(self, limit_s: float) -> Grounded:
@@ -381,12 +389,10 @@ class _Portfolio:
         try:
             task = self._process.wait(self._grounding, limit_s)
         except TimeoutError as error:
-            message = f"the task of {self._problem.domain.name} was not translated in time; allow more or ask for less"
+            message = f"the task of {self._problem.domain.name} was not grounded in time; allow more or ask for less"
             raise Trouble(Outcome.OUT_OF_TIME, message) from error
         if isinstance(task, Trouble):
             raise trouble_of(task)
-        if not task.is_patchable:
-            raise Trouble(Outcome.UNSUPPORTED, "the translated task has axioms, which hold for one state only")
         return task
 
     def _searched(self, task: Grounded, deadline: float, engine: str) -> PlanningResult:
@@ -402,7 +408,7 @@ class _Portfolio:
         except UnreachableGoalError:
             return PlanningResult(Outcome.UNSOLVABLE_PROVEN)
         except NotRepresentableError as error:
-            raise Trouble(Outcome.UNSUPPORTED, f"the translated task does not fit: {error}") from error
+            raise Trouble(Outcome.UNSUPPORTED, str(error)) from error
 
     def _is_searched_here(self, task: Grounded, engine: str) -> bool:
         # putting numbers into operators is work, too, which may take longer than it takes to start another program
@@ -419,6 +425,10 @@ class _Portfolio:
     def _exact_elsewhere(self, grounded: Grounded, deadline: float) -> PlanningResult:
         """Search in a process of its own, which may be killed."""
         graph, task, scales = grounded.search_task(self._problem, self._numbers)
+        if task.numbers or task.tests:
+            raise NotRepresentableError(
+                f"with numbers that rise and fall it looks at {self._settings.moves} moves only"
+            )
         command = [sys.executable, "-I", "-S", search.__file__]
         ended = self._process.ask(command, given=search.written(task), limit_s=_left_s(deadline))
         kind, *numbers = ended.output.decode(errors="replace").split() or [""]

@@ -1,22 +1,17 @@
 """From what the knowledge base says and the mission senses to the problem that a planner gets."""
 
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from fractions import Fraction
 from threading import RLock
-from typing import TypeAlias
 from weakref import WeakKeyDictionary
 
-from rosa_pddl.domain import Domain, Feasibility, State, Step, UpThing, head_of
+from rosa_pddl.domain import ACTION_TYPE, Domain, Feasibility, State, Step, UpThing, exact, head_of, number_fact
 from rosa_pddl.exceptions import UnknownNameError, UnsupportedPddlError, nearest
 from rosa_pddl.validate import text_of
 
-Exact: TypeAlias = int | Fraction
-"""A number that is added up and compared without rounding."""
-
-# Below this a float that is whole is the whole number that is written.
-_ALL_WHOLE = 2**53
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 _LOCKS: "WeakKeyDictionary[UpThing, UpThing]" = WeakKeyDictionary()
 
 
@@ -58,9 +53,8 @@ class Problem:
     def build(self) -> UpThing:
         """Make the same for unified-planning, with every action instantaneous; refuse a metric that this breaks."""
         problem = _sequential(self.domain)
-        true = problem.environment.expression_manager.TRUE()
-        for atom in sorted(self.state):
-            problem.set_initial_value(self.domain.expression(atom), true)
+        for fact in sorted(self.state):
+            problem.set_initial_value(*self.domain.stated(fact))
         for text, value in sorted(self.costs.items()):
             expression = self.domain.expression(self.domain.atom(text))
             if problem.has_fluent(expression.fluent().name):
@@ -68,16 +62,6 @@ class Problem:
         for goal in (*self.wanted, *limits_of(self.domain)):
             problem.add_goal(goal)
         return problem
-
-
-def exact(value: float | Fraction) -> Exact:
-    """Return a number as it is written in decimals, so that sums are exact: 0.1 is a tenth."""
-    if isinstance(value, int):
-        return value
-    if isinstance(value, float) and value.is_integer() and abs(value) < _ALL_WHOLE:
-        return int(value)
-    written = value if isinstance(value, Fraction) else Fraction(str(float(value)))
-    return written.numerator if written.denominator == 1 else written
 
 
 def lock_of(domain: Domain) -> UpThing:
@@ -105,10 +89,86 @@ def unlimited(domain: Domain) -> Domain:
     return replace(domain, resources=tuple(replace(one, limits=()) for one in domain.resources))
 
 
+def with_object(domain: Domain, name: str, type_name: str) -> Domain:
+    """Return a domain with one more object, of which no fact is stated.
+
+    Raises:
+        UnknownNameError: there is no such type, the name is taken or none, or it is a ROSA action: what those are and
+            need is for the knowledge base to say.
+    """
+    kind = domain.inside.get(("type", type_name.lower()), type_name.lower())
+    up_types = {one.name: one for one in domain.up_problem.user_types}
+    if kind not in up_types:
+        known = [domain.outside[one] for one in up_types]
+        raise UnknownNameError(f"{domain.file} has no type {type_name!r} (of {name!r}); {nearest(type_name, known)}")
+    lineage = tuple(domain.outside[one.name].lower() for one in (up_types[kind], *up_types[kind].ancestors))
+    if ACTION_TYPE in lineage:
+        raise UnknownNameError(f"{name!r} would be a ROSA action; those are added to the model and to {domain.file}")
+    if not _NAME.fullmatch(name) or ("object", name.lower()) in domain.inside:
+        raise UnknownNameError(
+            f"{name!r} cannot be added, expected a name that no object has: a letter, then letters, digits, '_' or '-'"
+        )
+    inside = name.lower()
+    while inside in domain.outside:
+        inside += "_object"
+    from unified_planning.model import Object
+
+    added = Object(inside, up_types[kind], domain.up_problem.environment)
+    return replace(
+        domain,
+        up_problem=_with_objects(domain, (*domain.up_problem.all_objects, added)),
+        inside={**domain.inside, ("object", name.lower()): inside},
+        outside={**domain.outside, inside: name},
+        types={**domain.types, name: tuple(dict.fromkeys(lineage))},
+    )
+
+
+def without_object(domain: Domain, name: str) -> Domain:
+    """Return a domain without an object; raises UnknownObjectError if it has none such."""
+    known = domain.spelling("object", name, name)
+    if ACTION_TYPE in domain.types[known]:
+        raise UnknownNameError(
+            f"{known!r} is a ROSA action, which stays; the knowledge base says whether it is feasible"
+        )
+    inside = domain.inside["object", known.lower()]
+    left = [one for one in domain.up_problem.all_objects if one.name != inside]
+    return replace(
+        domain,
+        up_problem=_with_objects(domain, left),
+        inside={key: one for key, one in domain.inside.items() if key != ("object", known.lower())},
+        types={one: lineage for one, lineage in domain.types.items() if one != known},
+    )
+
+
+def _with_objects(domain: Domain, objects: Iterable[UpThing]) -> UpThing:
+    from unified_planning.model import Problem as UpProblem
+
+    read, kept = domain.up_problem, list(objects)
+    problem = UpProblem(read.name, read.environment, initial_defaults=read.initial_defaults)
+    problem.user_types.extend(one for one in read.user_types if one not in problem.user_types)
+    problem.add_objects(kept)
+    problem.add_fluents(read.fluents)
+    for expression, value in read.explicit_initial_values.items():
+        if all(one.object() in kept for one in expression.args):
+            problem.set_initial_value(expression, value)
+    problem.add_actions(read.actions)
+    for goal in read.goals:
+        problem.add_goal(goal)
+    for metric in read.quality_metrics:
+        problem.add_quality_metric(metric)
+    return problem
+
+
 def initial_state(domain: Domain) -> State:
     """Return the facts that the problem file begins with, as it states feasibility itself."""
-    values = domain.up_problem.explicit_initial_values.items()
-    return frozenset(text_of(domain, expression, {}) for expression, value in values if value.is_true())
+    facts = set[str]()
+    for expression, value in domain.up_problem.explicit_initial_values.items():
+        text = text_of(domain, expression, {})
+        if value.is_true():
+            facts.add(text)
+        elif not value.is_bool_constant() and head_of(text) in domain.computed:
+            facts.add(number_fact(text, exact(value.constant_value())))
+    return frozenset(facts)
 
 
 def feasible_atoms(domain: Domain, kb: Feasibility) -> State:
@@ -132,7 +192,7 @@ def _sequential(domain: Domain) -> UpThing:
     defaults = {read.environment.type_manager.BoolType(): false}
     problem = UpProblem(read.name, read.environment, initial_defaults=defaults)
     problem.add_objects(read.all_objects)
-    has_numbers = action_costs(domain) is not None or bool(domain.limited)
+    has_numbers = action_costs(domain) is not None or bool(domain.limited or domain.computed)
     for fluent in read.fluents:
         # numbers that nothing needs would only keep engines from taking the problem
         if fluent.type.is_bool_type() or has_numbers:
@@ -177,14 +237,16 @@ def _instantaneous(action: UpThing, domain: Domain) -> UpThing:
     made = InstantaneousAction(action.name, parameters, action.environment)
     # what its own effects at start make true is no condition; what those at end overwrite is no effect
     brought = {(one.fluent, one.value.is_true()) for one in schema.start_effects if _is_certain(one)}
-    overwritten = {one.fluent for one in schema.end_effects if _is_certain(one)}
-    later = (one for one in schema.over_all + schema.end if _literal(one) not in brought)
+    overwritten = {one.fluent for one in schema.end_effects if _is_certain(one) and one.is_assignment()}
+    after = {one.fluent: _after(one) for one in schema.start_effects if not one.fluent.fluent().type.is_bool_type()}
+    later = (one.substitute(after) for one in schema.over_all + schema.end if _literal(one) not in brought)
     lasting = (one for one in schema.start_effects if one.fluent not in overwritten)
     for condition in (*schema.start, *later):
         made.add_precondition(condition)
     try:
         for effect in (*lasting, *schema.end_effects):
-            made.add_effect(effect.fluent, effect.value, effect.condition, effect.forall)
+            kind = "" if effect.is_assignment() else f"{effect.kind.name.lower()}_"
+            getattr(made, f"add_{kind}effect")(effect.fluent, effect.value, effect.condition, effect.forall)
     except UPException as error:
         message = f"the effects of {schema.name} contradict one another when it is made instantaneous: {error}"
         file, line = domain.places.get(("action", schema.name), (domain.file, None))
@@ -197,6 +259,14 @@ def _instantaneous(action: UpThing, domain: Domain) -> UpThing:
 
 def _is_certain(effect: UpThing) -> bool:
     return bool(effect.condition.is_true()) and not effect.forall
+
+
+def _after(effect: UpThing) -> UpThing:
+    """Return what a number is after an effect."""
+    manager, fluent = effect.environment.expression_manager, effect.fluent
+    if effect.is_assignment():
+        return effect.value
+    return (manager.Plus if effect.is_increase() else manager.Minus)(fluent, effect.value)
 
 
 def _literal(formula: UpThing) -> tuple[UpThing, bool]:

@@ -1,7 +1,7 @@
 """Reads PDDL into unified-planning's model; what cannot be read or planned for is refused with its place."""
 
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
@@ -9,7 +9,8 @@ from pathlib import Path
 
 from rosa_pddl.domain import ACTION_TYPE, FEASIBLE, Domain, Limit, Resource, Schema, UpThing, conjuncts
 from rosa_pddl.exceptions import UnknownNameError, nearest
-from rosa_pddl.formulas import COMPARISONS, Formulas, Scope
+from rosa_pddl.formulas import CHANGES, COMPARISONS, Formulas, Scope, numbers_of
+from rosa_pddl.number_uses import NumberUses
 from rosa_pddl.problem import Problem
 from rosa_pddl.syntax import (
     ANY,
@@ -118,8 +119,11 @@ class _Reader:
         self._schemas: dict[str, Schema] = {}
         self._costs: dict[UpThing, UpThing] = {}
         self._uses: dict[UpThing, dict[str, UpThing]] = {}
+        self._rises: dict[UpThing, dict[UpThing, UpThing]] = {}
         self._limits: dict[UpThing, list[Limit]] = {}
+        self._uses_of_numbers = NumberUses(domain, problem)
         self._draft = Domain(
+            computed=self._uses_of_numbers.computed,
             name=str(domain.root.children[1].children[1]),
             file=domain.file,
             problem_file=problem.file,
@@ -136,8 +140,6 @@ class _Reader:
         self._domain, self._problem = (
             Formulas(self._draft, source, partial(self._unknown, source)) for source in (domain, problem)
         )
-        targets = [node.children[1] for node in _increases(domain.root) if len(node.children) == 3]
-        self._resources = {target.head for target in targets if len(target.children) == 1 and target.head != _COST}
         self._has_cost = any(node.head == _COST for node in section(domain, ":functions"))
 
     def domain(self) -> Domain:
@@ -286,14 +288,16 @@ class _Reader:
         kind = DurativeAction if node.head == ":durative-action" else InstantaneousAction
         unique = self._declare(source, "action", node.children[1])
         action = kind(unique, parameters, self._up_problem.environment)
-        reader = _ActionReader(self._domain, action, self._resources, name, has_cost=self._has_cost)
+        reader = _ActionReader(self._domain, action, self._uses_of_numbers, name, has_cost=self._has_cost)
         reader.read(node, parts)
         if reader.cost is not None:
             self._costs[action] = reader.cost
-        for used, amount in reader.uses.items():
-            self._uses.setdefault(used, {})[name] = amount
+        for used, amount in reader.rises.items():
+            self._rises.setdefault(used, {})[action] = amount
+            if self._outside[used.fluent().name].lower() in self._uses_of_numbers.resources:
+                self._uses.setdefault(used, {})[name] = amount
         self._up_problem.add_action(action)
-        schema = _schema_of(action, self._outside)
+        schema = _schema_of(action, self._draft)
         does = self._actions.get(name)
         if does is not None:
             if does.startswith("?") and does[1:] not in parameters:
@@ -303,7 +307,7 @@ class _Reader:
             if FEASIBLE not in [self._outside[one.fluent().name].lower() for one in conditions]:
                 needed = listed(FEASIBLE, does)
                 reader.require(listed("over", "all", needed) if node.head == ":durative-action" else needed, node)
-                schema = _schema_of(action, self._outside)
+                schema = _schema_of(action, self._draft)
             schema = replace(schema, action=does.removeprefix("?"))
         self._schemas[name] = schema
 
@@ -331,11 +335,9 @@ class _Reader:
                 self._up_problem.add_goal(formulas.condition(node, {}, "the goal"))
                 return True
             left, right = node.children[1:] if node.head in ("<", "<=") else node.children[:0:-1]
-            if left.head not in self._resources or len(left.children) != 1:
-                names = ", ".join(sorted(self._resources))
-                known = f"; what actions use up is {names}" if names else ""
-                raise formulas.numeric(node, "the goal", f"computes with numbers{known}")
-            _check_amount(formulas, self._resources, right, node, "the goal", is_sum=True)
+            if left.head not in self._uses_of_numbers.resources:
+                self._up_problem.add_goal(formulas.condition(node, {}, "the goal"))
+                return True
             compare = formulas.manager.LT if node.head in ("<", ">") else formulas.manager.LE
             limit = compare(formulas.atom(left, {}), formulas.number(right, {}))
             self._limits.setdefault(limit.arg(0), []).append(Limit(limit.arg(1), limit.is_lt()))
@@ -346,27 +348,54 @@ class _Reader:
 
         environment, source = self._up_problem.environment, self._problem.source
         for node in section(source, ":metric")[1:]:
-            if node.head != _COST:
+            if node.head == "total-time":
                 self._up_problem.add_quality_metric(MinimizeMakespan(environment))
-            elif not self._has_cost:
-                raise source.error(node, "found (total-cost), expected it among the :functions of the domain")
             else:
                 nothing = environment.expression_manager.Int(0)
-                self._up_problem.add_quality_metric(MinimizeActionCosts(self._costs, nothing, environment))
+                costs = self._minimized(node)
+                self._up_problem.add_quality_metric(MinimizeActionCosts(costs, nothing, environment))
+
+    def _minimized(self, node: Node) -> dict[UpThing, UpThing]:
+        """Return what each action adds to a metric: numbers that only rise, their sums, and those times a constant."""
+        source, manager = self._problem.source, self._up_problem.environment.expression_manager
+        head, parts = node.head, node.children[1:]
+        if head == _COST and self._has_cost:
+            return self._costs
+        if head in self._uses_of_numbers.rising:
+            return self._rises.get(self._problem.atom(node, {}), {})
+        if head == "+":
+            return self._summed([self._minimized(part) for part in parts])
+        constant = [part for part in parts if _NUMBER.fullmatch(part.lower)]
+        if head == "*" and len(parts) == 2 and len(constant) == 1:
+            factor = self._problem.number(constant[0], {})
+            given = self._minimized(next(part for part in parts if part is not constant[0]))
+            return {action: manager.Times(factor, amount) for action, amount in given.items()}
+        if head == _COST:
+            raise source.error(node, "found (total-cost), expected it among the :functions of the domain")
+        names = ", ".join(sorted(f"({one})" for one in self._uses_of_numbers.rising)) or "none"
+        message = (
+            f"found {start_of(node)!r}, expected (total-cost), (total-time), or a sum of numbers without arguments"
+        )
+        raise source.unsupported(node, f"{message} that actions only increase, by what none changes; here: {names}")
+
+    def _summed(self, parts: Iterable[Mapping[UpThing, UpThing]]) -> dict[UpThing, UpThing]:
+        manager, found = self._up_problem.environment.expression_manager, dict[UpThing, UpThing]()
+        for part in parts:
+            for action, amount in part.items():
+                found[action] = manager.Plus(found[action], amount) if action in found else amount
+        return found
 
 
 class _ActionReader:
     """Reads what an action needs and does, how long it takes, and what it costs."""
 
-    def __init__(
-        self, formulas: Formulas, action: UpThing, resources: Collection[str], name: str, *, has_cost: bool
-    ) -> None:
+    def __init__(self, formulas: Formulas, action: UpThing, uses: NumberUses, name: str, *, has_cost: bool) -> None:
         self._formulas, self._source, self._action = formulas, formulas.source, action
-        self._resources, self._name, self._has_cost = resources, name, has_cost
+        self._uses, self._name, self._has_cost = uses, name, has_cost
         parameter = formulas.manager.ParameterExp
         self._scope = {f"?{one.name}": parameter(one) for one in action.parameters}
         self.cost: UpThing = None
-        self.uses: dict[UpThing, UpThing] = {}
+        self.rises: dict[UpThing, UpThing] = {}
 
     def read(self, schema: Node, parts: Mapping[str, Node]) -> None:
         from unified_planning.model import EndTiming, StartTiming
@@ -435,56 +464,44 @@ class _ActionReader:
             if not needed.is_false():
                 both = needed if condition is None else formulas.manager.And(condition, needed)
                 self._read_effect(parts[1], when, scope, both, variables)
-        elif head == "increase" and (condition is not None or variables):
-            raise formulas.numeric(node, self._name, "is no number which no condition changes")
-        elif head == "increase":
-            self._read_increase(node, when)
-        elif head in ("assign", "decrease", "scale-up", "scale-down"):
-            raise formulas.numeric(node, self._name, "computes with numbers")
+        elif head in CHANGES:
+            self._read_change(node, when, scope, condition, variables)
         elif node.children:
             is_deleted = head == "not" and len(parts) == 1 and parts[0].is_list
             fluent = formulas.atom(parts[0] if is_deleted else node, scope)
             holds = True if condition is None else condition
             self._action.add_effect(*when, fluent, not is_deleted, holds, forall=variables)
 
-    def _read_increase(self, node: Node, when: tuple[UpThing, ...]) -> None:
-        """Read what an action costs, or uses up of a resource, as far as that is fixed before; several add up."""
-        formulas, place = self._formulas, self._name
+    def _read_change(
+        self, node: Node, when: tuple[UpThing, ...], scope: Scope, condition: UpThing, variables: tuple[UpThing, ...]
+    ) -> None:
+        """Read what an action costs, or does to a number; several rises add up."""
+        formulas, manager = self._formulas, self._formulas.manager
         if len(node.children) != 3 or not node.children[1].head:
-            raise self._source.error(node, f"found {start_of(node)!r}, expected (increase (NAME) AMOUNT)")
-        _, target, amount = node.children
-        is_cost = target.head == _COST and self._has_cost
-        if not is_cost and len(target.children) != 1:
-            raise formulas.numeric(node, place, "adds to a number with arguments")
-        if _NUMBER.fullmatch(amount.lower) and float(amount.lower) < 0.0:
-            what = "costs are" if is_cost else "uses are"
-            message = f"{start_of(node)!r} in {place} is less than nothing; {what} 0 or more"
+            raise self._source.error(node, f"found {start_of(node)!r}, expected ({node.head} (NAME) AMOUNT)")
+        head, target, amount = node.head, *node.children[1:]
+        is_cost, is_plain = target.head == _COST and self._has_cost, condition is None and not variables
+        if is_cost and amount.lower.startswith("-"):
+            message = f"{start_of(node)!r} in {self._name} is less than nothing; costs are 0 or more"
             raise self._source.unsupported(node, message)
-        _check_amount(formulas, self._resources, amount, node, place, is_sum=not is_cost)
-        value = formulas.number(amount, self._scope)
+        if is_cost and (
+            head != "increase" or not is_plain or self._uses.changed & numbers_of(amount, self._uses.names)
+        ):
+            message = "makes the cost of a step depend on more than its arguments; ENHSP by itself would do"
+            raise formulas.numeric(node, self._name, message)
+        value = formulas.number(amount, scope)
         if is_cost:
-            self.cost = value if self.cost is None else formulas.manager.Plus(self.cost, value)
+            self.cost = value if self.cost is None else manager.Plus(self.cost, value)
+            return
+        fluent, always = formulas.atom(target, scope), manager.TRUE() if condition is None else condition
+        if target.head in self._uses.rising:
+            self.rises[fluent] = manager.Plus(self.rises[fluent], value) if fluent in self.rises else value
+        if head in ("increase", "decrease"):
+            getattr(self._action, f"add_{head}_effect")(*when, fluent, value, always, forall=variables)
         else:
-            used = formulas.atom(target, self._scope)
-            self._action.add_increase_effect(*when, used, value)
-            self.uses[used] = formulas.manager.Plus(self.uses[used], value) if used in self.uses else value
-
-
-def _check_amount(
-    formulas: Formulas, resources: Collection[str], amount: Node, within: Node, place: str, *, is_sum: bool
-) -> None:
-    """Assure that no action changes what an amount is made of, and that it is a sum, with numbers as factors."""
-    head, parts = amount.head, amount.children[1:]
-    if head == _COST or head in resources:
-        raise formulas.numeric(within, place, f"has an amount that depends on {amount}, which actions change")
-    if amount.lower.startswith("?"):
-        raise formulas.numeric(within, place, f"has the amount {amount.word}, which is no number")
-    is_computed = amount.is_list and not head[:1].isalpha()
-    is_product = head == "*" and len([part for part in parts if part.is_list]) > 1
-    if is_sum and is_computed and (head not in ("+", "-", "*") or len(parts) < 2 or is_product):
-        raise formulas.numeric(within, place, f"has the amount {start_of(amount)}, which is no sum")
-    for part in parts if is_computed else ():
-        _check_amount(formulas, resources, part, within, place, is_sum=is_sum)
+            kinds = {"assign": lambda: value, "scale-up": lambda: manager.Times(fluent, value)}
+            new = kinds.get(head, lambda: manager.Div(fluent, value))()
+            self._action.add_effect(*when, fluent, new, always, forall=variables)
 
 
 def _rules(source: Source) -> Mapping[str, list[Node]]:
@@ -578,21 +595,15 @@ def _parts(node: Node) -> Iterator[Node]:
         yield node
 
 
-def _increases(node: Node) -> Iterator[Node]:
-    if node.head == "increase":
-        yield node
-    for child in node.children:
-        yield from _increases(child)
-
-
 def _lineage_of(type_: UpThing, outside: Mapping[str, str]) -> Iterator[str]:
     while type_ is not None:
         yield outside[type_.name].lower()
         type_ = type_.father
 
 
-def _schema_of(action: UpThing, outside: Mapping[str, str]) -> Schema:
-    """Return an action in the view of ROSA; costs are the planner's business: steps bring about facts."""
+def _schema_of(action: UpThing, domain: Domain) -> Schema:
+    """Return an action in the view of ROSA; what is only used up is the planner's business."""
+    outside = domain.outside
     parts: dict[str, list[UpThing]] = {"start": [], "over_all": [], "end": [], "start_effects": [], "end_effects": []}
     if hasattr(action, "preconditions"):
         parts["start"] += conjuncts(action.preconditions)
@@ -604,7 +615,11 @@ def _schema_of(action: UpThing, outside: Mapping[str, str]) -> Schema:
         for timing, effects in action.effects.items():
             parts["start_effects" if timing.is_from_start() else "end_effects"] += effects
     for effects in (parts["start_effects"], parts["end_effects"]):
-        effects[:] = [effect for effect in effects if effect.fluent.type.is_bool_type()]
+        effects[:] = [
+            effect
+            for effect in effects
+            if effect.fluent.type.is_bool_type() or outside[effect.fluent.fluent().name] in domain.computed
+        ]
     name, conditions = outside[action.name], parts["start"] + parts["over_all"] + parts["end"]
     parameters = tuple((parameter.name, outside[parameter.type.name]) for parameter in action.parameters)
     rosa_action = _rosa_action_of(name, conditions, action.parameters, outside)

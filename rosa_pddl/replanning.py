@@ -14,7 +14,7 @@ from rosa_pddl.exceptions import PlannerSettingError, PlanningBudgetError
 from rosa_pddl.formulas import Condition
 from rosa_pddl.goals import Goal, Goals, PlanningTask, Relevance
 from rosa_pddl.outcomes import Outcome, PlanningResult
-from rosa_pddl.plan_monitor import PlanExecution, PlanMonitor
+from rosa_pddl.plan_monitor import Clash, PlanExecution, PlanMonitor
 from rosa_pddl.planner import awaited
 from rosa_pddl.problem import Problem, unlimited
 from rosa_pddl.validate import missing_at_start
@@ -48,6 +48,8 @@ class ReplanningPolicy:
         retries: how often in a row a planner in trouble is asked again, and a step that failed may be planned with,
             each time after a pause twice as long. After that a planner in trouble is a failure, and the step is left
             out of plans, until a pause of up to a minute is over.
+        side_by_side: whether steps of a plan run at the same time that need and change nothing of one another, and that
+            share no component; else one runs after the other, unless a temporal planner says when each starts.
         hysteresis: by what share of its own cost a better plan has to be better, once more with each plan that was
             replaced for being dearer; so it comes to an end however much costs change.
 
@@ -60,6 +62,7 @@ class ReplanningPolicy:
     while_planning: Literal["continue", "hold"] = "continue"
     retries: int = 3
     hysteresis: float = 0.1
+    side_by_side: bool = False
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.at_most_every_s < inf:
@@ -98,7 +101,9 @@ def news_of(expected: PlanningState | None, now: PlanningState, matters: Callabl
         return None
     (before, known), (state, numbers) = expected, now
     atoms = [atom for atom in sorted(state ^ before) if matters(atom)]
-    changed = [atom for atom in atoms if atom in state] + [f"(not {atom})" for atom in atoms if atom in before]
+    changed = [atom for atom in atoms if atom in state] + [
+        f"(not {atom})" for atom in atoms if atom in before and not atom.startswith("(= ")
+    ]
     changed += [f"{text} is {value:g}" for text, value in sorted(numbers.items()) if known.get(text) != value]
     return ", ".join(changed[:3]) + (", ..." if len(changed) > 3 else "") if changed else None
 
@@ -364,7 +369,9 @@ class Replanning:
         client: PlannerClient,
         clock: Callable[[], float],
         policy: ReplanningPolicy,
+        clash: Clash | None,
     ) -> None:
+        self._clash = clash
         self._goals, self._effects, self._task, self._monitor = goals, effects, task, monitor
         self._client, self._clock, self._policy = client, clock, policy
         self._relevance = Relevance(effects.domain, goals)
@@ -376,6 +383,14 @@ class Replanning:
         self._was_stale = False
         self.setbacks = Setbacks(clock, policy)
         self.records: list[PlanRecord] = []
+
+    def use(self, task: PlanningTask, monitor: PlanMonitor) -> None:
+        """Go on in a world of other objects; what is being planned is for one that is no more."""
+        self._task, self._monitor = task, monitor
+        if self._client.is_under_way:
+            self._client.give_up()
+            self._diagnosis = None
+            self.want(Decision("the objects changed", is_needed=True))
 
     @property
     def is_busy(self) -> bool:
@@ -451,7 +466,7 @@ class Replanning:
         if not outcome.is_passing:
             self.setbacks.forget(None)
         if outcome.is_solved:
-            plan = PlanExecution.of(domain, result, promised)
+            plan = PlanExecution.of(domain, result, promised, self._clash)
             wrong = plan.prediction(state).flaw if is_fresh else None
             if wrong is None:
                 return _Found(plan, decision)

@@ -6,9 +6,9 @@ from functools import reduce
 from math import ceil, floor, lcm
 from typing import NamedTuple, TypeAlias
 
-from rosa_pddl.domain import Domain, Step, UpThing
+from rosa_pddl.domain import Domain, Exact, Step, UpThing, exact
 from rosa_pddl.exceptions import UnsupportedPddlError, nearest
-from rosa_pddl.problem import Exact, Problem, action_costs, exact
+from rosa_pddl.problem import Problem, action_costs
 from rosa_pddl.validate import binding_of, text_of
 
 Numbers: TypeAlias = Mapping[str, Exact]

@@ -8,21 +8,31 @@ input; it imports nothing but the standard library.
 """
 
 import marshal
+import operator
 import sys
 from collections.abc import Iterable, Iterator, Sequence
+from fractions import Fraction
+from functools import reduce
 from heapq import heapify, heappop, heappush
 from itertools import groupby
 from math import inf
 from operator import add, gt, le
-from typing import Generic, NamedTuple, Protocol, TypeAlias, TypeVar
+from typing import Any, Generic, NamedTuple, Protocol, TypeAlias, TypeVar
 
 T = TypeVar("T")
 S = TypeVar("S")
 Fact: TypeAlias = tuple[int, int]
 """A variable and one of its values, both counted from 0."""
-State: TypeAlias = tuple[int, ...]
-"""The value of each variable."""
+State: TypeAlias = "tuple[int, ...]"
+"""The value of each variable, and behind them exact numbers."""
 
+_COMPARED = {"<": operator.lt, "<=": operator.le, "=": operator.eq, "!=": operator.ne}
+_COMPUTED = {
+    "+": operator.add,
+    "-": operator.sub,
+    "*": operator.mul,
+    "/": lambda one, other: Fraction(one) / other,
+}
 # Beyond this many moves a graph forgets what it has worked out.
 _MOST_KNOWN = 200_000
 
@@ -83,20 +93,23 @@ def cheapest(graph: Graph[S, T], start: S, limits: Sequence[float] = (), cap: fl
     """
     if any(limit < 0 for limit in limits):
         return None
+    ranked = getattr(graph, "ranked", None)  # of numbers that rise and fall, which states compare by
+    key, ranks = ranked(start) if ranked else (start, ())
     first: _Label[S, T] = _Label(None, None, start, (0,) * (1 + len(limits)))
-    queue = [(graph.least(start)[0], first.spent[1:], 0, first)]
-    followed: dict[S, list[tuple[int, ...]]] = {}
-    latest: dict[S, tuple[int, ...]] = {}
+    queue = [(graph.least(start)[0], (*first.spent[1:], *ranks), 0, first, key)]
+    followed: dict[S, list[tuple[float, ...]]] = {}
+    latest: dict[S, tuple[float, ...]] = {}
     looked_at = pushed = expanded = 0
     while queue:
-        _, uses, _, label = heappop(queue)
+        _, weight, _, label, key = heappop(queue)
         _, _, state, spent = label
-        front = followed.get(state, ())
-        if _is_dominated(uses, front):
+        front = followed.get(key, ())
+        if _is_dominated(weight, front):
             continue
+        uses = spent[1:]
         if graph.is_goal(state):
             return Found(_moves(label), spent[0], uses, expanded)
-        followed[state] = [uses, *(other for other in front if not _is_dominated(other, (uses,)))]
+        followed[key] = [weight, *(other for other in front if not _is_dominated(other, (weight,)))]
         expanded += 1
         for move in graph.moves(state):
             looked_at += 1
@@ -104,16 +117,20 @@ def cheapest(graph: Graph[S, T], start: S, limits: Sequence[float] = (), cap: fl
             cost += spent[0]
             used = tuple([a + b for a, b in zip(uses, more, strict=True)]) if limits else ()
             reached = (cost, *used)
-            if any(map(gt, used, limits)) or (to in latest and all(map(le, latest[to], reached))):
+            key, weight, compared = to, used, reached
+            if ranked:
+                key, ranks = ranked(to)
+                weight, compared = (*used, *ranks), (*reached, *ranks)
+            if any(map(gt, used, limits)) or (key in latest and all(map(le, latest[key], compared))):
                 continue
-            if _is_dominated(used, followed.get(to, ())):
+            if _is_dominated(weight, followed.get(key, ())):
                 continue
             least, lacking = graph.least(to)
             if least == inf or any(map(gt, map(add, used, lacking), limits)):
                 continue
-            latest[to] = reached
+            latest[key] = compared
             pushed += 1
-            heappush(queue, (cost + least, used, pushed, _Label(label, move, to, reached)))
+            heappush(queue, (cost + least, weight, pushed, _Label(label, move, to, reached), key))
         if looked_at > cap:
             raise CapReached
     return None
@@ -140,7 +157,7 @@ def distances(arcs: Iterable[tuple[S, S, float]], goals: Iterable[S]) -> dict[S,
     return found
 
 
-def _is_dominated(weight: tuple[int, ...], front: Iterable[tuple[int, ...]]) -> bool:
+def _is_dominated(weight: tuple[float, ...], front: Iterable[tuple[float, ...]]) -> bool:
     for other in front:  # noqa: SIM110  # a loop is quicker: few others
         if all(map(le, other, weight)):
             return True
@@ -159,6 +176,22 @@ def _moves(label: _Label[S, T]) -> tuple[Move[S, T], ...]:
 # ---------------------------------------------------------------- over a grounded task
 
 
+Number: TypeAlias = "int | Fraction | tuple[Any, ...] | None"
+"""An exact number, `("n", place)` for the one at that place of a state, an operator with its parts, or unknown."""
+Test: TypeAlias = tuple[str, Number, Number]
+"""A comparison: `<`, `<=`, `=` or `!=`, and what is compared; nothing is so of what is unknown."""
+
+
+class Change(NamedTuple):
+    """What becomes of a number: the facts and comparisons it depends on, its place, and its new value, or the rise."""
+
+    needs: tuple[Fact, ...]
+    tests: tuple[Test, ...]
+    place: int
+    is_rise: bool
+    amount: Number
+
+
 class Operation(NamedTuple):
     """A grounded action, which its number names; an effect is what it depends on, the variable, and its new value."""
 
@@ -167,21 +200,24 @@ class Operation(NamedTuple):
     effects: tuple[tuple[tuple[Fact, ...], int, int], ...]
     cost: int
     uses: tuple[int, ...]
+    tests: tuple[Test, ...] = ()
+    changes: tuple[Change, ...] = ()
 
 
 class Rule(NamedTuple):
-    """An axiom: it derives the value of a variable that has its value of the start otherwise; low layers come first."""
+    """An axiom: it makes a variable 0 that is 1 otherwise; low layers come first."""
 
     layer: int
     needs: tuple[Fact, ...]
     variable: int
-    value: int
+    tests: tuple[Test, ...] = ()
 
 
 class Task(NamedTuple):
-    """A grounded task; all numbers are whole.
+    """A grounded task; costs and what is used up are whole.
 
-    Sizes say how many values each variable has, limits how much of each resource may be used up from here on.
+    Sizes say how many values each variable has, limits how much of each resource may be used up from here on. Numbers
+    that rise and fall, so many, stand behind the variables; their places count from the end, as -1, -2, ...
     """
 
     sizes: tuple[int, ...]
@@ -190,10 +226,12 @@ class Task(NamedTuple):
     operations: tuple[Operation, ...]
     limits: tuple[int, ...]
     rules: tuple[Rule, ...] = ()
+    numbers: int = 0
+    tests: tuple[Test, ...] = ()
 
 
 class TaskGraph:
-    """A task as a graph. Without axioms it serves any start and limits; what it works out is kept for the next one.
+    """A task as a graph. It serves any start and limits; what it works out is kept for the next one.
 
     What a fact of the goal takes at least, all variables but its own being left aside, guides the search. Unguided, it
     finds of equally good plans the one that Fast Downward's blind A* finds: operations are tried in the order of what
@@ -207,7 +245,8 @@ class TaskGraph:
         self._least: dict[State, tuple[float, tuple[float, ...]]] = {}
         self._by_need = _by_need(task)
         self._layers = [list(rules) for _, rules in groupby(task.rules, key=lambda rule: rule.layer)]
-        self._derived = {rule.variable: task.start[rule.variable] for rule in task.rules}
+        self._derived = dict.fromkeys((rule.variable for rule in task.rules), 1)
+        self._directions = _directions(task)
         spent = [(one.cost, *one.uses) for one in task.operations]
         # what axioms derive is left out, as no operation shows what that takes
         goal = [(variable, value) for variable, value in task.goal if variable not in self._derived]
@@ -231,7 +270,16 @@ class TaskGraph:
         return self.least(self._closed(list(start)))[1]
 
     def is_goal(self, state: State) -> bool:
-        return _hold(self._task.goal, state)
+        return _hold(self._task.goal, state) and _pass(self._task.tests, state)
+
+    def ranked(self, state: State) -> tuple[State, tuple[float, ...]]:
+        """Return a state less the numbers of which more, or less, is as good or better, and those: less is better."""
+        if not self._directions:
+            return state, ()
+        known = [(sign, state[place]) for place, sign in self._directions.items()]
+        ranks = [inf if value is None else sign * value for sign, value in known if sign]
+        kept = [state[-place] for place in range(self._task.numbers, 0, -1) if -place not in self._directions]
+        return (*state[: len(self._task.sizes)], *kept), tuple(ranks)
 
     def moves(self, state: State) -> Sequence[Move[State, int]]:
         """Return what can be done in a state, but for what leaves it as it is."""
@@ -252,10 +300,14 @@ class TaskGraph:
     def _possible(self, state: State) -> Iterator[Move[State, int]]:
         candidates = [one for fact in (None, *enumerate(state)) for one in self._by_need.get(fact, ())]
         for _, operation in sorted([one for one in candidates if _hold(one[1].needs, state)]):
+            if not _pass(operation.tests, state):
+                continue
             after = list(state)
             for given, variable, value in operation.effects:
                 if not given or _hold(given, state):
                     after[variable] = value
+            if operation.changes and not _change(operation.changes, state, after):
+                continue
             to = self._closed(after)
             if to != state:
                 yield Move(to, operation.cost, operation.uses, operation.number)
@@ -266,15 +318,81 @@ class TaskGraph:
             state[variable] = value
         for rules in self._layers:
             waiting = rules
-            while fired := [rule for rule in waiting if _hold(rule.needs, state)]:
+            while fired := [rule for rule in waiting if _hold(rule.needs, state) and _pass(rule.tests, state)]:
                 for rule in fired:
-                    state[rule.variable] = rule.value
-                waiting = [rule for rule in waiting if state[rule.variable] != rule.value]
+                    state[rule.variable] = 0
+                waiting = [rule for rule in waiting if state[rule.variable]]
         return tuple(state)
 
 
 def _hold(facts: Sequence[Fact], state: Sequence[int]) -> bool:
     return all([state[variable] == value for variable, value in facts])  # noqa: C419  # a list is quicker: few facts
+
+
+def _pass(tests: Sequence[Test], state: Sequence[int]) -> bool:
+    for kind, one, other in tests:
+        left, right = _value(one, state), _value(other, state)
+        if left is None or right is None or not _COMPARED[kind](left, right):
+            return False
+    return True
+
+
+def _change(changes: Sequence[Change], state: State, after: list[int]) -> bool:
+    """Put the new values of numbers in; return whether all that is to be changed is known."""
+    for needs, tests, place, is_rise, amount in changes:
+        if _hold(needs, state) and _pass(tests, state):
+            value = _value(amount, state)
+            if value is None or (is_rise and after[place] is None):
+                return False
+            after[place] = after[place] + value if is_rise else value
+    return True
+
+
+def _value(number: Number, state: Sequence[int]) -> "Any":  # noqa: ANN401  # whole, a fraction, or unknown
+    if not isinstance(number, tuple):
+        return number
+    head, *parts = number
+    if head == "n":
+        return state[parts[0]]
+    values = [_value(part, state) for part in parts]
+    if None in values or (head == "/" and 0 in values[1:]):
+        return None
+    return reduce(_COMPUTED[head], values)
+
+
+def _directions(task: Task) -> dict[int, int]:
+    """Return the numbers that need not be the same for one state to be as good as another.
+
+    By their place: 1 if less is as good or better, -1 if more is, 0 if nothing asks for it.
+    """
+    asked = [*task.tests, *(test for one in task.operations for test in one.tests)]
+    asked += [test for rule in task.rules for test in rule.tests]
+    changes = [change for operation in task.operations for change in operation.changes]
+    signs: dict[int, set[int]] = {-1 - place: set() for place in range(task.numbers)}
+    for kind, one, other in asked:
+        for number, sign in ((one, 1), (other, -1)):
+            _note(number, sign if kind in ("<", "<=") else 0, signs)
+    given = {variable for one in task.operations for needs, variable, _ in one.effects for variable, _ in needs}
+    derived = {rule.variable for rule in task.rules}
+    for change in changes:
+        # what one number does to another, or whether anything changes, is not looked into
+        _note(change.amount, 0, signs)
+        given |= {variable for variable, _ in change.needs}
+        for _, one, other in change.tests:
+            _note(("+", one, other), 0, signs)
+    if given & derived:
+        return {}
+    return {place: min(found, default=0) for place, found in signs.items() if len(found) < 2 and 0 not in found}
+
+
+def _note(number: Number, sign: int, signs: dict[int, set[int]]) -> None:
+    """Note whether what a number is made of makes it greater (1) or smaller (-1), or may do either (0)."""
+    if isinstance(number, tuple):
+        head, *parts = number
+        if head == "n":
+            signs[parts[0]].add(sign)
+        for at, part in enumerate(parts if head != "n" else ()):
+            _note(part, sign if head == "+" else (-sign if at else sign) if head == "-" else 0, signs)
 
 
 def _by_need(task: Task) -> dict[Fact | None, list[tuple[int, Operation]]]:

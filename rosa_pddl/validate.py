@@ -2,11 +2,14 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
+from fractions import Fraction
+from functools import reduce
 from itertools import permutations, product
 from math import inf
+from operator import add, mul, sub
 from typing import NamedTuple
 
-from rosa_pddl.domain import Domain, State, Step, TimedStep, UpThing
+from rosa_pddl.domain import Domain, Exact, State, Step, TimedStep, UpThing, exact, number_fact, numbers_in
 
 Binding = Mapping[str, str]
 Facts = AbstractSet[str]
@@ -210,14 +213,38 @@ def holds(domain: Domain, formula: UpThing, binding: Binding, state: Facts) -> b
         return text_of(domain, formula, binding) in state
     if formula.is_bool_constant():
         return bool(formula.constant_value())
-    if formula.is_equals():
+    if formula.is_equals() and not _is_number(formula.arg(0)):
         left, right = (text_of(domain, side, binding) for side in formula.args)
         return left == right
+    if formula.is_equals() or formula.is_le() or formula.is_lt():
+        one, other = (value_of(domain, side, binding, state) for side in formula.args)
+        if one is None or other is None:
+            return False
+        return one == other if formula.is_equals() else one <= other if formula.is_le() else one < other
     if formula.is_exists() or formula.is_forall():
         bindings = _bindings(domain, formula.variables(), binding)
         results = (holds(domain, formula.arg(0), inner, state) for inner in bindings)
         return any(results) if formula.is_exists() else all(results)
     return _connective(formula, [holds(domain, part, binding, state) for part in formula.args])
+
+
+def value_of(domain: Domain, number: UpThing, binding: Binding, state: Facts) -> Exact | None:
+    """Return the value of a number in a state, exactly; None if it, or what it is made of, has none."""
+    if number.is_constant():
+        return exact(Fraction(number.constant_value()))
+    if number.is_fluent_exp():
+        text = text_of(domain, number, binding)
+        start = f"(= {text} "
+        return numbers_in(fact for fact in state if fact.startswith(start)).get(text)
+    parts = [value_of(domain, part, binding, state) for part in number.args]
+    known = [part for part in parts if part is not None]
+    if len(known) < len(parts) or (number.is_div() and not known[1]):
+        return None
+    return reduce(_COMPUTED[number.node_type.name], known)
+
+
+def _is_number(term: UpThing) -> bool:
+    return not (term.is_object_exp() or term.is_parameter_exp() or term.is_variable_exp())
 
 
 def _connective(formula: UpThing, parts: list[bool]) -> bool:
@@ -269,12 +296,28 @@ def changes(
 ) -> tuple[AbstractSet[str], AbstractSet[str]]:
     """Return what effects of one moment make false, and what they make true, which wins, as PDDL says."""
     added, deleted = set[str](), set[str]()
+    numbers = dict[str, tuple[Exact | None, Exact | None]]()
     for effect in effects:
         for inner in _bindings(domain, effect.forall, binding) if effect.forall else (binding,):
             if holds(domain, effect.condition, inner, state):
-                target = added if holds(domain, effect.value, inner, state) else deleted
-                target.add(text_of(domain, effect.fluent, inner))
+                text = text_of(domain, effect.fluent, inner)
+                if effect.fluent.fluent().type.is_bool_type():
+                    (added if holds(domain, effect.value, inner, state) else deleted).add(text)
+                    continue
+                before = value_of(domain, effect.fluent, inner, state)
+                _, now = numbers.get(text, (before, before))
+                numbers[text] = before, _changed(effect, now, value_of(domain, effect.value, inner, state))
+    for text, (before, now) in numbers.items():
+        if now is not None:
+            deleted |= set() if before is None else {number_fact(text, before)}
+            added.add(number_fact(text, now))
     return deleted, added
+
+
+def _changed(effect: UpThing, now: Exact | None, amount: Exact | None) -> Exact | None:
+    if effect.is_assignment() or now is None or amount is None:
+        return amount if effect.is_assignment() else None
+    return now + amount if effect.is_increase() else now - amount
 
 
 def mentioned_atoms(
@@ -286,6 +329,7 @@ def mentioned_atoms(
     for effect in effects:
         for inner in _bindings(domain, effect.forall, binding):
             yield from _atoms(domain, effect.condition, inner)
+            yield from _atoms(domain, effect.value, inner)
 
 
 def affected_atoms(domain: Domain, effects: Iterable[UpThing], binding: Binding) -> Iterator[str]:
@@ -301,7 +345,7 @@ def _atoms(domain: Domain, formula: UpThing, binding: Binding) -> Iterator[str]:
     elif formula.is_exists() or formula.is_forall():
         for inner in _bindings(domain, formula.variables(), binding):
             yield from _atoms(domain, formula.arg(0), inner)
-    elif not formula.is_equals():
+    else:
         for part in formula.args:
             yield from _atoms(domain, part, binding)
 
@@ -339,3 +383,4 @@ _HEADS = {
     **{"EQUALS": "=", "IMPLIES": "imply", "LE": "<=", "LT": "<"},
     **{"PLUS": "+", "MINUS": "-", "TIMES": "*", "DIV": "/"},
 }
+_COMPUTED = {"PLUS": add, "MINUS": sub, "TIMES": mul, "DIV": lambda one, other: Fraction(one) / other}

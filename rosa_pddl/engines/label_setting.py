@@ -14,7 +14,6 @@ from unified_planning.model import ProblemKind
 from unified_planning.plans import ActionInstance, SequentialPlan
 
 from rosa_pddl.domain import Domain, UpThing
-from rosa_pddl.engines.fast_downward import formula_of, literals_of
 from rosa_pddl.engines.unified_planning import LABEL_SETTING
 from rosa_pddl.exceptions import PddlError
 from rosa_pddl.outcomes import Outcome, PlanningResult
@@ -22,6 +21,7 @@ from rosa_pddl.planner import Planner
 from rosa_pddl.problem import Problem, initial_state
 from rosa_pddl.reader import build_domain
 from rosa_pddl.syntax import Node, Source, formula, listed
+from rosa_pddl.validate import text_of
 
 _FEATURES = (
     *("ACTION_BASED", "SIMPLE_NUMERIC_PLANNING", "GENERAL_NUMERIC_PLANNING", "FLAT_TYPING", "HIERARCHICAL_TYPING"),
@@ -154,7 +154,7 @@ def _typed(things: Iterable[UpThing], mark: str = "") -> Iterator[str]:
 
 def _action(action: UpThing, cost: UpThing) -> Node:
     numeric = [effect for effect in action.effects if not effect.fluent.type.is_bool_type()]
-    effects = [formula(text, action.name) for effect in action.effects for text in literals_of(effect)]
+    effects = [formula(text, action.name) for effect in action.effects for text in _literals_of(effect)]
     for effect in numeric:
         change = listed(effect.kind.name.lower(), _node(effect.fluent), _node(effect.value))
         change = change if effect.condition.is_true() else listed("when", _node(effect.condition), change)
@@ -168,5 +168,26 @@ def _action(action: UpThing, cost: UpThing) -> Node:
 
 
 def _node(expression: UpThing) -> Node | str:
-    text = formula_of(expression)
+    text = _formula_of(expression)
     return formula(text, text) if text.startswith("(") else text
+
+
+def _literals_of(effect: UpThing) -> Iterator[str]:
+    """Write what an effect makes true and what it makes false, on their conditions; nothing for a number."""
+    if not effect.fluent.type.is_bool_type():
+        return
+    atom, value = _formula_of(effect.fluent), effect.value
+    for truth, literal in ((True, atom), (False, f"(not {atom})")):
+        needed = [] if effect.condition.is_true() else [_formula_of(effect.condition)]
+        if value.is_bool_constant():
+            if bool(value.constant_value()) is not truth:
+                continue
+        else:
+            needed.append(_formula_of(value) if truth else f"(not {_formula_of(value)})")
+        text = f"(when (and {' '.join(needed)}) {literal})" if needed else literal
+        yield f"(forall ({' '.join(_typed(effect.forall, '?'))}) {text})" if effect.forall else text
+
+
+def _formula_of(formula: UpThing) -> str:
+    """Write a formula in the names of unified-planning's problem."""
+    return text_of(None, formula, {})

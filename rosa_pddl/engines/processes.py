@@ -78,7 +78,7 @@ class ProcessHandle:
         """Wait for something that another thread makes; raises TimeoutError, or Cancelled."""
         either: list[Future[Any]] = [future, self._is_cancelled]
         wait(either, limit_s, FIRST_COMPLETED)
-        self._check()
+        self.check()
         return future.result(0)
 
     def ask(self, command: Sequence[str], *, limit_s: float, **settings: Any) -> Ended:  # noqa: ANN401  # as of `run`
@@ -110,7 +110,7 @@ class ProcessHandle:
             folder: its working directory; by default that of this process.
         """
         with _in_memory(given) as read, _in_memory() as output, _in_memory() as complaints:
-            self._check()
+            self.check()
             self.is_running = True
             try:
                 process = subprocess.Popen(
@@ -131,11 +131,11 @@ class ProcessHandle:
                     process.wait()
             finally:
                 self.is_running = False
-            self._check()
+            self.check()
             written = _content(output), _content(complaints)
             return Ended(process.returncode, *written, verdict == "late", verdict == "endless")
 
-    def _check(self) -> None:
+    def check(self) -> None:
         if self._is_cancelled.done():
             raise Cancelled
 

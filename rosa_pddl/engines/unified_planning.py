@@ -5,9 +5,11 @@ import os
 import pickle
 import sys
 from pathlib import Path
+from shutil import which
 
 from rosa_pddl.domain import Domain, TimedStep, UpThing
-from rosa_pddl.engines.fast_downward import SEARCHES, missing_part
+from rosa_pddl.engines import fast_downward
+from rosa_pddl.engines.fast_downward import SEARCHES
 from rosa_pddl.engines.processes import ProcessHandle
 from rosa_pddl.exceptions import nearest
 from rosa_pddl.outcomes import Outcome, PlanningResult, Trouble
@@ -15,8 +17,10 @@ from rosa_pddl.problem import Problem, limits_of, lock_of
 
 LABEL_SETTING = "label-setting"
 """The engine that is the exact search, within limits."""
+NUMERIC = "enhsp"
+"""The engine that is asked about numbers that rise and fall where the exact search is capped."""
 TRANSLATED = (*SEARCHES, LABEL_SETTING)
-"""The engines that search what Fast Downward's translator wrote."""
+"""The engines that search a grounded task."""
 
 _OUTCOMES = {
     "SOLVED_SATISFICING": Outcome.SOLVED,
@@ -50,8 +54,13 @@ def missing(engine: str, domain: Domain) -> str | None:
     """Return what to install if an engine is not there, None if it is."""
     environment = domain.up_problem.environment  # its factory is slow to make, and only made where it is needed
     if engine in TRANSLATED:
-        part = missing_part()
-        return None if part is None else _missing(engine, environment.factory, f"{part} is not installed")
+        return (
+            None
+            if fast_downward.program()
+            else _missing(engine, environment.factory, "up_fast_downward is not installed")
+        )
+    if engine == NUMERIC and which("java") is None:
+        return "the planning engine 'enhsp' needs Java, which is not installed; try 'apt install default-jre-headless'"
     return None if engine in environment.factory.engines else _missing(engine, environment.factory, "is not installed")
 
 
@@ -61,6 +70,7 @@ def _missing(engine: str, factory: UpThing, what: str) -> str:
     usable = sorted(name for name in factory.engines if factory.engine(name).is_oneshot_planner())
     if engine in DEFAULT_ENGINES:
         package = DEFAULT_ENGINES[engine][0].split(".")[0].replace("_", "-")
+        package = "rosa-taca[numeric]" if engine == NUMERIC else package
         advice = f"{what}; try 'pip install {package}'"
     else:
         advice = f"is not one of unified-planning; {nearest(engine, DEFAULT_ENGINES)}"
@@ -123,8 +133,8 @@ def _timed(problem: Problem) -> UpThing:
     for expression, value in list(read.explicit_initial_values.items()):
         if value.is_bool_constant():
             read.set_initial_value(expression, constants.FALSE())
-    for atom in sorted(problem.state):
-        read.set_initial_value(domain.expression(atom), constants.TRUE())
+    for fact in sorted(problem.state):
+        read.set_initial_value(*domain.stated(fact))
     if problem.goals is not None:
         read.clear_goals()
         for goal in problem.goals:

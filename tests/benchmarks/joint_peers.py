@@ -174,8 +174,7 @@ def by_axioms(robot: Robot, question: Question, folder: Path) -> int | None:
     (folder / "domain.pddl").write_text(DOMAIN)
     (folder / "problem.pddl").write_text(problem_pddl(robot, question))
     command = [sys.executable, "-m", "fast_downward.translate", "domain.pddl", "problem.pddl", "--sas-file", "task.sas"]
-    environment = {"PYTHONPATH": str(downward.translator())}
-    subprocess.run(command, cwd=folder, env=environment, capture_output=True, check=True)
+    subprocess.run(command, cwd=folder, capture_output=True, check=True)
     search = [str(downward.program()), "--search", "astar(blind())"]
     task = (folder / "task.sas").read_text()
     done = subprocess.run(search, cwd=folder, input=task, capture_output=True, text=True, check=False)

@@ -21,21 +21,16 @@ from rosa_pddl import (
 
 GO, GOAL = "(increase (noise) 1)", "(<= (noise) 9)"
 REFUSED = {
-    "less than nothing": (GO, "(increase (noise) -1)", "domain", 10, "is less than nothing; uses are 0 or more"),
-    "given back": (GO, "(decrease (noise) 1)", "domain", 10, "in go computes with numbers; numbers may be costs only"),
-    "with arguments": (GO, "(increase (effort ?w) 1)", "domain", 10, "adds to a number with arguments"),
-    "by what changes": (GO, "(increase (noise) (energy))", "domain", 10, "an amount that depends on (energy)"),
-    "cost by what changes": ("(total-cost) (length ?w)", "(total-cost) (noise)", "domain", 9, "depends on (noise)"),
-    "if": (GO, f"(when (at ?from) {GO})", "domain", 10, "is no number which no condition changes"),
-    "squared": (GO, "(increase (noise) (* (effort ?w) (effort ?w)))", "domain", 10, "(effort ?w)), which is no sum"),
-    "no number": (GO, "(increase (noise) ?w)", "domain", 10, "has the amount ?w, which is no number"),
-    "divided": (GO, "(increase (noise) (/ (effort ?w) 2))", "domain", 10, "has the amount (/ (effort ?w) 2)"),
-    "as condition": ("(closed ?w)\n", "(and (closed ?w) (<= (noise) 3))\n", "domain", 13, "in clear computes with"),
-    "at least": (GOAL, "(>= (noise) 9)", "problem", 6, "computes with numbers; what actions use up is energy, noise"),
-    "of another number": (GOAL, "(<= (energy_full) 9)", "problem", 6, "what actions use up is energy, noise"),
-    "either": (GOAL, "(or (at b) (<= (noise) 9))", "problem", 6, "in the goal computes with numbers"),
-    "by itself": (GOAL, "(<= (noise) (+ (energy) 9))", "problem", 6, "an amount that depends on (energy)"),
-    "misspelt": (GOAL, "(<= (nois) 9)", "problem", 6, "what actions use up is energy, noise"),
+    "cost by what changes": (
+        "(total-cost) (length ?w)",
+        "(total-cost) (noise)",
+        "domain",
+        9,
+        "makes the cost of a step",
+    ),
+    "no number": (GO, "(increase (noise) ?w)", "domain", 10, "found '?w', expected a number"),
+    "misspelt": (GOAL, "(<= (nois) 9)", "problem", 6, "unknown predicate 'nois'"),
+    "cost": (GOAL, "(<= (total-cost) 9)", "problem", 6, "compares (total-cost), which is for the metric"),
 }
 
 

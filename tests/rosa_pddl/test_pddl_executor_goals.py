@@ -130,7 +130,7 @@ def test_a_goal_may_be_any_condition(world):
         (42, GoalError, "42 is no goal, expected a condition as text such as"),
         (None, GoalError, "None is no goal, expected a condition as text such as"),
         (["(home)"], GoalError, "is no goal, expected a condition as text such as"),
-        ("(> (way north) 3)", UnsupportedPddlError, "computes with numbers"),
+        ("(> (way north) 3)", UnsupportedPddlError, "compares way, which no condition of the files does"),
     ],
 )
 def test_a_goal_that_means_nothing_is_refused_and_the_goals_stay_as_they_were(world, text, error, message):

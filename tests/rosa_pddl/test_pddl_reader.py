@@ -168,11 +168,6 @@ def test_malformed_pddl_is_refused_with_place_and_expectation(case, tmp_path):
 
 
 UNSUPPORTED = {
-    "number": (
-        in_rooms("(over all (lit ?x))", "(over all (lit ?x)) (over all (> (level) 3))"),
-        "domain.pddl@(> (level)",
-        "costs only",
-    ),
     "derived": (
         in_rooms("(:durative-action move", "(:derived (lit ?x - room) (lit ?x)) (:durative-action move"),
         "domain.pddl:6:3",

@@ -159,8 +159,6 @@ PLAIN = """(define (domain plain) (:types thing) (:predicates (ok ?t - thing) (d
   (:action go :parameters (?t - thing) :precondition (ok ?t) :effect (done)))"""
 PROBLEM = "(define (problem p) (:domain plain) (:objects a - thing) (:init (ok a))\n (:goal (done)))"
 REFUSED = {
-    "numeric condition": (("(ok ?t) :effect", "(>= (fuel ?t) 3) :effect"), "domain.pddl:3:", "up-enhsp"),
-    "numeric effect": ((":effect (done)", ":effect (decrease (fuel ?t) 3)"), "domain.pddl:3:", "up-enhsp"),
     "object fluent": (("(fuel ?t - thing)", "(place ?t - thing) - thing"), "domain.pddl:2:", "up-aries"),
     "process": (("(:action go", "(:process go"), "domain.pddl:3:", "up-enhsp"),
     "preference": (("(:goal (done))", "(:goal (preference p1 (done)))"), "problem.pddl:2:", "goals.add"),

@@ -124,14 +124,18 @@ UNSUPPORTED = {
         9,
         "an effect at one time that depends on another",
     ),
-    "numeric goal": (("(:goal (done a))", "(:goal (> (total-cost) 3))"), 5, "in the goal computes with numbers"),
+    "numeric goal": (("(:goal (done a))", "(:goal (> (total-cost) 3))"), 5, "which is for the metric"),
     "negative cost": (("(total-cost) 2)", "(total-cost) -2)"), 13, "less than nothing"),
     "conditional cost": (
         ("(increase (total-cost) 2)", "(when (ok ?t) (increase (total-cost) 2))"),
         13,
-        "which no condition changes",
+        "makes the cost of a step depend on more",
     ),
-    "sum as metric": (("(done a))", "(done a)) (:metric minimize (+ (total-time) 1))"), 5, "(:metric minimize (total-"),
+    "sum as metric": (
+        ("(done a))", "(done a)) (:metric minimize (+ (total-time) 1))"),
+        5,
+        "expected (total-cost), (total-time), or a sum",
+    ),
 }
 
 

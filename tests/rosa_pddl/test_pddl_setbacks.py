@@ -155,7 +155,7 @@ def test_the_failure_says_how_often_it_was_tried_and_when_it_is_again(ways):
 
 
 def test_after_one_failed_translation_the_warm_way_comes_back(ways):
-    planner = Planner(cached=0, translate_s=1e-4)
+    planner = Planner(cached=0, translate_s=1e-9)
     problem = Problem(ways, initial_state(ways) - {"(damp)"})
     tried = [[str(one) for one in planner.plan(problem).attempts] for _ in range(2)]
     assert all(attempts[0].startswith("warm: out of time") for attempts in tried)
@@ -164,7 +164,7 @@ def test_after_one_failed_translation_the_warm_way_comes_back(ways):
 
 
 def test_a_translation_that_keeps_failing_is_begun_ever_less_often(ways):
-    planner = Planner(cached=0, translate_s=1e-4)
+    planner = Planner(cached=0, translate_s=1e-9)
     problem, begun_anew = Problem(ways, initial_state(ways) - {"(damp)"}), set()
     for _ in range(40):
         planner.plan(problem)
