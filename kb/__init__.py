@@ -18,7 +18,7 @@ from kb.execution.safeguards import Quarantined
 from kb.explanation.choice import ChoiceExplanation
 from kb.explanation.reasons import Explanation
 from kb.files import ModelFileError
-from kb.forecasts import FeasibleUntil, Forecast, Forecaster
+from kb.forecasts import FeasibleUntil, Forecast
 from kb.knowledge_base import KnowledgeBase
 from kb.managed_system import ManagedObject, ManagedObjects, ManagedSystem, Operation
 from kb.manager import ConfigurationManager, Executor, Monitor, Planner, PriorityPlanner
@@ -52,7 +52,6 @@ __all__ = [
     "FeasibleUntil",
     "Finding",
     "Forecast",
-    "Forecaster",
     "InvalidValue",
     "KnowledgeBase",
     "KnowledgeBaseError",

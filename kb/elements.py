@@ -407,22 +407,14 @@ class Attribute(Element):
             raise ModelError(f"the range of {self.name!r} holds no number: from {self.low!r} to {self.high!r}")
 
     def forecast(self, by: str | ForecastFunction) -> None:
-        """State how this attribute is forecast, where no rate of it applies; see `KnowledgeBase.forecast`.
-
-        Args:
-            by: "constant"; "trend", a straight line through what was measured last, robust against outliers;
-                "periodic", a sum of harmonics whose period is found; or a function of one's own.
-        """
+        """State how this attribute is forecast where no rate applies: "constant", "trend", "periodic" or a function."""
         self.model.change(self, forecasting=by)
 
     def changes(self, rate: float, *, per: str = "s", while_: "Action | str" = "", learns: bool = False) -> None:
-        """State how fast this attribute changes; rates that apply at the same time add up.
+        """State how fast this attribute changes [its unit per "s", "min" or "h"], always or while an action is done.
 
-        Args:
-            rate: by how much [the attribute's unit].
-            per: in which time: "s", "min" or "h".
-            while_: the action while which it does, or its name; always by default. One rate for each.
-            learns: whether what is measured while that action alone is done stands in its place.
+        There is one rate for each action; those that apply at the same time add up. In place of one that learns stands
+        what is measured while its action alone is done.
         """
         if per not in _PER:
             raise UnknownName("time in which an attribute changes", per, _PER)

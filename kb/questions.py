@@ -226,10 +226,9 @@ def suppose(
         failed: names of components supposed to have failed.
         recovered: names of components supposed not to have.
         requested: names of actions supposed to be required, even if they are unfeasible.
-        at: a time from now on [s, by the clock], for which attributes are forecast as of now, see `Attribute.forecast`,
-            while what is required now, and what is supposed to be, is done. That only adds caution: what is violated
-            now stays so, and what the worse end of a forecast's interval violates is violated then. What is not known
-            stays as it is.
+        at: a time from now on [s, by the clock], for which attributes are forecast as of now while what is required,
+            and what is supposed to be, is done. That only adds caution: what is violated now stays so, and what the
+            worse end of a forecast's interval violates is violated then.
         attributes: values by name of attribute, e.g. `light=0.3`.
     """
     if not isinstance(measured, Mapping | None):
@@ -337,10 +336,14 @@ def _suppose_measured(state: State, attribute: Node, value: float | None) -> lis
     index, thresholds = attribute.index, state.network.thresholds(attribute)
     before, was_stale = state.value[index], state.stale[index]
     state.value[index], state.time[index], state.stale[index] = value, None, False
+    if was_forecast := bool(state.reason("forecast", attribute).text):
+        state.give_reason("forecast", attribute)
+        for one in attribute.constraints:
+            state.verdict[one.index] = None
     for one in thresholds.steady:
         known = None if value is None else verdict(one.constraint, [value], 1, state.verdict[one.index])
         state.verdict[one.index] = known  # as once it has been measured for long enough
-    if before is None or value is None or was_stale:
+    if before is None or value is None or was_stale or was_forecast:
         return attribute.constraints
     return [*thresholds.steady, *thresholds.crossed(before, value)]
 

@@ -6,14 +6,15 @@ events give the same answers. A forecast only ever adds caution: what is violate
 
 import math
 from bisect import bisect_right
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import cache
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from kb.elements import FUNCTIONS, Attribute, exact, finite_number, listed
 from kb.exceptions import InvalidValue
 from kb.explanation.reasons import reading, why
-from kb.forecasts.extrapolation import LEVEL, WAYS, Curve, Outlook, Series, by_function, slope_of, straight
+from kb.forecasts.extrapolation import LEVEL, WAYS, Curve, Expected, Outlook, Series, by_function, slope_of, straight
 from kb.inference import propagate
 from kb.knowledge import Knowledge
 from kb.network import Node
@@ -23,9 +24,10 @@ from kb.status import OPERATORS, Status
 from kb.views import Readable, named
 
 _MOST_SAMPLES, _MOST_REQUESTS, _MOST_FITS = 2048, 256, 4096
-_LOOKS, _HALVINGS = 256, 24
+_LOOKS, _HALVINGS = 128, 24
 """At how many instants a horizon is looked at, and how often it is halved where something changes between two."""
 _WORSE, _EXPECTED, _BETTER = -1, 0, 1
+_At = Callable[[float], Expected | None]
 
 
 class Forecast(NamedTuple):
@@ -100,14 +102,11 @@ class Forecaster:
     def __init__(self, base: Readable, known: Knowledge) -> None:
         self._base, self._known = base, known
         self._outlooks: dict[int, tuple[object, Outlook | str]] = {}
-        self._fits: dict[object, Curve | None] = {}
+        self._fits: dict[object, Any] = {}
         self._deeds: tuple[object, _Deeds] = None, _Deeds(())
 
     def __call__(self, attribute: str, horizon: float, *, doing: Iterable[str] | None = None) -> Forecast:
-        """Say what an attribute is expected to be so far ahead of now [s].
-
-        By default the actions that are required now are done meanwhile.
-        """
+        """Say what an attribute is expected to be so far ahead [s], while by default what is required is done."""
         now, ahead = self._base.now, _horizon(horizon)
         with self._base.reading() as state:
             node = named(state.network.attributes, "attribute", attribute)
@@ -155,6 +154,14 @@ class Forecaster:
             known = self._outlooks[node.index] = key, self._made(node, series, history.begins, doing)
         return known[1]
 
+    def _once(self, key: object, make: Callable[[], Any]) -> Any:  # noqa: ANN401  # what is made
+        """Return what is made of a point of the past, which stays as it is."""
+        if key not in self._fits:
+            if len(self._fits) >= _MOST_FITS:
+                self._fits.clear()
+            self._fits[key] = make()
+        return self._fits[key]
+
     def _made(self, node: Node, series: Series, begins: float, doing: frozenset[str]) -> Outlook | str:
         element, deeds, last = node.attribute, self._deeds[1], len(series.times) - 1
         way, function = element.forecasting, FUNCTIONS.get(element.forecasting)
@@ -164,32 +171,24 @@ class Forecaster:
 
         def fit(place: int, ahead: float) -> Curve | None:
             past = series.between(series.times[max(0, place - _MOST_SAMPLES)], series.times[place])
+            key = node.index, begins, past.times[-1], past.values[-1]
             if is_stated:
-                return _rated(element, past, deeds, doing if place == last else None)
-            key = node.index, way, begins, past.times[-1], past.values[-1], ahead if way == "trend" else 0.0
-            if key not in self._fits:
-                if len(self._fits) >= _MOST_FITS:
-                    self._fits.clear()
-                self._fits[key] = WAYS[way](past, ahead) if function is None else by_function(function, past)
-            return self._fits[key]
+                slopes = self._once((*key, element.rates), lambda: _slopes(element, past, deeds))
+                return _rated(slopes, past, deeds, doing if place == last else None)
+            if function is not None:
+                return by_function(function, past)
+            made: Curve | None = self._once((*key, way, way == "trend" and ahead), lambda: WAYS[way](past, ahead))
+            return made
 
-        def is_alike(start: float, end: float) -> bool:
-            return all(done == doing for _, _, done in deeds.between(start, end))
-
-        return Outlook(series, fit, is_alike, is_stated=is_stated)
+        return Outlook(series, fit, lambda *span: {doing}.issuperset(one[2] for one in deeds.between(*span)), is_stated)
 
 
 def feasible_until(
     base: Readable, action: str, within: float = 300.0, *, doing: Iterable[str] | None = None
 ) -> FeasibleUntil:
-    """Say until when an action stays feasible, as far as is known.
+    """Say until when an action stays feasible, as far as is known, and is looked ahead [s], while actions are done.
 
-    Args:
-        base: what is asked.
-        action: its name.
-        within: how far ahead it is looked [s].
-        doing: names of the actions that are done meanwhile; by default those that are required now, if it is one of
-            them, else it alone.
+    By default these are those that are required now if it is one of them, else it alone.
     """
     now, ahead = base.now, _horizon(within)
     with base.reading() as state:
@@ -199,7 +198,7 @@ def feasible_until(
         done = base.forecast.doing(state, (node.name,) if doing is None and not state.requested[node.index] else doing)
         constraints = [one for one in dict.fromkeys(_constraints(node)) if state.status[one.index] is Status.SATISFIED]
         outlooks = {one: base.forecast.outlook(state, one.parts[0], done) for one in constraints}
-        known = {one: outlook for one, outlook in outlooks.items() if isinstance(outlook, Outlook)}
+        known = {one: cache(outlook.at) for one, outlook in outlooks.items() if isinstance(outlook, Outlook)}
         found = [_first(state, node, known, now, ahead, side) for side in (_EXPECTED, _WORSE, _BETTER)]
     reason = next((one[1] for one in found if one is not None), "nothing is known that makes it unfeasible")
     at, earliest, latest = (None if one is None else one[0] for one in found)
@@ -207,13 +206,13 @@ def feasible_until(
 
 
 def _first(
-    state: State, action: Node, known: dict[Node, Outlook], now: float, within: float, side: int
+    state: State, action: Node, known: Mapping[Node, _At], now: float, within: float, side: int
 ) -> tuple[float, str] | None:
     """Return when an action becomes unfeasible, and why; None if it does not within the horizon."""
     found: dict[tuple[Node, ...], bool] = {(): False}
 
     def violated(time: float) -> tuple[Node, ...]:
-        return tuple(one for one, outlook in known.items() if _is_violated(one, outlook, time, side))
+        return tuple(one for one, at in known.items() if _is_violated(one, at(time), side))
 
     def is_unfeasible(nodes: tuple[Node, ...]) -> bool:
         if nodes not in found:
@@ -229,16 +228,17 @@ def _first(
             for _ in range(_HALVINGS):
                 middle = (before + time) / 2
                 before, time = (before, middle) if is_unfeasible(violated(middle)) else (middle, time)
-            one = next(one for one in violated(time) if one not in violated(before))
-            _, _, words = known[one].at(time) or (0.0, None, "")
+            nodes, already = violated(time), violated(before)
+            one = next((one for one in nodes if one not in already), nodes[0])
+            _, _, words = known[one](time) or (0.0, None, "")
             threshold = one.attribute.amount(exact(one.constraint.value))
             return time, f"{one.attribute.name} {_said(one, words)} and reaches {threshold}"
     return None
 
 
-def _is_violated(node: Node, outlook: Outlook, time: float, side: int) -> bool:
-    """Tell whether a constraint is at a time [s], as expected or at the worse or better end of the interval."""
-    if (expected := outlook.at(time)) is None:
+def _is_violated(node: Node, expected: Expected | None, side: int) -> bool:
+    """Tell whether a constraint is violated by what is expected, or at the worse or better end of the interval."""
+    if expected is None:
         return False
     far = side * (expected[1] or 0.0) * (1 if node.constraint.operator in (">=", ">") else -1)
     return not OPERATORS[node.constraint.operator](_possible(node, expected[0] + far), node.constraint.value)
@@ -267,13 +267,19 @@ def _constraints(node: Node) -> Iterator[Node]:
         yield from _constraints(part)
 
 
-def _rated(element: Attribute, past: Series, deeds: _Deeds, doing: frozenset[str] | None) -> Curve:
-    """Go on with stated rates while something is done all the time, or else, in the past, while what was done is."""
-    time, value = past.times[-1], past.values[-1]
+def _slopes(element: Attribute, past: Series, deeds: _Deeds) -> dict[str, float]:
+    """Return the rates by action, as stated or, where they are to be, as learned when it was done alone last [1/s]."""
     slopes = {rate.while_: rate.per_s for rate in element.rates}
     for name in [rate.while_ for rate in element.rates if rate.learns]:
-        alone = (span for *span, done in deeds.between(past.times[0], time) if done == {name} - {""})
-        slopes[name] = next((slope for span in alone if (slope := slope_of(past.between(*span)))), slopes[name])
+        alone = (span for *span, done in deeds.between(past.times[0], past.times[-1]) if done == {name} - {""})
+        learned = (slope_of(past.between(*span)) for span in alone)
+        slopes[name] = next((slope for slope in learned if slope is not None), slopes[name])
+    return slopes
+
+
+def _rated(slopes: dict[str, float], past: Series, deeds: _Deeds, doing: frozenset[str] | None) -> Curve:
+    """Go on with rates while something is done all the time, or else, in the past, while what was done then is."""
+    time, value = past.times[-1], past.values[-1]
     if doing is not None:
         applying = [name for name in slopes if not name or name in doing]
         names = ", ".join(filter(None, applying))

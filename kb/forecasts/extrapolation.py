@@ -21,8 +21,9 @@ _log = logging.getLogger(__name__)
 
 LEVEL: Final = 0.9
 """How often an interval shall hold what comes."""
-_ORIGINS, _GAPS = 20, 8
-"""From how many earlier points it is looked how far a forecast was off, and how many lie within a horizon at most."""
+_ENOUGH, _ORIGINS, _GAPS = 9, 20, 8
+"""From how many earlier points, at least and at most, it is looked how far a forecast was off, and how many of them lie
+within a horizon at most."""
 _PACE: Final = 0.05
 """How quickly an interval adapts after a hit or a miss."""
 _REACH: Final = 4.0
@@ -42,6 +43,10 @@ class Curve(NamedTuple):
 
 
 Fit = Callable[[int, float], Curve | None]
+
+
+Expected = tuple[float, float | None, str]
+"""A value, how far it may be off, if that is known, and how it gets there."""
 
 
 class Series(NamedTuple):
@@ -157,21 +162,24 @@ class Outlook:
     same is done in both; one that is stated is known to go on so, however little was seen.
     """
 
-    def __init__(self, series: Series, fit: Fit, is_alike: Callable[[float, float], bool], *, is_stated: bool) -> None:
+    def __init__(self, series: Series, fit: Fit, is_alike: Callable[[float, float], bool], is_stated: bool) -> None:
         self._series, self._fit, self._is_alike, self._is_stated = series, fit, is_alike, is_stated
         steps = sorted(two - one for one, two in pairwise(series.times[-2 * _LEAST_POINTS :]) if two > one)
         self._step = 2.0 ** math.floor(math.log2(steps[len(steps) // 2])) if steps else 1.0
         self._radii: list[float] = []
+        self._curves: dict[int, Curve | None] = {}
         self._is_complete = False
 
-    def at(self, time: float) -> tuple[float, float | None, str] | None:
-        """Return what is expected at a time [s], how far that may be off, if that is known, and how it gets there."""
+    def at(self, time: float) -> Expected | None:
+        """Return what is expected at a time [s]; None for unknown."""
         ahead = max(time - self._series.times[-1], self._step)
         knot = math.ceil(math.log2(ahead / self._step) - _ROUNDING)
         radius = self._radius(knot, ahead)
         if radius is None and not self._is_stated:
             return None
-        curve = self._fit(len(self._series.times) - 1, self._step * 2.0**knot)
+        if knot not in self._curves:
+            self._curves[knot] = self._fit(len(self._series.times) - 1, self._step * 2.0**knot)
+        curve = self._curves[knot]
         value = None if curve is None else curve.value(time)
         return None if curve is None or value is None else (value, radius, curve.words)
 
@@ -215,18 +223,9 @@ class Outlook:
 
 def _quantile(errors: Sequence[float]) -> float | None:
     """Return what the next error does not exceed, as often as an interval shall hold; None of too few errors."""
-    chance, ranked = 1.0 - LEVEL, list[float]()
-    for error in errors:
-        if (most := _ranked(ranked, chance)) is not None:
-            chance += _PACE * ((1.0 - LEVEL) - (error > most))
-        ranked.insert(bisect_right(ranked, error), error)
-    return _ranked(ranked, chance)
-
-
-def _ranked(ranked: Sequence[float], chance: float) -> float | None:
-    """Return the error that is exceeded by such a chance; where that is less than can be told, twice the greatest."""
-    count = len(ranked)
-    if math.ceil((count + 1) * LEVEL) > count:
-        return None
-    rank = max(1, math.ceil((count + 1) * (1.0 - chance)))
-    return ranked[rank - 1] if rank <= count else 2.0 * ranked[-1]
+    chance, radius = 1.0 - LEVEL, None
+    for count in range(_ENOUGH, len(errors) + 1):
+        ranked, rank = sorted(errors[:count]), max(1, math.ceil((count + 1) * (1.0 - chance)))
+        radius = ranked[rank - 1] if rank <= count else 2.0 * ranked[-1]  # beyond what can be told from so few
+        chance += _PACE * (1.0 - LEVEL - any(error > radius for error in errors[count : count + 1]))
+    return radius

@@ -145,6 +145,7 @@ def test_situation_at_a_later_time_is_only_more_cautious(clock):
     assert then.now == kb.now + 120
     kb.measure("light", 9.0)  # day is not possible now, so it is not expected to be
     assert kb.situation(at=kb.now + 60).selectable_configurations("camera") == ("night",)
+    assert then.situation(energy=0.9).is_feasible("explore")  # what is supposed of it goes before what is forecast
     with pytest.raises(InvalidValue, match="from now on"):
         kb.situation(at=kb.now - 1)
 
