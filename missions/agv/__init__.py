@@ -62,6 +62,7 @@ def agv_mission(name: str, summary: str, building: Building, weights: Mapping[st
         engines=("label-setting",),
         world=AgvKind(building, weights),
         why_not=why_not,
+        waits_for_news=True,
         selects=True,
     )
 

@@ -127,12 +127,13 @@ class BuildingWorld(World):
 
     def advance(self, until: float) -> list[Message]:
         """Drive until something is published or switched, at most to the time `until` [s]."""
+        was_still = self.is_still
         while self.now < until - 1e-9:
             self._step()
             switched = self._managed.catch_up()
             if self.now >= self._monitor_due - 1e-9:
                 self._monitor()
-            if self._news or switched:
+            if self._news or switched or self.is_still is not was_still:
                 break
         news, self._news = self._news, {}
         said = [{"name": "building", "message": kind, "values": values} for kind, values in news.items()]

@@ -177,6 +177,11 @@ class AdaptationLog:
             self._before_tick = turns or [news for news, _ in heard]
             self._turns.extend((time, news) for news in turns)
 
+    def passed_over(self, time: float) -> None:
+        """Say that a tick was left out [s], in which there was nothing to do; nothing if it was told already."""
+        if time > self._this_tick:
+            self.ticking(time)
+
     def settle(self) -> None:
         """Put together what was decided, and complete what has ended; called after each turn of the manager."""
         with self._kb.reading():
@@ -192,6 +197,11 @@ class AdaptationLog:
             for one in [one for one in self._under_way if one.is_over(self._kb, self._last_tick)]:
                 self._under_way.remove(one)
                 self._report(one.close())
+
+    @property
+    def is_at_rest(self) -> bool:
+        """Whether nothing is under way that the next tick or turn of the manager may end."""
+        return not (self._task or self._under_way or self._ended or self._began or self._made or self._to_answer)
 
     def finish(self) -> None:
         """Tell of an action that was given up and that none has followed; called when a run ends short of its goal."""

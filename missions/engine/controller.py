@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from inspect import signature
+from math import inf
 from time import perf_counter
 from typing import TYPE_CHECKING, Final, Protocol, runtime_checkable
 
@@ -69,6 +70,10 @@ class RosaController(Controller):
         self._runner.tree.setup()
         self._configurable = [one for one in self._kb.components.values() if one.configurations]
         self._choices = [one for one in self._kb.functions.values() if len(one.designs) > 1]
+        self._may_rest = mission.waits_for_news and task == "bt" and planner is None
+        self._statuses: list[Status] = []
+        self._rests_at: tuple[int, int] | None = None  # what was known and sensed when it began to rest
+        self._is_told = False
         self._answered = -1
         self._plans_checked = 0
         self._left = ""
@@ -107,8 +112,16 @@ class RosaController(Controller):
             self._kb.subscribe(self._hear)
         super().attend(listeners)
 
+    def rest(self, until: float) -> None:
+        """Put off the next tick while it would do as the one before; the moments of samples are kept."""
+        if self._rests_at is not None:
+            self._runner.put_off(until)
+
     def receive(self, message: Message) -> Sequence[DiagnosticProblem]:
         started = perf_counter()
+        if self._rests_at is not None:
+            self._log.passed_over(self._runner.put_off(self._now()))
+            self._is_told = True
         message = self._hears(message)
         self._log.news(float(message["time"]))
         problems = self._kb.receive(message)
@@ -118,8 +131,13 @@ class RosaController(Controller):
         return problems
 
     def decide(self) -> bool:
+        if self._rests_at is not None and self._goes_on_resting():
+            is_due = self._now() >= self._runner.due
+            if is_due:
+                self._runner.pass_over()
+            return is_due
         spent, started = self.compute_s, perf_counter()
-        is_due = self._now() >= self._runner.due
+        is_due, before = self._now() >= self._runner.due, self._kb.revision
         if is_due or self._kb.revision != self._answered or self._kb.pending_plan is not None:
             self._manage()  # between two ticks there is nothing to manage where no status changed
         managed = perf_counter()
@@ -137,8 +155,29 @@ class RosaController(Controller):
         self._check_plans()
         if is_ticked and self._world.is_still and self._kb.pending_plan is None:
             self.is_stuck = bool(self._mission.why_not(self._kb, self.percepts))
+        if is_ticked and self._may_rest:
+            self._consider_resting(before)
         return is_ticked
 
+    def _consider_resting(self, before: int) -> None:
+        """Rest if the tick has changed nothing, nothing is under way, and nothing changes with time alone."""
+        kb, tree = self._kb, self._runner.tree
+        known, self._statuses = self._statuses, [one.status for one in tree.root.iterate()]
+        if self._statuses != known or kb.revision != before or kb.pending_plan is not None or not self._log.is_at_rest:
+            return
+        is_watched = bool(self.listeners or tree.visitors or tree.pre_tick_handlers or tree.post_tick_handlers)
+        if not is_watched and _is_timeless(kb):
+            self._rests_at, self._is_told = (before, self.percepts.revision), False
+
+    def _goes_on_resting(self) -> bool:
+        """Whether there is no news, and it is not a command that has ended for which the world has stopped."""
+        is_told, self._is_told = self._is_told, False
+        is_same = (self._kb.revision, self.percepts.revision) == self._rests_at and not self.listeners
+        if is_same and (is_told or self._now() >= self._runner.due):
+            return True
+        self._rests_at = None
+        self._log.passed_over(self._runner.put_off(self._now()))
+        return False
     def look(self) -> Seen:
         kb = self._kb
         action = ", ".join(required.action for required in kb.required_actions)
@@ -207,6 +246,18 @@ class RosaController(Controller):
     def _report_adaptation(self, adaptation: Adaptation) -> None:
         for listener in self.listeners:
             listener.adaptation(adaptation)
+
+
+def _is_timeless(kb: KnowledgeBase) -> bool:
+    """Whether no status changes with time alone: no measurement ages, no constraint dwells, no assertion lapses."""
+    with kb.reading() as state:
+        nodes, asserted = state.network.present(), state.asserted
+        return not any(
+            asserted[node.index] is not None
+            or getattr(node.element, "max_age", inf) != inf
+            or getattr(node.element, "dwell", 0.0) > 0.0
+            for node in nodes
+        )
 
 
 @runtime_checkable

@@ -232,6 +232,8 @@ class Mission:
             than the planner. A mission that knows one ends as soon as its world `is_still`.
         by_hand: builds a tree that commands the managed system itself, to compare with: `--manager bt`.
         selects: whether the task layer selects configurations by itself, so that no other manager can.
+        waits_for_news: whether a tick of its tree does nothing unless, since the tick before, a status has changed or
+            something was sensed: such ticks are left out of a run that nobody watches.
 
     Raises:
         MissionError: a field is not what it should be.
@@ -251,6 +253,7 @@ class Mission:
     why_not: Callable[[KnowledgeBase, Percepts], str] = lambda kb, percepts: ""
     by_hand: Callable[[KnowledgeBase, Percepts, ManagedSystem], Behaviour] | None = None
     selects: bool = False
+    waits_for_news: bool = False
 
     def __post_init__(self) -> None:
         optional = {name: getattr(self, name) for name in ("tree", "by_hand")}

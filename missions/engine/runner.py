@@ -116,6 +116,9 @@ class Controller(ABC):
         """The task plans so far; only added to."""
         return ()
 
+    def rest(self, until: float) -> None:
+        """Decide nothing before a time [s], unless there is news; called while nobody watches."""
+
     def attend(self, listeners: Sequence[Listener]) -> None:
         """Have these hear of actions and adaptations, and nobody else."""
         self.listeners = listeners
@@ -256,6 +259,8 @@ class MissionRun:
     def _turn(self) -> None:
         """Let the world go on to the next news, or to when the controller is due, and have it answered."""
         controller, started = self.controller, perf_counter()
+        if not self._listeners:
+            controller.rest(self._sampled_at + SAMPLE_PERIOD_S - 1e-9)
         messages = self._advanced(min(controller.due, self.settings.duration_s))
         self._world_s += perf_counter() - started
         if self.alter is not None:

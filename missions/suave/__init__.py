@@ -18,4 +18,5 @@ MISSION = Mission(
     facts=facts,
     world=SEA,
     fixed={"battery": "false"},
+    waits_for_news=True,
 )

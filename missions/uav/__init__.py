@@ -26,5 +26,6 @@ MISSION = Mission(
     actions=by_schema(SearchForSamples, PickUpAndAnalyse, AnalyseOnSite, ReturnAndRecharge, LandAndFoldGripper),
     facts=facts,
     world=SKY,
+    waits_for_news=True,
     why_not=lambda kb, percepts: "the battery is empty" if percepts.holds("battery_empty") else "",
 )
