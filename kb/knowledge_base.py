@@ -240,8 +240,8 @@ class KnowledgeBase:
     @property
     def revision(self) -> int:
         """Grows whenever a fact changed that can matter to a planner: a measurement only if a status changed by it."""
-        with self.reading():
-            return self._knowledge.revision
+        self.reading()  # what time has done by now is in it; one reading needs no lock
+        return self._knowledge.revision
 
     @property
     def required_actions(self) -> tuple[RequiredAction, ...]:

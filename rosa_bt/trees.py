@@ -215,13 +215,9 @@ class TreeRunner:
         now = self._clock()
         if now < self.due:
             return False
-        self.pass_over()
+        self._ticks = self._next = int((now - self._start) / self._period + 1e-9) + 1
         self.tick()
         return True
-
-    def pass_over(self) -> None:
-        """Leave out the tick that is due."""
-        self._ticks = self._next = int((self._clock() - self._start) / self._period + 1e-9) + 1
 
     def put_off(self, until: float) -> float:
         """Leave out the ticks that are due before a time [s]; return when the one before the next would have been."""

@@ -45,13 +45,15 @@ class SCurve:
 
     def at(self, time: float) -> tuple[float, float]:
         """Return how far along the move is [m] and how fast [m/s], at a time since its start [s]."""
-        left = self.duration - time
+        left, rise, ramp, jerk = self.duration - time, self._rise, self._ramp, self._jerk
+        if left >= rise and time <= ramp:  # mostly, as new setpoints come every second or two
+            return jerk * time**3 / 6, jerk * time * time / 2
         if left <= 0:
             return self._length, 0.0
-        if left < self._rise:
+        if left < rise:
             distance, speed = self._speeding_up(left)
             return self._length - distance, speed
-        if time < self._rise:
+        if time < rise:
             return self._speeding_up(time)
         return self._peak * (time - self._rise / 2), self._peak
 
@@ -181,7 +183,7 @@ class Autopilot:
 
     def _fly_periods(self, last: int) -> None:
         period, guide, push = self._period, self._guidance.force, self._vehicle.push
-        allocate, work = self._thrusters.allocate, self._thrusters.work
+        allocate = self._thrusters.allocate
         pose_of, motion_of = self._vehicle.state
         heading_gain, heading_damping, roll_damping, surge_drag, sway_drag, heave_drag = self._gains
         for count in range(self._periods, last):
@@ -203,6 +205,6 @@ class Autopilot:
                     up + heave_drag * abs(vz) * vz,
                     -roll_damping * roll_rate,
                     -heading_gain * yaw - heading_damping * yaw_rate,
+                    period,
                 )
             )
-            work(period)

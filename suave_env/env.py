@@ -65,6 +65,7 @@ class SuaveEnv:
 
     Attributes:
         settings: As given.
+        now: Time since GUIDED [s].
         components: The nodes, to be activated, deactivated and given parameters.
         pipeline: The pipeline; its `points` are for plots.
         station: Position of the recharge station [m], world frame ENU, z up.
@@ -76,7 +77,7 @@ class SuaveEnv:
         phases = rng.random(8).tolist()
         x = settings.start_x_m + settings.start_x_sd_m * east
         y = settings.start_y_m + settings.start_y_sd_m * north
-        self._now = 0.0
+        self.now = 0.0
         self._closed = False
         self._search_time: float | None = None
         self._guided = phases[7] * settings.guided_period_s
@@ -100,7 +101,7 @@ class SuaveEnv:
         recover = RecoverThrusters(settings, self._restored, agenda, self._outbox)
         recharge = Recharge(settings, self._autopilot, self._recharge)
         nodes = (self._spiral, self._follower, recover, recharge)
-        self.components = Components(nodes, lambda: self._now, self._autopilot.hold, self._switched)
+        self.components = Components(nodes, lambda: self.now, self._autopilot.hold, self._switched)
         periods = settings.spiral_period_s, settings.follow_period_s, settings.recharge_period_s
         for node, period, phase in zip((self._spiral, self._follower, recharge), periods, phases, strict=True):
             agenda.every(period, phase * period, node.tick)
@@ -126,11 +127,6 @@ class SuaveEnv:
             self._await_crossing(threshold, 0.0)
 
     @property
-    def now(self) -> float:
-        """Time since GUIDED [s]."""
-        return self._now
-
-    @property
     def metrics(self) -> Metrics:
         """The figures of the run up to now."""
         found = self._search_time
@@ -139,7 +135,7 @@ class SuaveEnv:
             distance_inspected_m=self._follower.distance_m,
             total_inspected_m=self._follower.total_m,
             found_s=found,
-            violation_s=self._violations.seconds(self._now),
+            violation_s=self._violations.seconds(self.now),
             uncorrected=self._violations.uncorrected,
             switches=len(self.components.history),
             energy_j=self._thrusters.energy_j,
@@ -170,31 +166,32 @@ class SuaveEnv:
         """
         if self._closed:
             raise SuaveEnvError("the environment is closed and cannot advance")
-        if not self._now <= until < math.inf:
-            raise SuaveEnvError(f"cannot advance to {until!r} s; allowed is a finite time from now, {self._now} s, on")
+        if not self.now <= until < math.inf:
+            raise SuaveEnvError(f"cannot advance to {until!r} s; allowed is a finite time from now, {self.now} s, on")
         agenda = self._agenda
-        while agenda.next_time <= until:
-            self._autopilot.fly(agenda.next_time)
-            self._now = agenda.next_time
+        fly, outbox = self._autopilot.fly, self._outbox
+        while (due := agenda.next_time) <= until:
+            fly(due)
+            self.now = due
             agenda.happen()
-            if pause and self._outbox.is_waiting:
-                return self._outbox.fetch()
-        self._autopilot.fly(until)
-        self._now = float(until)
+            if pause and outbox.is_waiting:
+                return outbox.fetch()
+        fly(until)
+        self.now = float(until)
         return self._outbox.fetch()
 
     def observe(self) -> Observation:
         """Return the truth now; between two control periods, the vehicle is where the earlier left it."""
         x, y, z, *quaternion = self._vehicle.pose
         return Observation(
-            time=self._now,
+            time=self.now,
             x=x,
             y=y,
             z=z,
             altitude=z - SEABED_Z_M,
             yaw=yaw_of(quaternion),
             speed=math.hypot(*self._vehicle.velocity),
-            water_visibility=self._water.visibility(self._now),
+            water_visibility=self._water.visibility(self.now),
             battery_level=self._battery.level,
             thrusters_failed=self._thrusters.failed,
             active=self.components.active,

@@ -44,8 +44,10 @@ class Thrusters:
         """Let a thruster, 1 to 6, obey again."""
         self._stuck.pop(_checked(number), None)
 
-    def allocate(self, forward: float, left: float, up: float, roll: float, turn: float) -> list[float]:
-        """Share out a wanted force and torque, set the outputs and return them.
+    def allocate(
+        self, forward: float, left: float, up: float, roll: float, turn: float, duration: float = 0.0
+    ) -> list[float]:
+        """Share out a wanted force and torque, push so for a duration [s], and return the outputs.
 
         The shares are those of the "vectored" frame of ArduPilot's Sub, for thrusts along the directions of the model.
         Forces along x, y and z of the body frame [N]; torques about its x and z [N m], a turn positive to the left.
@@ -66,15 +68,13 @@ class Thrusters:
         if upright > limit:
             five, six = five * limit / upright, six * limit / upright
         self.outputs = outputs = [one, two, three, four, five, six]
-        for number, frozen in self._stuck.items():
-            outputs[number - 1] = frozen
-        return outputs
-
-    def work(self, duration: float) -> None:
-        """Add what pushing with the present outputs for a duration [s] takes."""
-        one, two, three, four, five, six = self.outputs
+        if self._stuck:
+            for number, frozen in self._stuck.items():
+                outputs[number - 1] = frozen
+            one, two, three, four, five, six = outputs
         thrusts = abs(one) ** 1.5 + abs(two) ** 1.5 + abs(three) ** 1.5 + abs(four) ** 1.5
         self.energy_j += (thrusts + abs(five) ** 1.5 + abs(six) ** 1.5) * self._power * duration
+        return outputs
 
 
 def _checked(number: int) -> int:

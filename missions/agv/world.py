@@ -128,7 +128,7 @@ class BuildingWorld(World):
     def advance(self, until: float) -> list[Message]:
         """Drive until something is published or switched, at most to the time `until` [s]."""
         was_still = self.is_still
-        while self.now < until - 1e-9:
+        while self.now < until:
             self._step()
             switched = self._managed.catch_up()
             if self.now >= self._monitor_due - 1e-9:

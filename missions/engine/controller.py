@@ -85,7 +85,7 @@ class RosaController(Controller):
 
     @property
     def due(self) -> float:
-        return self._runner.due
+        return self._runner.due if self._rests_at is None else inf
 
     @property
     def is_done(self) -> bool:
@@ -112,11 +112,6 @@ class RosaController(Controller):
             self._kb.subscribe(self._hear)
         super().attend(listeners)
 
-    def rest(self, until: float) -> None:
-        """Put off the next tick while it would do as the one before; the moments of samples are kept."""
-        if self._rests_at is not None:
-            self._runner.put_off(until)
-
     def receive(self, message: Message) -> Sequence[DiagnosticProblem]:
         started = perf_counter()
         if self._rests_at is not None:
@@ -132,12 +127,10 @@ class RosaController(Controller):
 
     def decide(self) -> bool:
         if self._rests_at is not None and self._goes_on_resting():
-            is_due = self._now() >= self._runner.due
-            if is_due:
-                self._runner.pass_over()
-            return is_due
+            return False
         spent, started = self.compute_s, perf_counter()
         is_due, before = self._now() >= self._runner.due, self._kb.revision
+        self._may_rest = self._may_rest and self._now() <= self._runner.due  # else ticks come when the world has time
         if is_due or self._kb.revision != self._answered or self._kb.pending_plan is not None:
             self._manage()  # between two ticks there is nothing to manage where no status changed
         managed = perf_counter()
@@ -172,12 +165,12 @@ class RosaController(Controller):
     def _goes_on_resting(self) -> bool:
         """Whether there is no news, and it is not a command that has ended for which the world has stopped."""
         is_told, self._is_told = self._is_told, False
-        is_same = (self._kb.revision, self.percepts.revision) == self._rests_at and not self.listeners
-        if is_same and (is_told or self._now() >= self._runner.due):
+        if is_told and (self._kb.revision, self.percepts.revision) == self._rests_at and not self.listeners:
             return True
         self._rests_at = None
         self._log.passed_over(self._runner.put_off(self._now()))
         return False
+
     def look(self) -> Seen:
         kb = self._kb
         action = ", ".join(required.action for required in kb.required_actions)
@@ -216,7 +209,7 @@ class RosaController(Controller):
 
     def _perceive(self, message: Message) -> None:
         """Pass on what the task layer alone perceives, and note what is not so any more, or only now."""
-        if not any(str(status["message"]).casefold() == MISSION_STATUS for status in message["status"]):
+        if MISSION_STATUS not in [str(status["message"]).casefold() for status in message["status"]]:
             return
         keys = [key for status in message["status"] for key in status["values"]]
         held = {key: self.percepts.holds(key) for key in keys}

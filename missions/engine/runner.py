@@ -116,9 +116,6 @@ class Controller(ABC):
         """The task plans so far; only added to."""
         return ()
 
-    def rest(self, until: float) -> None:
-        """Decide nothing before a time [s], unless there is news; called while nobody watches."""
-
     def attend(self, listeners: Sequence[Listener]) -> None:
         """Have these hear of actions and adaptations, and nobody else."""
         self.listeners = listeners
@@ -148,7 +145,7 @@ class MissionRun:
     """Runs a mission to its end.
 
     Attributes:
-        trace: what there was to see, for pictures.
+        trace: what there was to see while somebody listened, for pictures.
         problems: parts of messages that could not be used, with their times [s].
         alter: returns what is heard in place of what was published by a time [s]; a disturbance from outside.
     """
@@ -259,8 +256,6 @@ class MissionRun:
     def _turn(self) -> None:
         """Let the world go on to the next news, or to when the controller is due, and have it answered."""
         controller, started = self.controller, perf_counter()
-        if not self._listeners:
-            controller.rest(self._sampled_at + SAMPLE_PERIOD_S - 1e-9)
         messages = self._advanced(min(controller.due, self.settings.duration_s))
         self._world_s += perf_counter() - started
         if self.alter is not None:
@@ -271,7 +266,7 @@ class MissionRun:
         started = perf_counter()
         is_decided = controller.decide()
         self._decided_s.append((self.world.now, took_s + perf_counter() - started))
-        if is_decided:
+        if is_decided and self._listeners:
             self._sample()
             for listener in self._listeners:
                 listener.tick(self)
@@ -279,22 +274,24 @@ class MissionRun:
 
     def _advanced(self, until: float) -> Sequence[Message]:
         """Let the world go on, and see that it does."""
-        world, before = self.world, self.world.now
-        where = f"the world of mission {self.mission.name}"
+        world, before, name = self.world, self.world.now, self.mission.name
         try:
             messages = [*world.advance(until)]
         except (MissionError, KnowledgeBaseError):
             raise
         except Exception as error:  # whatever an author's world may raise
-            raise MissionError(f"{where} failed after {before:.1f} s: {type(error).__name__}: {error}") from error
-        if not isfinite(world.now) or world.now < before:
-            raise MissionError(f"{where} shows {world.now!r} s after {before!r} s; its time has to pass")
+            failed = f"the world of mission {name} failed after {before:.1f} s"
+            raise MissionError(f"{failed}: {type(error).__name__}: {error}") from error
+        now = world.now
+        if not isfinite(now) or now < before:
+            raise MissionError(f"the world of mission {name} shows {now!r} s after {before!r} s; its time has to pass")
         self._turns += 1
-        if world.now >= self._moved_s + 1e-3:
-            self._moved_s, self._turns = world.now, 0
+        if now >= self._moved_s + 1e-3:
+            self._moved_s, self._turns = now, 0
         elif self._turns > STANDSTILL:
+            stands = f"the world of mission {name} stands still at {now:.3f} s, asked to go on to {until:.3f} s"
             advice = "advance() goes on until something is published, a command has ended, or to the time asked for"
-            raise MissionError(f"{where} stands still at {world.now:.3f} s, asked to go on to {until:.3f} s; {advice}")
+            raise MissionError(f"{stands}; {advice}")
         return messages
 
     def _take_in(self, message: Message) -> float:

@@ -57,7 +57,8 @@ class Sea(World):
         env, nodes = self._env, self._nodes
         try:
             while True:
-                messages = env.advance(min(until, max(env.now, nodes.next_event())), pause=True)
+                end = nodes.next_event()
+                messages = env.advance(until if end >= until else max(env.now, end), pause=True)
                 if nodes.catch_up() or messages or env.now >= until:
                     return list(messages)
         except self._trouble as error:

@@ -9,14 +9,15 @@ from missions.baselines import open_run
 from missions.engine import registry
 from missions.engine.mission import Verdict
 from missions.engine.registry import find_mission
-from missions.engine.runner import MissionRun
+from missions.engine.runner import Listener, MissionRun
 from missions.views.output import as_json, summary
 
 
-def run_mission(name, task="bt", seed=0, listeners=(), **changed) -> tuple[MissionRun, Verdict, dict]:
-    """Run a mission; returns the run, the verdict and the result as data."""
+def run_mission(name, task="bt", seed=0, listeners=None, **changed) -> tuple[MissionRun, Verdict, dict]:
+    """Run a mission, by default watched by somebody; returns the run, the verdict and the result as data."""
     values = {key: str(value) for key, value in changed.items()}
-    run = open_run(find_mission(name), task=task, seed=seed, settings=values, listeners=tuple(listeners))
+    watching = (Listener(),) if listeners is None else tuple(listeners)
+    run = open_run(find_mission(name), task=task, seed=seed, settings=values, listeners=watching)
     verdict = run.run()
     return run, verdict, summary(run, verdict, seed, values)
 

@@ -13,11 +13,13 @@ from py_trees.composites import Parallel
 from running import result, run_mission, text
 
 from kb import KnowledgeBase, Status
+from missions.baselines import open_run
 from missions.engine.controller import TASK_KINDS, build_task, rosa_run
 from missions.engine.mission import Percepts
 from missions.engine.registry import MISSIONS, find_mission
+from missions.engine.runner import Listener
 from missions.engine.settings import RunSettings
-from missions.views.output import summary
+from missions.views.output import as_json, summary
 from rosa_pddl import Outcome, PlanRecord
 
 SEEDS = range(10)
@@ -207,3 +209,24 @@ def test_mission_is_opened_without_the_others_and_imported_without_a_simulator(n
         f"assert not [one for one in {others.split()!r} if f'missions.{{one}}' in sys.modules]"
     )
     subprocess.run([sys.executable, "-c", script], check=True)
+
+
+@pytest.mark.parametrize(
+    ("mission", "settings"),
+    [
+        ("suave_extended", {}),
+        ("agv", {"capacity_j": "3000"}),
+        ("agv", {"tick_period_s": "0.125"}),
+        ("uav", {"duration_s": "120"}),
+    ],
+)
+def test_ticks_that_are_left_out_while_nobody_watches_change_nothing(mission, settings):
+    left = []
+    for listeners in ((), (Listener(),)):
+        run = open_run(find_mission(mission), seed=3, settings=settings, listeners=listeners)
+        verdict = run.run()
+        left.append((as_json(summary(run, verdict, 3, settings)), run.controller.tree.count))
+    (unwatched, few), (watched, all_ticks) = left
+    assert unwatched == watched
+    # where the world is late for ticks, none is left out: nobody could tell when they would have been
+    assert few == all_ticks if "tick_period_s" in settings else few < all_ticks / 8

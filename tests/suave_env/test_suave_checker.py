@@ -19,7 +19,7 @@ def opened(kind=SuaveEnv, **changes):
 class RunsAhead(SuaveEnv):
     def advance(self, until, *, pause=False):
         heard = super().advance(until, pause=pause)
-        self._now += 0.001
+        self.now += 0.001
         return heard
 
 
