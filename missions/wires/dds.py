@@ -43,9 +43,8 @@ class Structs:
         if kind not in self._fields:
             known = ros.types().store.fielddefs
             if kind not in known:
-                raise RosError(
-                    f"the type {kind or 'of a message'!r} is not known; name one of ROS 2's, PACKAGE/msg/TYPE"
-                )
+                what = f"the type {kind!r} is not known" if kind else "no type is named"
+                raise RosError(f"{what}; over DDS name one of ROS 2's, PACKAGE/msg/TYPE")
             self._fields[kind] = {name: _field(*one) for name, one in known[kind][1] if name != _NOTHING}
         return self._fields[kind]
 
@@ -66,9 +65,10 @@ class Structs:
         from cyclonedds.idl import make_idl_struct, types
 
         if (kind, has_header) not in self._made:
+            named = self.fields(kind)
             package, folder, name = kind.split("/")
             header = {"rmw_guid": types.uint64, "rmw_seq": types.int64} if has_header else {}
-            fields = {name: self._type(field) for name, field in self.fields(kind).items()} or {_NOTHING: types.uint8}
+            fields = {name: self._type(field) for name, field in named.items()} or {_NOTHING: types.uint8}
             full = f"{package}.{folder}.dds_.{name}_"
             self._made[kind, has_header] = make_idl_struct(f"{name}_", full, header | fields)
         return self._made[kind, has_header]

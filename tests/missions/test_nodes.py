@@ -199,6 +199,13 @@ def test_messages_are_checked_against_their_types(node):
 
 
 @pytest.mark.parametrize("backend", TYPED)
+@pytest.mark.parametrize("kind", ["", "String", "somebody_msgs/msg/Secret"])
+def test_topic_without_a_known_type_is_refused_in_words(node, kind):
+    with pytest.raises(RosError, match=kind or "type"):
+        node.subscribe("/from/nobody", kind, lambda _: None)
+
+
+@pytest.mark.parametrize("backend", TYPED)
 def test_who_is_there_is_told(node):
     seen = []
     node.watch(lambda is_there, text: seen.append((is_there, text)))
