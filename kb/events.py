@@ -27,7 +27,7 @@ class EventKind(StrEnum):
 
 
 _MADE: Final = frozenset({"component_configured", "component_started", "component_ended", "finish_plan", "store"})
-RECORDS: Final = _MADE | {"record_attempt", "finish_attempt", "record_answer"}
+RECORDS: Final = _MADE | {"record_attempt", "finish_attempt", "record_answer", "progress"}
 """The verbs of what is only put on record, and changes no fact of the state."""
 
 
@@ -48,7 +48,7 @@ class Event(NamedTuple):
         time: when [s].
         verb: name of the method of `KnowledgeBase` that tells it again, e.g. "measure"; "stale", "dwell" and "lapse"
             are what time does, "begin" is what the model states, "amend" a change of the model, "store" how the store
-            is.
+            is, "progress" where an action of a task layer is.
         arguments: of the method, all of them, as plain values: names, numbers, texts. An element is (kind, name), a
             constraint (kind, name, position) by what it constrains, a plan or attempt its number.
         changes: the statuses that changed by it.
@@ -164,6 +164,7 @@ _WORDS: Final[Mapping[str, Callable[[Event], str]]] = {
     "record_answer": lambda one: (
         f"plan {one.arguments[0]} {'is vetoed' if one.arguments[1] else 'may be executed'}{_of(one, 2)}"
     ),
+    "progress": lambda one: f"{one.arguments[1]} {'is kept to be gone on with' if one.arguments[2] else 'begins anew'}",
     "store": lambda one: str(one.arguments[0]),
     "begin": lambda _: "begins with what the model states",
 }

@@ -387,6 +387,9 @@ class Knowledge:
         answer = VetoAnswer(self.records.plans[plan], event.time, is_vetoed, reason)
         return self._recorded(event, partial(self.records.put, "answers", event.number, answer))
 
+    def _progress(self, event: Event, action: str, behaviour: str, saved: str) -> Event:
+        return self._recorded(event, partial(self.records.keep_progress, (action, behaviour), saved))
+
     def _store(self, event: Event, _: str) -> Event:
         return self._recorded(event)
 

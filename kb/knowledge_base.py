@@ -54,6 +54,8 @@ _log = logging.getLogger(__name__)
 _BY_ITSELF: Final = frozenset({"stale", "dwell", "lapse", "begin", "store"})
 """What time, the model and the store do, in every knowledge base by itself."""
 _TOLD: Final[set[str]] = {"measure", "amend"}
+_BEHIND: Final = {"stale": "_outdate", "progress": "_keep_progress"}
+"""What is told by an event only, and what does it."""
 """The verbs that can be told: `_telling` adds the others."""
 _OPERATIONS: Final = ("activate", "deactivate", "configure")
 _BACK: Final = 1.0
@@ -622,12 +624,12 @@ class KnowledgeBase:
         if verb in _BY_ITSELF and verb != "stale":
             self._catch_up()
             return
-        if verb not in _TOLD and verb != "stale":
+        if verb not in _TOLD and verb not in _BEHIND:
             known = ", ".join(sorted(_TOLD))
             raise InvalidValue(f"{event!r} cannot be told; an event that can has one of the verbs {known}")
         tell: Callable[..., object] = partial(amend, self.model, self._knowledge.serials)
         if verb != "amend":
-            tell = self._outdate if verb == "stale" else getattr(self, event.verb)
+            tell = getattr(self, _BEHIND.get(event.verb, event.verb))
         caused = {"cause": event.cause} if verb in ("request_action", "cancel_action", "select") else {}
         try:
             tell(*event.arguments, **caused)
@@ -635,6 +637,11 @@ class KnowledgeBase:
             if isinstance(error, KnowledgeBaseError):
                 raise
             raise InvalidValue(f"{verb} cannot be told with {event.arguments!r}: {error}") from None
+
+    @_telling
+    def _keep_progress(self, action: str, behaviour: str, saved: str) -> None:
+        if self._knowledge.records.progress.get((action, behaviour), "") != text("what is saved", saved):
+            self._tell("progress", action, behaviour, saved)
 
     @_telling
     def _outdate(self, name: str) -> None:

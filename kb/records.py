@@ -219,6 +219,7 @@ class Records:
         last_end: when a request ended last [s], and the number of that event.
         begins: the time from which on nothing that has ended is forgotten [s].
         rejected: how many readings of diagnostics could not be used.
+        progress: where interrupted actions are, by action and behaviour, as the task layer has written it.
     """
 
     def __init__(self, memory: Memory) -> None:
@@ -234,6 +235,7 @@ class Records:
         self.last_end: tuple[float, int] | None = None
         self.begins = -math.inf
         self.rejected = 0
+        self.progress: dict[tuple[str, str], str] = {}
         self._full = dict.fromkeys(("requests", "plans", "processes", "attempts", "answers"), 2 * memory.records)
 
     def put(self, name: str, number: int, record: Any) -> None:  # noqa: ANN401  # of the table of that name
@@ -300,6 +302,11 @@ class Records:
             )
         )
 
+    def keep_progress(self, key: tuple[str, str], saved: str) -> None:
+        self.progress.pop(key, None)
+        if saved:
+            self.progress[key] = saved
+
     def plan_of(self, plan: object) -> ReconfigurationPlan:
         """Return a plan that is on record, given by itself or its number."""
         number = plan.number if isinstance(plan, ReconfigurationPlan) else plan
@@ -320,6 +327,7 @@ class Records:
             "answers": [[number, _written(one)] for number, one in self.answers.items() if id(one.plan) in known],
             "ended": self.ended,
             "last_end": self.last_end,
+            "progress": [[*key, saved] for key, saved in self.progress.items()],
         }
 
     def from_json(self, written: Mapping[str, Any]) -> None:
@@ -335,6 +343,7 @@ class Records:
             self.put("attempts", values["serial"], Attempt(**{**values, "plan": self.plans[values["plan"]]}))
         for number, values in written["answers"]:
             self.put("answers", number, VetoAnswer(**{**values, "plan": self.plans[values["plan"]]}))
+        self.progress = {(action, behaviour): saved for action, behaviour, saved in written.get("progress", ())}
         self.ended = tuple(written["ended"])
         last_end = written["last_end"]
         self.last_end = None if last_end is None else (last_end[0], last_end[1])
@@ -369,6 +378,11 @@ class HistoryView:
     def rejected(self) -> int:
         """How many readings of diagnostics could not be used so far."""
         return self._records.rejected
+
+    @property
+    def progress(self) -> Mapping[tuple[str, str], str]:
+        """Where interrupted actions are, by action and behaviour, as the task layer has written it."""
+        return dict(self._read().progress)
 
     @property
     def attempts(self) -> tuple[Attempt, ...]:

@@ -4,9 +4,11 @@ What a running behaviour has asked (its request, its progress) is kept for each 
 and go: a tree switches between two behaviours of one action, and a plan makes a new behaviour for each step.
 """
 
+import json
 import logging
 import math
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, Final
 from weakref import WeakKeyDictionary, finalize, ref
@@ -15,7 +17,7 @@ from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 from py_trees.ports import PortInformation, PortsMixin
 
-from kb import AmbiguousName, InvalidValue, KnowledgeBase, Reply, UnknownName
+from kb import AmbiguousName, Event, InvalidValue, KnowledgeBase, KnowledgeBaseError, Reply, UnknownName
 from kb import Status as ElementStatus
 from kb.status import OPERATORS, STATUSES
 from kb.views import ActionView, ComponentView, ConfigurationView, DesignView, FunctionView
@@ -59,6 +61,8 @@ def halt(root: Behaviour) -> None:
         raise interrupt
 
 
+_SAVE_S: Final = 1.0
+"""How often where a running action is goes to the store [s]."""
 _RESULTS: Final = {Status.SUCCESS: "completed", Status.FAILURE: "failed", Status.INVALID: "abandoned"}
 
 
@@ -71,6 +75,8 @@ class _Ledger:
     of them, the new one starts before the old one is stopped, and the request has to outlive the switch."""
     progress: dict[tuple[object, str, str], object] = field(default_factory=dict)
     """What interrupted behaviours saved, by mission, action and name of the behaviour."""
+    left: dict[tuple[str, str], object] = field(default_factory=dict)
+    """What was saved by a program before this one, by action and name of the behaviour; taken up once."""
     reasons: dict[str, tuple[int, str]] = field(default_factory=dict)
     """Why an action has its status: the revision of the knowledge base, and the sentence."""
 
@@ -85,6 +91,7 @@ def _ledger(kb: KnowledgeBase) -> _Ledger:
     if found is None:
         found = _ledgers.setdefault(kb, _Ledger())
         finalize(found, _release_all, ref(kb), found.holders)
+        found.left.update({key: json.loads(saved) for key, saved in kb.history.progress.items()})
         for action in kb.store.left if kb.store is not None else ():
             if action in kb.actions:
                 kb.cancel_action(action, "abandoned", "the program that requested it has ended")
@@ -96,7 +103,8 @@ def _release_all(kb: "ref[KnowledgeBase]", holders: dict[str, dict[object, str |
     alive = kb()
     for action in [action for action, held in holders.items() if held] if alive is not None else ():
         if alive is not None and action in alive.actions:
-            alive.cancel_action(action, "abandoned", "the program has ended")
+            with suppress(KnowledgeBaseError):  # closed by then; the next program that opens its store abandons it
+                alive.cancel_action(action, "abandoned", "the program has ended")
 
 
 def begin_mission(root: Behaviour) -> None:
@@ -107,6 +115,13 @@ def begin_mission(root: Behaviour) -> None:
 def forget_progress(kb: KnowledgeBase) -> None:
     """Drop what interrupted actions saved: the next mission with this knowledge base begins at the beginning."""
     _ledger(kb).progress.clear()
+    _ledger(kb).left.clear()
+    for key in kb.history.progress:
+        _keep(kb, key, "")
+
+
+def _keep(kb: KnowledgeBase, key: tuple[str, str], saved: str) -> None:
+    kb.tell(Event(0, kb.now, "progress", (*key, saved)))
 
 
 def why(kb: KnowledgeBase, action: str) -> str:
@@ -537,6 +552,7 @@ class RosaAction(ActionBehaviour):
         self._preference = preference
         self._request = ActionRequest(kb, timeout if wait else None)
         self._has_begun = False
+        self._saved_s = -math.inf
 
     @property
     def preference(self) -> str | None:
@@ -556,10 +572,11 @@ class RosaAction(ActionBehaviour):
     def save_progress(self) -> object | None:
         """Return where the action is, or None (the default) if it starts afresh next time.
 
-        Called before `terminate` when the action is interrupted or has failed. What is returned is kept by action and
-        name of the behaviour, apart for each tree that a `TreeRunner` has, until the action succeeds or the mission
-        begins anew: when a runner takes the tree over or shuts it down, when its root has succeeded, or at
-        `forget_progress(kb)`.
+        Called before `terminate` when the action is interrupted or has failed, and about once a second while it runs if
+        the knowledge base has a store. What is returned is kept by action and name of the behaviour, apart for each
+        tree that a `TreeRunner` has, until the action succeeds or the mission begins anew: when a runner takes the tree
+        over or shuts it down, when its root has succeeded, or at `forget_progress(kb)`. A store keeps what JSON can
+        hold of it, over a shut-down too, for the program that opens it next.
         """
         return None
 
@@ -568,9 +585,17 @@ class RosaAction(ActionBehaviour):
 
     def forget_progress(self) -> None:
         """Drop what was saved, of whichever action: the next start is at the beginning."""
-        saved, mission = _ledger(self.kb).progress, self._mission
-        for key in [key for key in saved if key[0] is mission and key[2] == self.name]:
-            del saved[key]
+        ledger, mission = _ledger(self.kb), self._mission
+        for key in [key for key in ledger.progress if key[0] is mission and key[2] == self.name]:
+            del ledger.progress[key]
+        for kept in [kept for kept in self.kb.history.progress if kept[1] == self.name]:
+            ledger.left.pop(kept, None)
+            _keep(self.kb, kept, "")
+
+    @property
+    def is_left(self) -> bool:
+        """Whether a program before this one has left progress that is not taken up yet."""
+        return any(name == self.name for _, name in _ledger(self.kb).left)
 
     def stop(self, new_status: Status) -> None:
         """Save progress, terminate the round and release the request, also when the subclass raises.
@@ -612,12 +637,17 @@ class RosaAction(ActionBehaviour):
             if status is not Status.SUCCESS:
                 return status
             self._begin()
-        return self._updated()
+        status = self._updated()
+        if status is Status.RUNNING and self.kb.store is not None and self.kb.now >= self._saved_s + _SAVE_S:
+            self._save(status)
+        return status
 
     def _begin(self) -> None:
         self._has_begun = True
         self.initialise()
-        saved = _ledger(self.kb).progress.get((self._mission, self.action, self.name))
+        ledger, self._saved_s = _ledger(self.kb), self.kb.now
+        left = ledger.left.pop((self.action, self.name), None)
+        saved = ledger.progress.get((self._mission, self.action, self.name), left)
         if saved is not None:
             self.restore_progress(saved)
 
@@ -636,5 +666,8 @@ class RosaAction(ActionBehaviour):
             saved.pop(key, None)
             if progress is not None:
                 saved[key] = progress
+            if self.kb.store is not None:
+                self._saved_s = self.kb.now
+                _keep(self.kb, key[1:], "" if progress is None else json.dumps(progress))
         except Exception as error:
             self.feedback_message = f"{in_words(error)} (progress is not saved)"

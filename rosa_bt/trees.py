@@ -195,7 +195,7 @@ class TreeRunner:
         self._start = clock()
         self._ticks = self._next = 0
         begin_mission(root)
-        self._forget_progress()
+        self._forget_progress(lambda action: not action.is_left)
 
     def _repr_svg_(self) -> str:
         return svg_tree(self.tree.root)
@@ -254,9 +254,9 @@ class TreeRunner:
         try:
             self.tree.shutdown()
         finally:
-            self._forget_progress()
+            self._forget_progress(lambda action: action.kb.store is None)
 
-    def _forget_progress(self) -> None:
+    def _forget_progress(self, is_over: Callable[[RosaAction], bool] = lambda action: True) -> None:
         for behaviour in self.tree.root.iterate():
-            if isinstance(behaviour, RosaAction):
+            if isinstance(behaviour, RosaAction) and is_over(behaviour):
                 behaviour.forget_progress()

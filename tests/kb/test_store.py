@@ -692,7 +692,7 @@ def test_child_of_a_fork_is_told_to_open_its_own_store_and_neither_hangs_nor_wri
 
 def test_history_that_is_too_long_to_be_checked_at_once_is_checked_while_it_is_used(tmp_path, monkeypatch):
     path = tmp_path / "m.sqlite3"
-    with kept(robot(), path) as kb:
+    with kept(robot(), path, keep=20_000) as kb:  # however many are written together, none is dropped
         kb.component_failed("camera", "rain")
         for number in range(12_000):
             kb.measure("load", float(number))

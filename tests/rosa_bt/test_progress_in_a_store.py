@@ -1,0 +1,127 @@
+"""Where an action is outlives the program: a store keeps it, and the next program's tree goes on from there."""
+
+import subprocess
+import sys
+
+import pytest
+from py_trees.common import Status
+
+from kb import KnowledgeBase, Model
+from rosa_bt import BehaviourRegistry, RosaAction, TreeRunner, forget_progress, load_xml
+
+XML = '<root BTCPP_format="4"><BehaviorTree ID="Main"><Sequence><count/></Sequence></BehaviorTree></root>'
+
+
+class Count(RosaAction):
+    done = None
+
+    def initialise(self):
+        self.done = 0
+
+    def update(self):
+        self.done += 1
+        return Status.SUCCESS if self.done >= 10 else Status.RUNNING
+
+    def save_progress(self):
+        return {"done": self.done}
+
+    def restore_progress(self, progress):
+        self.done = progress["done"]
+
+
+class Program:
+    """A tree with one action on a knowledge base with a store; a second passes with each tick."""
+
+    def __init__(self, path):
+        self.now = 0.0
+        model = Model("rover")
+        model.action("count")
+        self.kb = KnowledgeBase(model, store=path, clock=lambda: self.now)
+        registry = BehaviourRegistry(kb=self.kb)
+        registry.register("count", lambda: Count("count", self.kb, "count"))
+        self.root = load_xml(XML, registry)
+        self.runner = self.anew()
+
+    def anew(self):
+        return TreeRunner(self.root, clock=lambda: self.now)
+
+    @property
+    def count(self):
+        return next(one for one in self.root.iterate() if isinstance(one, Count))
+
+    def tick(self, times):
+        for _ in range(times):
+            self.now += 1.0
+            self.runner.tick()
+        return self.count.done
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "rover.store"
+
+
+@pytest.mark.parametrize("is_shut_down", [True, False])
+def test_next_program_goes_on_where_the_one_before_it_ended(path, is_shut_down):
+    before = Program(path)
+    assert before.tick(4) == 4
+    if is_shut_down:
+        before.runner.shutdown()
+    before.kb.close()
+    after = Program(path)
+    assert after.tick(1) == 5
+    assert after.tick(5) == 10
+    assert after.root.status is Status.SUCCESS
+    assert after.kb.history.progress == {}
+    after.kb.close()
+    assert Program(path).tick(1) == 1
+
+
+def test_killed_program_is_gone_on_with(path):
+    script = (
+        "import os, sys\nfrom test_progress_in_a_store import Program\n"
+        "program = Program(sys.argv[1])\nprogram.tick(4)\nprogram.kb.flush(10)\nos._exit(9)"
+    )
+    done = subprocess.run([sys.executable, "-c", script, path], cwd=__file__.rpartition("/")[0], timeout=60)
+    assert done.returncode == 9
+    assert Program(path).tick(1) == 5
+
+
+def test_mission_that_begins_anew_in_the_same_program_begins_at_the_beginning(path):
+    program = Program(path)
+    program.tick(4)
+    program.runner.shutdown()
+    program.runner = program.anew()
+    assert program.tick(1) == 1
+    assert program.kb.history.progress == {}
+    assert program.tick(1) == 2
+    assert program.kb.history.progress == {("count", "count"): '{"done": 2}'}
+
+
+def test_what_is_forgotten_is_not_in_the_store_either(path):
+    program = Program(path)
+    program.tick(4)
+    program.runner.shutdown()
+    forget_progress(program.kb)
+    program.kb.close()
+    assert Program(path).tick(1) == 1
+
+
+def test_progress_outlives_a_snapshot_of_the_store(path):
+    program = Program(path)
+    program.tick(4)
+    for number in range(3000):
+        program.kb.note_no_choice(f"reason {number}")
+    program.kb.close()
+    after = Program(path)
+    assert after.kb.history.progress == {("count", "count"): '{"done": 4}'}
+    assert after.tick(1) == 5
+
+
+def test_progress_that_json_cannot_hold_is_kept_in_memory_only_and_said(path):
+    program = Program(path)
+    program.count.save_progress = lambda: {1, 2}
+    program.tick(2)
+    assert "progress is not saved" in program.count.feedback_message
+    assert program.count.status is Status.RUNNING
+    assert program.kb.history.progress == {}
