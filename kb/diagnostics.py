@@ -90,9 +90,7 @@ def _part(whole: object, name: str, default: object) -> object:
 
 def _items(whole: object, name: str) -> Iterable[object]:
     items = _part(whole, name, whole)
-    if type(items) is list:
-        return items
-    if isinstance(items, Mapping) or not isinstance(items, Iterable) or isinstance(items, str | bytes):
+    if not isinstance(items, list) and (isinstance(items, Mapping | str | bytes) or not isinstance(items, Iterable)):
         return (items,)  # one status by itself
     return items
 

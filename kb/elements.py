@@ -208,9 +208,7 @@ def _parameter(configuration: str, key: str, value: object) -> object:
 
 
 def _is_scalar(value: object) -> bool:
-    if isinstance(value, int | float):
-        return abs(value) <= sys.float_info.max
-    return isinstance(value, str)
+    return abs(value) <= sys.float_info.max if isinstance(value, int | float) else isinstance(value, str)
 
 
 class AttributeKind(StrEnum):

@@ -388,7 +388,7 @@ class Knowledge:
         return self._recorded(event, partial(self.records.put, "answers", event.number, answer))
 
     def _progress(self, event: Event, action: str, behaviour: str, saved: str) -> Event:
-        return self._recorded(event, partial(self.records.keep_progress, (action, behaviour), saved))
+        return self._recorded(event, partial(self.records.progress.__setitem__, (action, behaviour), saved))
 
     def _store(self, event: Event, _: str) -> Event:
         return self._recorded(event)

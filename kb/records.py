@@ -219,7 +219,7 @@ class Records:
         last_end: when a request ended last [s], and the number of that event.
         begins: the time from which on nothing that has ended is forgotten [s].
         rejected: how many readings of diagnostics could not be used.
-        progress: where interrupted actions are, by action and behaviour, as the task layer has written it.
+        progress: where actions are, by action and behaviour; empty once they begin anew.
     """
 
     def __init__(self, memory: Memory) -> None:
@@ -302,11 +302,6 @@ class Records:
             )
         )
 
-    def keep_progress(self, key: tuple[str, str], saved: str) -> None:
-        self.progress.pop(key, None)
-        if saved:
-            self.progress[key] = saved
-
     def plan_of(self, plan: object) -> ReconfigurationPlan:
         """Return a plan that is on record, given by itself or its number."""
         number = plan.number if isinstance(plan, ReconfigurationPlan) else plan
@@ -382,7 +377,7 @@ class HistoryView:
     @property
     def progress(self) -> Mapping[tuple[str, str], str]:
         """Where interrupted actions are, by action and behaviour, as the task layer has written it."""
-        return dict(self._read().progress)
+        return {key: saved for key, saved in self._read().progress.items() if saved}
 
     @property
     def attempts(self) -> tuple[Attempt, ...]:

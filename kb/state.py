@@ -25,11 +25,8 @@ _INDEX = attrgetter("index")
 class Array(Protocol[T]):
     """One value for each node, by `Node.index`."""
 
-    def __getitem__(self, index: int, /) -> T:
-        """Return the value of a node."""
-
-    def __setitem__(self, index: int, value: T, /) -> None:
-        """Set the value of a node."""
+    def __getitem__(self, index: int, /) -> T: ...
+    def __setitem__(self, index: int, value: T, /) -> None: ...
 
 
 class Reason(NamedTuple):

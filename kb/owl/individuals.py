@@ -105,11 +105,8 @@ _UNSAFE: Final = re.compile(r"[^A-Za-z0-9_-]")
 
 
 def property_of(cls: type, field: str) -> str:
-    found = _PROPERTIES.get((cls, field))
-    if found is None:
-        first, *others = field.split("_")
-        found = first + "".join(other.capitalize() for other in others)
-    return found
+    first, *others = field.split("_")
+    return _PROPERTIES.get((cls, field)) or first + "".join(other.capitalize() for other in others)
 
 
 class Serials:

@@ -116,9 +116,7 @@ def _storable(value: str | bool | int | float) -> str | bool | int | float:
 def answer_of(term: NamedNode | BlankNode | Literal | Triple | None) -> Answer:
     if isinstance(term, NamedNode):
         return term.value
-    if isinstance(term, Literal):
-        return value_of(term)
-    return None if term is None else str(term)
+    return value_of(term) if isinstance(term, Literal) else None if term is None else str(term)
 
 
 def value_of(literal: Literal) -> str | bool | int | float:

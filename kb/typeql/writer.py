@@ -150,9 +150,7 @@ def _statement(variable: str, players: Iterable[tuple[str, str]], label: str, gi
 
 def _players(one: object, field: str) -> tuple[str, ...]:
     value = getattr(one, field) if field else None
-    if isinstance(value, Mapping | tuple):
-        return tuple(value)
-    return () if value is None else (value,)
+    return tuple(value) if isinstance(value, Mapping | tuple) else () if value is None else (value,)
 
 
 def _written(field: Field, one: object) -> str | None:
