@@ -55,7 +55,6 @@ _BY_ITSELF: Final = frozenset({"stale", "dwell", "lapse", "begin", "store"})
 """What time, the model and the store do, in every knowledge base by itself."""
 _TOLD: Final[set[str]] = {"measure", "amend"}
 _BEHIND: Final = {"stale": "_outdate", "progress": "_keep_progress"}
-"""What is told by an event only, and what does it."""
 """The verbs that can be told: `_telling` adds the others."""
 _OPERATIONS: Final = ("activate", "deactivate", "configure")
 _BACK: Final = 1.0
@@ -645,7 +644,6 @@ class KnowledgeBase:
 
     @_telling
     def _outdate(self, name: str) -> None:
-        """Have a measurement be too old, if it is not yet."""
         node, state = _found(self._knowledge.network.attributes, "attribute", name), self._knowledge.state
         if state.value[node.index] is not None and not state.stale[node.index]:
             self._tell("stale", name)
@@ -701,7 +699,6 @@ class KnowledgeBase:
             known.settle(now)
 
     def _catch_up(self) -> None:
-        """Have time do what it has done by now."""
         self._knowledge.prepare()
         if self._publisher.is_heard:
             self._publisher.deliver()
