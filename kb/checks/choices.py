@@ -10,7 +10,6 @@ from kb.elements import Configuration, Element
 from kb.explanation.requirements import Interval, bounds
 from kb.facts import Contents, RequiredActionFact
 from kb.network import Network, Node
-from kb.planners.choice import choosable
 
 PREFERRED: Final = 32
 """How many of the alternatives that are preferred to one are compared with it."""
@@ -35,7 +34,7 @@ def doubtful_choices(model: Contents, network: Network) -> Iterator[Finding]:
 
 
 def _priority(node: Node) -> float:
-    priority = choosable(node).priority
+    priority = node.choosable.priority
     return math.inf if priority is None else priority
 
 

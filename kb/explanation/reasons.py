@@ -6,7 +6,7 @@ from html import escape
 from itertools import chain
 from typing import Final
 
-from kb.elements import Attribute, Constraint, exact
+from kb.elements import Attribute, exact
 from kb.explanation.requirements import Remedy, remedies
 from kb.measurements import turning_point
 from kb.network import Node
@@ -266,22 +266,21 @@ def _together(causes: Iterable[Explanation]) -> Reasons:
 
 
 def _comparison(state: State, node: Node) -> Comparison:
-    constraint, attribute = node.element, node.parts[0]
-    assert isinstance(constraint, Constraint)
+    constraint, attribute = node.constraint, node.parts[0]
     value, time, is_stale = state.value[attribute.index], state.time[attribute.index], state.stale[attribute.index]
-    unit = _attribute(attribute).unit
-    return Comparison(constraint.attribute, constraint.operator, constraint.value, value, time, is_stale, unit)
+    what = constraint.attribute, constraint.operator, constraint.value
+    return Comparison(*what, value, time, is_stale, attribute.attribute.unit)
 
 
 def _compared(one: Comparison, node: Node, now: float, verdict: Status | None) -> str:
-    bound = f"{one.operator} {_attribute(node.parts[0]).amount(exact(one.threshold))}"
+    bound = f"{one.operator} {node.attribute.amount(exact(one.threshold))}"
     if one.value is None:
         return f"{one.attribute} is not measured (wanted {bound})"
     shown = f"{one.attribute} {reading(one.value, [one.threshold], node.parts[0])}"
     if one.is_stale:
         return f"{shown} {_stale(one.time, node.parts[0], now)}"
     if verdict is Status.NOT_EVALUATED:
-        return f"{shown} is not confirmed: {_votes(_attribute(node.parts[0]))} have to agree"
+        return f"{shown} is not confirmed: {_votes(node.attribute)} have to agree"
     holds = OPERATORS[one.operator](one.value, one.threshold)
     fact = f"{shown} {'satisfies' if holds else 'violates'} {bound} ({_age(one.time, now)})"
     if verdict is None or holds == (verdict is Status.SATISFIED):
@@ -291,8 +290,7 @@ def _compared(one: Comparison, node: Node, now: float, verdict: Status | None) -
 
 def _hold(value: float, node: Node, verdict: Status) -> str:
     """Say how long a steady constraint stays as it is although the latest measurement says otherwise."""
-    constraint, attribute = node.element, _attribute(node.parts[0])
-    assert isinstance(constraint, Constraint)
+    constraint, attribute = node.constraint, node.attribute
     turn = turning_point(constraint, verdict)
     beyond = f"{constraint.operator} {attribute.amount(exact(turn))}"
     is_beyond = verdict is Status.SATISFIED or OPERATORS[constraint.operator](value, turn)
@@ -316,7 +314,7 @@ def _reading(state: State, attribute: Node, now: float) -> str:
 
 def reading(value: float, thresholds: Iterable[float], attribute: Node) -> str:
     """Write a value with its unit, with as few digits as `shortest` does."""
-    return _attribute(attribute).amount(shortest(value, thresholds))
+    return attribute.attribute.amount(shortest(value, thresholds))
 
 
 def shortest(value: float, thresholds: Iterable[float]) -> str:
@@ -337,18 +335,13 @@ def _age(time: float | None, now: float) -> str:
 
 
 def _stale(time: float | None, attribute: Node, now: float) -> str:
-    most = _attribute(attribute).max_age
+    most = attribute.attribute.max_age
     is_over = time is not None and now - time > most  # else somebody has told so
     return f"is stale: {_age(time, now)}, {f'at most {exact(most)} s' if is_over else 'and no more'}"
 
 
 def _votes(attribute: Attribute) -> str:
     return "{} of the last {} measurements".format(*attribute.agreement)
-
-
-def _attribute(node: Node) -> Attribute:
-    assert isinstance(node.element, Attribute)
-    return node.element
 
 
 def why_selected(state: State, chosen: Sequence[Node], now: float, said: str = "", ended: Iterable[str] = ()) -> str:

@@ -7,7 +7,7 @@ from typing import Final, TypeVar
 from kb.exceptions import UnknownName
 from kb.files import ModelFileError, Place
 from kb.typeql.store import ANONYMOUS, Bindings, Store, Thing, literal
-from kb.typeql.syntax import Clause, Comparison, Has, Isa, Player, Players, Statement, Unsupported, Word, place_of
+from kb.typeql.syntax import Clause, Equal, Has, Isa, Player, Players, Statement, Word, place_of
 from kb.typeql.vocabulary import Kind, Literal, Type
 
 T = TypeVar("T")
@@ -17,7 +17,7 @@ MOST: Final = 100_000
 """How many answers a `match` may have on the way; more are a slip, and would multiply without limit."""
 
 
-def answers(store: Store, patterns: Sequence[Statement | Unsupported], file: str) -> list[Bindings]:
+def answers(store: Store, patterns: Sequence[Statement], file: str) -> list[Bindings]:
     """Return what the variables can stand for; at least one answer.
 
     Raises:
@@ -32,12 +32,11 @@ class _Question:
     def __init__(self, store: Store, file: str) -> None:
         self.store, self.file = store, file
 
-    def answers(self, patterns: Sequence[Statement | Unsupported]) -> list[Bindings]:
+    def answers(self, patterns: Sequence[Statement]) -> list[Bindings]:
         """The most telling statements come first: those with a name, then relations."""
-        statements = [self._supported(one) for one in patterns]
-        compared = [(one.variable, each) for one in statements for each in one.clauses if isinstance(each, Comparison)]
-        statements = [one for one in statements if not any(isinstance(each, Comparison) for each in one.clauses)]
-        found: list[Found] = [{str(name): self._literal(each.value) for name, each in compared}]
+        equal = [(one.variable, each) for one in patterns for each in one.clauses if isinstance(each, Equal)]
+        found: list[Found] = [{str(name): self._literal(each.value) for name, each in equal}]
+        statements = (one for one in patterns if not any(isinstance(each, Equal) for each in one.clauses))
         for one in sorted(statements, key=self._effort):
             place = place_of(self.file, one.word)
             found = _bounded((more for known in found for more in self._extended(known, one)), place)
@@ -49,19 +48,6 @@ class _Question:
         if self._name(one) is not None:
             return 0
         return 1 if any(isinstance(clause, Players) for clause in one.clauses) else 2
-
-    def _supported(self, asked: Statement | Unsupported) -> Statement:
-        for clause in (asked,) if isinstance(asked, Unsupported) else asked.clauses:
-            word = clause.word if isinstance(clause, Unsupported) else getattr(clause, "operator", None)
-            if isinstance(clause, Comparison) and clause.value.type == "VARIABLE":
-                word = clause.value
-            if word is not None and word not in ("=", "=="):
-                raise place_of(self.file, word).error(
-                    f"`{word}` is not understood in a `match` that inserts; expected `isa`, `has`, the players of a "
-                    "relation, or a variable that is equal to a value"
-                )
-        assert isinstance(asked, Statement)  # anything else was refused
-        return asked
 
     def _extended(self, known: Found, one: Statement) -> Iterator[Found]:
         name = None if one.variable == ANONYMOUS else one.variable

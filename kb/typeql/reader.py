@@ -19,7 +19,7 @@ from kb.files import Place, read_text
 from kb.status import STATUSES, Status
 from kb.typeql.matching import answers
 from kb.typeql.store import Own, Store, Thing, shown
-from kb.typeql.syntax import SLIPS, Define, parse
+from kb.typeql.syntax import Define, parse
 from kb.typeql.vocabulary import CLASSES, PARAMETER_TYPES, ROLES, SPECIAL, Kind, Literal, Vocabulary, seconds
 
 ModelT = TypeVar("ModelT", bound=Contents)
@@ -30,6 +30,8 @@ _CLASSES: Final = {cls: kind for cls, kind in CLASSES.items() if issubclass(cls,
 _KINDS: Final = {label: kind for kind, label in SPECIAL.items()}
 _STATED: Final = frozenset({"status", "required", "selected", "active", "pid", "value", "time", "latest"})
 """The attributes of elements that say what is so from the start."""
+_SLIPS: Final = {"=<": "<=", "=>": ">=", "≤": "<=", "≥": ">="}
+"""What is written for a comparison by mistake, and what is meant."""
 _RESULTS: Final[Mapping[str, str]] = {
     **dict.fromkeys(("completed", "complete", "success", "succeeded", "successful", "done"), "completed"),
     **dict.fromkeys(("failed", "failure", "error", "aborted"), "failed"),
@@ -137,8 +139,8 @@ class _Reading:
         value = _number(thing, "value", 0.0 if _only_states(thing) else None)
         constrained = [self.elements[one] for one in thing.players("constrained")]
         place = (thing.own("operator") or thing).place
-        if sign in SLIPS:
-            raise place.error(f"{sign!r} is no comparison; did you mean {SLIPS[sign]!r}?")
+        if sign in _SLIPS:
+            raise place.error(f"{sign!r} is no comparison; did you mean {_SLIPS[sign]!r}?")
         with place.blamed():
             expression = Expression(attributes[0], sign, value, self.model).steady(
                 hysteresis=_number(thing, "hysteresis", 0.0), dwell=_number(thing, "dwell", 0.0)

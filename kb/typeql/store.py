@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 
 from kb.exceptions import UnknownName
 from kb.files import DuplicateInFile, Place
-from kb.typeql.syntax import Clause, Comparison, Has, Isa, Player, Players, Statement, Unsupported, Word, place_of
+from kb.typeql.syntax import Clause, Equal, Has, Isa, Player, Players, Statement, Word, place_of
 from kb.typeql.vocabulary import ATTRIBUTES, Field, Kind, Literal, Role, Type, Value, Vocabulary
 
 ANONYMOUS: Final = "$_"
@@ -159,13 +159,9 @@ class _Insertion:
         """Return the thing that a statement declares; None if it is declared elsewhere, or a value."""
         name = None if statement.variable == ANONYMOUS else statement.variable
         isa = [clause for clause in statement.clauses if isinstance(clause, Isa)]
-        compared = [clause for clause in statement.clauses if isinstance(clause, Comparison)]
-        if compared and name:
-            for clause in compared:
-                place = place_of(self.file, clause.value)
-                if clause.operator not in (None, "=", "==") or clause.value.type == "VARIABLE":
-                    raise place.error(f"{name} is compared here; what is inserted is given a value, such as {name} 0.5")
-                self.values[name] = literal(clause.value, place)
+        equal = [clause for clause in statement.clauses if isinstance(clause, Equal)]
+        if equal and name:
+            self.values[name] = literal(equal[-1].value, place_of(self.file, equal[-1].value))
             self.labels.update((name, str(clause.label)) for clause in isa)
             return None
         for other in isa[1:]:
@@ -187,15 +183,10 @@ class _Insertion:
         elif isinstance(clause, Players):
             for player in clause.players:
                 self._player(thing, player)
-        elif isinstance(clause, Unsupported):
-            place = place_of(self.file, clause.word)
-            raise place.error(f"`{clause.word}` stands here; expected `isa`, `has` or the players of a relation")
 
     def _has(self, thing: Thing, clause: Has) -> None:
         word = clause.value
         place = place_of(self.file, clause.label or word)
-        if clause.operator is not None and clause.operator not in ("=", "=="):
-            raise place.error(f"`{clause.operator}` compares; what is inserted has a value")
         label = str(clause.label or self.labels.get(str(word), ""))
         if not label:
             raise place.error(f"which attribute {word} is, is not said; write `has NAME {word}`")

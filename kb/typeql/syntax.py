@@ -20,9 +20,6 @@ Word = Token
 MAX_DEPTH: Final = 100
 """How deep brackets may nest; what is deeper is no model, and would only fill the memory."""
 
-SLIPS: Final = {"=<": "<=", "=>": ">=", "≤": "<=", "≥": ">="}
-"""What is written for a comparison by mistake, and what is meant."""
-
 _QUOTED: Final = re.compile(r"""#[^\r\n]*|"(?:[^"\\]|\\[\s\S])*"|'(?:[^'\\]|\\[\s\S])*'""")
 """A comment or a text."""
 
@@ -49,14 +46,12 @@ class Has(NamedTuple):
     """`has LABEL value`, `has LABEL $variable` or `has $variable`."""
 
     label: Word | None
-    operator: Word | None
     value: Word
 
 
-class Comparison(NamedTuple):
-    """`$variable "value"` or `$variable > value`."""
+class Equal(NamedTuple):
+    """`$variable "value"` or `$variable == "value"`."""
 
-    operator: Word | None
     value: Word
 
 
@@ -74,13 +69,7 @@ class Players(NamedTuple):
     players: tuple[Player, ...]
 
 
-class Unsupported(NamedTuple):
-    """A pattern that is TypeQL but that no model of a robot needs."""
-
-    word: Word
-
-
-Clause = Isa | Has | Comparison | Players | Unsupported
+Clause = Isa | Has | Equal | Players
 
 
 class Statement(NamedTuple):
@@ -109,7 +98,7 @@ class Insert(NamedTuple):
     """`insert ...` or `match ... insert ...`."""
 
     statements: tuple[Statement, ...]
-    patterns: tuple[Statement | Unsupported, ...] = ()
+    patterns: tuple[Statement, ...] = ()
 
 
 def place_of(file: str, word: Word) -> Place:
@@ -163,17 +152,6 @@ def _statement(first: Word | Players, *clauses: Clause) -> Statement:
     return Statement(first, str(first), clauses)
 
 
-def _has(_: Word, *words: Word) -> Has:
-    label, operator = words[0] if len(words) > 1 else None, words[1] if len(words) == 3 else None
-    return Has(label, operator, words[-1])
-
-
-def _comparison(*words: Word) -> Comparison | Unsupported:
-    if len(words) > 2:
-        return Unsupported(words[2])
-    return Comparison(words[0] if len(words) == 2 else None, words[-1])
-
-
 def _player(*words: Word) -> Player:
     return Player(words[-2] if len(words) > 1 and words[-2].type == "LABEL" else None, words[-1])
 
@@ -193,12 +171,10 @@ _SHAPES: Final[Mapping[str, Callable[..., object]]] = {
     "match": lambda patterns, insert: Insert(insert.statements, patterns),
     "statement": _statement,
     "isa": lambda keyword, label: Isa(label, keyword == "isa!"),
-    "has": _has,
-    "comparison": _comparison,
+    "has": lambda _, *words: Has(words[0] if len(words) > 1 else None, words[-1]),
+    "value": Equal,
     "players": lambda word, *players: Players(word, players),
     "player": _player,
-    "unsupported": lambda word, *_: Unsupported(word),
-    "other": lambda word, *_: Unsupported(word),
 }
 """What becomes of each rule of the grammar."""
 
@@ -230,10 +206,6 @@ def _error(text: str, file: str, error: UnexpectedToken | UnexpectedCharacters) 
 def _slip(text: str, file: str, error: UnexpectedToken | UnexpectedCharacters) -> ModelFileError | None:
     """Return what is likely meant: the mistake is found only after it."""
     at = error.pos_in_stream or 0
-    sign = text[at - 1 : at + 1]
-    if sign in SLIPS:
-        message = f"`{sign}` stands here; did you mean `{SLIPS[sign]}`?"
-        return ModelFileError(message, file, error.line, error.column - 1)
     for quoted in _QUOTED.finditer(text, 0, at):
         if "\n" in quoted[0] and quoted[0][0] in "'\"" and not text[quoted.end() : at].strip():
             start = quoted.start()
