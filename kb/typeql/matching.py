@@ -8,7 +8,7 @@ from kb.exceptions import UnknownName
 from kb.files import ModelFileError, Place
 from kb.typeql.store import ANONYMOUS, Bindings, Store, Thing, literal
 from kb.typeql.syntax import Clause, Equal, Has, Isa, Player, Players, Statement, Word, place_of
-from kb.typeql.vocabulary import Kind, Literal, Type
+from kb.typeql.vocabulary import Kind, Literal, Type, field_of
 
 T = TypeVar("T")
 Found = dict[str, Thing | Literal]
@@ -79,7 +79,7 @@ class _Question:
         return self._relating(known, thing, clause.players) if isinstance(clause, Players) else []
 
     def _having(self, known: Found, thing: Thing, wanted: Has) -> Iterator[Found]:
-        meant = self.store.vocabulary.field(thing.kind, str(wanted.label)) if thing.kind and wanted.label else None
+        meant = field_of(thing.kind, str(wanted.label)) if thing.kind and wanted.label else None
         value = self._value(wanted.value, known)
         for own in thing.owns:
             if wanted.label in (None, own.label) or (meant is not None and own.field is meant):
@@ -119,7 +119,7 @@ class _Question:
         kind = self._kind(one)
         for clause in one.clauses if kind else ():
             if isinstance(clause, Has) and clause.label and clause.value.type == "STRING" and kind:
-                field = self.store.vocabulary.field(kind, str(clause.label))
+                field = field_of(kind, str(clause.label))
                 if field and field.name == "name":
                     return str(self._value(clause.value, {}))
         return None

@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 from kb.exceptions import UnknownName
 from kb.files import DuplicateInFile, Place
 from kb.typeql.syntax import Clause, Equal, Has, Isa, Player, Players, Statement, Word, place_of
-from kb.typeql.vocabulary import ATTRIBUTES, Field, Kind, Literal, Role, Type, Value, Vocabulary
+from kb.typeql.vocabulary import ATTRIBUTES, Field, Kind, Literal, Role, Type, Value, Vocabulary, field_of
 
 ANONYMOUS: Final = "$_"
 """A variable that stands for something else each time."""
@@ -110,7 +110,7 @@ class Store:
         return thing
 
     def give(self, thing: Thing, label: str, value: Literal, place: Place) -> None:
-        found = self.vocabulary.field(thing.kind, label) if thing.kind else None
+        found = field_of(thing.kind, label) if thing.kind else None
         if found is None or thing.kind is None:
             if thing.kind and not self.vocabulary.declares(label):
                 known = [one.words[0] for one in ATTRIBUTES[thing.kind]]

@@ -80,18 +80,10 @@ class Statement(NamedTuple):
     clauses: tuple[Clause, ...]
 
 
-class TypeClause(NamedTuple):
-    """Of a type: `sub LABEL`, `owns LABEL` or `relates LABEL`, perhaps `as LABEL`."""
-
-    keyword: str
-    label: Word
-    alias: Word | None
-
-
 class Define(NamedTuple):
-    """`define ...`: what is declared of each type."""
+    """`define ...`: each type, and what it is declared a sort of; what else is said of it is passed over."""
 
-    definitions: tuple[tuple[Word, tuple[TypeClause, ...]], ...]
+    definitions: tuple[tuple[Word, tuple[Word, ...]], ...]
 
 
 class Insert(NamedTuple):
@@ -160,10 +152,7 @@ _SHAPES: Final[Mapping[str, Callable[..., object]]] = {
     "start": lambda *queries: list(queries),
     "define": lambda *parts: Define(tuple(filter(None, parts))),
     "type_definition": lambda label, *clauses: (label, tuple(filter(None, clauses))),
-    "sub": lambda _, label: TypeClause("sub", label, None),
-    "owns": lambda _, label, *rest: TypeClause("owns", label, None),
-    "relates": lambda _, label, alias=None: TypeClause("relates", label, alias),
-    "alias": lambda label: label,
+    "sub": lambda _, label: label,
     "plain": lambda *_: None,
     "rule": lambda *_: None,
     "insert": lambda *statements: Insert(statements),

@@ -2,9 +2,10 @@
 
 import tomllib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from enum import StrEnum
+from functools import cache
 from importlib.resources import files
 from typing import Any, Final, NamedTuple
 
@@ -134,15 +135,11 @@ ATTRIBUTES: Final[Mapping[Kind, tuple[Field, ...]]] = dict.fromkeys(Kind, ()) | 
 
 @dataclass(slots=True, eq=False)
 class Type:
-    """A type of thing; its kind is None if ROSA does not know it.
-
-    The roles are those that files declare of it, and which role of its parent each stands for, if they say.
-    """
+    """A type of thing; its kind is None if ROSA does not know it."""
 
     label: str
     kind: Kind | None
     parent: "Type | None" = None
-    roles: dict[str, str | None] = field(default_factory=dict)
 
     def lineage(self) -> Iterator["Type"]:
         """Go from this type up through those it is a sort of."""
@@ -164,28 +161,17 @@ class Vocabulary:
             self._types[_plain(label)] = Type(label, parent.kind if parent else Kind(above), parent)
         for alias, label in _WORDS["aliases"].items():
             self._types[_plain(alias)] = self._types[_plain(label)]
-        self._parents: dict[str, tuple[Word, Place]] = {}
-        self._roles: list[tuple[Word, Place, Word, Word | None]] = []
-        self._attributes: dict[str, str] = {}
-        self._owned: set[str] = set()
-        self._fields: dict[tuple[Kind, str], Field | None] = {}
+        self._parents: dict[str, tuple[str, Place]] = {}
+        self._attributes: set[str] = set()
 
     def define(self, query: Define, file: str) -> None:
-        for label, clauses in query.definitions:
-            for clause in clauses:
-                if clause.keyword == "sub":
-                    self._parents[str(label)] = (clause.label, place_of(file, clause.label))
-                elif clause.keyword == "relates":
-                    self._roles.append((label, place_of(file, label), clause.label, clause.alias))
-                else:
-                    self._owned.add(str(clause.label))
+        for label, parents in query.definitions:
+            self._parents.update((str(label), (str(one), place_of(file, one))) for one in parents)
 
     def link(self) -> None:
         """Work out what the declared types are sorts of."""
         for label in self._parents:
-            self._link(label)
-        for label, place, role, alias in self._roles:
-            self.type(label, place).roles[_word(role)] = _word(alias) if alias else None
+            self._link(label, [])
 
     def type(self, label: Word | str, place: Place) -> Type:
         found = self._types.get(_plain(label))
@@ -194,15 +180,8 @@ class Vocabulary:
             raise place.error(f"{UnknownName('type', str(label), known)}; a type of your own is declared by `define`")
         return found
 
-    def field(self, kind: Kind, label: str) -> Field | None:
-        """Return the attribute of a kind of thing that is called so, or None if ROSA has none."""
-        if (kind, label) not in self._fields:
-            lineage = (_field(kind, name) for name in self._spellings(label))
-            self._fields[kind, label] = next((found for found in lineage if found), None)
-        return self._fields[kind, label]
-
     def declares(self, label: str) -> bool:
-        return label in self._owned or label in self._attributes
+        return label in self._attributes
 
     def role(self, of: Type, kind: Kind, word: Word | None, player: Type, place: Place) -> Role:
         """Return the role of a relation that a player of a type has, by what it is called, if that is not left out."""
@@ -220,47 +199,34 @@ class Vocabulary:
         raise place.error(f"{what} of {of.label} can be: {needed}; not a thing of type {player.label}, as here")
 
     def roles(self, of: Type, kind: Kind, word: Word, place: Place) -> tuple[Role, ...]:
-        """Return the roles that a word can mean; where the files declare one in words of their own, any of them."""
-        name, declared = _word(word), False
-        for one in of.lineage():
-            if name in one.roles:
-                declared = True
-                name = one.roles[name] or name
-        found: tuple[Role, ...] = ()
+        """Return the roles that a word can mean."""
+        name, found = _word(word), tuple[Role, ...]()
         while name and not found:
             found = tuple(role for role in ROLES[kind] if name in role.words or name.removesuffix("s") in role.words)
             first, _, rest = name.partition("-")
             name = rest if first in _QUALIFIERS else ""
-        if found or declared:
-            return found or ROLES[kind]
-        own = [role for one in of.lineage() for role in one.roles]
-        known = list(dict.fromkeys([*own, *(role.name for role in ROLES[kind])]))
+        if found:
+            return found
+        known = [role.name for role in ROLES[kind]]
         raise place.error(f"{UnknownName(f'role of {of.label}', str(word), known)} (roles: {', '.join(known)})")
 
-    def _spellings(self, label: str) -> Iterator[str]:
-        seen: set[str] = set()
-        while label not in seen:
-            seen.add(label)
-            yield label
-            label = self._attributes.get(label, label)
-
-    def _link(self, label: str) -> None:
-        chain = [label]
-        while (top := str(self._parents[chain[-1]][0])) in self._parents and top not in _ROOTS:
-            if top in chain:
-                raise self._parents[label][1].error(f"{label} is declared a sort of itself: {' sub '.join(chain)}")
-            chain.append(top)
-        parent, place = self._parents[chain[-1]]
-        is_known = _plain(top) not in self._types and any(_field(kind, top) for kind in Kind)
-        if top == "attribute" or top in self._attributes or is_known:
-            self._attributes.update((one, str(self._parents[one][0])) for one in chain)
-            return
-        above = None if top in _ROOTS else self.type(parent, place)
-        for one in reversed(chain):
-            own = self._types.setdefault(_plain(one), Type(one, above.kind if above else None))
-            if above is not own:
-                own.parent = above
-            above = own
+    def _link(self, label: str, below: list[str]) -> Type | None:
+        """Return a type, once it is known of what it is a sort; None for an attribute, which has no type."""
+        if label not in self._parents or label in self._attributes:
+            return self._types.get(_plain(label))
+        parent, place = self._parents[label]
+        if label in below:
+            raise place.error(f"{label} is declared a sort of itself: {' sub '.join([*below, label])}")
+        above = None if parent in _ROOTS else self._link(parent, [*below, label])
+        is_attribute = parent in self._attributes or any(field_of(kind, parent) for kind in Kind)
+        if parent == "attribute" or (above is None and parent not in _ROOTS and is_attribute):
+            self._attributes.add(label)
+            return None
+        if above is None and parent not in _ROOTS:
+            self.type(parent, place)
+        own = self._types.setdefault(_plain(label), Type(label, above.kind if above else None))
+        own.parent = own.parent if above is own else above
+        return own
 
 
 def seconds(moment: datetime) -> float:
@@ -268,7 +234,9 @@ def seconds(moment: datetime) -> float:
     return (moment - datetime(1970, 1, 1, tzinfo=UTC)) / timedelta(seconds=1)
 
 
-def _field(kind: Kind, label: str) -> Field | None:
+@cache
+def field_of(kind: Kind, label: str) -> Field | None:
+    """Return the attribute of a kind of thing that is called so, or None if ROSA has none."""
     name = f"-{_word(label)}"
     found = [(len(one), field) for field in ATTRIBUTES[kind] for one in field.words if name.endswith(f"-{one}")]
     return max(found, key=lambda one: one[0])[1] if found else None

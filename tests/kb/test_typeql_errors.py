@@ -116,7 +116,7 @@ MEANING = {
     "unknown component 'moter'; did you mean 'motor'",
     "match $x isa ROSNode; insert $x has is-active true;": "6:7: `match` finds nothing: no ROSNode of the 0 known",
     "match $x has is-active true; insert $x has is-active true;": "6:7: `match` finds nothing: no thing",
-    "match $x isa Component, has component-name $n; $n != 'm'; insert $x has pid 1;": "6:51: .* stands here; expected a value",
+    "match $x isa Component, has component-name $n; $n != 'm'; insert $x has pid 1;": "6:51: .* stands here; expected",
     "match $x isa Component; $n > 1; insert $x has is-active true;": "6:28: .* stands here; expected a value",
     "match $x isa Component; not {$x has pid 1;}; insert $x has pid 2;": "6:25: `not` stands here; expected a",
     "match $x isa Component, has pid like 'x'; insert $x has is-active true;": "6:33: `like` stands here; expected ",

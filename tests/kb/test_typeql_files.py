@@ -110,7 +110,7 @@ def test_constraint_that_only_carries_a_status_is_given_an_attribute_and_noted()
     assert "asserted.tql:20:28" in note
 
 
-def test_types_and_roles_of_the_file_are_understood():
+def test_types_of_the_file_are_understood():
     model = load("mobile_robot")
     assert {name: one.kind for name, one in model.components.items()} == {"kinect": "plain", "drive": "lifecycle"}
     assert model.designs["by kinect"].function == "see"

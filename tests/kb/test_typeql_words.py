@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from kb import Model
 from kb.facts import MeasurementFact, ProcessFact, RequiredActionFact
 from kb.files import ModelFileError
-from kb.typeql.vocabulary import ATTRIBUTES, ROLES, Kind, Vocabulary, seconds
+from kb.typeql.vocabulary import ATTRIBUTES, ROLES, Kind, Vocabulary, field_of, seconds
 from kb.typeql.writer import quoted, written_time
 
 ROBOT = """insert
@@ -40,13 +40,12 @@ def test_every_role_is_known_by_its_own_name(kind):
 
 @pytest.mark.parametrize("kind", Kind, ids=str)
 def test_every_attribute_is_known_by_its_endings(kind):
-    vocabulary = Vocabulary()
     for field in ATTRIBUTES[kind]:
         for word in field.words:
-            assert vocabulary.field(kind, word).name == field.name
-            assert vocabulary.field(kind, f"anything-{word}").name == field.name
-            assert vocabulary.field(kind, word.replace("-", "_").upper()).name == field.name
-    assert vocabulary.field(kind, "colour") is None
+            assert field_of(kind, word).name == field.name
+            assert field_of(kind, f"anything-{word}").name == field.name
+            assert field_of(kind, word.replace("-", "_").upper()).name == field.name
+    assert field_of(kind, "colour") is None
 
 
 @pytest.mark.parametrize("label", ["ROSNode", "RosNode", "ros_node", "ros-node", "LifeCycleNode", "lifecyclenode"])
@@ -272,9 +271,9 @@ def test_schema_that_declares_what_rosa_has_changes_nothing(load):
         ROSNode sub Component; Measure sub entity, abstract; Attribute sub Measure, owns attribute-name @key;
         QualityAttribute sub Attribute; EnvironmentalAttribute sub Attribute;
         function-design sub relation, owns priority, relates function, relates required-component;
-        constraint sub relation, relates constrained, relates limit;
+        constraint sub relation, relates constrained, relates attribute;
         rule one: when { $c isa! Component, has status $s; $s like 'a|b'; } then { $c has status 'x'; };
     """
-    model = load(schema, ROBOT + "(limit: $q, constrained: $c) isa constraint, has constraint-value 1;")
+    model = load(schema, ROBOT + "(attribute: $q, constrained: $c) isa constraint, has constraint-value 1;")
     assert [str(one) for one in model.constraints] == ["charge >= 1"]
     assert list(model.components) == ["motor"]
