@@ -73,16 +73,6 @@ class Node:
         return self.element
 
     @property
-    def component(self) -> Component:
-        assert isinstance(self.element, Component)
-        return self.element
-
-    @property
-    def choosable(self) -> FunctionDesign | Configuration:
-        assert isinstance(self.element, FunctionDesign | Configuration)
-        return self.element
-
-    @property
     def ref(self) -> Ref:
         if isinstance(self.element, Element):
             return self.kind, self.element.name

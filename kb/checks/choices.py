@@ -10,6 +10,7 @@ from kb.elements import Configuration, Element
 from kb.explanation.requirements import Interval, bounds
 from kb.facts import Contents, RequiredActionFact
 from kb.network import Network, Node
+from kb.planners.choice import choosable
 
 PREFERRED: Final = 32
 """How many of the alternatives that are preferred to one are compared with it."""
@@ -34,7 +35,7 @@ def doubtful_choices(model: Contents, network: Network) -> Iterator[Finding]:
 
 
 def _priority(node: Node) -> float:
-    priority = node.choosable.priority
+    priority = choosable(node).priority
     return math.inf if priority is None else priority
 
 

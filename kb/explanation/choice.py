@@ -7,7 +7,7 @@ from kb.explanation.reasons import why
 from kb.inference import is_adaptable
 from kb.network import Node
 from kb.notebook import table
-from kb.planners.choice import ranked
+from kb.planners.choice import choosable, ranked
 from kb.reconfiguration import reselect
 from kb.state import Overlay, State
 from kb.status import Status
@@ -123,7 +123,7 @@ class _Chooser:
 
     def explanation(self) -> ChoiceExplanation:
         others = tuple(
-            Alternative(part.name, self.state.status[part.index], part.choosable.priority, self._why_not(part))
+            Alternative(part.name, self.state.status[part.index], choosable(part).priority, self._why_not(part))
             for part in self.node.parts
             if part is not self.chosen
         )
@@ -149,7 +149,7 @@ class _Chooser:
         return self.node.kind == "component" and not self.following.served[self.node.index]
 
     def _advantage(self, chosen: Node) -> str:
-        what, priority = _PARTS[self.node.kind], chosen.choosable.priority
+        what, priority = _PARTS[self.node.kind], choosable(chosen).priority
         if self.nothing:
             return f"it was preferred before; now nothing would be: {self.nothing}"
         if chosen is not self.first:
@@ -158,7 +158,7 @@ class _Chooser:
             return self.said
         if len(self.possible) == 1:
             return f"it is the only {what}" if len(self.node.parts) == 1 else f"no other {what} is feasible"
-        if any(other.choosable.priority == priority for other in self.possible if other is not chosen):
+        if any(choosable(other).priority == priority for other in self.possible if other is not chosen):
             return f"of those with {_in_words(priority)} it comes first by name"
         return f"{_in_words(priority)} is the lowest of those that are feasible"
 
@@ -172,7 +172,7 @@ class _Chooser:
         if self.said:
             return "it is not part of that choice" if self.first else "it is possible, but not selected yet"
         assert self.first is not None  # something is possible, so something is preferred
-        mine, best = part.choosable.priority, self.first.choosable.priority
+        mine, best = choosable(part).priority, choosable(self.first).priority
         if mine == best:
             return f"it has {_in_words(mine)} too, and comes after {self.first.name} by name"
         return f"it has {_in_words(mine)}, which comes after {best}"

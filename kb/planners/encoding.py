@@ -11,7 +11,7 @@ from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN, Context, Decima
 from functools import reduce
 from typing import Final, NamedTuple
 
-from kb.elements import ComponentKind, EstimationKind
+from kb.elements import Component, ComponentKind, EstimationKind
 from kb.network import Network, Node
 from kb.planners.choice import Choice, Criterion, ranked
 from kb.state import State
@@ -248,7 +248,8 @@ class _Encoder:
 
     def _cost_to_switch(self, component: Node) -> int:
         """Return what it costs to start or stop a component; a plain one is only booked."""
-        return 0 if component.component.kind is ComponentKind.PLAIN else self._costs.get(component, 0)
+        assert isinstance(component.element, Component)
+        return 0 if component.element.kind is ComponentKind.PLAIN else self._costs.get(component, 0)
 
     def _function(self, node: Node, designs: Iterable[Node], places: Mapping[Node, int]) -> Slot:
         options = []
