@@ -303,8 +303,9 @@ def exact(value: float | Fraction) -> Exact:
 
 def number_fact(text: str, value: Exact) -> str:
     """Return the fact that a number has a value: `(= (fuel rover) 80.5)`; a third is written `1/3`."""
-    is_decimal = not isinstance(value, int) and Fraction(str(float(value))) == value
-    return f"(= {text} {float(value) if is_decimal else value})"
+    known = exact(value)
+    is_decimal = isinstance(known, Fraction) and Fraction(str(float(known))) == known
+    return f"(= {text} {float(known) if is_decimal else known})"
 
 
 def numbers_in(facts: Iterable[str]) -> dict[str, Exact]:

@@ -343,8 +343,8 @@ class _Portfolio:
         deadline = time.monotonic() + settings.timeout_s
         # without a translation to wait for, what keeps the warm way keeps the cold one, which says so
         ways = [way for way in settings.ways if way != "warm" or self._grounding is not None]
-        if self._problem.domain.computed and settings.engine in TRANSLATED and NUMERIC not in ways:
-            ways.insert(1 + max(ways.index(way) for way in ("warm", "cold") if way in ways), NUMERIC)
+        if self._problem.domain.computed and settings.engine in TRANSLATED:  # what is capped is so however often
+            ways = [ways[0], NUMERIC, *(way for way in ways[1:] if way not in ("cold", NUMERIC))]
         for number, way in enumerate(ways, start=1):
             left_s = _left_s(deadline)
             yield way, min(settings.budgets_s.get(way, left_s if number == len(ways) else left_s / 2), left_s)

@@ -1,0 +1,85 @@
+"""Objects that come and go while a plan runs, and questions to what is believed."""
+
+import pytest
+from pddl_world import World
+from py_trees.common import Status
+
+from rosa_pddl import UnknownNameError, parse_domain
+
+DOMAIN = """(define (domain rocks) (:types action place sample - object)
+  (:predicates (action_feasible ?a - action) (drive_action ?a - action) (at ?p - place) (lies ?s - sample ?p - place)
+    (analysed ?s - sample))
+  (:durative-action drive :parameters (?a - action ?from ?to - place) :duration (= ?duration 2)
+    :condition (and (at start (at ?from)) (over all (drive_action ?a)) (over all (action_feasible ?a)))
+    :effect (and (at start (not (at ?from))) (at end (at ?to))))
+  (:durative-action analyse :parameters (?s - sample ?p - place) :duration (= ?duration 2)
+    :condition (and (over all (at ?p)) (at start (lies ?s ?p))) :effect (at end (analysed ?s))))"""
+PROBLEM = """(define (problem p) (:domain rocks)
+  (:objects drive - action base crater - place sample_1 - sample)
+  (:init (at base) (drive_action drive) (lies sample_1 base)) (:goal (forall (?s - sample) (analysed ?s))))"""
+
+
+@pytest.fixture(scope="module")
+def rocks():
+    return parse_domain(DOMAIN, PROBLEM)
+
+
+def begun(world):
+    return [name for _, name, what in world.log if what == "begins"]
+
+
+def test_a_sample_that_appears_while_the_plan_runs_is_analysed_too(rocks):
+    world = World(rocks)
+    assert world.run(until="analyse") is Status.RUNNING
+    world.executor.add_object("sample_9", "sample")
+    world.facts = {"(lies sample_9 crater)": True}
+    assert world.executor.objects("sample") == ("sample_1", "sample_9")
+    for _ in range(100):
+        if world.tick() is Status.SUCCESS:
+            break
+    assert begun(world) == ["analyse", "drive", "analyse"]
+    assert world.executor.holds("(forall (?s - sample) (analysed ?s))")
+    assert "(analysed sample_9)" in world.executor.state
+    assert rocks.objects_of("sample") == ("sample_1",)  # what was loaded is shared, and stays as it is
+
+
+def test_objects_are_sensed_to_appear_and_to_vanish(rocks):
+    world = World(rocks)
+    world.facts = {"sample_9 - sample": True, "(lies sample_9 crater)": True}
+    assert world.run(until="drive") is Status.RUNNING
+    world.facts = {"sample_9 - sample": False}
+    assert world.run() is Status.SUCCESS
+    assert begun(world) == ["analyse", "drive"]
+    assert world.executor.objects("sample") == ("sample_1",)
+    assert not [fact for fact in world.executor.state if "sample_9" in fact]
+    world.facts = {"sample_9 - sample": True, "(lies sample_9 base)": True}
+    world.tick()
+    assert world.run() is Status.SUCCESS
+    assert world.executor.holds("(analysed sample_9)")
+
+
+def test_a_step_that_is_done_with_what_has_gone_is_stopped(rocks):
+    world = World(rocks)
+    assert world.run(until="analyse") is Status.RUNNING
+    world.executor.remove_object("sample_1")
+    assert world.executor.current_steps == ()
+    assert ("analyse", "INVALID") in [entry[1:] for entry in world.log]
+    assert world.run() is Status.SUCCESS
+
+
+def test_what_cannot_come_or_go_is_refused_by_name_and_nothing_changes(rocks):
+    world = World(rocks)
+    for name, kind, words in (
+        ("sample_1", "sample", "a name that no object has"),
+        ("sample 2", "sample", "a name that no object has"),
+        ("sample_2", "smple", "no type 'smple'.*nearest: sample"),
+        ("fly", "action", "would be a ROSA action"),
+    ):
+        with pytest.raises(UnknownNameError, match=words):
+            world.executor.add_object(name, kind)
+    with pytest.raises(UnknownNameError, match="no object 'sample_3'"):
+        world.executor.remove_object("sample_3")
+    with pytest.raises(UnknownNameError, match="is a ROSA action"):
+        world.executor.remove_object("drive")
+    assert world.executor.objects("place") == ("base", "crater")
+    assert world.run() is Status.SUCCESS

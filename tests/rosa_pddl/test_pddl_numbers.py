@@ -1,0 +1,182 @@
+"""Numbers that rise and fall: planned for exactly, kept in the state, sensed, and found again by brute force."""
+
+from collections import deque
+from fractions import Fraction
+from shutil import which
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pddl_world import World
+from py_trees.common import Status
+
+from rosa_pddl import Outcome, Planner, Problem, flaw, initial_state, parse_domain
+from rosa_pddl.validate import ended, goal_holds, missing_at_start, started
+
+PLACES = ("dock", "w1", "w2", "w3", "w4")
+FAR = {(a, b): 5 + 3 * abs(i - j) for i, a in enumerate(PLACES) for j, b in enumerate(PLACES) if a != b}
+CHARGING = """(define (domain charging) (:requirements :typing :fluents :durative-actions)
+  (:types robot waypoint)
+  (:predicates (robot_at ?r - robot ?w - waypoint) (charger_at ?w - waypoint) (connected ?a ?b - waypoint)
+    (patrolled ?w - waypoint))
+  (:functions (level ?r - robot) (distance ?a ?b - waypoint) (speed ?r - robot) (travelled))
+  (:durative-action move :parameters (?r - robot ?a ?b - waypoint)
+    :duration (= ?duration (/ (distance ?a ?b) (speed ?r)))
+    :condition (and (at start (connected ?a ?b)) (at start (robot_at ?r ?a))
+      (at start (>= (level ?r) (* 2 (distance ?a ?b)))))
+    :effect (and (at start (not (robot_at ?r ?a))) (at end (robot_at ?r ?b)) (at end (increase (travelled) 1))
+      (at end (decrease (level ?r) (* 2 (distance ?a ?b))))))
+  (:durative-action patrol :parameters (?r - robot ?w - waypoint) :duration (= ?duration 5)
+    :condition (and (at start (robot_at ?r ?w)) (over all (robot_at ?r ?w)) (over all (>= (level ?r) 10)))
+    :effect (and (at end (patrolled ?w)) (at end (decrease (level ?r) 5))))
+  (:durative-action charge :parameters (?r - robot ?w - waypoint) :duration (= ?duration 5)
+    :condition (and (at start (robot_at ?r ?w)) (at start (charger_at ?w)) (at start (< (level ?r) 100)))
+    :effect (at end (assign (level ?r) 100))))"""
+ROUND = f"""(define (problem round) (:domain charging) (:objects leia - robot {" ".join(PLACES)} - waypoint)
+  (:init (robot_at leia dock) (charger_at dock) (= (level leia) 60) (= (speed leia) 1) (= (travelled) 0)
+    {" ".join(f"(connected {a} {b}) (= (distance {a} {b}) {far})" for (a, b), far in FAR.items())})
+  (:goal (and (patrolled w1) (patrolled w3) (patrolled w4) (>= (level leia) 50))))"""
+
+
+@pytest.fixture(scope="module")
+def charging():
+    return parse_domain(CHARGING, ROUND)
+
+
+def test_a_battery_that_is_used_and_charged_is_planned_with_exactly(charging):
+    assert charging.computed == {"level", "distance"}  # how far it has travelled is asked for nowhere
+    state = initial_state(charging)
+    assert "(= (level leia) 60)" in state
+    result = Planner().plan(Problem(charging, state))
+    assert (result.outcome, [one.way for one in result.attempts]) == (Outcome.SOLVED_OPTIMALLY, ["warm"])
+    assert [step.schema for step in result.steps].count("charge") == 2
+    assert flaw(charging, result.steps, state) is None
+    assert "level leia" in flaw(charging, [step for step in result.steps if step.schema != "charge"], state)
+
+
+def test_the_plan_runs_and_numbers_that_are_sensed_count(charging):
+    world = World(charging)
+    assert world.run(until="patrol") is Status.RUNNING
+    world.facts = {"(level leia)": 36.5}
+    assert world.tick() is Status.RUNNING
+    assert "(= (level leia) 36.5)" in world.executor.state
+    assert not world.executor.holds("(>= (level leia) 40)")
+    world.facts = {}
+    assert world.run(limit=400) is Status.SUCCESS
+    assert world.executor.holds("(and (patrolled w3) (>= (level leia) 50))")
+    assert any("does not hold" in record.reason for record in world.executor.plans[1:])
+
+
+def test_a_running_step_is_stopped_when_a_number_falls_below_what_it_needs(charging):
+    world = World(charging)
+    assert world.run(until="patrol") is Status.RUNNING
+    world.facts = {"(level leia)": 5}
+    world.tick()
+    assert "patrol" not in [step.schema for step in world.executor.current_steps]
+
+
+@pytest.mark.skipif(which("java") is None, reason="ENHSP needs Java")
+def test_beyond_the_cap_enhsp_is_asked():
+    pump = """(define (domain d) (:predicates (p)) (:functions (x)) (:action a :effect (increase (x) 1))
+      (:action b :precondition (>= (x) 3) :effect (and (p) (assign (x) 0))))"""
+    domain = parse_domain(pump, "(define (problem p) (:domain d) (:init (= (x) 0)) (:goal (p)))")
+    state = initial_state(domain)
+    result = Planner(moves=1, timeout_s=120.0).plan(Problem(domain, state))
+    assert [one.way for one in result.attempts] == ["warm", "enhsp"]
+    assert (result.outcome, flaw(domain, result.steps, state)) == (Outcome.SOLVED, None)
+
+
+def test_what_is_missing_for_that_is_said(charging, monkeypatch):
+    monkeypatch.setattr("rosa_pddl.engines.unified_planning.which", lambda _: None)
+    result = Planner(moves=50).plan(Problem(charging, initial_state(charging)))
+    assert result.outcome.is_trouble
+    assert "needs Java" in result.message
+
+
+METRIC = """(define (domain m) (:predicates (a) (b)) (:functions (fuel) (noise) (far))
+  (:action one :effect (and (a) (increase (fuel) (far)) (increase (noise) 1)))
+  (:action two :effect (and (a) (increase (fuel) 3) (increase (noise) 9))))"""
+
+
+@pytest.mark.parametrize(
+    ("metric", "far", "step"),
+    [("(fuel)", 2, "one"), ("(fuel)", 4, "two"), ("(+ (fuel) (* 2 (noise)))", 4, "one"), ("(noise)", 9, "one")],
+)
+def test_numbers_that_only_rise_may_be_minimized(metric, far, step):
+    init = f"(:init (= (fuel) 0) (= (noise) 0) (= (far) {far}))"
+    domain = parse_domain(METRIC, f"(define (problem p) (:domain m) {init} (:goal (a)) (:metric minimize {metric}))")
+    result = Planner().plan(Problem(domain, initial_state(domain)))
+    assert [one.schema for one in result.steps] == [step]
+
+
+# ------------------------------------------------------------------ random worlds
+
+COMPARE = ("<", "<=", ">=", ">", "=")
+
+
+@st.composite
+def numeric_worlds(draw):
+    """Write a small world with two bounded numbers and two facts, where brute force can look at every state."""
+    number = st.sampled_from(["(x)", "(y)"])
+    actions = []
+    for name in range(draw(st.integers(2, 4))):
+        one, other, by = draw(number), draw(number), draw(st.sampled_from(["1", "2", "0.5", "(y)"]))
+        test = f"({draw(st.sampled_from(COMPARE))} {draw(number)} {draw(st.sampled_from(['1', '2', '(x)', '1.5']))})"
+        needs = draw(
+            st.sampled_from([test, f"(not {test})", f"(or {test} (p))", "(p)", "(not (q))", f"(and (q) {test})"])
+        )
+        kind = draw(st.sampled_from(["increase", "decrease", "assign"]))
+        fact = draw(st.sampled_from(["(p)", "(q)", "(not (p))", "(not (q))", "(and)", f"(when {test} (q))"]))
+        keep = "(<= (x) 4) (>= (x) -3) (<= (y) 4) (>= (y) -3)"
+        change = f"({kind} {one} {by if by != '(y)' or kind == 'assign' or other == '(y)' else '1'})"
+        actions.append(f"(:action a{name} :precondition (and {needs} {keep}) :effect (and {fact} {change}))")
+    domain = f"(define (domain d) (:predicates (p) (q)) (:functions (x) (y)) {' '.join(actions)})"
+    goal = draw(st.sampled_from(["(q)", "(>= (x) 3)", "(and (p) (= (y) 2))", "(or (q) (< (x) -1))", "(= (x) 1.5)"]))
+    values = f"(= (x) {draw(st.integers(0, 2))}) (= (y) {draw(st.integers(-1, 2))})"
+    return domain, f"(define (problem p) (:domain d) (:init {values}) (:goal {goal}))"
+
+
+def brute_force(domain, state):
+    """Return the fewest steps to the goal by looking at every state, None if there is no way."""
+    queue, seen = deque([(state, 0)]), {state}
+    steps = [domain.step(schema, ()) for schema in domain.schemas]
+    while queue:
+        state, count = queue.popleft()
+        if goal_holds(domain, state):
+            return count
+        for step in steps:
+            if missing_at_start(domain, step, state) is None:
+                after = ended(domain, step, started(domain, step, state))
+                if after not in seen:
+                    seen.add(after)
+                    queue.append((after, count + 1))
+        if len(seen) > 3000:
+            return -1
+    return None
+
+
+@settings(max_examples=40)
+@given(texts=numeric_worlds())
+def test_what_is_planned_in_random_worlds_is_what_brute_force_finds(texts):
+    domain = parse_domain(*texts)
+    state = initial_state(domain)
+    fewest = brute_force(domain, state)
+    result = Planner(cached=0, timeout_s=60.0).plan(Problem(domain, state))
+    if fewest == -1:
+        return
+    assert result.outcome is (Outcome.UNSOLVABLE_PROVEN if fewest is None else Outcome.SOLVED_OPTIMALLY), result
+    assert result.cost == fewest
+    assert fewest is None or flaw(domain, result.steps, state) is None
+
+
+def test_numbers_are_exact():
+    third = """(define (domain d) (:predicates (p)) (:functions (x)) (:action a :effect (increase (x) (/ 1 3)))
+      (:action b :precondition (= (x) 1) :effect (p)))"""
+    domain = parse_domain(third, "(define (problem p) (:domain d) (:init (= (x) 0)) (:goal (p)))")
+    state = initial_state(domain)
+    result = Planner().plan(Problem(domain, state))
+    assert [step.schema for step in result.steps] == ["a", "a", "a", "b"]
+    for count in range(1, 4):
+        state = ended(domain, result.steps[0], state)
+        value = Fraction(count, 3)
+        assert f"(= (x) {value})" in state
