@@ -42,8 +42,8 @@ manager.update()
 for count in (7, 1):
     print(count, "people around")
     kb.measure("people", count)
-    plan = manager.update()
-    print("  because", plan.reason)
+    if plan := manager.update():
+        print("  because", plan.reason)
 
 print("delivered")
 kb.cancel_action("deliver", "completed")

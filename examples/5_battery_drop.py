@@ -33,14 +33,15 @@ class Carry(RosaAction):
         """Say how far it is; called when the action is interrupted."""
         return self.carried
 
-    def restore_progress(self, progress: int) -> None:
+    def restore_progress(self, progress: object) -> None:
         """Go on from there; called after `initialise`."""
+        assert isinstance(progress, int)
         self.carried = progress
 
 
 clock = FakeClock()
 kb = KnowledgeBase(model, clock=clock)
-kb.subscribe(lambda event: event.kind is EventKind.RECORD or print(f"{event.time:3.0f} s  {event.text}"))
+kb.subscribe(lambda event: None if event.kind is EventKind.RECORD else print(f"{event.time:3.0f} s  {event.text}"))
 robot = ScriptedManaged(clock)  # stands in for the real one
 manager = ConfigurationManager(kb, robot)
 

@@ -1,5 +1,7 @@
 """Without a tree: a feeding robot in a barn whose state machine asks and tells the same knowledge base."""
 
+from collections.abc import Callable
+
 from kb import KnowledgeBase, Model
 
 model = Model("feeder")
@@ -16,7 +18,7 @@ kb = KnowledgeBase(model, clock=lambda: 0.0)
 
 def successor(state: str) -> str:
     """Return the state that follows. What feeding takes is the model's to know."""
-    is_full = kb.attributes["feed_kg"].value >= 30.0
+    is_full = (kb.attributes["feed_kg"].value or 0.0) >= 30.0
     if state == "refill" and not is_full:
         return "refill"
     if kb.is_feasible("feed_cows"):
@@ -33,7 +35,7 @@ def switch(state: str, following: str) -> None:
     kb.request_action(following)
 
 
-happenings = {
+happenings: dict[str, Callable[[], None]] = {
     "9 kg in the hopper": lambda: kb.measure("feed_kg", 9.0),
     "4 kg": lambda: kb.measure("feed_kg", 4.0),
     "17 kg": lambda: kb.measure("feed_kg", 17.0),

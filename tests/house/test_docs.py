@@ -50,26 +50,39 @@ def shell_lines(path):
 def test_document_does_what_it_says(path, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     shutil.copy(ROOT / "tests" / "missions" / "battery_drop.jsonl", tmp_path)
-    pieces = [text for language, text in blocks(path) if language == "python"]
-    if path.name == "own_robot.md":
-        (tmp_path / "rover.py").write_text("\n".join(pieces))
-        domain, problem = (text for language, text in blocks(path) if language == "pddl")
-        (tmp_path / "domain.pddl").write_text(domain)
-        (tmp_path / "problem.pddl").write_text(problem)
-    elif path.name == "replay_tests.md":
-        pass  # tests/missions/test_replay_tests_page.py runs it
-    else:
+    if path.name not in ("tutorial.md", "replay_tests.md"):  # parts of files, see below; and of tests, see there
         run_python(path)
     monkeypatch.syspath_prepend(tmp_path)
     for line in shell_lines(path):
         program, *arguments = line.split()
+        if program == "cd":
+            monkeypatch.chdir(*arguments)
+            monkeypatch.syspath_prepend(Path.cwd())
+            continue
         assert program == "rosa", line
         done = CliRunner().invoke(cli.app, arguments)
         assert done.exit_code == 0, f"{line}\n{done.output}\n{done.exception!r}"
-    sys.modules.pop("rover", None)
+    for name in [one for one in sys.modules if one.partition(".")[0] in ("rover", "my_robot")]:
+        del sys.modules[name]
     for language, text in blocks(path):
         if language == "json":
             json.loads(text)
+
+
+def test_tutorial_shows_what_rosa_new_writes_and_what_that_prints(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert CliRunner().invoke(cli.app, ["new", "my_robot", "--task", "both"]).exit_code == 0
+    written = [path.read_text() for kind in ("py", "pddl") for path in tmp_path.rglob(f"*.{kind}")]
+    tutorial = blocks(ROOT / "docs" / "tutorial.md")
+    parts = [text for language, text in tutorial if language in ("python", "pddl")]
+    assert len(parts) > 8
+    for part in parts:
+        assert any(part in text for text in written), part
+    command = [sys.executable, "-m", "missions", "run", "my_robot:MISSION"]
+    printed = subprocess.run(command, cwd=tmp_path / "my_robot", capture_output=True, text=True, check=True).stdout
+    (shown,) = (text for language, text in tutorial if language == "text")
+    for line in shown.splitlines():
+        assert line in printed.splitlines()
 
 
 @pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.name)
@@ -92,6 +105,23 @@ def test_example_prints_what_stands_beside_it(path):
     done = subprocess.run([sys.executable, str(path)], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert done.stdout == path.with_suffix(".txt").read_text()
+
+
+def test_notebook_prints_what_stands_in_it():
+    cells = json.loads((ROOT / "examples" / "notebook.ipynb").read_text())["cells"]
+    namespace = {"__name__": "notebook"}
+    shown = 0
+    for cell in cells:
+        if cell["cell_type"] != "code":
+            continue
+        text, last = "".join(cell["source"]), cell["source"][-1]
+        printed = io.StringIO()
+        with contextlib.redirect_stdout(printed):
+            exec(text, namespace)
+        assert printed.getvalue() == "".join(text for output in cell["outputs"] for text in output["text"])
+        if last.startswith("kb") and "=" not in last:
+            shown += "<" in eval(last, namespace)._repr_html_()
+    assert shown == 2
 
 
 def test_ci_runs_exactly_the_test_command_of_the_readme():

@@ -59,10 +59,12 @@ def test_new_robot_runs_and_is_clean_in_each_variant(new, options, tmp_path):
     assert (folder / "bridge.toml").exists() is ("--ros2" in options)
 
 
-def test_new_robot_passes_its_own_tests_and_strict_types(new, tmp_path):
+def test_new_robot_passes_its_own_tests_and_with_the_examples_strict_types(new, tmp_path):
     folder = tmp_path / new("--task", "both")
     check("pytest", "-q", "-p", "no:randomly", "-p", "no:xdist", folder=folder)
-    check("mypy", "--cache-dir", str(tmp_path / "cache"), ".", folder=folder)
+    examples = [str(path) for path in (Path(__file__).parents[2] / "examples").glob("*.py")]
+    assert len(examples) >= 11
+    check("mypy", "--strict", "--cache-dir", str(tmp_path / "cache"), ".", *examples, folder=folder)
 
 
 @pytest.mark.parametrize(
