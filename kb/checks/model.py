@@ -1,6 +1,5 @@
 """Checks of a model as a whole: its names, what is used, and the facts that it states from the start."""
 
-from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import replace
 from math import inf
@@ -9,7 +8,7 @@ from kb import facts
 from kb.checks.choices import doubtful_choices
 from kb.checks.contradictions import contradictions
 from kb.checks.findings import Finding, Severity, found, listing
-from kb.elements import KINDS, Action, Component, Constraint, Element, Function, FunctionDesign, listed, text
+from kb.elements import KINDS, Constraint, Element, listed, text
 from kb.exceptions import UnknownName
 from kb.explanation.requirements import Interval
 from kb.facts import Contents, RequiredActionFact, tables_of
@@ -29,9 +28,6 @@ def check_model(model: Contents, names: Iterable[str] | None = None) -> tuple[Fi
         *_out_of_range(model),
         *doubtful_choices(model, network),
         *_hidden_statuses(model),
-        *_measured_twice(model),
-        *_selected_wrongly(model),
-        *_active_for_nothing(model),
         *(finding for table in tables_of(model).values() for finding in _similar(table)),
         *(found("file-note", f"model {model.name}", note) for note in model.notes),
     ]
@@ -110,54 +106,3 @@ def _hidden_statuses(model: Contents) -> Iterator[Finding]:
             if isinstance(one, Constraint):
                 what += f" of {listing(each.name for each in one.constrained)}"
             yield found("hidden-status", what, f"{what} is stated to be {fact.status}")
-
-
-def _measured_twice(model: Contents) -> Iterator[Finding]:
-    latest = [fact.attribute for fact in model.facts if isinstance(fact, facts.MeasurementFact) and fact.latest]
-    for name, count in Counter(latest).items():
-        if count > 1:
-            message = f"{count} measurements of attribute {name} are each stated to be the latest"
-            yield found("contradictory-facts", f"attribute {name}", message)
-
-
-def _selected_wrongly(model: Contents) -> Iterator[Finding]:
-    designs: dict[str, dict[str, None]] = {}
-    configurations: dict[str, dict[str, None]] = {}
-    wanted = _required(model, Component)
-    for fact in model.facts:
-        if not isinstance(fact, facts.SelectedFact):
-            continue
-        if isinstance(fact.element, FunctionDesign):
-            wanted.update(fact.element.components)
-            designs.setdefault(fact.element.function, {})[fact.element.name] = None
-        else:
-            configurations.setdefault(fact.element.component, {})[fact.element.name] = None
-    for kind, parts, selected in ("function", "designs", designs), ("component", "configurations", configurations):
-        for name, chosen in selected.items():
-            if len(chosen) > 1:
-                message = f"{parts} {listing(chosen)} of {kind} {name} are selected at the same time"
-                yield found("contradictory-facts", f"{kind} {name}", message)
-    for component, (first, *_) in configurations.items():
-        if component not in wanted:
-            message = f"configuration {first} is selected, but component {component} is in no selected design"
-            yield found("contradictory-facts", f"configuration {first}", message)
-
-
-def _active_for_nothing(model: Contents) -> Iterator[Finding]:
-    """Yield what is active although other things are required; a robot of which nothing is required may just idle."""
-    functions, actions = _required(model, Function), _required(model, Action)
-    for fact in model.facts:
-        if isinstance(fact, RequiredActionFact) and fact.end is None and fact.result is None:
-            actions.add(fact.action)
-    for action in actions:
-        functions.update(model.actions[action].functions)
-    used = {name for one in model.designs.values() if one.function in functions for name in one.components}
-    for fact in model.facts:
-        if functions and isinstance(fact, facts.ActiveFact) and fact.component not in used:
-            what = f"component {fact.component}"
-            yield found("contradictory-facts", what, f"{what} is active, but nothing that is required can use it")
-
-
-def _required(model: Contents, cls: type[Element]) -> set[str]:
-    stated = (fact for fact in model.facts if isinstance(fact, facts.RequiredFact))
-    return {fact.element.name for fact in stated if isinstance(fact.element, cls)}

@@ -1,4 +1,4 @@
-"""Queries in SPARQL 1.1 over a world of individuals; the only module that imports pyoxigraph, in a worker's process."""
+"""Queries in SPARQL 1.1 over a world of individuals; through pyoxigraph, in a worker's process."""
 
 import re
 import time

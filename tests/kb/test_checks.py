@@ -240,41 +240,6 @@ def status_of_a_constraint_that_is_stated(model):
     model.add_fact(StatusFact(constraint, Status.SATISFIED))
 
 
-@specimen(
-    "contradictory-facts", "function see", "designs by camera and by sonar of function see are selected at the same"
-)
-def two_selected_designs_of_one_function(model):
-    for design in model.designs.values():
-        model.add_fact(SelectedFact(design))
-
-
-@specimen("contradictory-facts", "component camera", "configurations day and night of component camera are selected")
-def two_selected_configurations_of_one_component(model):
-    for chosen in (model.designs["by camera"], *model.configurations.values()):
-        model.add_fact(SelectedFact(chosen))
-
-
-@specimen("contradictory-facts", "configuration day", "component camera is in no selected design")
-def selected_configuration_of_a_component_that_is_not_wanted(model):
-    model.add_fact(SelectedFact(model.configurations["day"]))
-
-
-@specimen("contradictory-facts", "component radar", "is active, but nothing that is required can use it")
-def active_component_that_is_obsolete(model):
-    model.function("range").design("by radar", [model.component("radar")], priority=1)
-    model.action("survey", requires=["range"])
-    for fact in (RequiredActionFact("explore"), ActiveFact("sonar"), ActiveFact("radar")):
-        model.add_fact(fact)
-
-
-@specimen(
-    "contradictory-facts", "attribute light", "2 measurements of attribute light are each stated to be the latest"
-)
-def two_latest_measurements(model):
-    for value in (0.1, 0.2):
-        model.add_fact(MeasurementFact("light", value))
-
-
 @specimen("similar-names", "component Sonar", "component Sonar is called almost like component sonar")
 def names_that_differ_in_case(model):
     model.functions["see"].design("by all", ["camera", model.component("Sonar")], priority=0)
