@@ -149,7 +149,7 @@ def test_attempts_can_be_asked_for_with_their_plans():
             ?c :name ?component . ?plan :result ?planned .
             OPTIONAL { ?attempt :reason ?reason } }
     """)
-    assert rows == [("camera", "failed", "no light", "failed"), ("lidar", "completed", None, "completed")]
+    assert sorted(rows) == [("camera", "failed", "no light", "failed"), ("lidar", "completed", None, "completed")]
 
 
 def test_parameters_of_an_attempt_that_succeeded_are_in_force_and_can_be_asked_for():
