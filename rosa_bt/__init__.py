@@ -10,7 +10,7 @@ from rosa_bt.behaviours import (
 )
 from rosa_bt.decorators import ForAction
 from rosa_bt.exceptions import ExportError, RegistryError, RosaBtError, TraceError, TreeChangeError, XmlError
-from rosa_bt.idioms import do_until_unfeasible, feasible_then_act, first_feasible, switch_safely
+from rosa_bt.idioms import WhatNext, do_until_unfeasible, feasible_then_act, first_feasible, switch_safely
 from rosa_bt.trace import Trace, TraceVisitor, read_trace, replay_trace
 from rosa_bt.trees import TreeRunner
 from rosa_bt.xml import BehaviourRegistry, export_xml, load_xml
@@ -31,6 +31,7 @@ __all__ = [
     "TreeChangeError",
     "TreeRunner",
     "WaitForArchitecture",
+    "WhatNext",
     "XmlError",
     "do_until_unfeasible",
     "export_xml",

@@ -56,12 +56,13 @@ class BaselineController(Controller):
         rng: "Generator",
         options: Mapping[str, float],
         inputs: Iterable[str] = (),
+        deadline_s: float = inf,
     ) -> None:
         super().__init__(name, "tree of the manager" if manager.decides_tasks else "mission node")
         self.inputs = {f"input_from_paper_{name}": options[name] for name in inputs}
         self._world, self._class, self._percepts = world, manager, Percepts()
         phases = rng.random(2).tolist()
-        self.robot = Robot(mission, world.managed, world.settings, rng, lambda: world.now, options)
+        self.robot = Robot(mission, world.managed, world.settings, rng, lambda: world.now, options, deadline_s)
         self._manager = self._ask(manager, self.robot)
         self._mission_timer = _Timer(world.settings.mission_period_s, phases[0])
         self._manager_timer = _Timer(self._ask(_checked, self._manager.period_s), phases[1])

@@ -6,7 +6,7 @@ from math import inf
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from kb import RequiredAction
-from missions.engine.components import SimulatedComponents
+from missions.engine.components import Operation, SimulatedComponents
 from missions.engine.mission import Message, Mission, MissionError
 from missions.engine.settings import Setting
 
@@ -33,6 +33,7 @@ class Robot:
         measured: last published number by key, e.g. {"water_visibility": 3.1, "battery_level": 0.9}.
         reported: last published word by component, e.g. {"c_thruster_1": "FALSE"}.
         noticed: how often something else was published, by key, e.g. {"pipeline_found": 1}.
+        deadline_s: when the mission ends at the latest [s].
         tasks: every task that was begun, in order.
     """
 
@@ -44,10 +45,12 @@ class Robot:
         rng: "Generator",
         clock: Callable[[], float],
         options: Mapping[str, float] | None = None,
+        deadline_s: float = inf,
     ) -> None:
         from suave_env.components import Agenda
 
         self.mission, self.settings, self.rng, self.options = mission, settings, rng, options or {}
+        self.deadline_s = deadline_s
         self.measured: dict[str, float] = {}
         self.reported: dict[str, str] = {}
         self.noticed: dict[str, int] = {}
@@ -63,14 +66,14 @@ class Robot:
         """The task that is being done."""
         return self.tasks[-1].action if self.tasks and self.tasks[-1].end is None else None
 
-    def activate(self, component: str) -> None:
-        self._managed.activate(component)
+    def activate(self, component: str) -> Operation:
+        return self._managed.activate(component)
 
-    def deactivate(self, component: str) -> None:
-        self._managed.deactivate(component)
+    def deactivate(self, component: str) -> Operation:
+        return self._managed.deactivate(component)
 
-    def set_parameters(self, component: str, parameters: Mapping[str, Any]) -> None:
-        self._managed.set_parameters(component, parameters)
+    def set_parameters(self, component: str, parameters: Mapping[str, Any]) -> Operation:
+        return self._managed.set_parameters(component, parameters)
 
     def is_active(self, component: str) -> bool:
         return self._managed.is_active(component)

@@ -20,6 +20,7 @@ MANAGERS: Registry[type[Manager]] = Registry(
         "bt": "missions.baselines.bt:TreeManager",
         "metacontrol": "missions.baselines.metacontrol:Metacontrol",
         "rosa": "missions.baselines.rosa:RosaManager",
+        "ahead": "missions.baselines.ahead:AheadManager",
     },
 )
 """Of the sea's vehicle; all but ours."""
@@ -127,7 +128,9 @@ def open_run(
         from missions.baselines.controller import BaselineController
 
         published = [one.name for one in options if one.is_published]
-        controller = BaselineController(mission, name, managed_by, world, chance, chosen, published)  # type: ignore[arg-type]  # a Manager's world is the Sea
+        controller = BaselineController(
+            mission, name, managed_by, world, chance, chosen, published, run_settings.duration_s
+        )
     return MissionRun(mission, controller, world, run_settings, listeners)
 
 

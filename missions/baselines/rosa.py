@@ -9,6 +9,7 @@ out. Calls of different programs do not delay each other, and a round of plannin
 from collections.abc import Callable
 from typing import ClassVar
 
+from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 
 from kb import ConfigurationManager, Event, EventKind, KnowledgeBase, PriorityPlanner, ReconfigurationPlan
@@ -30,10 +31,53 @@ CONFIGURING = 2
 """Calls after that until it sets parameters: which configurations, which values."""
 
 
-class RosaManager(Manager):
-    """Ticks our tree; what is published, requested and planned takes effect after as many calls as ROSA needs."""
+class OwnTree(Manager):
+    """Ticks the tree of the mission, which asks and tells a knowledge base of ours."""
 
     decides_tasks = True
+
+    def __init__(self, robot: Robot) -> None:
+        super().__init__(robot)
+        self.kb = KnowledgeBase(robot.mission.model(), clock=lambda: robot.now)
+        self.percepts = Percepts()
+        self._stop = self.kb.subscribe(self._hear)
+        self.runner = TreeRunner(self.tree(), clock=lambda: robot.now, period=self.period_s)
+        self.runner.tree.setup()
+
+    def tree(self) -> Behaviour:
+        """Build what is ticked."""
+        robot = self.robot
+        return build_task("bt", robot.mission, self.kb, self.percepts, lambda: robot.now, 0.0).root
+
+    @property
+    def is_done(self) -> bool:
+        return self.runner.status is Status.SUCCESS
+
+    def update(self) -> None:
+        self.runner.tick()
+
+    def close(self) -> None:
+        self._stop()
+        self.runner.shutdown()
+
+    def _hear(self, event: Event) -> None:
+        """Take down what the tree begins and ends, and have it planned for."""
+        if event.kind is not EventKind.ACTION_UPDATE:
+            return
+        record = next(one for one in reversed(self.kb.history.actions) if one.action == event.subject)
+        if record.end is None:
+            self.robot.begin(record.action)
+        else:
+            self.robot.end(str(record.result), record.reason)
+        self.requested()
+
+    def requested(self) -> None:
+        """Plan for what was requested or cancelled."""
+
+
+class RosaManager(OwnTree):
+    """Ticks our tree; what is published, requested and planned takes effect after as many calls as ROSA needs."""
+
     options: ClassVar = (
         Setting(
             "service_s",
@@ -46,54 +90,29 @@ class RosaManager(Manager):
     )
 
     def __init__(self, robot: Robot) -> None:
-        super().__init__(robot)
         self._service_s = robot.options["service_s"]
         self.period_s = robot.settings.tree_period_s + self._service_s  # each tick asks whether an action is feasible
-        self._kb = KnowledgeBase(robot.mission.model(), clock=lambda: robot.now)
-        self._stop = self._kb.subscribe(self._hear)
-        self._percepts = Percepts()
-        task = build_task("bt", robot.mission, self._kb, self._percepts, lambda: robot.now, 0.0)
-        self._runner = TreeRunner(task.root, clock=lambda: robot.now, period=self.period_s)
-        self._runner.tree.setup()
+        super().__init__(robot)
         self._planner = PriorityPlanner()
-        self._manager = ConfigurationManager(self._kb, robot, planner=self._planner)  # to see what would be planned
+        self._manager = ConfigurationManager(self.kb, robot, planner=self._planner)  # to see what would be planned
         self._asked = 0
         self._is_busy = False
-
-    @property
-    def is_done(self) -> bool:
-        return self._runner.status is Status.SUCCESS
 
     def receive(self, message: Message) -> None:
         self._after(INSERTING, lambda: self._insert(message))
 
-    def update(self) -> None:
-        self._runner.tick()
-
-    def close(self) -> None:
-        self._stop()
-        self._runner.shutdown()
+    def requested(self) -> None:
+        self._after(REQUESTING, self._ask_for_round)
 
     def _after(self, calls: int, what: Callable[[], None]) -> None:
         self.robot.later(calls * self._service_s, what)
 
     def _insert(self, message: Message) -> None:
-        self._percepts.receive(message)
-        before = self._kb.revision
-        self._kb.receive(message)
-        if self._kb.revision != before and self._manager.dry_run() is not None:
+        self.percepts.receive(message)
+        before = self.kb.revision
+        self.kb.receive(message)
+        if self.kb.revision != before and self._manager.dry_run() is not None:
             self._ask_for_round()
-
-    def _hear(self, event: Event) -> None:
-        """Take down what the tree begins and ends, and have it planned for."""
-        if event.kind is not EventKind.ACTION_UPDATE:
-            return
-        record = next(one for one in reversed(self._kb.history.actions) if one.action == event.subject)
-        if record.end is None:
-            self.robot.begin(record.action)
-        else:
-            self.robot.end(str(record.result), record.reason)
-        self._after(REQUESTING, self._ask_for_round)
 
     def _ask_for_round(self) -> None:
         self._asked += 1
@@ -107,7 +126,7 @@ class RosaManager(Manager):
     def _end_round(self) -> None:
         """Plan, unless something else came in meanwhile; each of that is answered by a round of its own."""
         self._asked -= 1
-        plan = None if self._asked else self._planner.plan(self._kb)
+        plan = None if self._asked else self._planner.plan(self.kb)
         if plan is not None:
             self._after(FETCHING, lambda: self._switch(plan))
         else:
@@ -122,11 +141,11 @@ class RosaManager(Manager):
 
     def _configure(self, plan: ReconfigurationPlan) -> None:
         for name in plan.parameters:
-            configuration = self._kb.configurations[name]
+            configuration = self.kb.configurations[name]
             self.robot.set_parameters(configuration.component, configuration.parameters)
         for name in (*plan.deactivate, *plan.activate):
-            self._kb.component_active(name, name in plan.activate)
-        self._kb.finish_plan(plan, "completed")
+            self.kb.component_active(name, name in plan.activate)
+        self.kb.finish_plan(plan, "completed")
         self._rest()
 
     def _rest(self) -> None:

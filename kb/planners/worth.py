@@ -1,0 +1,491 @@
+"""What to do next, and how to be configured for it, by what that is worth until a deadline.
+
+A mission states what actions gain, and which errands, such as a recharge, gain nothing but keep the others feasible. A
+dynamic program finds the best way over the horizon, exactly on a grid of times, by what the knowledge base forecasts.
+That an errand is worth doing now is told to it: what is put off is asserted to be unfeasible, with the reason, so that
+every task layer, explanation and replay follows. Nothing becomes feasible by it.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from math import ceil, inf
+from typing import Final, NamedTuple
+
+from kb.elements import finite_number
+from kb.exceptions import InvalidValue, UnknownName
+from kb.knowledge_base import KnowledgeBase
+from kb.planners.choice import Choice, choice_by_priority
+from kb.records import ReconfigurationPlan
+from kb.status import OPERATORS, Status
+from kb.views import ConstraintView
+
+_FINEST_S: Final = 1.0
+_STEPS: Final = 64
+"""A horizon is looked at in at most so many steps, none shorter than the finest [s]."""
+_MOST_STATES: Final = 1_500
+"""A question with more states than this is asked again in steps twice as long."""
+_SLOPE_S: Final = 30.0
+"""Over how long it is asked how fast an attribute changes [s]."""
+_NOISE: Final = 1e-9
+_LEAST: Final = (">=", ">")
+
+
+@dataclass(frozen=True, slots=True)
+class Gain:
+    """What doing an action is worth while it is feasible.
+
+    Attributes:
+        action: its name.
+        rate: worth per second; by name of the configuration that it is done in, where it hangs on that.
+        spread: by what share the rate may be higher or lower.
+        away: how fast doing it takes the robot away from where errands are done [m/s].
+        switching_s: for how long nothing is gained when the configuration changes [s].
+        possible: says whether anything can be gained by it now.
+    """
+
+    action: str
+    rate: float | Mapping[str, float]
+    spread: float = 0.0
+    away: float = 0.0
+    switching_s: float = 0.0
+    possible: Callable[[], bool] = lambda: True
+
+
+@dataclass(frozen=True, slots=True)
+class Errand:
+    """An action that gains nothing, and restores attributes of which others need enough.
+
+    Attributes:
+        action: its name.
+        restores: what the attributes are when it is done, by name.
+        there, back: how long that takes, and how long it then takes until work goes on, by how far away it is [m to s].
+        spread: by what share both may be longer or shorter.
+    """
+
+    action: str
+    restores: Mapping[str, float]
+    there: Callable[[float], float]
+    back: Callable[[float], float]
+    spread: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Worth:
+    """What a mission is worth.
+
+    Attributes:
+        deadline: when it ends [s, by the clock of the knowledge base].
+        gains: what is worth something.
+        errands: what makes it last.
+        keep: of which attributes enough is kept at every moment to have so much left at the end of an errand, by name.
+            Of others an errand is planned only if their least value in the model is left.
+        away: says how far the robot is from where errands are done [m].
+        unit: of the worth.
+    """
+
+    deadline: float
+    gains: Sequence[Gain] = ()
+    errands: Sequence[Errand] = ()
+    keep: Mapping[str, float] = field(default_factory=dict)
+    away: Callable[[], float] = lambda: 0.0
+    unit: str = ""
+
+
+class Decision(NamedTuple):
+    """What to do now.
+
+    Attributes:
+        action: its name; None for what is feasible, in the order of the task layer, as with nothing stated.
+        configuration: what to be configured as for it; None if that is open.
+        worth: what is expected to be gained from now until the deadline; None for "do not know".
+        low, high: the same if all goes as badly, or as well, as is forecast and stated.
+        reason: why, in a sentence.
+        errands: when which begin by this plan [s].
+    """
+
+    action: str | None = None
+    configuration: str | None = None
+    worth: float | None = None
+    low: float | None = None
+    high: float | None = None
+    reason: str = ""
+    errands: tuple[tuple[float, str], ...] = ()
+
+
+class Lookahead:
+    """Decides what to do next, and tells the knowledge base what is put off.
+
+    Args:
+        kb: the knowledge base; its forecasts say how attributes go on.
+        worth: what the mission is worth; None, or no gains, for nothing stated.
+        period: how often it is decided anew at most, while no status changes [s].
+
+    Attributes:
+        latest: what was decided last.
+
+    Raises:
+        UnknownName: the model has no such action, configuration or attribute.
+        InvalidValue: a number that makes no sense.
+    """
+
+    def __init__(self, kb: KnowledgeBase, worth: Worth | None = None, period: float = 1.0) -> None:
+        self._kb, self._worth, self._period = kb, worth or Worth(inf), period
+        self.latest = Decision()
+        self._asked: tuple[int, float] = -1, -inf
+        self._begun: tuple[Errand, float, list[str]] | None = None
+        if self._worth.gains:
+            _check(kb, self._worth)
+
+    def update(self) -> Decision:
+        """Decide if it is time to, tell what is put off, and return what was decided last."""
+        kb, (revision, time) = self._kb, self._asked
+        if self._begun is not None:
+            errand, until, put_off = self._begun
+            if kb.now < until and kb.is_feasible(errand.action) and not self._is_done(errand):
+                return self.latest
+            for name in put_off:
+                kb.retract_status(kb.actions[name])
+            self._begun = None
+        elif kb.revision == revision and kb.now < time + self._period:
+            return self.latest
+        self.latest = self.decide()
+        errands = [one for one in self._worth.errands if one.action == self.latest.action]
+        if errands:
+            self._put_off(errands[0])
+        self._asked = kb.revision, kb.now
+        return self.latest
+
+    def decide(self) -> Decision:
+        """Return what is best now; nothing is told, and nothing is remembered."""
+        kb, worth = self._kb, self._worth
+        if not worth.gains or kb.now >= worth.deadline:
+            return Decision()
+        steps = min(_STEPS, ceil((worth.deadline - kb.now) / _FINEST_S))
+        while True:
+            question = _Question(kb, worth, steps)
+            if question.unknown:
+                return Decision(reason=f"as without looking ahead, since {question.unknown}")
+            try:
+                return question.decision()
+            except _TooManyStates:
+                steps = ceil(steps / 2)
+
+    def _put_off(self, errand: Errand) -> None:
+        """Put off what an errand interrupts, until it is done, or should long have been."""
+        kb, away = self._kb, self._worth.away()
+        until = kb.now + 2 * (errand.there(away) + errand.back(away)) + self._period
+        names = [one.action for one in self._worth.gains if kb.is_feasible(one.action)]
+        for name in names:
+            kb.assert_status(kb.actions[name], Status.UNFEASIBLE, self.latest.reason, until)
+        self._begun = errand, until, names
+
+    def _is_done(self, errand: Errand) -> bool:
+        values = ((self._kb.attributes[name].value, full) for name, full in errand.restores.items())
+        return all(value is not None and value >= 0.95 * full for value, full in values)
+
+
+class WorthPlanner:
+    """Chooses the configuration that a lookahead has decided for, and all else by priority."""
+
+    def __init__(self, lookahead: Lookahead) -> None:
+        self._lookahead = lookahead
+
+    def choose(self, kb: KnowledgeBase) -> Choice | None:
+        """Choose as `PriorityPlanner` does, but for what was decided."""
+        with kb.reading() as state:
+            choice = choice_by_priority(state)
+        decision = self._lookahead.update()
+        if choice is None or decision.configuration is None:
+            return choice
+        wanted = kb.configurations[decision.configuration]
+        by_priority = choice.configurations.get(wanted.component, wanted.name)
+        if by_priority == wanted.name or wanted.status is Status.UNFEASIBLE:
+            return choice
+        return Choice(choice.designs, {**choice.configurations, wanted.component: wanted.name}, decision.reason)
+
+    def plan(self, kb: KnowledgeBase) -> ReconfigurationPlan | None:
+        """Select that; None if there is nothing to choose."""
+        choice = self.choose(kb)
+        return None if choice is None else kb.select(*choice)
+
+
+def _check(kb: KnowledgeBase, worth: Worth) -> None:
+    for one in (*worth.gains, *worth.errands):
+        kb.is_feasible(one.action)  # raises where there is no such action
+        if not 0.0 <= finite_number(one.spread) < 1.0:
+            raise InvalidValue(f"the spread of {one.action} is a share from 0 to below 1, not {one.spread!r}")
+    rates = [(gain.action, name, rate) for gain in worth.gains for name, rate in _rates(gain)]
+    for action, name, rate in rates:
+        if name and name not in kb.configurations:
+            raise UnknownName("configuration", name, kb.configurations)
+        if finite_number(rate) < 0.0:
+            raise InvalidValue(f"what {action} gains in a second is 0 or more, not {rate!r}")
+    for name in (*worth.keep, *(name for errand in worth.errands for name in errand.restores)):
+        if name not in kb.attributes:
+            raise UnknownName("attribute", name, kb.attributes)
+
+
+def _rates(gain: Gain) -> list[tuple[str, float]]:
+    return list(gain.rate.items()) if isinstance(gain.rate, Mapping) else [("", gain.rate)]
+
+
+_Levels = tuple[float, ...]
+_Slopes = list[tuple[float, float, float]]
+"""How fast each level changes [1/s]: at the low end of the interval, as expected, at the high end."""
+
+
+class _Way(NamedTuple):
+    """Doing an action in a configuration: what it gains in a second, by step, how levels change, what is needed."""
+
+    gain: Gain
+    configuration: str
+    rates: list[float]
+    slopes: _Slopes
+    least: list[float]
+
+
+class _TooManyStates(Exception):
+    """A question has more states than are looked at."""
+
+
+class _Course(NamedTuple):
+    """What a solution comes to: the first move, what is gained, which errands begin when, when it stands still [s]."""
+
+    first: int
+    worth: float
+    errands: tuple[tuple[float, str], ...]
+    still: float | None
+
+    @property
+    def tail(self) -> str:
+        if self.still is not None:
+            return f"it would stand still from {self.still:.0f} s"
+        return f"it leaves again at {self.errands[1][0]:.0f} s" if self.errands[1:] else "that lasts to the end"
+
+
+_State = tuple[int, float, _Levels, int]
+"""A step, how far away the robot is [m], the levels, and the way in which it works; -1 for none."""
+
+
+class _Question:
+    """One decision: numbers, and the dynamic program over them.
+
+    A move is the number of a way or, beyond these, of an errand; -1 is to wait. Levels are the attributes that errands
+    restore, more being better. All but the arrival at an errand is reckoned at one side: as expected (0), as badly (-1)
+    or as well (1) as is forecast and stated.
+    """
+
+    def __init__(self, kb: KnowledgeBase, worth: Worth, steps: int) -> None:
+        self._kb, self._worth, self._steps, self._now = kb, worth, steps, kb.now
+        self._h = (worth.deadline - kb.now) / steps
+        self._names = list(dict.fromkeys(name for errand in worth.errands for name in errand.restores))
+        values = {name: kb.attributes[name].value for name in self._names}
+        unmeasured = [f"{name} is not measured" for name, value in values.items() if value is None]
+        self.unknown = unmeasured[0] if unmeasured else ""
+        self._levels = tuple(value or 0.0 for value in values.values())
+        self._errands = [one for one in worth.errands if kb.is_feasible(one.action)]
+        self._errand_slopes = [self._slopes(one.action) for one in self._errands]
+        self._idle = self._slopes("")
+        self._keep = [worth.keep.get(name, kb.model.attributes[name].low) for name in self._names]
+        self._kept = [index for index, name in enumerate(self._names) if name in worth.keep]
+        self._ways = [way for gain in worth.gains if gain.possible() for way in self._ways_of(gain)]
+
+    # ---------------------------------------------------------------- what is forecast
+
+    def _slopes(self, action: str) -> _Slopes:
+        """Return how fast levels change while an action is done."""
+        slopes: _Slopes = []
+        for name, level in zip(self._names, self._levels, strict=True):
+            _, _, value, low, high, _, reason = self._kb.forecast(name, _SLOPE_S, doing=(action,) if action else ())
+            self.unknown = self.unknown or (reason if value is None else "")
+            value = level if value is None else value
+            ends = value if low is None else low, value, value if high is None else high
+            slopes.append(tuple([(end - level) / _SLOPE_S for end in ends]))
+        return slopes
+
+    def _ways_of(self, gain: Gain) -> Iterator[_Way]:
+        kb, action, names = self._kb, self._kb.actions[gain.action], self._names
+        is_low = any(one.attribute in names and one.status is Status.VIOLATED for one in action.constraints)
+        if not is_low and not kb.is_feasible(gain.action):
+            return  # nothing says when what is missing comes back
+        slopes = self._slopes(gain.action)
+        for name, rate in _rates(gain):
+            constraints = (*action.constraints, *(kb.configurations[name].constraints if name else ()))
+            needed = [one for one in constraints if one.attribute in names and one.operator in _LEAST]
+            least = [max([one.value for one in needed if one.attribute == each], default=-inf) for each in names]
+            masks = [[True] * self._steps, *(self._holding(one) for one in constraints if one not in needed)]
+            yield _Way(gain, name, [rate * all(now) for now in zip(*masks, strict=True)], slopes, least)
+
+    def _holding(self, constraint: ConstraintView) -> list[bool]:
+        """Return in which steps a constraint holds, at the worse end of what is forecast; as now if that is unknown."""
+        found, compare = [constraint.status is not Status.VIOLATED], OPERATORS[constraint.operator]
+        for step in range(1, self._steps):
+            ahead = self._kb.forecast(constraint.attribute, step * self._h)
+            worse = ahead.low if constraint.operator in _LEAST else ahead.high
+            if worse is None:
+                return found[:1] * self._steps
+            found.append(compare(worse, constraint.value))
+        return found
+
+    # ---------------------------------------------------------------- the dynamic program
+
+    def _solved(self, side: int, *, is_late: bool = False) -> _Course:
+        """Find the best course; if late, errands are begun only when nothing else can be done."""
+        self._side, self._is_late = side, is_late
+        self._known: dict[_State, tuple[float, int]] = {}
+        self._shares = [(1 + side * way.gain.spread) * self._h for way in self._ways]
+        self._top = max([rate * (1 + side * way.gain.spread) for way in self._ways for rate in way.rates], default=0.0)
+        self._free = self._without_levels()
+        doing = [number for number, way in enumerate(self._ways) if self._is_done_now(way)]
+        state: _State = 0, round(self._worth.away(), 3), self._levels, doing[0] if doing else -1
+        worth, first = self._best(state)
+        errands, still = list[tuple[float, str]](), None
+        while state[0] < self._steps:
+            move, time = self._best(state)[1], self._now + state[0] * self._h
+            if move >= len(self._ways):
+                errands.append((time, self._errands[move - len(self._ways)].action))
+            still = time if move < 0 and still is None else still if move < 0 else None
+            state = self._after(state, move)
+        return _Course(first, worth, tuple(errands), still)
+
+    def _is_done_now(self, way: _Way) -> bool:
+        is_configured = not way.configuration or self._kb.configurations[way.configuration].is_selected
+        return is_configured and self._kb.actions[way.gain.action].is_required
+
+    def _without_levels(self) -> list[list[tuple[float, int]]]:
+        """Return what is gained from each step on, and by which move, were levels no matter; by the way before."""
+        free = [[(0.0, -1)] * (len(self._ways) + 1)]
+        for step in range(self._steps - 1, -1, -1):
+            row = []
+            for before in (*range(len(self._ways)), -1):
+                moves = [
+                    (self._gained(step, before, number) + free[-1][number][0], number)
+                    for number, way in enumerate(self._ways)
+                    if way.rates[step]
+                ]
+                row.append(max([(free[-1][before][0], -1), *moves], key=lambda one: one[0] + (one[1] >= 0) * _NOISE))
+            free.append(row)
+        return free[::-1]
+
+    def _gained(self, step: int, before: int, way: int) -> float:
+        """Return what working in a way for a step gains, less what it takes to change to it."""
+        gain, rate = self._ways[way].gain, self._ways[way].rates[step]
+        is_switched = before not in (way, -1) and self._ways[before].gain is gain
+        return self._shares[way] * rate - (gain.switching_s * rate if is_switched else 0.0)
+
+    def _best(self, state: _State) -> tuple[float, int]:
+        """Return what can be gained from a state on, and by which move."""
+        known = self._known.get(state)
+        if known is None:
+            if len(self._known) >= _MOST_STATES:
+                raise _TooManyStates
+            known = self._known[state] = self._worked_out(state)
+        return known
+
+    def _worked_out(self, state: _State) -> tuple[float, int]:
+        step, _, levels, before = state
+        if step >= self._steps:
+            return 0.0, -1
+        if not self._kept and all(self._lasting(levels, way) >= self._left(step) for way in self._ways):
+            return self._free[step][before]
+        best, move = -inf, -1
+        for number, way in enumerate(self._ways):
+            if way.rates[step]:
+                now, after = self._gained(step, before, number), self._after(state, number)
+                if after is not None and now + self._free[step + 1][number][0] > best + _NOISE:
+                    best, move = max((best, move), (now + self._best(after)[0], number), key=lambda one: one[0])
+        for number in range(len(self._ways), len(self._ways) + len(self._errands)):
+            after = None if self._is_late and 0 <= move < len(self._ways) else self._after(state, number)
+            spared = 0.0 if after is None else self._spared(state, after, number)
+            if after is not None and spared + self._bound(after) > best + _NOISE:
+                value = spared + self._best(after)[0]
+                best, move = (value, number) if value > best + _NOISE else (best, move)
+        return (best, move) if move >= 0 else (self._best(self._after(state, -1))[0], -1)
+
+    def _after(self, state: _State, move: int) -> _State | None:
+        """Return the state that a move leads to; None if it must not be made, which waiting may always."""
+        step, away, levels, before = state
+        if move < 0:
+            return step + 1, away, self._worn(levels, self._idle, self._h), before
+        if move < len(self._ways):
+            way = self._ways[move]
+            if self._lasting(levels, way) < self._h:
+                return None
+            levels, away = self._worn(levels, way.slopes, self._h), round(away + way.gain.away * self._h, 3)
+            arriving = (self._arrives(levels, away, one, self._kept) for one in range(len(self._errands)))
+            return (step + 1, away, levels, move) if not self._kept or any(arriving) else None
+        number = move - len(self._ways)
+        there, back = self._takes(number, away)
+        is_left = self._is_late or self._arrives(levels, away, number, range(len(self._names)))
+        if there >= self._left(step) or not is_left:
+            return None
+        arrived = zip(self._names, self._worn(levels, self._errand_slopes[number], there), strict=True)
+        restored = tuple([self._errands[number].restores.get(name, level) for name, level in arrived])
+        after = min(step + max(1, round((there + back) / self._h)), self._steps)
+        return after, away, self._worn(restored, self._errand_slopes[number], back), -1
+
+    def _spared(self, before: _State, after: _State, move: int) -> float:
+        """Return what is gained in the time by which an errand is shorter than the steps that it counts for."""
+        takes, step = sum(self._takes(move - len(self._ways), before[1])), min(after[0], self._steps - 1)
+        return (after[0] - before[0] - takes / self._h) * (self._free[step][-1][0] - self._free[step + 1][-1][0])
+
+    def _bound(self, state: _State) -> float:
+        """Return what no course from a state gains more than: it stands still at the end, or does one more errand."""
+        step, away, levels, _ = state
+        left, free = self._left(step), self._free[step][-1][0]
+        lasting = max([self._lasting(levels, way) for way in self._ways], default=0.0)
+        takes = min(sum(self._takes(number, away)) for number in range(len(self._errands)))
+        return free if lasting >= left else min(free, self._top * max(lasting, left - takes))
+
+    def _takes(self, errand: int, away: float) -> tuple[float, float]:
+        one, share = self._errands[errand], 1 - self._side * self._errands[errand].spread
+        return one.there(away) * share, one.back(away) * share
+
+    def _left(self, step: int) -> float:
+        return (self._steps - step) * self._h
+
+    def _lasting(self, levels: _Levels, way: _Way) -> float:
+        """Return for how long levels suffice for a way to work [s]."""
+        lasting = inf
+        for level, slope, least in zip(levels, way.slopes, way.least, strict=True):
+            if level < least:
+                return -1.0
+            if slope[1 + self._side] < 0.0:
+                lasting = min(lasting, (level - least) / -slope[1 + self._side])
+        return lasting
+
+    def _worn(self, levels: _Levels, slopes: _Slopes, time: float) -> _Levels:
+        pairs = zip(levels, slopes, strict=True)
+        return tuple([round(level + slope[1 + self._side] * time, 6) for level, slope in pairs])
+
+    def _arrives(self, levels: _Levels, away: float, errand: int, which: Sequence[int]) -> bool:
+        """Tell whether enough is left at the end of an errand, at the worse ends."""
+        one, slopes = self._errands[errand], self._errand_slopes[errand]
+        takes = one.there(away) * (1 + one.spread)
+        return all(levels[index] + slopes[index][0] * takes >= self._keep[index] for index in which)
+
+    # ---------------------------------------------------------------- what comes of it
+
+    def decision(self) -> Decision:
+        """Return what is best now, with what is expected to come of it."""
+        worst, best, course = self._solved(-1), self._solved(1), self._solved(0)
+        first = course.first
+        if first < 0 and not course.errands and not course.worth:
+            return Decision(reason="as without looking ahead, since nothing can be gained")
+        numbers = course.worth, worst.worth, best.worth
+        expected = f"{self._amount(course)} ({worst.worth:.3g} to {best.worth:.3g})"
+        if first >= len(self._ways):
+            late = self._solved(0, is_late=True)
+            when = f"leaving at {late.errands[0][0]:.0f} s, when it has to, " if late.errands else "not leaving "
+            reason = f"leaving at {self._now:.0f} s {course.tail} and gains {expected}; "
+            reason += f"{when}{late.tail} and gains {self._amount(late)}"
+            action = self._errands[first - len(self._ways)].action
+            return Decision(action, None, *numbers, f"{action} now: {reason}", course.errands)
+        later = "".join(f"; {action} at {time:.0f} s" for time, action in course.errands)
+        way = self._ways[first] if first >= 0 else None
+        doing = "waiting" if way is None else " in ".join(filter(None, (way.gain.action, way.configuration)))
+        action, name = (None, None) if way is None else (way.gain.action, way.configuration or None)
+        return Decision(action, name, *numbers, f"{doing} now: that gains {expected}{later}", course.errands)
+
+    def _amount(self, course: _Course) -> str:
+        return f"{course.worth:.3g}{f' {self._worth.unit}' if self._worth.unit else ''}"

@@ -1,0 +1,75 @@
+"""Ours, looking ahead: it recharges when that is worth most, and searches as high as is worth most.
+
+It knows what is published, the model, the deadline, where it began, where the station is and how its own nodes move it;
+nothing of the water, the pipeline or the battery but what it is told.
+"""
+
+from math import hypot, pi, tan
+
+from py_trees.behaviour import Behaviour
+
+from kb import ConfigurationManager
+from kb.planners.worth import Errand, Gain, Lookahead, Worth, WorthPlanner
+from missions.baselines.manager import Robot
+from missions.baselines.rosa import OwnTree
+from missions.engine.mission import Message
+from missions.suave.tree import InspectPipeline
+from rosa_bt import WhatNext
+
+FOLLOWING_M_S = 0.27
+"""Metres inspected in a second: half a metre at each tick of the follower, and more where points are closer."""
+TRANSIT_SHARE = 0.85
+"""Mean speed of a drive to the station, as a share of the speed limit."""
+CLIMBING_S = 3.0
+"""For how long the spiral stands still when its altitude changes."""
+SETTLING_S = 10.0
+"""From the end of a drive back until the follower counts again."""
+
+
+class AheadManager(OwnTree):
+    """Ticks the tree of the mission below a lookahead, which also decides how to be configured."""
+
+    def __init__(self, robot: Robot) -> None:
+        super().__init__(robot)
+        self._manager = ConfigurationManager(self.kb, robot, planner=WorthPlanner(self._lookahead))
+
+    def tree(self) -> Behaviour:
+        mission = super().tree()
+        self._lookahead = Lookahead(self.kb, self._worth(mission))
+        return WhatNext("what next", self._lookahead, [mission])
+
+    def receive(self, message: Message) -> None:
+        self.percepts.receive(message)
+        self.kb.receive(message)
+        self._manager.update()
+
+    def update(self) -> None:
+        super().update()
+        self._manager.update()
+
+    def _worth(self, mission: Behaviour) -> Worth:
+        """Return what the mission is worth: metres inspected, or before these metres by which the search widens.
+
+        With each turn the spiral widens by what the camera sees across from its altitude; it makes a step in a period.
+        """
+        kb, settings = self.kb, self.robot.settings
+        inspect = next(one for one in mission.iterate() if isinstance(one, InspectPipeline))
+        home_m = hypot(settings.start_x_m - settings.station_x_m, settings.start_y_m - settings.station_y_m)
+        turns_s = settings.spiral_angle_step_rad / (2 * pi) / settings.spiral_period_s
+        views = (kb.configurations[name] for name in kb.components["spiral_search"].configurations)
+        heights = {one.name: float(str(one.parameters["spiral_altitude"])) for one in views}
+        search = {name: 2 * height * tan(settings.half_view_angle_rad) * turns_s for name, height in heights.items()}
+
+        def drive_s(away: float) -> float:
+            return settings.recharge_period_s + away / (TRANSIT_SHARE * settings.speed_limit_m_s)
+
+        def is_found() -> bool:
+            return self.percepts.holds("pipeline_found")
+
+        gains = (
+            Gain("search_pipeline", search, 0.5, switching_s=CLIMBING_S, possible=lambda: not is_found()),
+            Gain("inspect_pipeline", FOLLOWING_M_S, 0.1, away=FOLLOWING_M_S, possible=is_found),
+        )
+        recharge = Errand("recharge", {"battery_level": 1.0}, drive_s, lambda away: drive_s(away) + SETTLING_S, 0.2)
+        errands = (recharge,) if recharge.action in kb.actions else ()
+        return Worth(self.robot.deadline_s, gains, errands, away=lambda: home_m + inspect.inspected_m, unit="m")
