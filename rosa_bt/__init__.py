@@ -10,17 +10,22 @@ from rosa_bt.behaviours import (
 )
 from rosa_bt.decorators import ForAction
 from rosa_bt.exceptions import ExportError, RegistryError, RosaBtError, TraceError, TreeChangeError, XmlError
-from rosa_bt.idioms import WhatNext, do_until_unfeasible, feasible_then_act, first_feasible, switch_safely
+from rosa_bt.idioms import do_until_unfeasible, feasible_then_act, first_feasible, switch_safely
 from rosa_bt.trace import Trace, TraceVisitor, read_trace, replay_trace
 from rosa_bt.trees import TreeRunner
+from rosa_bt.worth import Decision, Errand, Gain, Lookahead, WhatNext, Worth, WorthPlanner
 from rosa_bt.xml import BehaviourRegistry, export_xml, load_xml
 
 __all__ = [
     "BehaviourRegistry",
+    "Decision",
+    "Errand",
     "ExportError",
     "ForAction",
+    "Gain",
     "HasStatus",
     "IsActionFeasible",
+    "Lookahead",
     "Measurement",
     "RegistryError",
     "RosaAction",
@@ -32,6 +37,8 @@ __all__ = [
     "TreeRunner",
     "WaitForArchitecture",
     "WhatNext",
+    "Worth",
+    "WorthPlanner",
     "XmlError",
     "do_until_unfeasible",
     "export_xml",

@@ -1,13 +1,12 @@
 """Creators of common subtrees: what a mission needs to adapt, in one call."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 from py_trees import composites
 from py_trees.behaviour import Behaviour
 from py_trees.decorators import Decorator
 
 from kb import UnknownName
-from kb.planners.worth import Lookahead
 from rosa_bt.behaviours import IsActionFeasible, RosaAction
 from rosa_bt.composites import DoUntilUnfeasible, Posture, SafeSwitch
 from rosa_bt.decorators import ForAction
@@ -62,29 +61,6 @@ def first_feasible(name: str, tasks: Sequence[Behaviour], *, memory: bool = Fals
             which it becomes feasible.
     """
     return composites.Selector(name, memory=memory, children=[feasible_then_act(task) for task in tasks])
-
-
-class WhatNext(composites.Selector):
-    """Does the first of several tasks that is feasible, when it was decided what is worth doing; see `kb.Lookahead`.
-
-    What is put off counts as unfeasible meanwhile, so a task may as well be a tree of its own or a plan executor. With
-    nothing stated it is `first_feasible`.
-
-    Args:
-        lookahead: decides at each tick, if it is time to.
-        tasks: the actions, or trees that fail when what they do becomes unfeasible; the most preferred first.
-    """
-
-    def __init__(self, name: str, lookahead: Lookahead, tasks: Sequence[Behaviour]) -> None:
-        super().__init__(name, memory=False, children=[feasible_then_act(task) for task in tasks])
-        self.lookahead = lookahead
-
-    def tick(self) -> Iterator[Behaviour]:
-        reason = self.lookahead.update().reason
-        for node in super().tick():
-            if node is self:
-                self.feedback_message = reason
-            yield node
 
 
 def do_until_unfeasible(

@@ -128,9 +128,8 @@ def open_run(
         from missions.baselines.controller import BaselineController
 
         published = [one.name for one in options if one.is_published]
-        controller = BaselineController(
-            mission, name, managed_by, world, chance, chosen, published, run_settings.duration_s
-        )
+        deadline_s = run_settings.duration_s
+        controller = BaselineController(mission, name, managed_by, world, chance, chosen, published, deadline_s)  # type: ignore[arg-type]  # a Manager's world is the Sea
     return MissionRun(mission, controller, world, run_settings, listeners)
 
 

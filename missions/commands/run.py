@@ -30,7 +30,9 @@ def run(
     ] = None,
     manager: Annotated[
         str,
-        typer.Option(help="ours, none, random, bt, fixed, your own package:Class; in the sea metacontrol, rosa, too."),
+        typer.Option(
+            help="ours, none, random, bt, fixed, your own package:Class; in the sea metacontrol, rosa, ahead, too."
+        ),
     ] = "ours",
     rules: Annotated[str | None, typer.Option(help="Of the sea: 2024 (the ROSA paper) or 2025.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of all chance in the run.")] = 0,

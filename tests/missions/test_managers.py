@@ -194,7 +194,7 @@ def test_manager_of_ones_own_is_run_by_its_name(tmp_path, monkeypatch):
     [
         (
             "bd",
-            "unknown manager 'bd'; there are ours, none, random, fixed, bt, metacontrol, rosa; one of your own is",
+            "'bd'; there are ours, none, random, fixed, bt, metacontrol, rosa, ahead; one of your own is given",
         ),
         ("nowhere:Thing", "cannot import manager 'nowhere:Thing': ModuleNotFoundError"),
         ("json:Thing", "cannot import manager 'json:Thing': AttributeError"),

@@ -1,9 +1,9 @@
 """What to do next, and how to be configured for it, by what that is worth until a deadline.
 
-A mission states what actions gain, and which errands, such as a recharge, gain nothing but keep the others feasible. A
-dynamic program finds the best way over the horizon, exactly on a grid of times, by what the knowledge base forecasts.
-That an errand is worth doing now is told to it: what is put off is asserted to be unfeasible, with the reason, so that
-every task layer, explanation and replay follows. Nothing becomes feasible by it.
+A mission states what actions gain, and which errands, such as refuelling, gain nothing but keep the others feasible. A
+dynamic program finds the best course, exactly on a grid of times, by what the knowledge base forecasts. That an errand
+is worth doing now is told to it: what is put off is asserted to be unfeasible, with the reason, so that every task
+layer, explanation and replay follows. Nothing becomes feasible by it.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -11,22 +11,26 @@ from dataclasses import dataclass, field
 from math import ceil, inf
 from typing import Final, NamedTuple
 
+from py_trees.behaviour import Behaviour
+from py_trees.composites import Selector
+
+from kb import KnowledgeBase, ReconfigurationPlan, Status
 from kb.elements import finite_number
-from kb.exceptions import InvalidValue, UnknownName
-from kb.knowledge_base import KnowledgeBase
+from kb.exceptions import InvalidValue
 from kb.planners.choice import Choice, choice_by_priority
-from kb.records import ReconfigurationPlan
-from kb.status import OPERATORS, Status
+from kb.status import OPERATORS
 from kb.views import ConstraintView
+from rosa_bt.idioms import feasible_then_act
 
 _FINEST_S: Final = 1.0
-_STEPS: Final = 64
+_STEPS: Final = 48
 """A horizon is looked at in at most so many steps, none shorter than the finest [s]."""
 _MOST_STATES: Final = 1_500
 """A question with more states than this is asked again in steps twice as long."""
 _SLOPE_S: Final = 30.0
 """Over how long it is asked how fast an attribute changes [s]."""
 _NOISE: Final = 1e-9
+_ROUNDING: Final = 1e-5
 _LEAST: Final = (">=", ">")
 
 
@@ -184,6 +188,24 @@ class Lookahead:
         return all(value is not None and value >= 0.95 * full for value, full in values)
 
 
+class WhatNext(Selector):
+    """Does the first of several tasks that is feasible, with what is not worth doing now put off.
+
+    Args:
+        lookahead: decides, when it is time to.
+        tasks: actions, trees that fail when what they do becomes unfeasible, or a plan executor; as in
+            `first_feasible`, which this is with nothing stated.
+    """
+
+    def __init__(self, name: str, lookahead: Lookahead, tasks: Sequence[Behaviour]) -> None:
+        super().__init__(name, memory=False, children=[feasible_then_act(task) for task in tasks])
+        self.lookahead = lookahead
+
+    def tick(self) -> Iterator[Behaviour]:
+        self.feedback_message = self.lookahead.update().reason
+        yield from super().tick()
+
+
 class WorthPlanner:
     """Chooses the configuration that a lookahead has decided for, and all else by priority."""
 
@@ -210,19 +232,19 @@ class WorthPlanner:
 
 
 def _check(kb: KnowledgeBase, worth: Worth) -> None:
-    for one in (*worth.gains, *worth.errands):
-        kb.is_feasible(one.action)  # raises where there is no such action
-        if not 0.0 <= finite_number(one.spread) < 1.0:
-            raise InvalidValue(f"the spread of {one.action} is a share from 0 to below 1, not {one.spread!r}")
-    rates = [(gain.action, name, rate) for gain in worth.gains for name, rate in _rates(gain)]
-    for action, name, rate in rates:
-        if name and name not in kb.configurations:
-            raise UnknownName("configuration", name, kb.configurations)
-        if finite_number(rate) < 0.0:
-            raise InvalidValue(f"what {action} gains in a second is 0 or more, not {rate!r}")
+    """Raise for names that the model does not have, and numbers that make no sense."""
+    for action, spread in [(one.action, one.spread) for group in (worth.gains, worth.errands) for one in group]:
+        kb.is_feasible(action)
+        if not 0.0 <= finite_number(spread) < 1.0:
+            raise InvalidValue(f"the spread of {action} is a share from 0 to below 1, not {spread!r}")
     for name in (*worth.keep, *(name for errand in worth.errands for name in errand.restores)):
-        if name not in kb.attributes:
-            raise UnknownName("attribute", name, kb.attributes)
+        kb.attributes[name]
+    for gain in worth.gains:
+        for name, rate in _rates(gain):
+            if name:
+                kb.configurations[name]
+            if finite_number(rate) < 0.0:
+                raise InvalidValue(f"what {gain.action} gains in a second is 0 or more, not {rate!r}")
 
 
 def _rates(gain: Gain) -> list[tuple[str, float]]:
@@ -263,8 +285,8 @@ class _Course(NamedTuple):
         return f"it leaves again at {self.errands[1][0]:.0f} s" if self.errands[1:] else "that lasts to the end"
 
 
-_State = tuple[int, float, _Levels, int]
-"""A step, how far away the robot is [m], the levels, and the way in which it works; -1 for none."""
+_State = tuple[float, float, _Levels, int]
+"""How much time is left [s], how far away the robot is [m], the levels, the way in which it works; -1 for none."""
 
 
 class _Question:
@@ -289,18 +311,21 @@ class _Question:
         self._keep = [worth.keep.get(name, kb.model.attributes[name].low) for name in self._names]
         self._kept = [index for index, name in enumerate(self._names) if name in worth.keep]
         self._ways = [way for gain in worth.gains if gain.possible() for way in self._ways_of(gain)]
-
-    # ---------------------------------------------------------------- what is forecast
+        self._comes_near = any(way.gain.away < 0.0 for way in self._ways)
 
     def _slopes(self, action: str) -> _Slopes:
         """Return how fast levels change while an action is done."""
         slopes: _Slopes = []
         for name, level in zip(self._names, self._levels, strict=True):
-            _, _, value, low, high, _, reason = self._kb.forecast(name, _SLOPE_S, doing=(action,) if action else ())
-            self.unknown = self.unknown or (reason if value is None else "")
-            value = level if value is None else value
-            ends = value if low is None else low, value, value if high is None else high
-            slopes.append(tuple([(end - level) / _SLOPE_S for end in ends]))
+            element, span = self._kb.model.attributes[name], 2 * _SLOPE_S
+            ends: list[float | None] = [element.low]
+            while {element.low, element.high} & {*ends} and span > 0.01:  # beyond its range it tells nothing
+                span /= 2
+                ahead = self._kb.forecast(name, span, doing=(action,) if action else ())
+                self.unknown = self.unknown or (ahead.reason if ahead.value is None else "")
+                ends = [ahead.value if end is None else end for end in (ahead.low, ahead.value, ahead.high)]
+            low, expected, high = (0.0 if end is None else (end - level) / span for end in ends)
+            slopes.append((low, expected, high))
         return slopes
 
     def _ways_of(self, gain: Gain) -> Iterator[_Way]:
@@ -322,56 +347,59 @@ class _Question:
         for step in range(1, self._steps):
             ahead = self._kb.forecast(constraint.attribute, step * self._h)
             worse = ahead.low if constraint.operator in _LEAST else ahead.high
-            if worse is None:
+            if ahead.value is None:
                 return found[:1] * self._steps
-            found.append(compare(worse, constraint.value))
+            found.append(compare(ahead.value if worse is None else worse, constraint.value))
         return found
-
-    # ---------------------------------------------------------------- the dynamic program
 
     def _solved(self, side: int, *, is_late: bool = False) -> _Course:
         """Find the best course; if late, errands are begun only when nothing else can be done."""
         self._side, self._is_late = side, is_late
         self._known: dict[_State, tuple[float, int]] = {}
-        self._shares = [(1 + side * way.gain.spread) * self._h for way in self._ways]
-        self._top = max([rate * (1 + side * way.gain.spread) for way in self._ways for rate in way.rates], default=0.0)
+        self._shares = [1 + side * way.gain.spread for way in self._ways]
+        self._top = max(
+            [rate * share for way, share in zip(self._ways, self._shares, strict=True) for rate in way.rates]
+        )
         self._free = self._without_levels()
-        doing = [number for number, way in enumerate(self._ways) if self._is_done_now(way)]
-        state: _State = 0, round(self._worth.away(), 3), self._levels, doing[0] if doing else -1
-        worth, first = self._best(state)
+        kb, doing = self._kb, -1
+        for number, (gain, name, *_) in enumerate(self._ways):
+            if kb.actions[gain.action].is_required and (not name or kb.configurations[name].is_selected):
+                doing = number
+        start = state = round(self._h * self._steps, 6), round(self._worth.away(), 3), self._levels, doing
         errands, still = list[tuple[float, str]](), None
-        while state[0] < self._steps:
-            move, time = self._best(state)[1], self._now + state[0] * self._h
+        while state[0] > _ROUNDING:
+            move, time = self._best(state)[1], self._worth.deadline - state[0]
             if move >= len(self._ways):
                 errands.append((time, self._errands[move - len(self._ways)].action))
-            still = time if move < 0 and still is None else still if move < 0 else None
-            state = self._after(state, move)
+            still = None if move >= 0 else time if still is None else still
+            state = self._after(state, move) or state
+        worth, first = self._best(start)
         return _Course(first, worth, tuple(errands), still)
-
-    def _is_done_now(self, way: _Way) -> bool:
-        is_configured = not way.configuration or self._kb.configurations[way.configuration].is_selected
-        return is_configured and self._kb.actions[way.gain.action].is_required
 
     def _without_levels(self) -> list[list[tuple[float, int]]]:
         """Return what is gained from each step on, and by which move, were levels no matter; by the way before."""
         free = [[(0.0, -1)] * (len(self._ways) + 1)]
         for step in range(self._steps - 1, -1, -1):
-            row = []
+            row, possible = [], [number for number, way in enumerate(self._ways) if way.rates[step]]
             for before in (*range(len(self._ways)), -1):
                 moves = [
-                    (self._gained(step, before, number) + free[-1][number][0], number)
-                    for number, way in enumerate(self._ways)
-                    if way.rates[step]
+                    (self._worked(before, number, step, self._h) + free[-1][number][0], number) for number in possible
                 ]
-                row.append(max([(free[-1][before][0], -1), *moves], key=lambda one: one[0] + (one[1] >= 0) * _NOISE))
+                row.append(max(moves, default=(free[-1][before][0], -1)))
             free.append(row)
         return free[::-1]
 
-    def _gained(self, step: int, before: int, way: int) -> float:
-        """Return what working in a way for a step gains, less what it takes to change to it."""
-        gain, rate = self._ways[way].gain, self._ways[way].rates[step]
+    def _worked(self, before: int, way: int, step: int, time: float) -> float:
+        """Return what working in a way for a time gains, less what it takes to change to it."""
+        gain, rate = self._ways[way].gain, self._ways[way].rates[step] * self._shares[way]
         is_switched = before not in (way, -1) and self._ways[before].gain is gain
-        return self._shares[way] * rate - (gain.switching_s * rate if is_switched else 0.0)
+        return rate * (time - gain.switching_s * is_switched)
+
+    def _freely(self, left: float, before: int) -> tuple[float, int]:
+        """Return what is gained in the time that is left, and by which move, were levels no matter."""
+        step = self._step(left)
+        (value, move), (later, _) = self._free[step][before], self._free[step + 1][before]
+        return later + (value - later) * (left / self._h - (self._steps - step - 1)), move
 
     def _best(self, state: _State) -> tuple[float, int]:
         """Return what can be gained from a state on, and by which move."""
@@ -383,72 +411,72 @@ class _Question:
         return known
 
     def _worked_out(self, state: _State) -> tuple[float, int]:
-        step, _, levels, before = state
-        if step >= self._steps:
+        left, _, levels, before = state
+        if left <= _ROUNDING:
             return 0.0, -1
-        if not self._kept and all(self._lasting(levels, way) >= self._left(step) for way in self._ways):
-            return self._free[step][before]
+        if not self._kept and all(self._lasting(levels, way) >= left - _ROUNDING for way in self._ways):
+            return self._freely(left, before)
         best, move = -inf, -1
-        for number, way in enumerate(self._ways):
-            if way.rates[step]:
-                now, after = self._gained(step, before, number), self._after(state, number)
-                if after is not None and now + self._free[step + 1][number][0] > best + _NOISE:
-                    best, move = max((best, move), (now + self._best(after)[0], number), key=lambda one: one[0])
-        for number in range(len(self._ways), len(self._ways) + len(self._errands)):
-            after = None if self._is_late and 0 <= move < len(self._ways) else self._after(state, number)
-            spared = 0.0 if after is None else self._spared(state, after, number)
-            if after is not None and spared + self._bound(after) > best + _NOISE:
-                value = spared + self._best(after)[0]
-                best, move = (value, number) if value > best + _NOISE else (best, move)
-        return (best, move) if move >= 0 else (self._best(self._after(state, -1))[0], -1)
+        for number in range(len(self._ways) + len(self._errands)):
+            if self._is_late and number >= len(self._ways) and move >= 0:
+                break
+            after = self._after(state, number)
+            if after is not None:
+                gained = 0.0
+                if number < len(self._ways):
+                    gained = self._worked(before, number, self._step(left), left - after[0])
+                if (
+                    gained + self._bound(after) > best + _NOISE
+                    and (then := gained + self._best(after)[0]) > best + _NOISE
+                ):
+                    best, move = then, number
+        return (best, move) if move >= 0 else (self._best(self._after(state, -1) or state)[0], -1)
 
     def _after(self, state: _State, move: int) -> _State | None:
         """Return the state that a move leads to; None if it must not be made, which waiting may always."""
-        step, away, levels, before = state
+        left, away, levels, before = state
+        time = min(self._h, left)
         if move < 0:
-            return step + 1, away, self._worn(levels, self._idle, self._h), before
+            return round(left - time, 6), away, self._worn(levels, self._idle, time), before
         if move < len(self._ways):
             way = self._ways[move]
-            if self._lasting(levels, way) < self._h:
+            if not way.rates[self._step(left)] or self._lasting(levels, way) < 0.999 * time:
                 return None
-            levels, away = self._worn(levels, way.slopes, self._h), round(away + way.gain.away * self._h, 3)
+            levels, away = self._worn(levels, way.slopes, time), round(away + way.gain.away * time, 3)
             arriving = (self._arrives(levels, away, one, self._kept) for one in range(len(self._errands)))
-            return (step + 1, away, levels, move) if not self._kept or any(arriving) else None
+            return (round(left - time, 6), away, levels, move) if not self._kept or any(arriving) else None
         number = move - len(self._ways)
         there, back = self._takes(number, away)
         is_left = self._is_late or self._arrives(levels, away, number, range(len(self._names)))
-        if there >= self._left(step) or not is_left:
+        if there >= left or not is_left:
             return None
         arrived = zip(self._names, self._worn(levels, self._errand_slopes[number], there), strict=True)
         restored = tuple([self._errands[number].restores.get(name, level) for name, level in arrived])
-        after = min(step + max(1, round((there + back) / self._h)), self._steps)
-        return after, away, self._worn(restored, self._errand_slopes[number], back), -1
+        left = round(max(0.0, left - max(there + back, _FINEST_S)), 6)
+        return left, away, self._worn(restored, self._errand_slopes[number], back), -1
 
-    def _spared(self, before: _State, after: _State, move: int) -> float:
-        """Return what is gained in the time by which an errand is shorter than the steps that it counts for."""
-        takes, step = sum(self._takes(move - len(self._ways), before[1])), min(after[0], self._steps - 1)
-        return (after[0] - before[0] - takes / self._h) * (self._free[step][-1][0] - self._free[step + 1][-1][0])
+    def _step(self, left: float) -> int:
+        return min(int(self._steps - left / self._h + _ROUNDING), self._steps - 1)
 
     def _bound(self, state: _State) -> float:
         """Return what no course from a state gains more than: it stands still at the end, or does one more errand."""
-        step, away, levels, _ = state
-        left, free = self._left(step), self._free[step][-1][0]
-        lasting = max([self._lasting(levels, way) for way in self._ways], default=0.0)
+        left, away, levels, before = state
+        free = self._freely(left, before)[0]
+        lasting = max([self._lasting(levels, way) for way in self._ways])
+        if lasting >= left or not self._errands or self._comes_near:
+            return free
         takes = min(sum(self._takes(number, away)) for number in range(len(self._errands)))
-        return free if lasting >= left else min(free, self._top * max(lasting, left - takes))
+        return min(free, self._top * max(lasting, left - takes))
 
     def _takes(self, errand: int, away: float) -> tuple[float, float]:
         one, share = self._errands[errand], 1 - self._side * self._errands[errand].spread
         return one.there(away) * share, one.back(away) * share
 
-    def _left(self, step: int) -> float:
-        return (self._steps - step) * self._h
-
     def _lasting(self, levels: _Levels, way: _Way) -> float:
         """Return for how long levels suffice for a way to work [s]."""
         lasting = inf
         for level, slope, least in zip(levels, way.slopes, way.least, strict=True):
-            if level < least:
+            if level < least - _ROUNDING:
                 return -1.0
             if slope[1 + self._side] < 0.0:
                 lasting = min(lasting, (level - least) / -slope[1 + self._side])
@@ -464,28 +492,25 @@ class _Question:
         takes = one.there(away) * (1 + one.spread)
         return all(levels[index] + slopes[index][0] * takes >= self._keep[index] for index in which)
 
-    # ---------------------------------------------------------------- what comes of it
-
     def decision(self) -> Decision:
         """Return what is best now, with what is expected to come of it."""
-        worst, best, course = self._solved(-1), self._solved(1), self._solved(0)
-        first = course.first
-        if first < 0 and not course.errands and not course.worth:
+        if not self._ways:
             return Decision(reason="as without looking ahead, since nothing can be gained")
+        worst, best, course = self._solved(-1), self._solved(1), self._solved(0)
         numbers = course.worth, worst.worth, best.worth
         expected = f"{self._amount(course)} ({worst.worth:.3g} to {best.worth:.3g})"
-        if first >= len(self._ways):
+        if course.first >= len(self._ways):
             late = self._solved(0, is_late=True)
             when = f"leaving at {late.errands[0][0]:.0f} s, when it has to, " if late.errands else "not leaving "
-            reason = f"leaving at {self._now:.0f} s {course.tail} and gains {expected}; "
+            reason = f"now: leaving at {self._now:.0f} s {course.tail} and gains {expected}; "
             reason += f"{when}{late.tail} and gains {self._amount(late)}"
-            action = self._errands[first - len(self._ways)].action
-            return Decision(action, None, *numbers, f"{action} now: {reason}", course.errands)
-        later = "".join(f"; {action} at {time:.0f} s" for time, action in course.errands)
-        way = self._ways[first] if first >= 0 else None
-        doing = "waiting" if way is None else " in ".join(filter(None, (way.gain.action, way.configuration)))
-        action, name = (None, None) if way is None else (way.gain.action, way.configuration or None)
-        return Decision(action, name, *numbers, f"{doing} now: that gains {expected}{later}", course.errands)
+            action = self._errands[course.first - len(self._ways)].action
+            return Decision(action, None, *numbers, f"{action} {reason}", course.errands)
+        later = "".join(f"; {errand} at {time:.0f} s" for time, errand in course.errands)
+        doing, name, *_ = self._ways[course.first] if course.first >= 0 else (None, "")
+        what = " in ".join(filter(None, (doing.action if doing else "waiting", name)))
+        reason = f"{what} now: that gains {expected}{later}"
+        return Decision(doing.action if doing else None, name or None, *numbers, reason, course.errands)
 
     def _amount(self, course: _Course) -> str:
         return f"{course.worth:.3g}{f' {self._worth.unit}' if self._worth.unit else ''}"
