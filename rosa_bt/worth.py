@@ -9,7 +9,7 @@ layer, explanation and replay follows. Nothing becomes feasible by it.
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import ceil, inf
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 from py_trees.behaviour import Behaviour
 from py_trees.composites import Selector
@@ -22,16 +22,12 @@ from kb.status import OPERATORS
 from kb.views import ConstraintView
 from rosa_bt.idioms import feasible_then_act
 
-_FINEST_S: Final = 1.0
-_STEPS: Final = 48
-"""A horizon is looked at in at most so many steps, none shorter than the finest [s]."""
-_MOST_STATES: Final = 1_500
-"""A question with more states than this is asked again in steps twice as long."""
-_SLOPE_S: Final = 30.0
-"""Over how long it is asked how fast an attribute changes [s]."""
-_NOISE: Final = 1e-9
-_ROUNDING: Final = 1e-5
-_LEAST: Final = (">=", ">")
+# In how many steps a horizon is looked at, how short one is at least [s]; with more states they are twice as long.
+_STEPS, _FINEST_S, _MOST_STATES = 48, 1.0, 1_500
+# Over how long it is asked how fast an attribute changes [s].
+_SLOPE_S = 30.0
+_NOISE, _ROUNDING = 1e-9, 1e-5
+_LEAST = (">=", ">")
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +141,8 @@ class Lookahead:
         kb, (revision, time) = self._kb, self._asked
         if self._begun is not None:
             errand, until, put_off = self._begun
-            if kb.now < until and kb.is_feasible(errand.action) and not self._is_done(errand):
+            is_done = all((kb.attributes[name].value or 0.0) >= 0.95 * full for name, full in errand.restores.items())
+            if kb.now < until and kb.is_feasible(errand.action) and not is_done:
                 return self.latest
             for name in put_off:
                 kb.retract_status(kb.actions[name])
@@ -182,10 +179,6 @@ class Lookahead:
         for name in names:
             kb.assert_status(kb.actions[name], Status.UNFEASIBLE, self.latest.reason, until)
         self._begun = errand, until, names
-
-    def _is_done(self, errand: Errand) -> bool:
-        values = ((self._kb.attributes[name].value, full) for name, full in errand.restores.items())
-        return all(value is not None and value >= 0.95 * full for value, full in values)
 
 
 class WhatNext(Selector):
@@ -237,14 +230,11 @@ def _check(kb: KnowledgeBase, worth: Worth) -> None:
         kb.is_feasible(action)
         if not 0.0 <= finite_number(spread) < 1.0:
             raise InvalidValue(f"the spread of {action} is a share from 0 to below 1, not {spread!r}")
-    for name in (*worth.keep, *(name for errand in worth.errands for name in errand.restores)):
-        kb.attributes[name]
-    for gain in worth.gains:
-        for name, rate in _rates(gain):
-            if name:
-                kb.configurations[name]
-            if finite_number(rate) < 0.0:
-                raise InvalidValue(f"what {gain.action} gains in a second is 0 or more, not {rate!r}")
+    for attribute in (*worth.keep, *(name for errand in worth.errands for name in errand.restores)):
+        kb.attributes[attribute]
+    for action, (name, rate) in [(gain.action, one) for gain in worth.gains for one in _rates(gain)]:
+        if finite_number(rate) < 0.0 or (name and not kb.configurations[name]):
+            raise InvalidValue(f"what {action} gains in a second is 0 or more, not {rate!r}")
 
 
 def _rates(gain: Gain) -> list[tuple[str, float]]:
@@ -252,7 +242,7 @@ def _rates(gain: Gain) -> list[tuple[str, float]]:
 
 
 _Levels = tuple[float, ...]
-_Slopes = list[tuple[float, float, float]]
+_Slopes = list[tuple[float, ...]]
 """How fast each level changes [1/s]: at the low end of the interval, as expected, at the high end."""
 
 
@@ -298,8 +288,8 @@ class _Question:
     """
 
     def __init__(self, kb: KnowledgeBase, worth: Worth, steps: int) -> None:
-        self._kb, self._worth, self._steps, self._now = kb, worth, steps, kb.now
-        self._h = (worth.deadline - kb.now) / steps
+        self._kb, self._worth, self._steps, self._left = kb, worth, steps, worth.deadline - kb.now
+        self._h = self._left / steps
         self._names = list(dict.fromkeys(name for errand in worth.errands for name in errand.restores))
         values = {name: kb.attributes[name].value for name in self._names}
         unmeasured = [f"{name} is not measured" for name, value in values.items() if value is None]
@@ -311,21 +301,19 @@ class _Question:
         self._keep = [worth.keep.get(name, kb.model.attributes[name].low) for name in self._names]
         self._kept = [index for index, name in enumerate(self._names) if name in worth.keep]
         self._ways = [way for gain in worth.gains if gain.possible() for way in self._ways_of(gain)]
-        self._comes_near = any(way.gain.away < 0.0 for way in self._ways)
 
     def _slopes(self, action: str) -> _Slopes:
         """Return how fast levels change while an action is done."""
         slopes: _Slopes = []
         for name, level in zip(self._names, self._levels, strict=True):
-            element, span = self._kb.model.attributes[name], 2 * _SLOPE_S
-            ends: list[float | None] = [element.low]
-            while {element.low, element.high} & {*ends} and span > 0.01:  # beyond its range it tells nothing
+            element, span = self._kb.model.attributes[name], _SLOPE_S
+            ahead = self._kb.forecast(name, span, doing=(action,) if action else ())
+            while ahead.value in (element.low, element.high) and span > 0.01:  # at the end of its range it stays
                 span /= 2
                 ahead = self._kb.forecast(name, span, doing=(action,) if action else ())
-                self.unknown = self.unknown or (ahead.reason if ahead.value is None else "")
-                ends = [ahead.value if end is None else end for end in (ahead.low, ahead.value, ahead.high)]
-            low, expected, high = (0.0 if end is None else (end - level) / span for end in ends)
-            slopes.append((low, expected, high))
+            self.unknown = self.unknown or (ahead.reason if ahead.value is None else "")
+            ends = [ahead.value if end is None else end for end in (ahead.low, ahead.value, ahead.high)]
+            slopes.append(tuple([0.0 if end is None else (end - level) / span for end in ends]))
         return slopes
 
     def _ways_of(self, gain: Gain) -> Iterator[_Way]:
@@ -357,15 +345,13 @@ class _Question:
         self._side, self._is_late = side, is_late
         self._known: dict[_State, tuple[float, int]] = {}
         self._shares = [1 + side * way.gain.spread for way in self._ways]
-        self._top = max(
-            [rate * share for way, share in zip(self._ways, self._shares, strict=True) for rate in way.rates]
-        )
+        self._top = max([max(way.rates) * share for way, share in zip(self._ways, self._shares, strict=True)])
         self._free = self._without_levels()
         kb, doing = self._kb, -1
         for number, (gain, name, *_) in enumerate(self._ways):
             if kb.actions[gain.action].is_required and (not name or kb.configurations[name].is_selected):
                 doing = number
-        start = state = round(self._h * self._steps, 6), round(self._worth.away(), 3), self._levels, doing
+        start = state = round(self._left, 6), round(self._worth.away(), 3), self._levels, doing
         errands, still = list[tuple[float, str]](), None
         while state[0] > _ROUNDING:
             move, time = self._best(state)[1], self._worth.deadline - state[0]
@@ -382,9 +368,7 @@ class _Question:
         for step in range(self._steps - 1, -1, -1):
             row, possible = [], [number for number, way in enumerate(self._ways) if way.rates[step]]
             for before in (*range(len(self._ways)), -1):
-                moves = [
-                    (self._worked(before, number, step, self._h) + free[-1][number][0], number) for number in possible
-                ]
+                moves = [(self._worked(before, one, step, self._h) + free[-1][one][0], one) for one in possible]
                 row.append(max(moves, default=(free[-1][before][0], -1)))
             free.append(row)
         return free[::-1]
@@ -422,14 +406,11 @@ class _Question:
                 break
             after = self._after(state, number)
             if after is not None:
-                gained = 0.0
-                if number < len(self._ways):
-                    gained = self._worked(before, number, self._step(left), left - after[0])
-                if (
-                    gained + self._bound(after) > best + _NOISE
-                    and (then := gained + self._best(after)[0]) > best + _NOISE
-                ):
-                    best, move = then, number
+                is_way = number < len(self._ways)
+                now = self._worked(before, number, self._step(left), left - after[0]) if is_way else 0.0
+                value = now + self._bound(after)
+                if value > best + _NOISE and (value := now + self._best(after)[0]) > best + _NOISE:
+                    best, move = value, number
         return (best, move) if move >= 0 else (self._best(self._after(state, -1) or state)[0], -1)
 
     def _after(self, state: _State, move: int) -> _State | None:
@@ -463,7 +444,7 @@ class _Question:
         left, away, levels, before = state
         free = self._freely(left, before)[0]
         lasting = max([self._lasting(levels, way) for way in self._ways])
-        if lasting >= left or not self._errands or self._comes_near:
+        if lasting >= left or not self._errands or any(way.gain.away < 0.0 for way in self._ways):
             return free
         takes = min(sum(self._takes(number, away)) for number in range(len(self._errands)))
         return min(free, self._top * max(lasting, left - takes))
@@ -497,20 +478,20 @@ class _Question:
         if not self._ways:
             return Decision(reason="as without looking ahead, since nothing can be gained")
         worst, best, course = self._solved(-1), self._solved(1), self._solved(0)
-        numbers = course.worth, worst.worth, best.worth
-        expected = f"{self._amount(course)} ({worst.worth:.3g} to {best.worth:.3g})"
+        numbers, unit = (course.worth, worst.worth, best.worth), f" {self._worth.unit}" if self._worth.unit else ""
+        expected = f"{course.worth:.3g}{unit} ({worst.worth:.3g} to {best.worth:.3g})"
         if course.first >= len(self._ways):
             late = self._solved(0, is_late=True)
             when = f"leaving at {late.errands[0][0]:.0f} s, when it has to, " if late.errands else "not leaving "
-            reason = f"now: leaving at {self._now:.0f} s {course.tail} and gains {expected}; "
-            reason += f"{when}{late.tail} and gains {self._amount(late)}"
-            action = self._errands[course.first - len(self._ways)].action
-            return Decision(action, None, *numbers, f"{action} {reason}", course.errands)
+            action, time = (
+                self._errands[course.first - len(self._ways)].action,
+                f"{self._worth.deadline - self._left:.0f}",
+            )
+            reason = f"{action} now: leaving at {time} s {course.tail} and gains {expected}; "
+            reason += f"{when}{late.tail} and gains {late.worth:.3g}{unit}"
+            return Decision(action, None, *numbers, reason, course.errands)
         later = "".join(f"; {errand} at {time:.0f} s" for time, errand in course.errands)
         doing, name, *_ = self._ways[course.first] if course.first >= 0 else (None, "")
         what = " in ".join(filter(None, (doing.action if doing else "waiting", name)))
         reason = f"{what} now: that gains {expected}{later}"
         return Decision(doing.action if doing else None, name or None, *numbers, reason, course.errands)
-
-    def _amount(self, course: _Course) -> str:
-        return f"{course.worth:.3g}{f' {self._worth.unit}' if self._worth.unit else ''}"

@@ -4,6 +4,7 @@ It knows what is published, the model, the deadline, where it began, where the s
 nothing of the water, the pipeline or the battery but what it is told.
 """
 
+from functools import partial
 from math import hypot, pi, tan
 
 from py_trees.behaviour import Behaviour
@@ -71,9 +72,7 @@ class AheadManager(OwnTree):
         def drive_s(away: float) -> float:
             return settings.recharge_period_s + away / (TRANSIT_SHARE * settings.speed_limit_m_s)
 
-        def is_found() -> bool:
-            return self.percepts.holds("pipeline_found")
-
+        is_found = partial(self.percepts.holds, "pipeline_found")
         gains = (
             Gain("search_pipeline", search, 0.5, switching_s=CLIMBING_S, possible=lambda: not is_found()),
             Gain("inspect_pipeline", FOLLOWING_M_S, 0.1, away=FOLLOWING_M_S, possible=is_found),
