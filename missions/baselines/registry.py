@@ -54,13 +54,10 @@ def find_manager(name: str | AnyManager, mission: Mission | None = None) -> AnyM
         known = f"{', '.join((OURS, *registry))}; one of your own is given as package:Class{where}"
         found = registry.find(name, known)
     if not (isinstance(found, type) and issubclass(found, Manager | Policy)):
-        raise MissionError(
-            f"{getattr(name, '__name__', name)!r} is no subclass of missions.baselines.Policy or Manager"
-        )
+        shown = getattr(name, "__name__", name)
+        raise MissionError(f"{shown!r} is no subclass of missions.baselines.Policy or Manager")
     if mission is not None and issubclass(found, Manager) and not _is_in_sea(mission):
-        what = (
-            f"{found.__name__} commands the nodes of the sea's vehicle, and {mission.name} does not happen in the sea"
-        )
+        what = f"{found.__name__} commands the sea's vehicle, and {mission.name} does not happen in the sea"
         raise MissionError(f"{what}; make it a subclass of missions.baselines.Policy")
     if mission is not None and mission.selects:
         raise MissionError(f"the task layer of mission {mission.name} selects configurations; run it under {OURS}")

@@ -112,9 +112,6 @@ class Sample:
         return cls(time, (nan, nan, nan), signals)
 
 
-FEW: Final = 16
-"""As many settings are named in a message; where there are more, it says what lists them."""
-
 TIME_LIMIT: Final = "time_limit"
 NO_SUCCESS: Final = ("not_found", "aborted", "ended_early")
 
@@ -208,6 +205,16 @@ class WorldKind(ABC):
         return ()
 
 
+_FIELDS: Final[tuple[tuple[str, Callable[[object], bool], str], ...]] = (
+    ("model facts why_not", callable, "a function"),
+    ("tree by_hand", lambda given: given is None or callable(given), "a function"),
+    ("world", lambda given: isinstance(given, WorldKind), "an object of a subclass of WorldKind"),
+    ("actions", lambda given: isinstance(given, Mapping), "a mapping of PDDL actions to behaviours"),
+    ("domain problem", lambda given: not isinstance(given, str), "a pathlib.Path"),
+    ("engines", lambda given: not isinstance(given, str), "a tuple of names"),
+)
+
+
 @dataclass(frozen=True)
 class Mission:
     """One mission: of the registry, or of your own.
@@ -256,19 +263,10 @@ class Mission:
     waits_for_news: bool = False
 
     def __post_init__(self) -> None:
-        optional = {name: getattr(self, name) for name in ("tree", "by_hand")}
-        functions = {name: getattr(self, name) for name in ("model", "facts", "why_not")}
-        functions |= {name: value for name, value in optional.items() if value is not None}
-        wrong = [(name, "a function") for name, value in functions.items() if not callable(value)]
-        wrong += [] if isinstance(self.world, WorldKind) else [("world", "an object of a subclass of WorldKind")]
-        wrong += (
-            [("actions", "a mapping of PDDL actions to behaviours")] if not isinstance(self.actions, Mapping) else []
-        )
-        files = [name for name in ("domain", "problem") if isinstance(getattr(self, name), str)]
-        wrong += [(name, "a pathlib.Path") for name in files]
-        wrong += [("engines", "a tuple of names")] if isinstance(self.engines, str) else []
-        for name, expected in wrong:
-            raise MissionError(f"{name} of mission {self.name} is {getattr(self, name)!r}; expected is {expected}")
+        for names, is_fit, expected in _FIELDS:
+            for name in names.split():
+                if not is_fit(given := getattr(self, name)):
+                    raise MissionError(f"{name} of mission {self.name} is {given!r}; expected is {expected}")
         if self.tree is None and self.problem is None:
             raise MissionError(f"mission {self.name} has no task: give it a tree, or a PDDL domain and problem")
 
@@ -291,8 +289,8 @@ def split_settings(mission: Mission, values: Mapping[str, str]) -> tuple[RunSett
     for name in unknown:
         known = [one.name for one in settings_of(mission)]
         close = near(name, known)
-        listed = f"there are {', '.join(known)}" if len(known) < FEW else f"`rosa settings {mission.name}` lists them"
-        hint = f"did you mean {' or '.join(close)}?" if close else listed
+        some = f"there are {', '.join(known)}" if len(known) < 20 else f"`rosa settings {mission.name}` lists them"
+        hint = f"did you mean {' or '.join(close)}?" if close else some
         raise MissionError(f"unknown setting {name!r} of mission {mission.name}; {hint}")
     fixed_run, fixed_world = own_values(RunSettings.describe(), mission.fixed)
     return RunSettings.read({**fixed_run, **run}), {**fixed_world, **world}

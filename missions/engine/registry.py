@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from importlib import import_module
 from pathlib import Path
-from traceback import FrameSummary, extract_tb
+from traceback import extract_tb
 from typing import Any, TypeVar
 
 from missions.engine.mission import Mission, MissionError
@@ -47,15 +47,11 @@ class Registry(Mapping[str, T]):
         try:
             return getattr(import_module(module), attribute)
         except Exception as error:  # whatever an author's module may raise
-            where = f" ({Path(at.filename).name}, line {at.lineno})" if (at := _place(error, module)) else ""
             said = str(error) if isinstance(error, MissionError) else f"{type(error).__name__}: {error}"
+            files = tuple(f"/{module.replace('.', '/')}{end}" for end in (".py", "/__init__.py"))
+            places = [one for one in extract_tb(error.__traceback__) if one.filename.endswith(files)]
+            where = "".join(f" ({Path(one.filename).name}, line {one.lineno})" for one in places[-1:])
             raise MissionError(f"cannot import {self.kind} {name!r}: {said}{where}") from error
-
-
-def _place(error: Exception, module: str) -> FrameSummary | None:
-    """Return where in a module something was raised while it was imported."""
-    files = tuple(f"/{module.replace('.', '/')}{end}" for end in (".py", "/__init__.py"))
-    return next((one for one in reversed(extract_tb(error.__traceback__)) if one.filename.endswith(files)), None)
 
 
 MISSIONS = Registry[Mission](

@@ -1,7 +1,6 @@
 """Which ROSA actions a behaviour tree or PDDL files use, found without running either."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from importlib import import_module
 from inspect import Parameter, signature
 from pathlib import Path
 from typing import Final
@@ -12,6 +11,7 @@ from py_trees.trees import BehaviourTree
 from kb import KnowledgeBase, KnowledgeBaseError, Model
 from missions.engine.declared import declarations_of
 from missions.engine.mission import Mission, MissionError, Percepts
+from missions.engine.registry import Registry
 from rosa_bt import IsActionFeasible, RosaAction
 from rosa_bt.idioms import unguarded
 from rosa_pddl.domain import ACTION_TYPE
@@ -33,13 +33,7 @@ class _Tolerant(KnowledgeBase):
 
 def tree_builder(reference: str) -> Callable[..., object]:
     """Return what is given as module:callable; MissionError if it cannot be imported or called."""
-    module, colon, name = reference.partition(":")
-    if not colon:
-        raise MissionError(f"a tree is given as module:callable, not as {reference!r}")
-    try:
-        built: object = getattr(import_module(module), name)
-    except (ImportError, AttributeError, ValueError, SyntaxError) as error:
-        raise MissionError(f"cannot import tree {reference!r}: {type(error).__name__}: {error}") from error
+    built: object = Registry("tree", {}).find(reference, "none by name, a tree is given as module:callable")
     if not callable(built):
         raise MissionError(f"{reference!r} is a {type(built).__name__}, not a function that builds a tree")
     return built
