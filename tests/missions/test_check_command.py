@@ -234,7 +234,7 @@ def test_tree_may_be_given_as_something_that_needs_nothing():
         (["broken.tql"], "broken.tql:2:"),
         (["explorer.txt"], "explorer.txt"),
         (["--mission", "suaf"], "unknown mission 'suaf'"),
-        (["explorer.tql", "--tree", "trees"], "unknown tree 'trees'; there are none by name, a tree is given as module:callable"),
+        (["explorer.tql", "--tree", "trees"], "there are none by name, a tree is given as module:callable"),
         (["explorer.tql", "--tree", "trees:wood"], "cannot import tree 'trees:wood': AttributeError"),
         (["explorer.tql", "--tree", "forest:wood"], "cannot import tree 'forest:wood': ModuleNotFoundError"),
         (["explorer.tql", "--tree", "trees:TREE"], "'trees:TREE' is a Sequence, not a function that builds a tree"),
