@@ -79,10 +79,10 @@ class _Question:
         return self._relating(known, thing, clause.players) if isinstance(clause, Players) else []
 
     def _having(self, known: Found, thing: Thing, wanted: Has) -> Iterator[Found]:
-        meant = field_of(thing.kind, str(wanted.label)) if thing.kind and wanted.label else None
+        meant = field_of(thing.kind, str(wanted.label)) if thing.kind else None
         value = self._value(wanted.value, known)
         for own in thing.owns:
-            if wanted.label in (None, own.label) or (meant is not None and own.field is meant):
+            if wanted.label == own.label or (meant is not None and own.field is meant):
                 if value is None:
                     yield {**known, str(wanted.value): own.value}
                 elif value == own.value and isinstance(value, bool) is isinstance(own.value, bool):
@@ -118,7 +118,7 @@ class _Question:
         """Return the name that is written in a statement that says the type."""
         kind = self._kind(one)
         for clause in one.clauses if kind else ():
-            if isinstance(clause, Has) and clause.label and clause.value.type == "STRING" and kind:
+            if isinstance(clause, Has) and clause.value.type == "STRING" and kind:
                 field = field_of(kind, str(clause.label))
                 if field and field.name == "name":
                     return str(self._value(clause.value, {}))

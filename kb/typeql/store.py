@@ -140,7 +140,6 @@ class _Insertion:
         self.store, self.file = store, file
         self.things = {name: one for name, one in bindings.items() if isinstance(one, Thing)}
         self.values: dict[str, Literal] = {name: one for name, one in bindings.items() if not isinstance(one, Thing)}
-        self.labels: dict[str, str] = {}
 
     def run(self, statements: Sequence[Statement]) -> None:
         """Find what each variable is, then take in what is said of it, for it may be said before."""
@@ -162,7 +161,6 @@ class _Insertion:
         equal = [clause for clause in statement.clauses if isinstance(clause, Equal)]
         if equal and name:
             self.values[name] = literal(equal[-1].value, place_of(self.file, equal[-1].value))
-            self.labels.update((name, str(clause.label)) for clause in isa)
             return None
         for other in isa[1:]:
             raise place_of(self.file, other.label).error(f"a second type, `{other.label}`; a thing has one")
@@ -185,15 +183,11 @@ class _Insertion:
                 self._player(thing, player)
 
     def _has(self, thing: Thing, clause: Has) -> None:
-        word = clause.value
-        place = place_of(self.file, clause.label or word)
-        label = str(clause.label or self.labels.get(str(word), ""))
-        if not label:
-            raise place.error(f"which attribute {word} is, is not said; write `has NAME {word}`")
+        word, place = clause.value, place_of(self.file, clause.label)
         if word.type == "VARIABLE" and str(word) not in self.values:
             raise self._unknown(word, self.values, f'a value is given by `{word} "..."`')
         value = self.values[word] if word.type == "VARIABLE" else literal(word, place_of(self.file, word))
-        self.store.give(thing, label, value, place)
+        self.store.give(thing, str(clause.label), value, place)
 
     def _player(self, thing: Thing, player: Player) -> None:
         one = self._thing(player.variable)

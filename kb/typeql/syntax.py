@@ -43,9 +43,9 @@ class Isa(NamedTuple):
 
 
 class Has(NamedTuple):
-    """`has LABEL value`, `has LABEL $variable` or `has $variable`."""
+    """`has LABEL value` or `has LABEL $variable`."""
 
-    label: Word | None
+    label: Word
     value: Word
 
 
@@ -160,7 +160,7 @@ _SHAPES: Final[Mapping[str, Callable[..., object]]] = {
     "match": lambda patterns, insert: Insert(insert.statements, patterns),
     "statement": _statement,
     "isa": lambda keyword, label: Isa(label, keyword == "isa!"),
-    "has": lambda _, *words: Has(words[0] if len(words) > 1 else None, words[-1]),
+    "has": lambda _, label, value: Has(label, value),
     "value": Equal,
     "players": lambda word, *players: Players(word, players),
     "player": _player,

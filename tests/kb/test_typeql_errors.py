@@ -74,7 +74,7 @@ MEANING = {
     "(component: $_) isa component-configuration;": "6:13: unknown variable",
     "$x has component-name 'x';": r"6:1: unknown variable '\$x'",
     "$x isa Component, has component-name $n;": r"6:38: unknown variable '\$n'; a value is given by",
-    "$x isa Component, has $c;": "6:23: which attribute",
+    "$x isa Component, has $c;": "6:23: `.c` stands here; expected a name",
     "$x isa Componnt;": "6:8: unknown type 'Componnt'; did you mean 'Component'.*`define`",
     "$x isa Component;": "6:8: this Component has no name; write `has component-name '...'`",
     "$x isa Component, has component-name ' ';": "6:8: the name of a component is a non-empty text",
