@@ -127,9 +127,7 @@ class ByHand(Policy):
 
     def alter(self, mission: Mission, world: World) -> Mission:
         by_hand = mission.by_hand
-        if by_hand is None:
-            advice = "give it by_hand=lambda kb, percepts, managed: ..., or take another manager"
-            raise MissionError(f"mission {mission.name} has no hand-written tree; {advice}")
+        assert by_hand is not None  # else it is refused
         return replace(super().alter(mission, world), tree=lambda kb, percepts: by_hand(kb, percepts, world.managed))
 
     def plan(self, kb: KnowledgeBase) -> ReconfigurationPlan | None:

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from missions.baselines.manager import Manager
-from missions.baselines.policies import Policy
+from missions.baselines.policies import ByHand, Policy
 from missions.engine.controller import OURS, TASK_KINDS, RosaController, check_task, rosa_run
 from missions.engine.mission import Mission, MissionError, split_settings
 from missions.engine.registry import Registry
@@ -133,6 +133,9 @@ def open_run(
 def check_run(mission: Mission, manager: str | AnyManager, task: str | None) -> tuple[AnyManager | None, str]:
     """Return the manager, None for ours, and the task layer; MissionError unless both go with the mission."""
     managed_by = None if manager == OURS else find_manager(manager, mission)
+    if managed_by is not None and issubclass(managed_by, ByHand) and mission.by_hand is None:
+        advice = "give it by_hand=lambda kb, percepts, managed: ..., or take another manager"
+        raise MissionError(f"mission {mission.name} has no hand-written tree; {advice}")
     tasks = TASK_KINDS if managed_by is None else managed_by.tasks
     task = task or tasks[-1 if mission.tree is None else 0]
     check_task(task)

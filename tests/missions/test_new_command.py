@@ -13,7 +13,7 @@ from missions.commands.new import TEMPLATE
 from missions.engine.mission import Mission, MissionError
 from missions.engine.recording import failed, measured
 from missions.engine.registry import find_mission
-from missions.experiments.campaign import read_campaign
+from missions.experiments.campaign import Campaign, check_campaign, read_campaign
 from missions.experiments.report import write_report
 from missions.experiments.results import Store, read_store
 from missions.experiments.workers import do
@@ -151,6 +151,11 @@ def test_manager_that_does_not_go_with_a_mission_is_refused(mission, manager, me
     with pytest.raises(MissionError) as refusal:
         open_run(find_mission(mission), manager=manager)
     assert message in str(refusal.value)
+
+
+def test_campaign_is_refused_before_its_first_run_if_a_mission_has_no_hand_written_tree():
+    with pytest.raises(MissionError, match="mission uav has no hand-written tree"):
+        check_campaign(Campaign("slip", ("uav",), ("ours", "bt")))
 
 
 def test_configurations_to_use_are_those_of_the_model(new):
