@@ -33,6 +33,7 @@ MAX_DEPTH: Final = 100
 
 _FORBIDDEN: Final = re.compile(r"[\s./\\:*?|<>&\"'\x00-\x1f]")
 _VALUE: Final = re.compile(r"""=\s*("[^"]*"|'[^']*')""")
+_PASSED_OVER: Final = re.compile(r"<!--.*?-->|\A\s*<\?xml.*?\?>", re.DOTALL)
 _BARE: Final = re.compile(r"&(?!#\d+;|#x[0-9a-fA-F]+;|(?:amp|lt|gt|quot|apos);)")
 _log = logging.getLogger(__name__)
 _EXPLICIT: Final = ("Action", "Condition", "Control", "Decorator")
@@ -68,10 +69,10 @@ class Element:
 
 
 class Document:
-    """What a file, or a text, and the files that it includes define.
+    """What files, or texts, and the files that they include define.
 
     Attributes:
-        root: the outermost element of the file itself.
+        root: the outermost element of the file itself; of several, of the one that names the main tree.
         trees: by ID.
         models: elements of the TreeNodesModels, by ID.
 
@@ -79,23 +80,30 @@ class Document:
         XmlError: it is no file of BehaviorTree.CPP 4, or a limit is exceeded.
     """
 
-    def __init__(self, text_or_path: str | Path) -> None:
+    def __init__(self, sources: Iterable[str | Path]) -> None:
         self.trees: dict[str, Element] = {}
         self.models: dict[str, Element] = {}
         self._seen: set[Path] = set()
+        roots = [self._open(source) for source in sources]
+        if not roots:
+            raise XmlError("<text>", "there is no text and no file; give at least one")
+        self.root = next((one for one in roots if "main_tree_to_execute" in one.attributes), roots[0])
+
+    def _open(self, text_or_path: str | Path) -> Element:
         if not isinstance(text_or_path, str | Path):
             raise XmlError("<text>", f"a tree is given as XML text or as the path of a file, not as {text_or_path!r}")
         text = text_or_path.lstrip("\ufeff \t\r\n") if isinstance(text_or_path, str) else "a path"
         if not text:
             raise XmlError("<text>", "the text is empty; give the XML itself, or the path of a file")
         if text.startswith("<"):
-            self.root = _parse(text, "<text>")
-            self._collect(self.root, Path.cwd(), [])
+            root, folder, chain = _parse(text, "<text>"), Path.cwd(), []
         else:
             path = Path(text_or_path)
-            self.root = _read(path, str(path))
-            self._seen.add(_real(path))
-            self._collect(self.root, path.parent, [_real(path)])
+            root, folder, chain = _read(path, str(path)), path.parent, [_real(path)]
+        if not chain or chain[0] not in self._seen:
+            self._seen.update(chain)
+            self._collect(root, folder, chain)
+        return root
 
     def main(self, wanted: str | None) -> str:
         """Return the ID of the tree to make: the one that is asked for, the file's main tree, or the only one."""
@@ -137,7 +145,14 @@ class Document:
 
     def _include(self, element: Element, folder: Path, chain: list[Path]) -> None:
         if "ros_pkg" in element.attributes:
-            raise element.error("ros_pkg needs a ROS installation, which is not asked for; write the path alone")
+            prefixes = [Path(one) for one in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if one]
+            shares = (prefix / "share" / element.get("ros_pkg") for prefix in prefixes)
+            found = next((share for share in shares if share.is_dir()), None)
+            if found is None:
+                package = element.get("ros_pkg")
+                advice = "source the workspace that has it, or write the path alone"
+                raise element.error(f"the ROS package {package!r} is not below AMENT_PREFIX_PATH; {advice}")
+            folder = found
         path = _real(folder / element.get("path"))
         if path in chain:
             circle = " -> ".join(one.name for one in [*chain[chain.index(path) :], path])
@@ -204,21 +219,26 @@ def _read(path: Path, where: str) -> Element:
 
 
 def _parse(text: str | bytes, file: str) -> Element:
-    """Return the outermost element; raw `&&` and `<` in attributes, as the original's reader takes them, are noted."""
+    """Return the outermost element; what the original's reader takes though it is no XML is noted.
+
+    That is: raw `&&` and `<` in attributes, `--` in comments, blanks before the declaration.
+    """
     if len(text) > MAX_SIZE:
         raise XmlError(file, f"it has more than {MAX_SIZE} bytes; divide it and include the parts")
     try:
         return _strictly(text, file)
     except XmlError as error:
         written = text.decode("utf-8", "replace") if isinstance(text, bytes) else text
-        escaped = _VALUE.sub(lambda value: _BARE.sub("&amp;", value[0]).replace("<", "&lt;"), written)
+        plain = _PASSED_OVER.sub(lambda one: "\n" * one[0].count("\n"), written)
+        escaped = _VALUE.sub(lambda value: _BARE.sub("&amp;", value[0]).replace("<", "&lt;"), plain)
         if escaped == written:
             raise
         try:
             root = _strictly(escaped, file)
         except XmlError:
             raise error from None
-        _log.warning("%s: & and < in attributes are read as they stand; XML wants &amp; and &lt;", file)
+        what = "& and < in attributes, which XML wants as &amp; and &lt;" if escaped != plain else "-- in a comment, or what stands before the declaration"
+        _log.warning("%s: read as it stands, though it is no XML: %s", file, what)
         return root
 
 
@@ -299,7 +319,7 @@ Substitute = Status | Iterable[Status] | Callable[[str], Behaviour]
 
 
 def load_xml(
-    text_or_path: str | Path,
+    text_or_path: str | Path | Iterable[str | Path],
     registry: BehaviourRegistry,
     tree: str | None = None,
     *,
@@ -310,7 +330,7 @@ def load_xml(
     """Make a tree that is written in the XML of BehaviorTree.CPP 4, with its semantics.
 
     Args:
-        text_or_path: the XML itself, or the file that it is in.
+        text_or_path: the XML itself, or the file that it is in; or several of them, whose trees use one another.
         registry: the behaviours that the leaves are.
         tree: ID of the tree to make; without it, the file's `main_tree_to_execute`, or its only one.
         clock: gives the time [s] to Delay, Timeout and Sleep; without it, the clock of the knowledge base that the
@@ -327,7 +347,8 @@ def load_xml(
     Raises:
         XmlError: the file cannot be read, or a tree not be made of it; the message begins with file and line.
     """
-    document = Document(text_or_path)
+    is_one = isinstance(text_or_path, str | Path) or not isinstance(text_or_path, Iterable)
+    document = Document([text_or_path] if is_one else text_or_path)  # type: ignore[list-item,arg-type]  # it is asked above
     for name, element in document.trees.items():
         if name in _NODES or name in registry:
             raise element.error(f"{name!r} is the name of a node, so it cannot be that of a tree, too; rename the tree")

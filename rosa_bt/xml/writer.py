@@ -84,7 +84,7 @@ def export_xml(behaviour: Behaviour, registry: BehaviourRegistry | None = None, 
     indent(root)
     text = tostring(root, encoding="unicode") + "\n"
     try:
-        Document(text)
+        Document([text])
     except XmlError as error:
         raise ExportError(f"{behaviour.name!r} cannot be written so that it can be read again: {error}") from error
     return text

@@ -4,6 +4,8 @@ Written from how its nodes are documented and behave, without a thought of py_tr
 `execute` asks pre-conditions, ticks and runs post-conditions, a parent halts and resets its children by name.
 """
 
+import re
+from collections import UserDict
 from xml.etree import ElementTree
 
 from btcpp_script_twin import Thrown, run, truth
@@ -13,6 +15,22 @@ DONE = (SUCCESS, FAILURE)
 BY_LETTER = {"S": SUCCESS, "F": FAILURE, "R": RUNNING, "K": SKIPPED}
 
 
+class Board(UserDict):
+    """Entries by key, None for one that has no value yet, and how often each was written since it is there."""
+
+    def __init__(self):
+        self.written = {}
+        super().__init__()
+
+    def __setitem__(self, key, value):
+        super().__setitem__(key, value)
+        self.written[key] = self.written.get(key, 0) + (value is not None)
+
+    def __delitem__(self, key):
+        super().__delitem__(key)
+        del self.written[key]
+
+
 class World:
     """What all nodes of a tree share: leaves as {tag: (kind, script)}, what happened, a blackboard, the time [s]."""
 
@@ -20,7 +38,7 @@ class World:
         self.enums = enums
         self.leaves = {tag: (kind, script) for tag, (kind, script) in leaves.items()}
         self.ticked = dict.fromkeys(leaves, 0)
-        self.said, self.board, self.now = [], {}, 0.0
+        self.said, self.board, self.now = [], Board(), 0.0
 
     def holds(self, code):
         return truth(self.run(code))
@@ -263,12 +281,20 @@ class Switch(Node):
     def clear(self):
         self.running = None
 
+    def is_case(self, value, case):
+        if value is None:
+            return False
+        numbers = [
+            float(self.world.enums.get(one, one)) for one in (value, case) if str(one)[0].isdigit() or one == "RED"
+        ]
+        return str(value) == case or (len(numbers) == 2 and round(numbers[0], 6) == numbers[1])
+
     def tick(self):
         *cases, chosen = self.children
-        value = self.world.board[self.ports["variable"].strip("{}")]
-        value = str(int(value)) if isinstance(value, bool) else value
+        value = self.world.board.get(self.ports["variable"].strip("{}"))
+        value = int(value) if isinstance(value, bool) else value
         for number in range(len(cases), 0, -1):
-            chosen = cases[number - 1] if self.ports[f"case_{number}"] == value else chosen
+            chosen = cases[number - 1] if self.is_case(value, self.ports[f"case_{number}"]) else chosen
         if self.running not in (None, chosen):
             self.reset(self.running)
         status = chosen.execute()
@@ -398,7 +424,52 @@ class Precondition(Decorator):
         return status
 
 
-class LoopInt(Decorator):
+class Updated(Decorator):
+    asked = 0
+
+    def clear(self):
+        self.goes_on = False
+
+    def tick(self):
+        if not self.goes_on and not is_updated(self):
+            return SKIPPED if self.tag == "SkipUnlessUpdated" else RUNNING
+        status = self.tick_child()
+        self.goes_on = status == RUNNING
+        return status
+
+
+def is_updated(node):
+    written = node.world.board.written.get(node.ports["entry"].strip("{}"))
+    before, node.asked = node.asked, node.asked if written is None else written
+    return node.asked != before
+
+
+class WasEntryUpdated(Node):
+    asked = 0
+
+    def tick(self):
+        return SUCCESS if is_updated(self) else FAILURE
+
+
+class SetBlackboard(Node):
+    def tick(self):
+        source, key = self.ports["value"].strip("{}"), self.ports["output_key"]
+        if self.world.board.get(source) is None:
+            self.world.board.setdefault(key)
+            return FAILURE
+        self.world.board[key] = self.world.board[source]
+        return SUCCESS
+
+
+class UnsetBlackboard(Node):
+    def tick(self):
+        self.world.board.pop(self.ports["key"], None)
+        return SUCCESS
+
+
+class Loop(Decorator):
+    read = int
+
     def clear(self):
         self.goes_on = False
 
@@ -408,6 +479,8 @@ class LoopInt(Decorator):
         if not self.goes_on:
             if not self.left:
                 return self.ports["if_empty"]
+            if "value" in self.ports:
+                self.world.board[self.ports["value"].strip("{}")] = type(self).read(self.left[0])
             self.left = self.left[1:]
         self.status = RUNNING
         status = self.tick_child()
@@ -461,6 +534,7 @@ def kind(base, **given):
     return type(base.__name__, (base,), given)
 
 
+READ = {"Int": int, "Double": float, "Bool": lambda text: text == "true", "String": str}
 KINDS = {
     "Sequence": InOrder,
     "AsyncSequence": kind(InOrder, is_async=True),
@@ -470,11 +544,14 @@ KINDS = {
     "ReactiveSequence": Reactive,
     "ReactiveFallback": kind(Reactive, goes_on=FAILURE),
     **{one.__name__: one for one in (Parallel, ParallelAll, IfThenElse, WhileDoElse, TryCatch)},
-    "Switch2": Switch,
+    **dict.fromkeys(("Switch2", "Switch3", "Switch4"), Switch),
     **dict.fromkeys(WORDS, Translated),
     "Repeat": Again,
     "RetryUntilSuccessful": kind(Again, once_more=FAILURE, port="num_attempts"),
-    **{one.__name__: one for one in (RunOnce, Delay, Timeout, Precondition, LoopInt)},
+    **{one.__name__: one for one in (RunOnce, Delay, Timeout, Precondition)},
+    **{f"Loop{name}": kind(Loop, read=read) for name, read in READ.items()},
+    **dict.fromkeys(("SkipUnlessUpdated", "WaitValueUpdate"), Updated),
+    **{one.__name__: one for one in (WasEntryUpdated, SetBlackboard, UnsetBlackboard)},
     **dict.fromkeys(("Script", "ScriptCondition"), Script),
     "AlwaysSuccess": kind(Node, tick=lambda self: SUCCESS),
     "AlwaysFailure": kind(Node, tick=lambda self: FAILURE),
@@ -499,6 +576,9 @@ class Twin:
     def made(self, element):
         children = [self.trees[element.get("ID")]] if element.tag == "SubTree" else list(element)
         made = [self.made(child) for child in children]
+        for text in element.attrib.values():
+            if re.fullmatch(r"\{\w+\}", text):
+                self.world.board.setdefault(text[1:-1])
         return KINDS.get(element.tag, Leaf)(element.tag, dict(element.attrib), made, self.world)
 
     def tick(self):

@@ -1,5 +1,6 @@
 """What is read, and what is refused: each refusal says where, what, and what to do."""
 
+import os
 import re
 from pathlib import Path
 
@@ -92,7 +93,7 @@ NO_FILES = {
         "which tree? There are: A, B"
     ),
     "<root main_tree_to_execute='C'><BehaviorTree ID='A'><a/></BehaviorTree></root>": "no tree has the ID 'C'",
-    "<root><include ros_pkg='nav' path='x.xml'/></root>": "ros_pkg needs a ROS installation",
+    "<root><include ros_pkg='nav' path='x.xml'/></root>": "the ROS package 'nav' is not below AMENT_PREFIX_PATH",
     "<root><include path='there_is_none.xml'/></root>": "there is no file",
     "there_is_none.xml": "there_is_none.xml: there is no file 'there_is_none.xml'",
     '<!DOCTYPE root [<!ENTITY a "aa"><!ENTITY b "&a;&a;">]>\n<root>&b;</root>': "a document type or entity is not read",
@@ -181,7 +182,41 @@ def test_raw_ampersands_and_brackets_in_attributes_are_read_with_a_note(caplog):
     tree = load('<root><BehaviorTree ID="T">\n<ok _skipIf="1 < 2 && 3 > 2 &amp;&amp; 1"/></BehaviorTree></root>')
     tree.tick_once()
     assert tree.status is Status.INVALID
-    assert "are read as they stand" in caplog.text
+    assert "read as it stands, though it is no XML: & and < in attributes" in caplog.text
+
+
+def test_dashes_in_comments_and_blanks_before_the_declaration_are_read_with_a_note(tmp_path, caplog):
+    path = tmp_path / "tree.xml"
+    path.write_text(
+        '\n<?xml version="1.0"?>\n<!-- ---- what follows ---- -->\n<root><BehaviorTree><okk/></BehaviorTree></root>'
+    )
+    with pytest.raises(XmlError, match=r"tree\.xml:4: <okk> is unknown"):
+        load(path)
+    assert "-- in a comment" in caplog.text
+
+
+def test_several_files_and_texts_are_read_together(tmp_path):
+    parts = '<root><BehaviorTree ID="One"><SubTree ID="Two"/></BehaviorTree></root>'
+    (tmp_path / "two.xml").write_text('<root><BehaviorTree ID="Two"><ok/></BehaviorTree></root>')
+    main = '<root main_tree_to_execute="Main"><BehaviorTree ID="Main"><SubTree ID="One"/></BehaviorTree></root>'
+    tree = load([parts, tmp_path / "two.xml", tmp_path / "two.xml", main])
+    assert [one.name for one in tree.iterate()] == ["ok", "Two", "One", "Main"]
+    for given, said in (
+        ([], "give at least one"),
+        ([parts, 3], "not as 3"),
+        ([parts, parts], "'One' is defined twice"),
+    ):
+        with pytest.raises(XmlError, match=said):
+            load(given)
+
+
+def test_files_of_ros_packages_are_found_where_ros_has_them(tmp_path, monkeypatch):
+    share = tmp_path / "install" / "share" / "nav"
+    (share / "trees").mkdir(parents=True)
+    (share / "trees" / "x.xml").write_text('<root><BehaviorTree ID="X"><ok/></BehaviorTree></root>')
+    monkeypatch.setenv("AMENT_PREFIX_PATH", os.pathsep.join([str(tmp_path), str(tmp_path / "install")]))
+    text = '<root><include ros_pkg="nav" path="trees/x.xml"/></root>'
+    assert [one.name for one in load(text).iterate()] == ["ok", "X"]
 
 
 def test_includes_are_relative_to_the_file_and_read_once(tmp_path):

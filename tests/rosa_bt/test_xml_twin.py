@@ -31,8 +31,22 @@ ONE = {
     "Delay": [f' delay_msec="{number}"' for number in (500, 1500, 3000)],
     "Timeout": [f' msec="{number}"' for number in (1000, 2500, 4000)],
     "LoopInt": [f' queue="1;2" if_empty="{word}"' for word in ("SUCCESS", "FAILURE", "RUNNING", "SKIPPED")],
+    "LoopDouble": [f' queue="1;0.5;2e1" value="{{vd}}" if_empty="{word}"' for word in ("SUCCESS", "FAILURE")],
+    "LoopBool": [' queue="true;false" value="{vb}" if_empty="SUCCESS"'],
+    "LoopString": [' queue="a;7" value="{vs}" if_empty="FAILURE"', ' queue="a;b" if_empty="RUNNING"'],
+    "SkipUnlessUpdated": [f' entry="{{{key}}}"' for key in ("n", "d", "c", "vd", "never")],
+    "WaitValueUpdate": [f' entry="{key}"' for key in ("n", "t", "c")],
     "Precondition": [f' if="!x" else="{word}"' for word in ("SUCCESS", "FAILURE", "RUNNING", "SKIPPED")],
 }
+ENTRIES = (
+    '<WasEntryUpdated entry="{n}"/>',
+    '<WasEntryUpdated entry="c"/>',
+    '<SetBlackboard value="{n}" output_key="c"/>',
+    '<SetBlackboard value="{vd}" output_key="c2"/>',
+    '<UnsetBlackboard key="c"/>',
+    '<Script code="w := n &amp; 3"/>',
+    '<Script code="w := 2"/>',
+)
 CONSTANT = ("<AlwaysSuccess/>", "<AlwaysFailure/>", '<ScriptCondition code="x"/>', '<Script code="y := !y"/>')
 RULES = ("_failureIf", "_successIf", "_skipIf", "_while", "_onSuccess", "_onFailure", "_onHalted", "_post")
 
@@ -97,7 +111,7 @@ class Grower:
 
     def constant(self):
         asked, done = quoteattr(self.condition()), quoteattr(self.script())
-        return self.random.choice((*CONSTANT, f"<ScriptCondition code={asked}/>", f"<Script code={done}/>"))
+        return self.random.choice((*CONSTANT, *ENTRIES, f"<ScriptCondition code={asked}/>", f"<Script code={done}/>"))
 
     def many(self, depth):
         tag, count = self.random.choice((*MANY, "ReactiveFallback", *COUNTED)), self.random.randint(1, 4)
@@ -112,9 +126,11 @@ class Grower:
         return self.around(tag, self.random.choice(ONE[tag]), [self.node(depth)])
 
     def choice(self, depth):
-        tag = self.random.choice(("IfThenElse", "WhileDoElse", "Switch2", "TryCatch"))
-        count = 3 if tag == "Switch2" else self.random.randint(2, 3)
-        ports = ' variable="{x}" case_1="1" case_2="other"' if tag == "Switch2" else ""
+        tag = self.random.choice(("IfThenElse", "WhileDoElse", "Switch2", "Switch3", "Switch4", "TryCatch"))
+        count = int(tag[6:]) + 1 if tag.startswith("Switch") else self.random.randint(2, 3)
+        cases = self.random.sample(("1", "01", "2.0", "RED", "3", "other"), count - 1)
+        ports = "".join(f' case_{number}="{case}"' for number, case in enumerate(cases, start=1))
+        ports = f' variable="{{w}}"{ports}' if tag.startswith("Switch") else ""
         ports += ' catch_on_halt="true"' if tag == "TryCatch" and count == 3 else ""
         return self.around(tag, ports, [self.node(depth) for _ in range(count)])
 
@@ -157,7 +173,7 @@ def test_twin_does_what_behaviortree_cpp_recorded_of_itself(case):
 
 def entries(board):
     """Return what a blackboard holds in words, with the kind of each number."""
-    return [f"{key}={type(board[key]).__name__} {board[key]}" for key in sorted(board)]
+    return [f"{key}={type(board[key]).__name__} {board[key]}" for key in sorted(board) if board[key] is not None]
 
 
 def lived(seed, rules, news):
