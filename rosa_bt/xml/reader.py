@@ -237,7 +237,11 @@ def _parse(text: str | bytes, file: str) -> Element:
             root = _strictly(escaped, file)
         except XmlError:
             raise error from None
-        what = "& and < in attributes, which XML wants as &amp; and &lt;" if escaped != plain else "-- in a comment, or what stands before the declaration"
+        raw, others = (
+            "& and < in attributes, which XML wants as &amp; and &lt;",
+            "-- in a comment, or a late declaration",
+        )
+        what = raw if escaped != plain else others
         _log.warning("%s: read as it stands, though it is no XML: %s", file, what)
         return root
 
