@@ -225,7 +225,9 @@ class McapRecorder(Listener):
         write, types = self._file.write, self._file.types
         write(EVENTS, ros.STRING, event.time, _json, event.to_json())
         if event.verb == "measure":
-            write(f"/attributes/{event.subject}", ros.FLOAT, event.time, types.number, float(event.arguments[1]))
+            write(
+                f"/attributes/{event.subject}", ros.FLOAT, event.time, types.make, ros.FLOAT, float(event.arguments[1])
+            )
         elif event.kind in (EventKind.ACTION_UPDATE, EventKind.RECONFIGURATION_PLAN):
             why = f" because {event.plan.reason}" if event.plan is not None and event.plan.reason else ""
             write(LOG, ros.LOG, event.time, types.log, event.time, ros.INFO, f"{event.text}{why}")
@@ -246,7 +248,7 @@ class McapRecorder(Listener):
         now, types = float(self._kb.now), self._file.types
         if self._numbered is None or not self._numbered.shows(tree.root):
             self._numbered, self._statuses = NumberedTree(tree.root), {}
-            self._file.write(TREE, ros.STRING, now, types.text, self._numbered.xml)
+            self._file.write(TREE, ros.STRING, now, types.make, ros.STRING, self._numbered.xml)
         changes = []
         for node, uid in self._numbered.numbers.items():
             before, status = self._statuses.get(uid, "IDLE"), _NAMES.get(node.status, node.status.name)
@@ -264,4 +266,4 @@ def record_run(path: Path, run: MissionRun, seed: int, page: Recorder) -> McapRe
 
 
 def _json(value: object) -> ros.Ros:
-    return ros.types().text(json.dumps(value, separators=(",", ":")))
+    return ros.types().make(ros.STRING, json.dumps(value, separators=(",", ":")))

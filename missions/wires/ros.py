@@ -57,52 +57,46 @@ class Types:
     def decode(self, kind: str, data: bytes) -> Ros:
         return self.store.deserialize_cdr(data, kind)
 
-    def text(self, text: str) -> Ros:
-        return self._make(STRING, text)
-
-    def number(self, value: float) -> Ros:
-        return self._make(FLOAT, value)
-
     def time(self, time_s: float) -> Ros:
-        return self._make("builtin_interfaces/msg/Time", *divmod(nanoseconds(time_s), 10**9))
+        return self.make("builtin_interfaces/msg/Time", *divmod(nanoseconds(time_s), 10**9))
 
     def diagnostics(self, time_s: float, statuses: Iterable[Mapping[str, Any]]) -> Ros:
         """Return an array of what a message of ours says; each status has `name`, `message` and `values`."""
         kinds = "diagnostic_msgs/msg/DiagnosticStatus", "diagnostic_msgs/msg/KeyValue"
         made = []
         for one in statuses:
-            values = [self._make(kinds[1], str(key), str(value)) for key, value in one["values"].items()]
-            made.append(self._make(kinds[0], 0, str(one.get("name", "")), str(one["message"]), "", values))
-        return self._make(DIAGNOSTICS, self._header(time_s, ""), made)
+            values = [self.make(kinds[1], str(key), str(value)) for key, value in one["values"].items()]
+            made.append(self.make(kinds[0], 0, str(one.get("name", "")), str(one["message"]), "", values))
+        return self.make(DIAGNOSTICS, self._header(time_s, ""), made)
 
     def log(self, time_s: float, level: int, text: str) -> Ros:
-        return self._make(LOG, self.time(time_s), level, "rosa", text, "", "", 0)
+        return self.make(LOG, self.time(time_s), level, "rosa", text, "", "", 0)
 
     def tree_log(self, time_s: float, changes: Sequence[tuple[str, int, str, str]]) -> Ros:
         """Return Nav2's message of status changes: (node name, uid, previous status, current status) of each."""
         now = self.time(time_s)
         kind = "nav2_msgs/msg/BehaviorTreeStatusChange"
-        return self._make(TREE_LOG, now, [self._make(kind, now, *change) for change in changes])
+        return self.make(TREE_LOG, now, [self.make(kind, now, *change) for change in changes])
 
     def pose(self, time_s: float, position: Sequence[float]) -> Ros:
         """Return where the robot is, (x, y, z) [m] in the world frame; upright, as its attitude is not told."""
-        pose = self._make("geometry_msgs/msg/Pose", self._make("geometry_msgs/msg/Point", *position), self._upright())
-        return self._make(POSE, self._header(time_s, FRAME), pose)
+        pose = self.make("geometry_msgs/msg/Pose", self.make("geometry_msgs/msg/Point", *position), self._upright())
+        return self.make(POSE, self._header(time_s, FRAME), pose)
 
     def transform(self, time_s: float, position: Sequence[float]) -> Ros:
         """Return the same as a transform from the world frame to the robot's."""
-        moved = self._make("geometry_msgs/msg/Vector3", *position)
-        turned = self._make("geometry_msgs/msg/Transform", moved, self._upright())
-        stamped = self._make("geometry_msgs/msg/TransformStamped", self._header(time_s, FRAME), BODY, turned)
-        return self._make(TF, [stamped])
+        moved = self.make("geometry_msgs/msg/Vector3", *position)
+        turned = self.make("geometry_msgs/msg/Transform", moved, self._upright())
+        stamped = self.make("geometry_msgs/msg/TransformStamped", self._header(time_s, FRAME), BODY, turned)
+        return self.make(TF, [stamped])
 
     def _upright(self) -> Ros:
-        return self._make("geometry_msgs/msg/Quaternion", 0.0, 0.0, 0.0, 1.0)
+        return self.make("geometry_msgs/msg/Quaternion", 0.0, 0.0, 0.0, 1.0)
 
     def _header(self, time_s: float, frame: str) -> Ros:
-        return self._make("std_msgs/msg/Header", self.time(time_s), frame)
+        return self.make("std_msgs/msg/Header", self.time(time_s), frame)
 
-    def _make(self, kind: str, *values: Any) -> Ros:  # noqa: ANN401  # the fields of a message
+    def make(self, kind: str, *values: Any) -> Ros:  # noqa: ANN401  # the fields of a message
         return self.store.types[kind](*values)
 
 

@@ -88,8 +88,6 @@ class RosaServices:
 
         return answered
 
-    # ---------------------------------------------------------------- actions
-
     def _action_request(self, one: Message) -> Message:
         """Request an action, or cancel it where `is_required` is false, as the original's tree does."""
         name = _name(one, "action")
@@ -109,8 +107,6 @@ class RosaServices:
         asked = _names(one, "actions")
         names = self._kb.selectable_actions()
         return {"actions": [self._action(name) for name in names if name in asked or not asked]}
-
-    # ---------------------------------------------------------------- what can be selected
 
     def _function_adaptable(self, _: Message) -> Message:
         return {"functions": list(map(self._function, self._kb.adaptable_functions()))}
@@ -139,8 +135,6 @@ class RosaServices:
             configurations={self._kb.configurations[name].component: name for name in configurations},
         )
         return {}
-
-    # ---------------------------------------------------------------- plans, components, processes
 
     def _reconfiguration_plan_get(self, one: Message) -> Message:
         return {"reconfig_plan": self._plan(self._meant_plan(one))}
@@ -187,8 +181,6 @@ class RosaServices:
     def _component_process_get_active(self, _: Message) -> Message:
         return {"component_process": [self._process(one) for one in self._kb.processes if one.end is None]}
 
-    # ---------------------------------------------------------------- the model
-
     def _insert(self, kind: str, one: Message) -> Message:
         name, model = _name(one, kind), self._kb.model
         if name not in getattr(self._kb, f"{kind}s"):
@@ -217,8 +209,6 @@ class RosaServices:
     def _query(self, one: Message) -> Message:
         asked = str(one.get("query", ""))[:60]
         raise RosError(f"TypeQL is not answered here, as {asked!r}; ask by the other services, or by kb.query")
-
-    # ---------------------------------------------------------------- in messages
 
     def _action(self, name: str) -> Message:
         view = self._kb.actions[name]

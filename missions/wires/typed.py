@@ -59,19 +59,15 @@ def made(library: Library, kind: str, message: Message) -> Any:  # noqa: ANN401 
     for name in message:
         if name not in fields:
             raise RosError(f"{kind} has no field {name!r}; it has {', '.join(fields) or 'none'}")
-    values = {}
-    for name, value in message.items():
-        field, place = fields[name], f"{name} of {kind}"
-        if field.length is None:
-            values[name] = _made(library, field.kind, value, place)
-        elif not isinstance(value, list | tuple) or (field.length and len(value) != field.length):
-            raise RosError(f"{place} is a list of {field.length or 'any number'} {field.kind}, not {value!r:.60}")
-        else:
-            values[name] = [_made(library, field.kind, one, place) for one in value]
-    return library.new(kind, values)
+    given = {name: _made(library, *fields[name], value, f"{name} of {kind}") for name, value in message.items()}
+    return library.new(kind, given)
 
 
-def _made(library: Library, kind: str, value: Any, place: str) -> Any:  # noqa: ANN401  # of a field
+def _made(library: Library, kind: str, length: int | None, value: Any, place: str) -> Any:  # noqa: ANN401  # of a field
+    if length is not None:
+        if not isinstance(value, list | tuple) or (length and len(value) != length):
+            raise RosError(f"{place} is a list of {length or 'any number'} {kind}, not {value!r:.60}")
+        return [_made(library, kind, None, one, place) for one in value]
     if kind in _FLOATS and (value is None or (isinstance(value, int | float) and not isinstance(value, bool))):
         return math.nan if value is None else float(value)
     if kind in _INTEGERS and isinstance(value, int) and not isinstance(value, bool):
@@ -87,17 +83,12 @@ def _made(library: Library, kind: str, value: Any, place: str) -> Any:  # noqa: 
 
 def told(library: Library, kind: str, thing: Any) -> Message:  # noqa: ANN401  # an object of the library
     """Return a message as a dict."""
-    message = {}
-    for name, field in library.fields(kind).items():
-        value = getattr(thing, name)
-        several = field.length is not None
-        message[name] = (
-            [_told(library, field.kind, one) for one in value] if several else _told(library, field.kind, value)
-        )
-    return message
+    return {name: _told(library, *field, getattr(thing, name)) for name, field in library.fields(kind).items()}
 
 
-def _told(library: Library, kind: str, value: Any) -> object:  # noqa: ANN401  # of a field
+def _told(library: Library, kind: str, length: int | None, value: Any) -> object:  # noqa: ANN401  # of a field
+    if length is not None:
+        return [_told(library, kind, None, one) for one in value]
     if "/" in kind:
         return told(library, kind, value)
     if isinstance(value, bytes):  # rclpy's byte

@@ -44,9 +44,8 @@ class Entry:
 
     def children(self) -> tuple[int, int]:
         """Return how many children it takes, at least and at most."""
-        if "children" in self._parameters:
-            return 1, MAX_NODES
-        return (1, 1) if "child" in self._parameters else (0, 0)
+        least = int("child" in self._parameters)
+        return (1, MAX_NODES) if "children" in self._parameters else (least, least)
 
     def make(self, name: str, written: Mapping[str, str], branches: Sequence[Branch], board: Blackboard) -> Behaviour:
         """Make the behaviour; PortError if an attribute has no meaning for it, is missing, or of another type."""

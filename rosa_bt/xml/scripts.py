@@ -275,6 +275,4 @@ def _prefixed(sign: str, operand: Script, board: Blackboard) -> float:
     value = operand(board)
     if not is_number(value):
         raise ScriptError(f"{sign!r} is not for {shown(value)}")
-    if sign == "~":
-        return double(~whole(value))
-    return -double(value) if sign == "-" else float(not double(value))
+    return double(~whole(value)) if sign == "~" else -double(value) if sign == "-" else float(not double(value))
