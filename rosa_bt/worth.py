@@ -247,11 +247,11 @@ _Slopes = list[tuple[float, ...]]
 
 
 class _Way(NamedTuple):
-    """Doing an action in a configuration: what it gains in a second, by step, how levels change, what is needed."""
+    """Doing an action in a configuration: what it gains by side and step, how levels change and must be."""
 
     gain: Gain
     configuration: str
-    rates: list[float]
+    rates: list[list[float]]
     slopes: _Slopes
     least: list[float]
 
@@ -326,26 +326,29 @@ class _Question:
             constraints = (*action.constraints, *(kb.configurations[name].constraints if name else ()))
             needed = [one for one in constraints if one.attribute in names and one.operator in _LEAST]
             least = [max([one.value for one in needed if one.attribute == each], default=-inf) for each in names]
-            masks = [[True] * self._steps, *(self._holding(one) for one in constraints if one not in needed)]
-            yield _Way(gain, name, [rate * all(now) for now in zip(*masks, strict=True)], slopes, least)
+            held = [[(True,) * 3] * self._steps, *(self._holding(one) for one in constraints if one not in needed)]
+            rates = [[rate * all(mask[side] for mask in now) for now in zip(*held, strict=True)] for side in range(3)]
+            yield _Way(gain, name, rates, slopes, least)
 
-    def _holding(self, constraint: ConstraintView) -> list[bool]:
-        """Return in which steps a constraint holds, at the worse end of what is forecast; as now if that is unknown."""
-        found, compare = [constraint.status is not Status.VIOLATED], OPERATORS[constraint.operator]
+    def _holding(self, constraint: ConstraintView) -> list[tuple[bool, ...]]:
+        """Return in which steps a constraint holds, by side; as it does now where that is unknown."""
+        found: list[tuple[bool, ...]] = [(constraint.status is not Status.VIOLATED,) * 3]
+        compare = OPERATORS[constraint.operator]
         for step in range(1, self._steps):
             ahead = self._kb.forecast(constraint.attribute, step * self._h)
-            worse = ahead.low if constraint.operator in _LEAST else ahead.high
             if ahead.value is None:
                 return found[:1] * self._steps
-            found.append(compare(ahead.value if worse is None else worse, constraint.value))
+            ends = [ahead.value if end is None else end for end in (ahead.low, ahead.value, ahead.high)]
+            ends = ends if constraint.operator in _LEAST else ends[::-1]
+            found.append(tuple([compare(end, constraint.value) for end in ends]))
         return found
 
     def _solved(self, side: int, *, is_late: bool = False) -> _Course:
         """Find the best course; if late, errands are begun only when nothing else can be done."""
         self._side, self._is_late = side, is_late
         self._known: dict[_State, tuple[float, int]] = {}
-        self._shares = [1 + side * way.gain.spread for way in self._ways]
-        self._top = max([max(way.rates) * share for way, share in zip(self._ways, self._shares, strict=True)])
+        self._rates = [[rate * (1 + side * way.gain.spread) for rate in way.rates[1 + side]] for way in self._ways]
+        self._top = max(map(max, self._rates))
         self._free = self._without_levels()
         kb, doing = self._kb, -1
         for number, (gain, name, *_) in enumerate(self._ways):
@@ -366,7 +369,7 @@ class _Question:
         """Return what is gained from each step on, and by which move, were levels no matter; by the way before."""
         free = [[(0.0, -1)] * (len(self._ways) + 1)]
         for step in range(self._steps - 1, -1, -1):
-            row, possible = [], [number for number, way in enumerate(self._ways) if way.rates[step]]
+            row, possible = [], [number for number, rates in enumerate(self._rates) if rates[step]]
             for before in (*range(len(self._ways)), -1):
                 moves = [(self._worked(before, one, step, self._h) + free[-1][one][0], one) for one in possible]
                 row.append(max(moves, default=(free[-1][before][0], -1)))
@@ -375,7 +378,7 @@ class _Question:
 
     def _worked(self, before: int, way: int, step: int, time: float) -> float:
         """Return what working in a way for a time gains, less what it takes to change to it."""
-        gain, rate = self._ways[way].gain, self._ways[way].rates[step] * self._shares[way]
+        gain, rate = self._ways[way].gain, self._rates[way][step]
         is_switched = before not in (way, -1) and self._ways[before].gain is gain
         return rate * (time - gain.switching_s * is_switched)
 
@@ -421,7 +424,7 @@ class _Question:
             return round(left - time, 6), away, self._worn(levels, self._idle, time), before
         if move < len(self._ways):
             way = self._ways[move]
-            if not way.rates[self._step(left)] or self._lasting(levels, way) < 0.999 * time:
+            if not self._rates[move][self._step(left)] or self._lasting(levels, way) < 0.999 * time:
                 return None
             levels, away = self._worn(levels, way.slopes, time), round(away + way.gain.away * time, 3)
             arriving = (self._arrives(levels, away, one, self._kept) for one in range(len(self._errands)))

@@ -30,8 +30,9 @@ class Pipeline:
     def __init__(self, settings: Settings) -> None:
         self.z = SEABED_Z_M + settings.pipe_point_offset_m
         shares = [step / _STEPS_PER_EDGE for step in range(1, _STEPS_PER_EDGE + 1)]
-        edges = pairwise(VERTICES_M)
+        edges = pairwise(_turned(settings.pipe_turn_rad, (settings.start_x_m, settings.start_y_m)))
         self._xy = tuple((x + k * (to_x - x), y + k * (to_y - y)) for (x, y), (to_x, to_y) in edges for k in shares)
+        self._north = max(y for _, y in self._xy)
         self._tangent = math.tan(settings.half_view_angle_rad)
         self.points: NDArray[np.float64] = np.array(self._xy)
         self.points.flags.writeable = False
@@ -48,7 +49,7 @@ class Pipeline:
         """
         height = abs(z - self.z)
         half = height * self._tangent
-        if height > visibility or y > half:  # the whole pipeline lies at y <= 0: the usual case ends here
+        if height > visibility or y - self._north > half:  # all of it lies south: the usual case ends here
             return None
         for index, (px, py) in enumerate(self._xy):
             if abs(px - x) <= half and abs(py - y) <= half:
@@ -61,3 +62,11 @@ class Pipeline:
         From that point to the far end, then all of them back to the near end, the far end twice (kas-lab/suave v1.3.0).
         """
         return self._xy[index:] + self._xy[::-1]
+
+
+def _turned(angle: float, centre: tuple[float, float]) -> list[tuple[float, float]]:
+    """Return the vertices turned to the left by an angle [rad] about a centre [m]."""
+    if not angle:
+        return list(VERTICES_M)  # to the bit
+    cos, sin, (x, y) = math.cos(angle), math.sin(angle), centre
+    return [(x + cos * (a - x) - sin * (b - y), y + sin * (a - x) + cos * (b - y)) for a, b in VERTICES_M]

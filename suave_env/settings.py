@@ -150,6 +150,7 @@ class Settings:
     # Camera and pipeline
     half_view_angle_rad: float = _setting(math.pi / 6, "rad", "half of the camera's field of view", _SUAVE, 0.01, 1.5)
     pipe_point_offset_m: float = _setting(0.75, "m", "height of the detected points above the pipe (later: 0)", _SUAVE)
+    pipe_turn_rad: float = _setting(0.0, "rad", "turn of the pipeline about the mean start, to the left", _OWN)
 
     # Water
     visibility_min_m: float = _setting(1.25, "m", "least water visibility", _EXPERIMENT, 0)
