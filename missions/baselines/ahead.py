@@ -44,7 +44,7 @@ class AheadManager(OwnTree):
 
     def tree(self) -> Behaviour:
         mission = super().tree()
-        self._lookahead = Lookahead(self.kb, self._worth(mission))
+        self._lookahead = Lookahead(self.kb, self._worth(mission), period=2.0)
         return WhatNext("what next", self._lookahead, [mission])
 
     def receive(self, message: Message) -> None:
