@@ -1,0 +1,59 @@
+"""Manager `ahead`: it recharges when that is worth most, knows no more than is published, and plans with it too."""
+
+from dataclasses import replace
+
+from py_trees.decorators import FailureIsRunning
+
+from missions.baselines import open_run
+from missions.engine.declared import mission_domain
+from missions.engine.registry import find_mission
+from rosa_bt import Errand, Gain, Lookahead, WhatNext, Worth
+from rosa_pddl import PlanExecutor
+
+EXTENDED = find_mission("suave_extended")
+
+
+def test_it_recharges_in_time_and_inspects_more_than_the_tree():
+    results, actions = {}, {}
+    for manager in ("bt", "ahead"):
+        run = open_run(EXTENDED, manager=manager, seed=7)
+        run.run()
+        results[manager], actions[manager] = run.results(), run.actions
+    for figure in ("total_inspected_m", "distance_inspected_m"):
+        assert results["ahead"][figure] > results["bt"][figure] + 5
+    assert results["ahead"]["energy_j"] < results["bt"]["energy_j"]
+    left = next(one for one in actions["ahead"] if one.action == "inspect_pipeline")
+    assert left.result == "abandoned"
+    assert "recharge now: leaving at " in left.reason
+    assert next(one for one in actions["bt"] if one.action == "recharge").start > left.end + 10
+
+
+def test_the_plan_executor_plans_for_what_is_worth_doing():
+    def worth(found):
+        gain = Gain("inspect_pipeline", 0.3, away=0.3, possible=found)
+        return Worth(
+            300.0, [gain], [Errand("recharge", {"battery_level": 1.0}, lambda away: 30 + away, lambda away: 30 + away)]
+        )
+
+    def model():
+        model = EXTENDED.model()
+        model.attributes["battery_level"].changes(-1 / 200)
+        return model
+
+    def tree(kb, percepts):
+        executor = PlanExecutor(
+            "plan",
+            kb=kb,
+            domain=mission_domain(EXTENDED),
+            behaviours={name: lambda step, make=make: make(kb, percepts) for name, make in EXTENDED.actions.items()},
+            sense=lambda: EXTENDED.facts(kb, percepts),
+            clock=lambda: kb.now,
+        )
+        lookahead = Lookahead(kb, worth(lambda: percepts.holds("pipeline_found")), period=5.0)
+        return FailureIsRunning("go on", WhatNext("what next", lookahead, [executor]))
+
+    run = open_run(replace(EXTENDED, model=model, tree=tree), seed=7, settings={"duration": "160"})
+    run.run()
+    done = [(one.action, one.start) for one in run.actions]
+    assert [action for action, _ in done][:3] == ["search_pipeline", "inspect_pipeline", "recharge"]
+    assert done[2][1] < 130, "before the battery is low, which is at 150 s"
