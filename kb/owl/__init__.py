@@ -1,4 +1,5 @@
 """A model and what is told as OWL: individuals in the words of `rosa.owl`, files in RDF/XML, SPARQL queries, HermiT.
 
-`individuals` leads from a model to individuals and back; `owlready` is all that imports owlready2.
+`individuals` leads from a model to individuals and back; `queries` and `owlready` are all that imports pyoxigraph, the
+latter owlready2 too.
 """

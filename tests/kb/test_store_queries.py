@@ -190,6 +190,7 @@ def test_every_kind_of_question_is_answered(base):
     assert kb.query("DESCRIBE ?x { ?x a :Action }")
     own = "PREFIX : <http://x#> SELECT ?x { ?x a :Nothing }"
     assert kb.query(own) == []
+    assert kb.query("SELECT ?service { ?service a :Action # SERVICE\n; :name 'SERVICE :what' }") == []
 
 
 def awkward():
