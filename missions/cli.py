@@ -13,6 +13,7 @@ from missions.commands import (
     check,
     complain,
     effort,
+    learn,
     listing,
     mcp,
     new,
@@ -64,6 +65,7 @@ app.command("check")(check.check)
 app.command("plan")(plan.plan)
 app.command("campaign")(campaign.campaign)
 app.command("report")(report.report)
+app.command("learn")(learn.learn)
 app.command("effort")(effort.effort)
 app.add_typer(store.app, name="store")
 

@@ -1,0 +1,47 @@
+"""`rosa learn`: what runs tell of a model, as suggestions; nothing is changed that was not asked for."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from missions.commands import open_console
+
+KINDS = ("rate", "estimation", "threshold")
+
+
+def learn(
+    runs: Annotated[list[Path], typer.Argument(help="Recordings, and folders of campaigns.")],
+    model: Annotated[str, typer.Option(help="What is learned about: a file (.tql, .owl), or a mission.")],
+    apply: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the changed model here.")] = None,
+    take: Annotated[
+        list[str] | None,
+        typer.Option(metavar="KIND", help="What to change: rate, estimation (both by default), threshold."),
+    ] = None,
+) -> None:
+    """Suggest changes of a model, each with its interval and the number of observations; --apply writes them."""
+    from kb import Model
+    from missions.engine.mission import MissionError
+    from missions.engine.registry import find_mission
+    from missions.experiments.learning import learn as suggestions_of
+    from missions.experiments.learning import read_runs
+
+    taken = take or ["rate", "estimation"]
+    for kind in taken:
+        if kind not in KINDS:
+            raise MissionError(f"--take is {kind!r}; what can be changed is {', '.join(KINDS)}")
+    if apply is not None and apply.exists():
+        raise MissionError(f"{apply} is there already; name a file that is not")
+    is_file = Path(model).suffix in (".tql", ".owl")
+    mission = None if is_file else find_mission(model)
+    known = Model.load(model) if mission is None else mission.model()
+    console = open_console()
+    changed = 0
+    for one in suggestions_of(read_runs(runs), known, mission):
+        console.print(str(one), markup=False, highlight=False)
+        if apply is not None and one.apply is not None and one.kind in taken:
+            one.apply()
+            changed += 1
+    if apply is not None:
+        known.save(apply)
+        console.print(f"{changed} changes, written to {apply}", markup=False, highlight=False)

@@ -1,0 +1,407 @@
+"""What runs teach about a model: how fast attributes change, how long actions take, what choices do, what is kept back.
+
+Each finding is a suggestion with its interval; nothing is changed unless that is asked for. Intervals are Student's, of
+the means of whole runs: what is measured within a run hangs together, runs do not.
+"""
+
+import math
+from collections import defaultdict, deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from statistics import fmean, median, stdev
+from typing import Final, NamedTuple, Self
+
+from kb import Event, Model
+from kb.elements import Action, Attribute, AttributeKind, Constraint, Estimation, EstimationKind, Rate
+from kb.forecasts.extrapolation import Series, slope_of
+from missions.engine.mission import MISSION_STATUS, Message, Mission, MissionError
+from missions.engine.runner import MissionRun
+from missions.extras import needs
+
+LEVEL: Final = 0.95
+"""How often an interval holds the true value."""
+_ROUNDING: Final = 1e-6
+"""Part of a value that no interval is narrower than, as times and values are rounded."""
+_SURE: Final = 0.5
+"""Part of a value that its interval reaches to either side at most, if nothing was stated before."""
+_BENT: Final = 0.05
+"""Part of its change by which half of a series lies beside a straight line at most."""
+_EPISODES: Final = 5
+"""How often a threshold has to be passed before anything is said of it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Experience:
+    """A run as far as it can be learned from: its name, what was known and decided, and what was heard."""
+
+    name: str
+    events: Sequence[Event]
+    messages: Sequence[Message] = ()
+
+    @classmethod
+    def of(cls, name: str, run: MissionRun) -> Self:
+        """Do a run that is open, and return what is to be learned from it."""
+        messages: list[Message] = []
+
+        def hear(heard: Sequence[Message], _: float) -> Sequence[Message]:
+            messages.extend(heard)
+            return heard
+
+        run.alter = hear
+        run.run()
+        return cls(name, list(run.kb.log), messages)
+
+
+class Spread(NamedTuple):
+    """A mean, between which values the true one is, and of how many observations; infinite bounds of one alone."""
+
+    value: float
+    low: float
+    high: float
+    observations: int
+
+    @classmethod
+    def of(cls, values: Sequence[float], *, next_one: bool = False) -> Self:
+        """Return the mean of values with its interval, or with that of the next value."""
+        with needs("plot", "the intervals of what is learned"):
+            from scipy.stats import t
+        mean, count, half = fmean(values), len(values), math.inf
+        if count > 1:
+            half = float(t.ppf((1 + LEVEL) / 2, count - 1)) * stdev(values) * math.sqrt(next_one + 1 / count)
+            half = max(half, _ROUNDING * abs(mean))
+        return cls(mean, mean - half, mean + half, count)
+
+    def holds(self, value: float) -> bool:
+        return self.low <= value <= self.high
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether it is known which way it goes and roughly how much."""
+        return 0.0 < self.high - self.low <= 2 * _SURE * abs(self.value)
+
+    def __str__(self) -> str:
+        if self.observations == 1:
+            return f"{self.value:.4g} (1 observation: no interval)"
+        return f"{self.value:.4g} ({self.low:.4g} to {self.high:.4g}, {self.observations} observations)"
+
+
+@dataclass(frozen=True, slots=True)
+class Suggestion:
+    """Something that runs tell of a model.
+
+    Attributes:
+        kind: "rate", "duration", "estimation", "worth" or "threshold".
+        about: what it is about, with its unit.
+        found: the value with its interval.
+        stated: what the model says; None if it says nothing.
+        change: what would change, in words; empty if nothing would.
+        apply: changes the model so; None if it is not for the model to say, or not sure.
+    """
+
+    kind: str
+    about: str
+    found: Spread
+    stated: float | None = None
+    change: str = ""
+    apply: Callable[[], None] | None = None
+
+    def __str__(self) -> str:
+        stated = "" if self.stated is None else f"; stated: {self.stated:.4g}"
+        return f"{self.kind}: {self.about}: {self.found}{stated}{f' -> {self.change}' if self.change else ''}"
+
+
+@dataclass(slots=True)
+class _Span:
+    """A time in which the same was done and chosen, with what was measured or said in it by name."""
+
+    doing: frozenset[str]
+    chosen: frozenset[str]
+    series: dict[str, tuple[list[float], list[float]]] = field(default_factory=lambda: defaultdict(lambda: ([], [])))
+
+    def slopes(self) -> Iterator[tuple[str, float]]:
+        """Yield how fast each changes [1/s], of those that go straight and of which there is enough."""
+        for name, (times, values) in self.series.items():
+            slope = slope_of(Series(times, values))
+            if slope is not None:
+                heights = [value - slope * time for time, value in zip(times, values, strict=True)]
+                middle, change = median(heights), abs(slope) * (times[-1] - times[0])
+                if median(abs(one - middle) for one in heights) <= _BENT * change + _ROUNDING * abs(middle):
+                    yield name, slope
+
+
+def spans_of(one: Experience) -> list[_Span]:
+    """Return a run in parts in each of which the same was done and chosen."""
+    said = deque((float(message["time"]), *pair) for message in one.messages for pair in _numbers(message))
+    spans, doing, chosen = [_Span(frozenset(), frozenset())], dict[str, None](), dict[str, None]()
+    for event in one.events:
+        while said and said[0][0] <= event.time:
+            _add(spans[-1], *said.popleft())
+        if event.verb == "measure":
+            _add(spans[-1], event.time, event.arguments[0], float(event.arguments[1]))
+            continue
+        if event.verb in ("request_action", "cancel_action"):
+            (doing.setdefault if event.verb == "request_action" else doing.pop)(event.arguments[0], None)
+        for _, name, is_so in event.effects:
+            (chosen.setdefault if is_so else chosen.pop)(name, None)
+        if event.effects or event.verb in ("request_action", "cancel_action", "finish_plan"):
+            spans.append(_Span(frozenset(doing), frozenset(chosen)))
+    for late in said:
+        _add(spans[-1], *late)
+    return spans
+
+
+def _add(span: _Span, time: float, name: str, value: float) -> None:
+    times, values = span.series[name]
+    times.append(time)
+    values.append(value)
+
+
+def _numbers(message: Message) -> Iterator[tuple[str, float]]:
+    """Yield the numbers of which only the task layer hears."""
+    for status in message["status"]:
+        if str(status["message"]).casefold() == MISSION_STATUS:
+            for key, value in status["values"].items():
+                try:
+                    yield str(key), float(value)
+                except ValueError:
+                    continue
+
+
+Slopes = dict[str, dict[tuple[str, frozenset[str]], dict[int, float]]]
+"""How fast something changes while an action alone is done, as it is configured then: the mean of each run."""
+
+
+def _slopes(runs: Sequence[Sequence[_Span]]) -> Slopes:
+    found: Slopes = defaultdict(lambda: defaultdict(dict))
+    for number, run in enumerate(runs):
+        here: dict[tuple[str, str, frozenset[str]], list[float]] = defaultdict(list)
+        for span in run:
+            if len(span.doing) == 1:
+                (action,) = span.doing
+                for name, slope in span.slopes():
+                    here[name, action, span.chosen].append(slope)
+        for (name, action, chosen), values in here.items():
+            found[name][action, chosen][number] = fmean(values)
+    return found
+
+
+def _by_action(slopes: Mapping[tuple[str, frozenset[str]], Mapping[int, float]]) -> dict[str, Spread]:
+    """Return how fast it changes while each action is done; under "" alone if that makes no difference."""
+    values: dict[str, dict[int, list[float]]] = defaultdict(lambda: defaultdict(list))
+    for (action, _), by_run in slopes.items():
+        for number, slope in by_run.items():
+            values[action][number].append(slope)
+            values[""][number].append(slope)
+    spreads = {action: Spread.of([fmean(one) for one in by_run.values()]) for action, by_run in values.items()}
+    always = spreads.pop("")
+    is_one = len(spreads) > 1 and all(one.holds(always.value) for one in spreads.values())
+    return {"": always} if is_one else spreads
+
+
+def learn(runs: Iterable[Experience], model: Model, mission: Mission | None = None) -> list[Suggestion]:
+    """Return what runs tell of a model, and of how long a mission says that actions take."""
+    known = list(runs)
+    spans = [spans_of(one) for one in known]
+    slopes = _slopes(spans)
+    return [
+        *(one for attribute in model.attributes.values() for one in _rates(attribute, slopes[attribute.name])),
+        *(one for name in sorted(slopes.keys() - model.attributes.keys()) for one in _worth(name, slopes[name])),
+        *_estimations(spans, model),
+        *_durations(known, mission),
+        *(
+            one
+            for last in {str(one): one for one in _last_thresholds(model)}.values()
+            for one in _threshold(last, known, model)
+        ),
+    ]
+
+
+def _rates(attribute: Attribute, slopes: dict[tuple[str, frozenset[str]], dict[int, float]]) -> Iterator[Suggestion]:
+    if attribute.kind is AttributeKind.ENVIRONMENTAL and not attribute.rates:
+        return  # what the robot does changes itself, not its surroundings
+    stated = {rate.while_: rate for rate in attribute.rates}
+    unit = f"[{attribute.unit or '1'}/s]"
+    for action, found in _by_action(slopes).items() if slopes else ():
+        before = stated.get(action)
+        if before is None and not found.is_sure:
+            continue
+        about = f"{attribute.name}{f' while {action}' if action else ', always'} {unit}"
+        if found.observations == 1 or (before is not None and found.holds(before.per_s)):
+            yield Suggestion("rate", about, found, before and before.per_s)
+            continue
+
+        others = [one for one in attribute.rates if action and one.while_ not in ("", action)]
+        rates = [*others, Rate(found.value, action, before is not None and before.learns)]
+        change = f"{attribute.name}.changes({found.value:.6g}{f', while_={action!r}' if action else ''})"
+        apply = partial(attribute.model.change, attribute, rates=rates)
+        yield Suggestion("rate", about, found, before and before.per_s, change, apply)
+    yield from _by_choice("rate", f"{attribute.name} while {{}} {unit}", slopes)
+
+
+def _worth(name: str, slopes: dict[tuple[str, frozenset[str]], dict[int, float]]) -> Iterator[Suggestion]:
+    """Say how fast what is counted grows: what a second of an action, and of a configuration, is worth."""
+    for action, found in _by_action(slopes).items():
+        if found.is_sure and found.value > 0:
+            yield Suggestion("worth", f"{name}{f' while {action}' if action else ', always'} [1/s]", found)
+    yield from _by_choice("worth", f"{name} while {{}} [1/s]", slopes)
+
+
+def _by_choice(
+    kind: str, about: str, slopes: dict[tuple[str, frozenset[str]], dict[int, float]]
+) -> Iterator[Suggestion]:
+    """Tell configurations apart in which an action makes something change at rates that surely differ."""
+    for action in sorted({action for action, _ in slopes}):
+        found = {chosen: Spread.of(list(by_run.values())) for (of, chosen), by_run in slopes.items() if of == action}
+        common, ends = frozenset.intersection(*found), [(one.low, one.high) for one in found.values() if one.is_sure]
+        if len(ends) == len(found) and any(high < low for low, _ in ends for _, high in ends):
+            for chosen, spread in found.items():
+                what = ", ".join(sorted(chosen - common)) or "none of the others"
+                yield Suggestion(kind, about.format(f"{action} with {what}"), spread)
+
+
+def _estimations(runs: Sequence[Sequence[_Span]], model: Model) -> Iterator[Suggestion]:
+    """Find estimations that are off: what is taken is another than estimated with one choice, and right without it."""
+    by_attribute: dict[str, list[Estimation]] = defaultdict(list)
+    for one in model.estimations:
+        if one.kind is not EstimationKind.ABSOLUTE:
+            by_attribute[one.attribute].append(one)
+    for name, estimations in by_attribute.items():
+        rests: dict[int, list[tuple[frozenset[str], float]]] = defaultdict(list)
+        for number, run in enumerate(runs):
+            for span in run:
+                chosen = [one for one in estimations if one.causer.name in span.chosen]
+                estimated = math.fsum(_signed(one) for one in chosen)
+                slopes = [slope for of, slope in span.slopes() if of == name and chosen]
+                rests[number] += [(span.chosen, slope - estimated) for slope in slopes]
+        for one in estimations:
+            off, right = (_mean_rest(rests, one.causer.name, having) for having in (True, False))
+            if off is None or off.observations == 1 or _is_right(off, one) or (right and not _is_right(right, one)):
+                continue
+            sign = _signed(one) and math.copysign(1.0, _signed(one))
+            low, high = sorted(one.value + sign * end for end in (off.low, off.high))
+            found = Spread(one.value + sign * off.value, low, high, off.observations)
+            unit = model.attributes[name].unit or "1"
+            about = f"{name} by {one.causer.name} [{unit}/s]"
+            change = f"{one.causer.name}.estimate({name!r}, {found.value:.6g}, {str(one.kind)!r})"
+
+            apply = partial(model.change, one, value=found.value)
+            yield Suggestion("estimation", about, found, one.value, change, apply)
+
+
+def _is_right(rest: Spread, one: Estimation) -> bool:
+    return rest.holds(0.0) or abs(rest.value) <= _ROUNDING * abs(one.value)
+
+
+def _signed(one: Estimation) -> float:
+    return -one.value if one.kind is EstimationKind.NEGATIVE else one.value
+
+
+def _mean_rest(rests: dict[int, list[tuple[frozenset[str], float]]], name: str, having: bool) -> Spread | None:
+    by_run = [[rest for chosen, rest in found if (name in chosen) is having] for found in rests.values()]
+    means = [fmean(found) for found in by_run if found]
+    return Spread.of(means) if means else None
+
+
+def _durations(runs: Sequence[Experience], mission: Mission | None) -> Iterator[Suggestion]:
+    took: dict[str, list[float]] = defaultdict(list)
+    for run in runs:
+        begun: dict[str, float] = {}
+        for event in run.events:
+            if event.verb == "request_action":
+                begun.setdefault(event.subject, event.time)
+            elif event.verb == "cancel_action" and event.subject in begun:
+                start = begun.pop(event.subject)
+                if event.arguments[1] == "completed":
+                    took[event.subject].append(event.time - start)
+    schemas = [getattr(one, "schema", None) for one in (mission.actions if mission else {}).values()]
+    stated = {one.rosa_action: float(one.duration_s) for one in schemas if one is not None and one.duration_s}
+    for action, seconds in took.items():
+        found, before = Spread.of(seconds), stated.get(action)
+        is_news = found.observations > 1 and before is not None and not found.holds(before)
+        change = f"duration_s={found.value:.3g} in the schema of {action}" if is_news else ""
+        yield Suggestion("duration", f"{action} [s]", found, before, change)
+
+
+def _last_thresholds(model: Model) -> list[Constraint]:
+    """Return the constraints beyond which no action is constrained by the attribute, which has an end there."""
+    found = []
+    of_actions = [one for one in model.constraints if any(isinstance(each, Action) for each in one.constrained)]
+    for one in of_actions:
+        side, attribute = 1.0 if one.operator in (">=", ">") else -1.0, model.attributes[one.attribute]
+        rivals = [other for other in of_actions if other.attribute == one.attribute]
+        is_last = all(side * other.value >= side * one.value for other in rivals)
+        if is_last and math.isfinite(attribute.low if side > 0 else attribute.high):
+            found.append(one)
+    return found
+
+
+def _threshold(constraint: Constraint, runs: Sequence[Experience], model: Model) -> Iterator[Suggestion]:
+    """Look how much was left of the range whenever an action was given up at a threshold, until it could be again."""
+    attribute, side = model.attributes[constraint.attribute], 1.0 if constraint.operator in (">=", ">") else -1.0
+    bound, left = attribute.low if side > 0 else attribute.high, list[float]()
+    for run in runs:
+        worst: float | None = None
+        for event in run.events:
+            if event.verb == "measure" and event.arguments[0] == attribute.name:
+                beyond = side * (float(event.arguments[1]) - constraint.value)
+                if beyond < 0:
+                    worst = min(beyond, math.inf if worst is None else worst)
+                elif worst is not None:
+                    left.append(side * (constraint.value - bound) + worst)
+                    worst = None
+    if len(left) < _EPISODES:
+        return
+    found, count = Spread.of(left, next_one=True), sum(one <= _ROUNDING for one in left)
+    about = f"left of {attribute.name} until {constraint} holds again [{attribute.unit or '1'}]"
+    if count or found.low <= 0:
+        change = f"too narrow: nothing was left in {count} of them" if count else ""
+        yield Suggestion("threshold", about, found, change=change)
+        return
+    value = constraint.value - side * found.low
+
+    def apply() -> None:
+        for one in _last_thresholds(model):
+            if str(one) == str(constraint):
+                model.change(one, value=value)
+
+    change = f"too wide: {constraint.attribute} {constraint.operator} {value:.4g}"
+    yield Suggestion("threshold", about, found, None, change, apply)
+
+
+def read_runs(paths: Iterable[Path]) -> Iterator[Experience]:
+    """Read recordings, and do the runs of campaigns again: a run depends on nothing but its name and the code.
+
+    Raises:
+        MissionError: there is nothing to be learned from one of them; the message says why.
+    """
+    for path in paths:
+        found = list(_campaign(path) if (path / "campaign.json").exists() else _recorded(path))
+        if not found:
+            raise MissionError(f"{path} holds no run in which a knowledge base knew what was done")
+        yield from found
+
+
+def _recorded(path: Path) -> Iterator[Experience]:
+    from missions.wires.bags import read_bag
+
+    bag = read_bag(path)
+    if bag.events:
+        yield Experience(path.name, bag.events, bag.messages)
+
+
+def _campaign(path: Path) -> Iterator[Experience]:
+    from missions.baselines import open_run
+    from missions.engine.registry import find_mission
+    from missions.experiments.results import CRASHED, read_store
+
+    kept = read_store(path)
+    for run in kept.campaign.planned():
+        record = kept.records.get(run.name)
+        if record is not None and record["outcome"] != CRASHED:
+            settings = dict(run.settings)
+            mission, task = find_mission(run.mission), run.task or "bt"
+            opened = open_run(mission, manager=run.manager, task=task, seed=run.seed, settings=settings)
+            if opened.controller.kb is not None:
+                yield Experience.of(run.name, opened)
