@@ -6,7 +6,7 @@ the means of whole runs: what is measured within a run hangs together, runs do n
 
 import math
 from collections import defaultdict, deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -20,16 +20,14 @@ from missions.engine.mission import MISSION_STATUS, Message, Mission, MissionErr
 from missions.engine.runner import MissionRun
 from missions.extras import needs
 
-LEVEL: Final = 0.95
-"""How often an interval holds the true value."""
-_ROUNDING: Final = 1e-6
-"""Part of a value that no interval is narrower than, as times and values are rounded."""
-_SURE: Final = 0.5
-"""Part of a value that its interval reaches to either side at most, if nothing was stated before."""
-_BENT: Final = 0.05
-"""Part of its change by which half of a series lies beside a straight line at most."""
-_EPISODES: Final = 5
-"""How often a threshold has to be passed before anything is said of it."""
+LEVEL: Final = 0.95  # how often an interval holds the true value
+_ROUNDING: Final = 1e-6  # part of a value that no interval is narrower than, as times and values are rounded
+_SURE: Final = 0.5  # part of a value that its interval reaches to either side at most, if nothing was stated before
+_BENT: Final = 0.05  # part of its change by which half of a series lies beside a straight line at most
+_EPISODES: Final = 5  # how often a threshold has to be passed before anything is said of it
+
+_Slopes = dict[tuple[str, frozenset[str]], dict[int, float]]
+"""How fast something changes while an action alone is done, as it is configured then: the mean of each run."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,12 +167,8 @@ def _numbers(message: Message) -> Iterator[tuple[str, float]]:
                     continue
 
 
-Slopes = dict[str, dict[tuple[str, frozenset[str]], dict[int, float]]]
-"""How fast something changes while an action alone is done, as it is configured then: the mean of each run."""
-
-
-def _slopes(runs: Sequence[Sequence[_Span]]) -> Slopes:
-    found: Slopes = defaultdict(lambda: defaultdict(dict))
+def _slopes(runs: Sequence[Sequence[_Span]]) -> dict[str, _Slopes]:
+    found: dict[str, _Slopes] = defaultdict(lambda: defaultdict(dict))
     for number, run in enumerate(runs):
         here: dict[tuple[str, str, frozenset[str]], list[float]] = defaultdict(list)
         for span in run:
@@ -187,7 +181,7 @@ def _slopes(runs: Sequence[Sequence[_Span]]) -> Slopes:
     return found
 
 
-def _by_action(slopes: Mapping[tuple[str, frozenset[str]], Mapping[int, float]]) -> dict[str, Spread]:
+def _by_action(slopes: _Slopes) -> dict[str, Spread]:
     """Return how fast it changes while each action is done; under "" alone if that makes no difference."""
     values: dict[str, dict[int, list[float]]] = defaultdict(lambda: defaultdict(list))
     for (action, _), by_run in slopes.items():
@@ -210,15 +204,11 @@ def learn(runs: Iterable[Experience], model: Model, mission: Mission | None = No
         *(one for name in sorted(slopes.keys() - model.attributes.keys()) for one in _worth(name, slopes[name])),
         *_estimations(spans, model),
         *_durations(known, mission),
-        *(
-            one
-            for last in {str(one): one for one in _last_thresholds(model)}.values()
-            for one in _threshold(last, known, model)
-        ),
+        *(one for last in _last_thresholds(model) for one in _threshold(*last, known)),
     ]
 
 
-def _rates(attribute: Attribute, slopes: dict[tuple[str, frozenset[str]], dict[int, float]]) -> Iterator[Suggestion]:
+def _rates(attribute: Attribute, slopes: _Slopes) -> Iterator[Suggestion]:
     if attribute.kind is AttributeKind.ENVIRONMENTAL and not attribute.rates:
         return  # what the robot does changes itself, not its surroundings
     stated = {rate.while_: rate for rate in attribute.rates}
@@ -231,7 +221,6 @@ def _rates(attribute: Attribute, slopes: dict[tuple[str, frozenset[str]], dict[i
         if found.observations == 1 or (before is not None and found.holds(before.per_s)):
             yield Suggestion("rate", about, found, before and before.per_s)
             continue
-
         others = [one for one in attribute.rates if action and one.while_ not in ("", action)]
         rates = [*others, Rate(found.value, action, before is not None and before.learns)]
         change = f"{attribute.name}.changes({found.value:.6g}{f', while_={action!r}' if action else ''})"
@@ -240,7 +229,7 @@ def _rates(attribute: Attribute, slopes: dict[tuple[str, frozenset[str]], dict[i
     yield from _by_choice("rate", f"{attribute.name} while {{}} {unit}", slopes)
 
 
-def _worth(name: str, slopes: dict[tuple[str, frozenset[str]], dict[int, float]]) -> Iterator[Suggestion]:
+def _worth(name: str, slopes: _Slopes) -> Iterator[Suggestion]:
     """Say how fast what is counted grows: what a second of an action, and of a configuration, is worth."""
     for action, found in _by_action(slopes).items():
         if found.is_sure and found.value > 0:
@@ -248,9 +237,7 @@ def _worth(name: str, slopes: dict[tuple[str, frozenset[str]], dict[int, float]]
     yield from _by_choice("worth", f"{name} while {{}} [1/s]", slopes)
 
 
-def _by_choice(
-    kind: str, about: str, slopes: dict[tuple[str, frozenset[str]], dict[int, float]]
-) -> Iterator[Suggestion]:
+def _by_choice(kind: str, about: str, slopes: _Slopes) -> Iterator[Suggestion]:
     """Tell configurations apart in which an action makes something change at rates that surely differ."""
     for action in sorted({action for action, _ in slopes}):
         found = {chosen: Spread.of(list(by_run.values())) for (of, chosen), by_run in slopes.items() if of == action}
@@ -282,10 +269,8 @@ def _estimations(runs: Sequence[Sequence[_Span]], model: Model) -> Iterator[Sugg
             sign = _signed(one) and math.copysign(1.0, _signed(one))
             low, high = sorted(one.value + sign * end for end in (off.low, off.high))
             found = Spread(one.value + sign * off.value, low, high, off.observations)
-            unit = model.attributes[name].unit or "1"
-            about = f"{name} by {one.causer.name} [{unit}/s]"
+            about = f"{name} by {one.causer.name} [{model.attributes[name].unit or '1'}/s]"
             change = f"{one.causer.name}.estimate({name!r}, {found.value:.6g}, {str(one.kind)!r})"
-
             apply = partial(model.change, one, value=found.value)
             yield Suggestion("estimation", about, found, one.value, change, apply)
 
@@ -324,23 +309,22 @@ def _durations(runs: Sequence[Experience], mission: Mission | None) -> Iterator[
         yield Suggestion("duration", f"{action} [s]", found, before, change)
 
 
-def _last_thresholds(model: Model) -> list[Constraint]:
-    """Return the constraints beyond which no action is constrained by the attribute, which has an end there."""
-    found = []
+def _last_thresholds(model: Model) -> Iterator[tuple[Attribute, float, float, list[Constraint]]]:
+    """Yield the constraints beyond which no action is constrained by an attribute, upwards of 1 or downwards of -1."""
     of_actions = [one for one in model.constraints if any(isinstance(each, Action) for each in one.constrained)]
-    for one in of_actions:
-        side, attribute = 1.0 if one.operator in (">=", ">") else -1.0, model.attributes[one.attribute]
-        rivals = [other for other in of_actions if other.attribute == one.attribute]
-        is_last = all(side * other.value >= side * one.value for other in rivals)
-        if is_last and math.isfinite(attribute.low if side > 0 else attribute.high):
-            found.append(one)
-    return found
+    for attribute in model.attributes.values():
+        for side, bound, signs in ((1.0, attribute.low, (">=", ">")), (-1.0, attribute.high, ("<=", "<"))):
+            mine = [one for one in of_actions if one.attribute == attribute.name and one.operator in signs]
+            if mine and math.isfinite(bound):
+                last = min(side * one.value for one in mine)
+                yield attribute, side, bound, [one for one in mine if side * one.value == last]
 
 
-def _threshold(constraint: Constraint, runs: Sequence[Experience], model: Model) -> Iterator[Suggestion]:
+def _threshold(
+    attribute: Attribute, side: float, bound: float, constraints: Sequence[Constraint], runs: Sequence[Experience]
+) -> Iterator[Suggestion]:
     """Look how much was left of the range whenever an action was given up at a threshold, until it could be again."""
-    attribute, side = model.attributes[constraint.attribute], 1.0 if constraint.operator in (">=", ">") else -1.0
-    bound, left = attribute.low if side > 0 else attribute.high, list[float]()
+    constraint, left = constraints[0], list[float]()
     for run in runs:
         worst: float | None = None
         for event in run.events:
@@ -362,9 +346,8 @@ def _threshold(constraint: Constraint, runs: Sequence[Experience], model: Model)
     value = constraint.value - side * found.low
 
     def apply() -> None:
-        for one in _last_thresholds(model):
-            if str(one) == str(constraint):
-                model.change(one, value=value)
+        for one in constraints:
+            attribute.model.change(one, value=value)
 
     change = f"too wide: {constraint.attribute} {constraint.operator} {value:.4g}"
     yield Suggestion("threshold", about, found, None, change, apply)
@@ -387,8 +370,7 @@ def _recorded(path: Path) -> Iterator[Experience]:
     from missions.wires.bags import read_bag
 
     bag = read_bag(path)
-    if bag.events:
-        yield Experience(path.name, bag.events, bag.messages)
+    yield from [Experience(path.name, bag.events, bag.messages)] if bag.events else []
 
 
 def _campaign(path: Path) -> Iterator[Experience]:
@@ -398,10 +380,8 @@ def _campaign(path: Path) -> Iterator[Experience]:
 
     kept = read_store(path)
     for run in kept.campaign.planned():
-        record = kept.records.get(run.name)
-        if record is not None and record["outcome"] != CRASHED:
-            settings = dict(run.settings)
-            mission, task = find_mission(run.mission), run.task or "bt"
-            opened = open_run(mission, manager=run.manager, task=task, seed=run.seed, settings=settings)
+        if kept.records.get(run.name, {"outcome": CRASHED})["outcome"] != CRASHED:
+            how = {"manager": run.manager, "task": run.task or "bt", "settings": dict(run.settings)}
+            opened = open_run(find_mission(run.mission), seed=run.seed, **how)  # type: ignore[arg-type]  # by name
             if opened.controller.kb is not None:
                 yield Experience.of(run.name, opened)
