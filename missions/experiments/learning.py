@@ -382,6 +382,6 @@ def _campaign(path: Path) -> Iterator[Experience]:
     for run in kept.campaign.planned():
         if kept.records.get(run.name, {"outcome": CRASHED})["outcome"] != CRASHED:
             how = {"manager": run.manager, "task": run.task or "bt", "settings": dict(run.settings)}
-            opened = open_run(find_mission(run.mission), seed=run.seed, **how)  # type: ignore[arg-type]  # by name
+            opened = open_run(find_mission(run.mission), seed=run.seed, **how)  # type: ignore[arg-type]  # each is of its own type
             if opened.controller.kb is not None:
                 yield Experience.of(run.name, opened)
