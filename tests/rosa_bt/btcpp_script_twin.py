@@ -7,7 +7,7 @@ import math
 import operator
 import re
 
-TOKEN = re.compile(r"'[^']*'|0[xX][0-9a-fA-F]+|\d+(?:\.\d+)?(?:[eE][-+]?\d+)?|\w+|[-+*/:]=|[=!<>]=|&&|\|\||\.\.|\S")
+TOKEN = re.compile(r"'[^']*'|0[xX][0-9a-fA-F]+|\d+(?:\.\d+)?(?:[eE][-+]?\d+)?|@?\w+|[-+*/:]=|[=!<>]=|&&|\|\||\.\.|\S")
 COMPARED = {"<": operator.lt, ">": operator.gt, "<=": operator.le, ">=": operator.ge}
 BITS = {"&": operator.and_, "|": operator.or_, "^": operator.xor}
 BINDS = {"||": 1, "&&": 2, **dict.fromkeys((*COMPARED, "==", "!="), 3), "|": 4, "^": 4, "&": 5}
@@ -190,7 +190,7 @@ def compared(sign, one, other, enums):
 def assigned(sign, target, given, board, enums):
     while target[0] == "inner":
         target = target[1]
-    if target[0] != "leaf" or not re.match(r"[A-Za-z_]", target[1]) or target[1] in ("true", "false"):
+    if target[0] != "leaf" or not re.match(r"[@A-Za-z_]", target[1]) or target[1] in ("true", "false"):
         raise Thrown
     name = target[1]
     if name not in board:

@@ -16,40 +16,60 @@ BY_LETTER = {"S": SUCCESS, "F": FAILURE, "R": RUNNING, "K": SKIPPED}
 
 
 class Board(UserDict):
-    """Entries by key, None for one that has no value yet, and how often each was written since it is there."""
+    """What one tree sees: entries by key, None for one that has no value yet, and how often each was written."""
 
-    def __init__(self):
-        self.written = {}
+    def __init__(self, around=None, remapped=(), constants=(), *, is_auto=False):
+        self.around, self.remapped, self.is_auto = around, dict(remapped), is_auto
+        self.written, self.own = dict.fromkeys(dict(constants), 1), frozenset(dict(constants))
         super().__init__()
+        self.data.update(constants)
+
+    def place(self, key):
+        if self.around is None or key in self.own:
+            return self, key.lstrip("@")
+        if key.startswith("@") or (self.is_auto and key not in self.remapped and not key.startswith("_")):
+            return self.around.place(key)
+        return self.around.place(self.remapped[key]) if key in self.remapped else (self, key)
+
+    def __contains__(self, key):
+        board, name = self.place(key)
+        return name in board.data
+
+    def __getitem__(self, key):
+        board, name = self.place(key)
+        return board.data[name]
 
     def __setitem__(self, key, value):
-        super().__setitem__(key, value)
-        self.written[key] = self.written.get(key, 0) + (value is not None)
+        board, name = self.place(key)
+        board.data[name] = value
+        board.written[name] = board.written.get(name, 0) + (value is not None)
 
-    def __delitem__(self, key):
-        super().__delitem__(key)
-        del self.written[key]
+    def times_written(self, key):
+        board, name = self.place(key)
+        return board.written.get(name)
+
+    def unset(self, key):
+        self.data.pop(key, None)
+        self.written.pop(key, None)
 
 
 class World:
-    """What all nodes of a tree share: leaves as {tag: (kind, script)}, what happened, a blackboard, the time [s]."""
+    """What all nodes share: leaves as {tag: (kind, script)}, what happened, blackboards, the time [s]."""
 
-    def __init__(self, leaves, enums):
-        self.enums = enums
+    def __init__(self, leaves, enums, ports):
+        self.enums, self.ports = enums, ports
         self.leaves = {tag: (kind, script) for tag, (kind, script) in leaves.items()}
         self.ticked = dict.fromkeys(leaves, 0)
-        self.said, self.board, self.now = [], Board(), 0.0
+        self.said, self.boards, self.now = [], [Board()], 0.0
 
-    def holds(self, code):
-        return truth(self.run(code))
-
-    def run(self, code):
-        return run(code, self.board, self.enums)
+    @property
+    def board(self):
+        return self.boards[0]
 
 
 class Node:
-    def __init__(self, tag, ports, children, world):
-        self.tag, self.ports, self.children, self.world = tag, ports, children, world
+    def __init__(self, tag, ports, children, world, board):
+        self.tag, self.ports, self.children, self.world, self.board = tag, ports, children, world, board
         self.status = IDLE
         self.clear()
 
@@ -68,11 +88,14 @@ class Node:
             self.status = status
         return status
 
+    def holds(self, code):
+        return truth(run(code, self.board, self.world.enums))
+
     def judged(self):
         for rule, verdict in (("_failureIf", FAILURE), ("_successIf", SUCCESS), ("_skipIf", SKIPPED)):
-            if self.status == IDLE and rule in self.ports and self.world.holds(self.ports[rule]):
+            if self.status == IDLE and rule in self.ports and self.holds(self.ports[rule]):
                 return verdict
-        if "_while" in self.ports and self.status in (IDLE, RUNNING) and not self.world.holds(self.ports["_while"]):
+        if "_while" in self.ports and self.status in (IDLE, RUNNING) and not self.holds(self.ports["_while"]):
             if self.status == RUNNING:
                 self.halt_node()
             return SKIPPED
@@ -81,7 +104,7 @@ class Node:
     def follow(self, *rules):
         for rule in rules:
             if rule in self.ports:
-                self.world.run(self.ports[rule])
+                run(self.ports[rule], self.board, self.world.enums)
 
     def halt_node(self):
         self.halt()
@@ -107,11 +130,24 @@ class Leaf(Node):
         kind, script = self.world.leaves[self.tag]
         if kind == "A" and self.status in DONE:
             return self.status
-        letter = script[self.world.ticked[self.tag] % len(script)]
+        count, ports = self.world.ticked[self.tag], self.world.ports.get(self.tag, {})
+        letter = script[count % len(script)]
         self.world.ticked[self.tag] += 1
         hook = "c" if kind == "C" else "s" if self.status == IDLE else "r"
+        if ports.get("in"):
+            self.world.said.append(f"{self.tag}.p={self.whole(self.ports.get('p', '?'))}")
+        if ports.get("out") and "o" in self.ports:
+            values = ports["out"]["o"][1]
+            self.board[self.ports["o"][1:-1]] = values[count % len(values)]
         self.world.said.append(f"{self.tag}:{hook}:{letter}")
         return BY_LETTER[letter]
+
+    def whole(self, text):
+        found = self.board[text[1:-1]] if text[0] == "{" else text
+        try:
+            return int(found) if isinstance(found, str) or found == int(found) else "?"
+        except (TypeError, ValueError):
+            return "?"
 
     def halt(self):
         if self.world.leaves[self.tag][0] == "A":
@@ -291,7 +327,7 @@ class Switch(Node):
 
     def tick(self):
         *cases, chosen = self.children
-        value = self.world.board.get(self.ports["variable"].strip("{}"))
+        value = self.board.get(self.ports["variable"].strip("{}"))
         value = int(value) if isinstance(value, bool) else value
         for number in range(len(cases), 0, -1):
             chosen = cases[number - 1] if self.is_case(value, self.ports[f"case_{number}"]) else chosen
@@ -417,8 +453,8 @@ class Precondition(Decorator):
     is_begun = False  # which being halted does not change
 
     def tick(self):
-        if not self.is_begun and not self.world.holds(self.ports["if"]):
-            return self.ports["else"]
+        if not self.is_begun and not self.holds(self.ports["if"]):
+            return self.ports.get("else", FAILURE)
         status = self.tick_child()
         self.is_begun = status not in DONE
         return status
@@ -439,7 +475,7 @@ class Updated(Decorator):
 
 
 def is_updated(node):
-    written = node.world.board.written.get(node.ports["entry"].strip("{}"))
+    written = node.board.times_written(node.ports["entry"].strip("{}"))
     before, node.asked = node.asked, node.asked if written is None else written
     return node.asked != before
 
@@ -454,21 +490,24 @@ class WasEntryUpdated(Node):
 class SetBlackboard(Node):
     def tick(self):
         source, key = self.ports["value"].strip("{}"), self.ports["output_key"]
-        if self.world.board.get(source) is None:
-            self.world.board.setdefault(key)
+        if source == self.ports["value"]:
+            self.board[key] = source
+            return SUCCESS
+        if self.board.get(source) is None:
+            self.board.setdefault(key)
             return FAILURE
-        self.world.board[key] = self.world.board[source]
+        self.board[key] = self.board[source]
         return SUCCESS
 
 
 class UnsetBlackboard(Node):
     def tick(self):
-        self.world.board.pop(self.ports["key"], None)
+        self.board.unset(self.ports["key"])
         return SUCCESS
 
 
 class Loop(Decorator):
-    read = int
+    read, left = int, ()
 
     def clear(self):
         self.goes_on = False
@@ -478,9 +517,9 @@ class Loop(Decorator):
             self.goes_on, self.left = False, self.ports["queue"].split(";")
         if not self.goes_on:
             if not self.left:
-                return self.ports["if_empty"]
+                return self.ports.get("if_empty", SUCCESS)
             if "value" in self.ports:
-                self.world.board[self.ports["value"].strip("{}")] = type(self).read(self.left[0])
+                self.board[self.ports["value"].strip("{}")] = type(self).read(self.left[0])
             self.left = self.left[1:]
         self.status = RUNNING
         status = self.tick_child()
@@ -525,7 +564,7 @@ class TryCatch(Node):
 class Script(Node):
     def tick(self):
         if self.tag == "ScriptCondition":
-            return SUCCESS if self.world.holds(self.ports["code"]) else FAILURE
+            return SUCCESS if self.holds(self.ports["code"]) else FAILURE
         self.follow("code")
         return SUCCESS
 
@@ -534,7 +573,16 @@ def kind(base, **given):
     return type(base.__name__, (base,), given)
 
 
-READ = {"Int": int, "Double": float, "Bool": lambda text: text == "true", "String": str}
+def literal(text):
+    for read in (int, float):
+        try:
+            return read(text)
+        except ValueError:
+            pass
+    return text
+
+
+READ = {"Int": int, "Double": float, "Bool": lambda text: text in ("true", "1"), "String": str}
 KINDS = {
     "Sequence": InOrder,
     "AsyncSequence": kind(InOrder, is_async=True),
@@ -559,27 +607,37 @@ KINDS = {
 
 
 class Twin:
-    """A tree of a file; all its subtrees share one blackboard.
+    """A tree of a file.
 
     Args:
         text: the file.
         leaves: by tag, as (kind, script).
         enums: names that scripts know.
+        ports: by tag, as recorded cases say them: `p`, a whole number in, and `o`, whole numbers out.
     """
 
-    def __init__(self, text, leaves, enums=()):
+    def __init__(self, text, leaves, enums=(), ports=None):
         root = ElementTree.fromstring(text)
         self.trees = {one.get("ID"): one[0] for one in root if one.tag == "BehaviorTree"}
-        self.world = World(leaves, dict(enums))
-        self.root = self.made(self.trees[root.get("main_tree_to_execute")])
+        self.world = World(leaves, dict(enums), ports or {})
+        self.root = self.made(self.trees[root.get("main_tree_to_execute")], self.world.board)
 
-    def made(self, element):
-        children = [self.trees[element.get("ID")]] if element.tag == "SubTree" else list(element)
-        made = [self.made(child) for child in children]
+    def made(self, element, board):
         for text in element.attrib.values():
             if re.fullmatch(r"\{\w+\}", text):
-                self.world.board.setdefault(text[1:-1])
-        return KINDS.get(element.tag, Leaf)(element.tag, dict(element.attrib), made, self.world)
+                board.setdefault(text[1:-1])
+        children, inner = list(element), board
+        if element.tag == "SubTree":
+            children, inner = [self.trees[element.get("ID")]], self.board_of(element, board)
+        made = [self.made(child, inner) for child in children]
+        return KINDS.get(element.tag, Leaf)(element.tag, dict(element.attrib), made, self.world, board)
+
+    def board_of(self, element, board):
+        ports = {key: text for key, text in element.attrib.items() if key != "ID" and key[0] != "_"}
+        keys = {key: key if text == "{=}" else text[1:-1] for key, text in ports.items() if text[0] == "{"}
+        constants = {key: literal(text) for key, text in ports.items() if key not in keys}
+        self.world.boards.append(Board(board, keys, constants, is_auto=element.get("_autoremap") == "true"))
+        return self.world.boards[-1]
 
     def tick(self):
         """Tick once, as `tickExactlyOnce` does; return what happened and the outcome."""

@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from py_trees.common import Status
 from test_xml_traces import RANDOM
-from test_xml_traces_2 import CASES, board_differences
-from xml_leaves import registry_of, wrapped
+from test_xml_traces_2 import CASES, TRACES, board_differences, registry_for, subtrees_of
+from xml_leaves import wrapped
 
 from rosa_bt import load_xml
 from rosa_bt.xml.blackboard import ScriptError
@@ -43,11 +43,15 @@ ENTRIES = (
     '<WasEntryUpdated entry="c"/>',
     '<SetBlackboard value="{n}" output_key="c"/>',
     '<SetBlackboard value="{vd}" output_key="c2"/>',
+    '<SetBlackboard value="word" output_key="l"/>',
     '<UnsetBlackboard key="c"/>',
     '<Script code="w := n &amp; 3"/>',
     '<Script code="w := 2"/>',
 )
 CONSTANT = ("<AlwaysSuccess/>", "<AlwaysFailure/>", '<ScriptCondition code="x"/>', '<Script code="y := !y"/>')
+AUTO = '_autoremap="true"'
+REMAPPED = {"n": ("{n}", "{d}", "4"), "d": ("{n}", "0.25"), "t": ("{=}", "b"), "c": ("{c}", "{=}"), "y": ("{x}",)}
+PORTS = (*[""] * 5, ' p="5"', ' p="{g}"', ' p="{never}"', ' o="{o}"', ' p="{o}" o="{o}"')
 RULES = ("_failureIf", "_successIf", "_skipIf", "_while", "_onSuccess", "_onFailure", "_onHalted", "_post")
 
 
@@ -55,7 +59,7 @@ class Grower:
     """Writes a random file, and names its leaves."""
 
     def __init__(self, seed, rules):
-        self.random, self.often, self.leaves, self.trees = Random(seed), rules, {}, {}
+        self.random, self.often, self.leaves, self.trees, self.ports = Random(seed), rules, {}, {}, {}
 
     def file(self):
         main = self.node(self.random.randint(1, 4))
@@ -89,7 +93,17 @@ class Grower:
 
     def script(self):
         one, choose = self.number(), self.random.choice
-        known = ("x := !x", "y := !y", "n += 1", "n := n & 7", f"d = {one}", f"d {choose('+-*/')}= {one}", "t += 'a'")
+        known = (
+            "x := !x",
+            "y := !y",
+            "@g += 1",
+            "@g := @g & 3",
+            "n += 1",
+            "n := n & 7",
+            f"d = {one}",
+            f"d {choose('+-*/')}= {one}",
+            "t += 'a'",
+        )
         more = (f"t := {self.text()}", f"y = {self.condition()}", f"n = {one}", f"x ? d := {one} : (n := 2)")
         return "; ".join(choose((*known, *known, *more)) for _ in range(self.random.randint(1, 3)))
 
@@ -97,7 +111,10 @@ class Grower:
         tag, kind = f"L{len(self.leaves)}", self.random.choice("AAC")
         script = "".join(self.random.choices("SF" if kind == "C" else "SFR", k=self.random.randint(1, 6)))
         self.leaves[tag] = (kind, script)
-        return f"<{tag}{self.rules()}/>"
+        ports = self.random.choice(PORTS)
+        outs = {"o": ["int", range(1, 1000)]} if " o=" in ports else {}
+        self.ports[tag] = {"in": {"p": "int"} if " p=" in ports else {}, "out": outs}
+        return f"<{tag}{ports}{self.rules()}/>"
 
     def around(self, tag, ports, children):
         return f"<{tag}{ports}{self.rules()}>{''.join(children)}</{tag}>"
@@ -138,13 +155,17 @@ class Grower:
         name = f"Tree{len(self.trees)}"
         self.trees[name] = ""
         self.trees[name] = self.node(depth)
-        return f'<SubTree ID="{name}" _autoremap="true"{self.rules()}/>'
+        some = {key: self.random.choice(texts) for key, texts in REMAPPED.items() if self.random.random() < 0.3}
+        all_but = {**dict.fromkeys("xyndtw", "{=}"), **some}
+        is_auto = self.random.random() < 0.6
+        ports = "".join(f' {key}="{text}"' for key, text in (some if is_auto else all_but).items())
+        return f'<SubTree ID="{name}"{ports}{chr(32) + AUTO if is_auto else ""}{self.rules()}/>'
 
 
-def ours_and_theirs(text, leaves, told):
+def ours_and_theirs(text, leaves, told, ports=None):
     """Tick both as often as something is told; return what happened, up to the first exception."""
-    said, now, twin = [], 0.0, Twin(text, leaves, ENUMS)
-    tree = load_xml(text, registry_of(leaves, said), clock=lambda: now, enums=ENUMS)
+    said, now, twin = [], 0.0, Twin(text, leaves, ENUMS, ports)
+    tree = load_xml(text, registry_for({"leaves": leaves, "ports": ports or {}}, said), clock=lambda: now, enums=ENUMS)
     happened = []
     for values in told:
         said.clear()
@@ -159,7 +180,9 @@ def ours_and_theirs(text, leaves, told):
             break
         tree.tick_once()
         outcome = "SKIPPED" if tree.status is Status.INVALID else tree.status.name
-        happened.append(([*said, outcome, *entries(tree.blackboard)], [*expected, *entries(twin.world.board)]))
+        ours = [entry for one in (tree, *subtrees_of(tree)) for entry in ("|", *entries(one.blackboard))]
+        theirs = [entry for board in twin.world.boards for entry in ("|", *entries(board.data))]
+        happened.append(([*said, outcome, *ours], [*expected, *theirs]))
     return happened
 
 
@@ -168,6 +191,21 @@ def test_twin_does_what_behaviortree_cpp_recorded_of_itself(case):
     twin = Twin(case["xml"], case["leaves"])
     for number, line in enumerate(case["trace"]):
         *said, outcome = twin.tick()
+        assert f"{number}| {' '.join([*said, ''])}=> {outcome}" == line
+
+
+GROWN = [case for case in TRACES if case.get("category") == "random"]
+
+
+@pytest.mark.parametrize("case", GROWN, ids=range(len(GROWN)))
+def test_twin_does_what_behaviortree_cpp_recorded_of_random_trees_with_entries(case):
+    twin = Twin(case["xml"], case["leaves"], case.get("enums", {}), case.get("ports"))
+    for number, line in enumerate(case["trace"]):
+        twin.world.board.update(case.get("set", {}).get(str(number), {}))
+        try:
+            *said, outcome = twin.tick()
+        except Thrown:
+            said, outcome = twin.world.said, "ERROR"
         assert f"{number}| {' '.join([*said, ''])}=> {outcome}" == line
 
 
@@ -180,9 +218,9 @@ def lived(seed, rules, news):
     """Return how long a random tree was ticked until it raised, if it did; it does what its twin does."""
     grower, said = Grower(seed, rules), Random(news)
     text = grower.file()
-    start = {"x": True, "y": False, "n": 3, "d": 0.5, "t": "a"}
+    start = {"x": True, "y": False, "n": 3, "d": 0.5, "t": "a", "g": 0}
     told = [start, *({"x": said.random() < 0.5} if rules and said.random() < 0.5 else {} for _ in range(TICKS))]
-    happened = ours_and_theirs(text, grower.leaves, told)
+    happened = ours_and_theirs(text, grower.leaves, told, grower.ports)
     for ours, theirs in happened:
         assert ours == theirs, text
     return len(happened)
