@@ -9,9 +9,11 @@ import threading
 from pathlib import Path
 
 import pytest
+from numpy.random import default_rng
 
 sys.path.append(str(Path(__file__).parents[1] / "rosa_pddl"))  # the worlds are those of the tests there
 
+import whole_worlds
 from faulty_worlds import Ground, episode
 from interrupts import check, instructions, stop, tick, world_of
 from pddl_world import load_mission
@@ -62,3 +64,11 @@ def test_interrupts_before_every_few_instructions_leave_nothing_owned():
             tried += 2
     print(f"\n{tried} interrupts, each followed by an end or by going on to the goal")
     assert tried > 10_000
+
+
+def test_a_thousand_worlds_that_grow_end_where_brute_force_says():
+    planner = Planner()
+    ended = [whole_worlds.episode(default_rng(seed), planner) for seed in range(1000)]
+    missed = [seed for seed, (reached, could, _) in enumerate(ended) if reached != could]
+    print(f"\n{sum(one[0] for one in ended)} of 1000 goals reached, {sum(one[2] for one in ended)} with steps at once")
+    assert missed == []
