@@ -1,20 +1,18 @@
 """A domain instantiated once, such that any state, goal and numbers can be put in."""
 
 import math
-import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from collections.abc import Set as AbstractSet
-from concurrent.futures import Future
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property, lru_cache, partial
-from itertools import count, product
+from itertools import product
+from threading import Lock
 from typing import Any, TypeAlias
 from weakref import WeakKeyDictionary
 
 from rosa_pddl.domain import Domain, Exact, State, Step, UpThing, head_of, numbers_in
-from rosa_pddl.engines.processes import Cancelled, ProcessHandle
+from rosa_pddl.engines.processes import ProcessHandle
 from rosa_pddl.exceptions import RosaPddlError, UnsupportedPddlError
 from rosa_pddl.instances import (
     ActionPattern,
@@ -30,7 +28,7 @@ from rosa_pddl.instances import (
 )
 from rosa_pddl.invariants import Change as Swap
 from rosa_pddl.invariants import groups
-from rosa_pddl.outcomes import Outcome, Trouble, trouble_of
+from rosa_pddl.outcomes import Outcome, Trouble
 from rosa_pddl.problem import Problem, lock_of
 from rosa_pddl.resource_usage import Numbers, ResourceUsage, Sum, whole
 from rosa_pddl.search import Change, Fact, Number, Operation, Rule, Task, TaskGraph, Test
@@ -44,6 +42,7 @@ _FEWEST_STATES = 500
 _MOST_INSTANCES = 1_000_000
 _MOST_DOMAINS, _MOST_STATES = 8, 8
 _TRUTHS = ("add", "delete")
+_LOOKS_S = 0.05
 # unified-planning's problem of steps that follow one another, what they cost and use up, and its actions as patterns
 _INSTANTANEOUS: "WeakKeyDictionary[Domain, tuple[UpThing, ResourceUsage, tuple[ActionPattern, ...]]]"
 _INSTANTANEOUS = WeakKeyDictionary()
@@ -100,35 +99,20 @@ class _Fitted:
 
 
 class _Variables:
-    """Which variable, and which of its values, says that an atom holds, or does not."""
+    """Which variable, and which of its values, says that an atom holds; the last value says that none does."""
 
     def __init__(self) -> None:
         self.sizes: list[int] = []
         self.places: dict[str, Fact] = {}
-        self.none: dict[int, int] = {}
-        self.shadows: dict[str, int] = {}
 
-    def add(self, atoms: Sequence[str], *, may_be_none: bool) -> None:
-        number = len(self.sizes)
-        self.places.update({atom: (number, value) for value, atom in enumerate(atoms)})
-        if may_be_none:
-            self.none[number] = len(atoms)
-        self.sizes.append(len(atoms) + may_be_none)
-
-    def shadow(self, atom: str) -> None:
-        """Keep whether an atom holds in a variable of its own too, as more than one value says that it does not."""
-        if atom in self.places and atom not in self.shadows and self.sizes[self.places[atom][0]] > 2:
-            self.shadows[atom] = len(self.sizes)
-            self.sizes.append(2)
+    def add(self, atoms: Sequence[str]) -> None:
+        self.places.update({atom: (len(self.sizes), value) for value, atom in enumerate(atoms)})
+        self.sizes.append(len(atoms) + 1)
 
     def fact(self, atom: str, truth: bool) -> Fact | None:
-        """Return the fact that says so; None if several values do."""
+        """Return the fact that an atom holds, or does not; None if several values say so."""
         variable, value = self.places[atom]
-        if truth:
-            return variable, value
-        if atom in self.shadows:
-            return self.shadows[atom], 1
-        return (variable, 1 - value) if self.sizes[variable] == 2 else None
+        return (variable, value) if truth else (variable, 1) if self.sizes[variable] == 2 else None
 
 
 class _Rules:
@@ -336,31 +320,24 @@ class Grounded:
 
     def _encoded(self, instances: Sequence["_Instance"]) -> _Variables:
         variables = _Variables()
-        changed = dict.fromkeys(text for one in instances for _, kind, text, _ in one.effects if kind in _TRUTHS)
-        atoms = {text: (row_of(text)[0], *row_of(text)[1]) for text in changed}
-        texts = {atom: text for text, atom in atoms.items()}
-        swaps = [one.swap(atoms) for one in instances]
-        states = [[atoms[text] for text in sorted(state & atoms.keys())] for state in self.states]
-        left = dict(changed)
-        for group in groups(swaps, states, list(atoms.values())):
-            members = {texts[atom] for atom in group}
-            is_lost = any(one.may_empty(members) for one in instances)
-            variables.add(
-                [texts[atom] for atom in group], may_be_none=is_lost or not all(map(members.intersection, self.states))
-            )
-            for text in members:
-                del left[text]
         looked_at = dict[str, bool]()  # by atom, whether it is denied
         for one in instances:
-            looked_at.update(dict.fromkeys(one.denies & changed.keys(), True))
+            looked_at.update(dict.fromkeys(one.denies, True))
             for node in (one.others, *(condition for condition, *_ in one.effects)):
                 for text, truth in _literals(node):
                     looked_at[text] = looked_at.get(text, False) or not truth
-        for text in dict.fromkeys((*left, *looked_at)):
+        changed = dict.fromkeys(text for one in instances for _, kind, text, _ in one.effects if kind in _TRUTHS)
+        atoms = {text: (row_of(text)[0], *row_of(text)[1]) for text in changed}
+        texts = {atom: text for text, atom in atoms.items()}
+        states = [[atoms[text] for text in sorted(state & atoms.keys())] for state in self.states]
+        # what is denied has a variable of its own, so that one value says so
+        grouped = [atom for text, atom in atoms.items() if not looked_at.get(text)]
+        for group in groups([one.swap(atoms) for one in instances], states, grouped):
+            variables.add([texts[atom] for atom in group])
+        asked = [text for text in looked_at if any(text not in one.denies for one in instances)]
+        for text in (*changed, *asked):
             if text not in variables.places:
-                variables.add([text], may_be_none=True)
-        for text in sorted(text for text, is_denied in looked_at.items() if is_denied):
-            variables.shadow(text)
+                variables.add([text])
         return variables
 
     def _operator(self, number: int, one: "_Instance") -> _Ready:
@@ -385,11 +362,9 @@ class Grounded:
             if kind == "add":
                 effects.append((tuple(given), variable, value))
             elif variable not in made:
-                own = [] if variables.sizes[variable] == 2 and variables.none.get(variable) == 1 else [places[text]]
-                own = [] if condition is True and text in one.needs else own
-                effects.append(((*given, *own), variable, variables.none[variable]))
-            if text in variables.shadows:
-                effects.append((tuple(given), variables.shadows[text], int(kind == "delete")))
+                is_so = variables.sizes[variable] == 2 or (condition is True and text in one.needs)
+                own = () if is_so else (places[text],)
+                effects.append(((*given, *own), variable, variables.sizes[variable] - 1))
         operation = Operation(number, tuple(sorted(set(facts))), tuple(effects), 0, (), tuple(tests), tuple(changes))
         lasting, missing = one.needs - places.keys(), one.denies - places.keys()
         cost, uses = self._usage.cost_of(one.step), self._usage.uses_of(one.step)
@@ -411,26 +386,12 @@ class Grounded:
     # ------------------------------------------------------------ putting in
 
     def _values(self, state: State) -> tuple[int, ...] | None:
-        """Return the values of the variables; None if no value of one, or more than one, says what holds."""
-        variables = self._variables
-        values: list[int | None] = [None] * len(self._all_sizes)
-        for atom in state & variables.places.keys():
-            variable, value = variables.places[atom]
-            if values[variable] is not None:
-                return None
+        """Return the values of the variables; None if more than one value of one says what holds."""
+        values = [size - 1 for size in self._all_sizes]
+        held = [self._variables.places[atom] for atom in state & self._variables.places.keys()]
+        for variable, value in held:
             values[variable] = value
-            if atom in variables.shadows:
-                values[variables.shadows[atom]] = 0
-        single = [variables.none.get(variable, 1) if value is None else value for variable, value in enumerate(values)]
-        # a shadow, or what is derived, is 1 otherwise; of other variables without such a value one atom has to hold
-        if any(value is None and variable in self._always for variable, value in enumerate(values)):
-            return None
-        return tuple(single)
-
-    @cached_property
-    def _always(self) -> frozenset[int]:
-        """The variables of which some atom holds at all times."""
-        return frozenset(variable for variable, _ in self._variables.places.values()) - self._variables.none.keys()
+        return tuple(values) if len({variable for variable, _ in held}) == len(held) else None
 
     def _fitted(self, problem: Problem) -> _Fitted:
         state, known = problem.state, numbers_in(problem.state)
@@ -525,12 +486,6 @@ class _Instance:
         added = tuple([atoms[text] for _, kind, text, _ in self.effects if kind == "add"])
         return Swap(frozenset([atoms[text] for text in self.needs if text in atoms]), added, frozenset(deleted))
 
-    def may_empty(self, group: AbstractSet[str]) -> bool:
-        """Whether it may take an atom of a group away with none for certain in its place."""
-        if any(kind == "add" and given is True and text in group for given, kind, text, _ in self.effects):
-            return False
-        return any(kind == "delete" and text in group for _, kind, text, _ in self.effects)
-
 
 def _names(pattern: ActionPattern) -> Iterator[str]:
     waiting: list[object] = [pattern.needs]
@@ -553,9 +508,6 @@ def _literals(node: Node) -> Iterator[tuple[str, bool]]:
 
 
 # ---------------------------------------------------------------- kept
-
-Grounding: TypeAlias = Future[Grounded | Trouble]
-"""The grounded task, or why there is none: a value, as an exception that many raise would keep their frames."""
 
 
 def _instantaneous(domain: Domain) -> tuple[UpThing, ResourceUsage, tuple[ActionPattern, ...]]:
@@ -596,71 +548,47 @@ def grounded(
     return Grounded(domain, may_hold, (*states, problem.state)[-_MOST_STATES:], go_on)
 
 
-@dataclass(frozen=True)
-class _Begun:
-    named: State
-    tries: int = 1
-    future: Grounding = field(default_factory=Future)
-    asked: Iterator[int] = field(default_factory=partial(count, 1))
-
-    @property
-    def made(self) -> Grounded | Trouble | None:
-        return self.future.result(0) if self.future.done() else None
-
-    def serves(self, state: State, named: State) -> bool:
-        """Whether nothing has to be made anew; what failed for what may pass is, after 2, 4, 8, ... questions."""
-        made = self.made
-        if isinstance(made, Trouble):
-            return not made.outcome.is_passing or next(self.asked) < 2**self.tries
-        return made is not None and named <= self.named and made.covers(state)
-
-
 class Groundings:
-    """The grounded task of each domain, made in a thread of its own when first asked for, and anew when it must grow.
+    """The grounded task of each domain, made when first asked for, and anew when it must grow.
 
-    What it fits depends on what was asked for and named so far, never on how long anything takes. All that may be
-    feasible, and what was named, may hold from the beginning; other things that nothing makes true, once they did.
+    All that may be feasible, and what was named, may hold from the beginning; other things that nothing makes true,
+    once they did. What a task fits depends on what was asked for and named before, never on how long anything takes.
     """
 
-    def __init__(self, limit_s: float, memory_bytes: int | None) -> None:
+    def __init__(self, limit_s: float) -> None:
         self._limit_s = limit_s
-        self._memory_bytes = memory_bytes
-        self._begun: dict[Domain, _Begun] = {}
-        self._processes: set[ProcessHandle] = set()
+        self._made: dict[Domain, Grounded] = {}
+        self._named: dict[Domain, State] = {}
+        self._making = Lock()
 
-    def ask(self, problem: Problem, changing: Iterable[str] = ()) -> Grounding:
-        """Begin to ground if that is needed, without waiting; atoms that are sensed, for one, may be changing."""
-        before, named = self._begun.pop(problem.domain, None), frozenset(changing)
-        if before is None or not before.serves(problem.state, named):
-            tries = before.tries + 1 if before is not None and isinstance(before.made, Trouble) else 1
-            begun = _Begun(named | (before.named if before else frozenset()), tries)
-            name = f"grounding of {problem.domain.name}"
-            threading.Thread(target=self._work, args=(problem, begun, before), name=name, daemon=True).start()
-        else:
-            begun = before
-        self._begun[problem.domain] = begun
-        if len(self._begun) > _MOST_DOMAINS:
-            del self._begun[next(iter(self._begun))]
-        return begun.future
+    def made(self, problem: Problem) -> Grounded | None:
+        """Return the task if there is one that fits. Never waits."""
+        known = self._made.get(problem.domain)
+        return known if known is not None and known.covers(problem.state) else None
+
+    def ask(self, problem: Problem, process: ProcessHandle, limit_s: float, changing: Iterable[str] = ()) -> Grounded:
+        """Return a task that fits, made in so much wall-clock time [s] if need be; raises as `grounded` does."""
+        deadline, domain = time.monotonic() + min(limit_s, self._limit_s), problem.domain
+        while not self._making.acquire(timeout=_LOOKS_S):
+            process.check()
+            if time.monotonic() > deadline:
+                message = f"the task of {domain.name} was not grounded in time; allow more or ask for less"
+                raise Trouble(Outcome.OUT_OF_TIME, message)
+        try:
+            named = self._named.get(domain, frozenset()).union(changing)
+            known = self._made.get(domain)
+            if known is None or not known.covers(problem.state) or not named <= known.base:
+                known = grounded(problem, named, known, process, deadline - time.monotonic())
+            for kept in (self._made, self._named):
+                kept.pop(domain, None)
+                if len(kept) >= _MOST_DOMAINS:
+                    kept.pop(next(iter(kept)))
+            self._made[domain], self._named[domain] = known, named
+            return known
+        finally:
+            self._making.release()
 
     def close(self) -> None:
-        """Stop what is being grounded, and forget the rest."""
-        self._begun.clear()
-        for process in tuple(self._processes):
-            process.cancel()
-
-    def _work(self, problem: Problem, begun: _Begun, before: _Begun | None) -> None:
-        process = ProcessHandle(self._memory_bytes)
-        self._processes.add(process)
-        try:
-            made = None if before is None else process.wait(before.future, self._limit_s)
-            if before is None or not isinstance(made, Grounded) or not before.serves(problem.state, begun.named):
-                known = made if isinstance(made, Grounded) else None
-                made = grounded(problem, begun.named, known, process, self._limit_s)
-            begun.future.set_result(made)
-        except Cancelled:
-            begun.future.set_result(Trouble(Outcome.ENGINE_CRASHED, "the planner was closed"))
-        except Exception as error:  # whatever it is, it belongs to those who wait for the task
-            begun.future.set_result(trouble_of(error))
-        finally:
-            self._processes.discard(process)
+        """Forget what was made."""
+        self._made.clear()
+        self._named.clear()

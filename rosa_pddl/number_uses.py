@@ -35,7 +35,7 @@ class NumberUses:
         bodies = [node for node in domain.root.children[2:] if node.head in BODY]
         changes = [change for body in bodies for change in _changes(body, is_certain=True)]
         self.changed = frozenset(change.target.head for change in changes) & self.names
-        goals = list(_parts(section(problem, ":goal")))
+        goals = [goal for node in section(problem, ":goal") for goal in parts_of(node)]
         read = {name for body in bodies for name in self._read(body)}
         read |= {name for node in domain.root.children[2:] if node.head == ":derived" for name in self._read(node)}
         self.rising = frozenset(
@@ -47,7 +47,7 @@ class NumberUses:
         limits = [goal for goal in goals if self._is_limit(goal)]
         read |= {name for goal in goals if goal not in limits for name in self._read(goal)}
         self.resources = self.rising - read
-        limits = [goal for goal in limits if _sides(goal)[0].head in self.resources]
+        limits = [goal for goal in limits if sides_of(goal)[0].head in self.resources]
         read |= {name for goal in goals if goal not in limits for name in self._read(goal)}
         computed = read | (self.changed - self.resources)
         for change in changes:
@@ -68,7 +68,7 @@ class NumberUses:
     def _is_limit(self, goal: Node) -> bool:
         if goal.head not in COMPARISONS or len(goal.children) != 3:
             return False
-        left, right = _sides(goal)
+        left, right = sides_of(goal)
         return left.head in self.rising and self._is_fixed_sum(right)
 
     def _is_fixed_sum(self, amount: Node) -> bool:
@@ -88,15 +88,16 @@ def _changes(node: Node, *, is_certain: bool) -> Iterator[_Change]:
         yield from _changes(part, is_certain=is_certain and node.head not in ("when", "forall"))
 
 
-def _parts(nodes: list[Node]) -> Iterator[Node]:
-    for node in nodes:
-        if node.head == "and":
-            yield from _parts(list(node.children[1:]))
-        else:
-            yield node
+def parts_of(node: Node) -> Iterator[Node]:
+    """Yield the parts of a conjunction that are none."""
+    if node.head == "and":
+        for part in node.children[1:]:
+            yield from parts_of(part)
+    elif node.children or not node.is_list:
+        yield node
 
 
-def _sides(goal: Node) -> tuple[Node, Node]:
+def sides_of(goal: Node) -> tuple[Node, Node]:
     """Return the less and the greater side of a comparison."""
     one, other = goal.children[1:] if goal.head in ("<", "<=") else goal.children[:0:-1]
     return one, other

@@ -5,6 +5,7 @@ import threading
 import time
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, wait
+from contextlib import suppress
 from dataclasses import replace
 from fractions import Fraction
 from functools import cached_property
@@ -26,7 +27,6 @@ from rosa_pddl.exceptions import (
 )
 from rosa_pddl.grounding import (
     Grounded,
-    Grounding,
     Groundings,
     NotRepresentableError,
     UnreachableGoalError,
@@ -115,7 +115,7 @@ class Planner:
             engine, (*own, *fallback), timeout_s, dict(budgets_s or {}), overlapping, safe_step, moves, memory_bytes
         )
         _check(self._settings, translate_s)
-        self._groundings = Groundings(translate_s, memory_bytes)
+        self._groundings = Groundings(translate_s)
         self._cache = PlanCache(cached)
         self._processes: set[ProcessHandle] = set()
 
@@ -133,7 +133,17 @@ class Planner:
         Raises:
             UnknownNameError: an atom is not one of the domain.
         """
-        self._grounding(problem, changing)
+        if "warm" not in self._settings.ways or self.missing(problem.domain) is not None:
+            return
+        named, process = [problem.domain.atom(text) for text in changing], ProcessHandle()
+        self._processes.add(process)
+
+        def work() -> None:
+            with suppress(Cancelled, Trouble, UnsupportedPddlError):  # who plans is told
+                self._groundings.ask(problem, process, inf, named)
+            self._processes.discard(process)
+
+        threading.Thread(target=work, name=f"grounding of {problem.domain.name}", daemon=True).start()
 
     def plan_now(self, problem: Problem) -> PlanningResult | None:
         """Return the answer if it is remembered, or found within a tick on the translated task; None else. Never waits.
@@ -149,7 +159,6 @@ class Planner:
     def start(self, problem: Problem) -> "Future[PlanningResult]":
         """Plan in a thread of its own, unless a tick is enough. Cancelling the future kills the engine's processes."""
         future: Future[PlanningResult] = Future()
-        # what is translated must depend on the order of questions only, so it is asked for here and now
         portfolio = self._portfolio(problem)
         at_once = portfolio.at_once()
         if at_once is not None:
@@ -168,17 +177,12 @@ class Planner:
 
     def close(self) -> None:
         """End every program that still runs for this planner, and forget what was prepared."""
-        self._groundings.close()
         for process in tuple(self._processes):
             process.cancel()
-
-    def _grounding(self, problem: Problem, changing: Iterable[str] = ()) -> Grounding | None:
-        if "warm" not in self._settings.ways or self.missing(problem.domain) is not None:
-            return None
-        return self._groundings.ask(problem, [problem.domain.atom(text) for text in changing])
+        self._groundings.close()
 
     def _portfolio(self, problem: Problem) -> "_Portfolio":
-        return _Portfolio(self._settings, problem, self._grounding(problem), self._cache, self._processes)
+        return _Portfolio(self._settings, problem, self._groundings, self._cache, self._processes)
 
 
 def awaited(future: "Future[PlanningResult]", budget_s: float) -> PlanningResult:
@@ -257,18 +261,18 @@ class _Settings(NamedTuple):
 class _Portfolio:
     """One planning: the ways in order, each within its budget, and what is reported of all of them.
 
-    The grounding is None if there is no warm way; to what is running it adds its process while it plans.
+    To what is running it adds its process while it plans.
     """
 
     def __init__(
         self,
         settings: _Settings,
         problem: Problem,
-        grounding: Grounding | None,
+        groundings: Groundings,
         cache: PlanCache,
         running: set[ProcessHandle],
     ) -> None:
-        self._settings, self._problem, self._grounding = settings, problem, grounding
+        self._settings, self._problem, self._groundings = settings, problem, groundings
         self._cache, self._running = cache, running
         self._safe_step = None if settings.safe_step is None else _step(problem.domain, settings.safe_step)
         self._process = ProcessHandle(settings.memory_bytes)
@@ -281,13 +285,12 @@ class _Portfolio:
         known = self._remembered()
         if known is not None:
             return known
-        is_grounded = self._grounding is not None and self._grounding.done()
-        if not is_grounded or self._settings.engine not in _EXACT or not self._settings.moves:
+        if "warm" not in self._settings.ways or self._settings.engine not in _EXACT or not self._settings.moves:
             return None
         began = time.monotonic()
         try:
-            task = self._warm_task(0.0)
-            if task.size > _MOVES_IN_A_TICK:
+            task = self._groundings.made(self._problem)
+            if task is None or task.size > _MOVES_IN_A_TICK:
                 return None
             answer = self._checked("warm", self._exact(task, _MOVES_IN_A_TICK))
         except Exception:  # whatever keeps from an answer here is reported by the ways
@@ -320,9 +323,8 @@ class _Portfolio:
     @cached_property
     def _key(self) -> Hashable:
         problem = self._problem
-        # of equally good plans another may be found once the task is translated anew
         numbers, weights = frozenset(problem.costs.items()), frozenset(problem.weights.items())
-        return self._grounding, problem.domain, problem.state, problem.wanted, numbers, weights
+        return problem.domain, problem.state, problem.wanted, numbers, weights
 
     def _tried_in_order(self) -> PlanningResult:
         attempts: list[Attempt] = []
@@ -341,8 +343,7 @@ class _Portfolio:
         """Yield each way with the wall-clock time that it may take [s]."""
         settings = self._settings
         deadline = time.monotonic() + settings.timeout_s
-        # without a translation to wait for, what keeps the warm way keeps the cold one, which says so
-        ways = [way for way in settings.ways if way != "warm" or self._grounding is not None]
+        ways = list(settings.ways)
         if self._problem.domain.computed and settings.engine in TRANSLATED:  # what is capped is so however often
             ways = [ways[0], NUMERIC, *(way for way in ways[1:] if way not in ("cold", NUMERIC))]
         for number, way in enumerate(ways, start=1):
@@ -372,7 +373,8 @@ class _Portfolio:
             message = f"Fast Downward keeps no limits (of {limited}); Planner({LABEL_SETTING!r}) does"
             raise Trouble(Outcome.UNSUPPORTED, message)
         if way == "warm":
-            return self._searched(self._warm_task(_left_s(deadline)), deadline, self._settings.engine)
+            task = self._groundings.ask(self._problem, self._process, _left_s(deadline))
+            return self._searched(task, deadline, self._settings.engine)
         if way in ("cold", LABEL_SETTING):
             task = grounded(self._problem, (), None, self._process, _left_s(deadline))
             return self._searched(task, deadline, self._engine_of(way))
@@ -383,17 +385,6 @@ class _Portfolio:
                     message = "not even if nothing that was made so were ever undone"
                     return PlanningResult(Outcome.UNSOLVABLE_PROVEN, message=message)
         return asked(way, self._problem, self._process, limit_s=_left_s(deadline), overlapping=overlapping)
-
-    def _warm_task(self, limit_s: float) -> Grounded:
-        assert self._grounding is not None
-        try:
-            task = self._process.wait(self._grounding, limit_s)
-        except TimeoutError as error:
-            message = f"the task of {self._problem.domain.name} was not grounded in time; allow more or ask for less"
-            raise Trouble(Outcome.OUT_OF_TIME, message) from error
-        if isinstance(task, Trouble):
-            raise trouble_of(task)
-        return task
 
     def _searched(self, task: Grounded, deadline: float, engine: str) -> PlanningResult:
         try:

@@ -1,7 +1,7 @@
 """From what the knowledge base says and the mission senses to the problem that a planner gets."""
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from threading import RLock
@@ -111,12 +111,12 @@ def with_object(domain: Domain, name: str, type_name: str) -> Domain:
     inside = name.lower()
     while inside in domain.outside:
         inside += "_object"
-    from unified_planning.model import Object
-
-    added = Object(inside, up_types[kind], domain.up_problem.environment)
+    problem = domain.up_problem.clone()
+    problem.add_object(inside, up_types[kind])
+    with_costs(domain, problem)
     return replace(
         domain,
-        up_problem=_with_objects(domain, (*domain.up_problem.all_objects, added)),
+        up_problem=problem,
         inside={**domain.inside, ("object", name.lower()): inside},
         outside={**domain.outside, inside: name},
         types={**domain.types, name: tuple(dict.fromkeys(lineage))},
@@ -130,33 +130,8 @@ def without_object(domain: Domain, name: str) -> Domain:
         raise UnknownNameError(
             f"{known!r} is a ROSA action, which stays; the knowledge base says whether it is feasible"
         )
-    inside = domain.inside["object", known.lower()]
-    left = [one for one in domain.up_problem.all_objects if one.name != inside]
-    return replace(
-        domain,
-        up_problem=_with_objects(domain, left),
-        inside={key: one for key, one in domain.inside.items() if key != ("object", known.lower())},
-        types={one: lineage for one, lineage in domain.types.items() if one != known},
-    )
-
-
-def _with_objects(domain: Domain, objects: Iterable[UpThing]) -> UpThing:
-    from unified_planning.model import Problem as UpProblem
-
-    read, kept = domain.up_problem, list(objects)
-    problem = UpProblem(read.name, read.environment, initial_defaults=read.initial_defaults)
-    problem.user_types.extend(one for one in read.user_types if one not in problem.user_types)
-    problem.add_objects(kept)
-    problem.add_fluents(read.fluents)
-    for expression, value in read.explicit_initial_values.items():
-        if all(one.object() in kept for one in expression.args):
-            problem.set_initial_value(expression, value)
-    problem.add_actions(read.actions)
-    for goal in read.goals:
-        problem.add_goal(goal)
-    for metric in read.quality_metrics:
-        problem.add_quality_metric(metric)
-    return problem
+    inside = {key: one for key, one in domain.inside.items() if key != ("object", known.lower())}
+    return replace(domain, inside=inside, types={one: above for one, above in domain.types.items() if one != known})
 
 
 def initial_state(domain: Domain) -> State:
@@ -191,14 +166,15 @@ def _sequential(domain: Domain) -> UpThing:
     false = read.environment.expression_manager.FALSE()
     defaults = {read.environment.type_manager.BoolType(): false}
     problem = UpProblem(read.name, read.environment, initial_defaults=defaults)
-    problem.add_objects(read.all_objects)
+    there = [one for one in read.all_objects if domain.outside[one.name] in domain.types]
+    problem.add_objects(there)
     has_numbers = action_costs(domain) is not None or bool(domain.limited or domain.computed)
     for fluent in read.fluents:
         # numbers that nothing needs would only keep engines from taking the problem
         if fluent.type.is_bool_type() or has_numbers:
             problem.add_fluent(fluent)
     for expression, value in read.explicit_initial_values.items():
-        if not value.is_bool_constant() and has_numbers:
+        if not value.is_bool_constant() and has_numbers and all(one.object() in there for one in expression.args):
             problem.set_initial_value(expression, value)
     problem.add_actions([_instantaneous(action, domain) for action in read.actions])
     with_costs(domain, problem)

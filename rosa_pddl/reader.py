@@ -10,7 +10,7 @@ from pathlib import Path
 from rosa_pddl.domain import ACTION_TYPE, FEASIBLE, Domain, Limit, Resource, Schema, UpThing, conjuncts
 from rosa_pddl.exceptions import UnknownNameError, nearest
 from rosa_pddl.formulas import CHANGES, COMPARISONS, Formulas, Scope, numbers_of
-from rosa_pddl.number_uses import NumberUses
+from rosa_pddl.number_uses import NumberUses, parts_of, sides_of
 from rosa_pddl.problem import Problem
 from rosa_pddl.syntax import (
     ANY,
@@ -163,10 +163,10 @@ class _Reader:
             if node.head in BODY:
                 with _located(domain, node):
                     self._read_action(node)
-        for fact in (part for node in section(problem, ":init") for part in _parts(node)):
+        for fact in (part for node in section(problem, ":init") for part in parts_of(node)):
             with _located(problem, fact):
                 self._read_fact(fact)
-        goals = [goal for node in section(problem, ":goal") for goal in _parts(node)]
+        goals = [goal for node in section(problem, ":goal") for goal in parts_of(node)]
         texts = [str(goal) for goal in goals if self._read_goal(goal)]
         self._read_metric()
         self._places |= {("section", node.head): (problem.file, node.line) for node in problem.root.children[2:]}
@@ -334,7 +334,7 @@ class _Reader:
             if node.head not in COMPARISONS or len(node.children) != 3:
                 self._up_problem.add_goal(formulas.condition(node, {}, "the goal"))
                 return True
-            left, right = node.children[1:] if node.head in ("<", "<=") else node.children[:0:-1]
+            left, right = sides_of(node)
             if left.head not in self._uses_of_numbers.resources:
                 self._up_problem.add_goal(formulas.condition(node, {}, "the goal"))
                 return True
@@ -584,15 +584,6 @@ def _refuse_times(source: Source, schema: Node, node: Node) -> None:
         raise source.error(node, message)
     for child in node.children:
         _refuse_times(source, schema, child)
-
-
-def _parts(node: Node) -> Iterator[Node]:
-    """Yield the parts of a conjunction that are none."""
-    if node.head == "and":
-        for part in node.children[1:]:
-            yield from _parts(part)
-    elif node.children or not node.is_list:
-        yield node
 
 
 def _lineage_of(type_: UpThing, outside: Mapping[str, str]) -> Iterator[str]:

@@ -266,26 +266,6 @@ def _bindings(domain: Domain, variables: Iterable[UpThing], binding: Binding) ->
         yield {**binding, **dict(zip(choices, chosen, strict=True))}
 
 
-def literals(domain: Domain, formula: UpThing, binding: Binding | None = None) -> list[tuple[str, bool]] | None:
-    """Return the atoms that a formula asks for, and whether they shall be true; None if it is no conjunction."""
-    binding = binding or {}
-    if formula.is_and():
-        return _joined([literals(domain, part, binding) for part in formula.args])
-    if formula.is_forall():
-        bindings = _bindings(domain, formula.variables(), binding)
-        return _joined([literals(domain, formula.arg(0), inner) for inner in bindings])
-    atom = formula.arg(0) if formula.is_not() else formula
-    if atom.is_fluent_exp():
-        return [(text_of(domain, atom, binding), not formula.is_not())]
-    if atom.is_equals() or atom.is_bool_constant():
-        return [] if holds(domain, formula, binding, frozenset()) else None
-    return None
-
-
-def _joined(parts: list[list[tuple[str, bool]] | None]) -> list[tuple[str, bool]] | None:
-    return None if None in parts else [one for part in parts for one in part or ()]
-
-
 def _after(domain: Domain, effects: Iterable[UpThing], binding: Binding, state: Facts) -> State:
     deleted, added = changes(domain, effects, binding, state)
     return frozenset((state - deleted) | added)

@@ -154,22 +154,13 @@ def test_the_failure_says_how_often_it_was_tried_and_when_it_is_again(ways):
     assert len(world.executor.plans) == 4
 
 
-def test_after_one_failed_translation_the_warm_way_comes_back(ways):
+def test_after_a_grounding_that_was_late_the_warm_way_comes_back(ways):
     planner = Planner(cached=0, translate_s=1e-9)
     problem = Problem(ways, initial_state(ways) - {"(damp)"})
     tried = [[str(one) for one in planner.plan(problem).attempts] for _ in range(2)]
     assert all(attempts[0].startswith("warm: out of time") for attempts in tried)
     planner._groundings._limit_s = 60.0
     assert ["warm"] in [[one.way for one in planner.plan(problem).attempts] for _ in range(9)]
-
-
-def test_a_translation_that_keeps_failing_is_begun_ever_less_often(ways):
-    planner = Planner(cached=0, translate_s=1e-9)
-    problem, begun_anew = Problem(ways, initial_state(ways) - {"(damp)"}), set()
-    for _ in range(40):
-        planner.plan(problem)
-        begun_anew.add(planner._groundings.ask(problem))
-    assert 3 <= len(begun_anew) <= 7
 
 
 # ------------------------------------------------------------------ steps that fail
