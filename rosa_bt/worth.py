@@ -23,7 +23,7 @@ from kb.views import ConstraintView
 from rosa_bt.idioms import feasible_then_act
 
 # In how many steps a horizon is looked at, how short one is at least [s]; with more states they are twice as long.
-_STEPS, _FINEST_S, _MOST_STATES = 48, 1.0, 1_500
+_STEPS, _FINEST_S, _MOST_STATES = 48, 1.0, 250
 # Over how long it is asked how fast an attribute changes [s].
 _SLOPE_S = 30.0
 _NOISE, _ROUNDING = 1e-9, 1e-5
@@ -144,9 +144,17 @@ class Lookahead:
             is_done = all((kb.attributes[name].value or 0.0) >= 0.95 * full for name, full in errand.restores.items())
             if kb.now < until and kb.is_feasible(errand.action) and not is_done:
                 return self.latest
-            for name in put_off:
-                kb.retract_status(kb.actions[name])
             self._begun = None
+            with kb.reading() as state:  # what somebody else has said meanwhile stands
+                nodes = [state.network.actions[name] for name in put_off if name in state.network.actions]
+                own = [one.name for one in nodes if state.asserted[one.index] is Status.UNFEASIBLE]
+                own = [
+                    name
+                    for name in own
+                    if state.reason("asserted", state.network.actions[name]).text == self.latest.reason
+                ]
+            for name in own:
+                kb.retract_status(kb.actions[name])
         elif kb.revision == revision and kb.now < time + self._period:
             return self.latest
         self.latest = self.decide()
@@ -226,6 +234,7 @@ class WorthPlanner:
 
 def _check(kb: KnowledgeBase, worth: Worth) -> None:
     """Raise for names that the model does not have, and numbers that make no sense."""
+    finite_number(worth.deadline)
     for action, spread in [(one.action, one.spread) for group in (worth.gains, worth.errands) for one in group]:
         kb.is_feasible(action)
         if not 0.0 <= finite_number(spread) < 1.0:

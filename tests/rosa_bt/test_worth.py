@@ -88,6 +88,19 @@ def best_by_trying(steps, level, there, back, drain, rate, away_m_s):
     return most(0, level, 0)
 
 
+def test_what_somebody_else_has_said_meanwhile_stands():
+    kb, clock = mower()
+    lookahead = Lookahead(kb, Worth(60.0, (Gain("mow", 1.0, away=0.1),), (dock(),)))
+    kb.measure("charge", 0.3)
+    assert lookahead.update().action == "dock"
+    kb.assert_status(kb.actions["mow"], "unfeasible", "a child plays on the lawn")
+    clock.now = 12.0
+    kb.measure("charge", 1.0)
+    lookahead.update()
+    assert "a child plays on the lawn" in kb.why(kb.actions["mow"])
+    assert lookahead.latest.action is None
+
+
 @settings(max_examples=40, deadline=None)
 @given(
     st.integers(2, 14), st.sampled_from([0.3, 0.5, 1.0]), st.integers(1, 3), st.integers(1, 3),
@@ -128,6 +141,31 @@ def test_a_change_that_takes_longer_than_it_is_good_for_is_not_made():
     assert WorthPlanner(Lookahead(kb)).choose(kb) == PriorityPlanner().choose(kb)
 
 
+def wrong(pairs, time):
+    """Forecast nonsense, the same for the same past."""
+    last = pairs[-1][1]
+    return [last + 0.5, last - 10.0, 0.2, None, 1e9, last * (-1) ** len(pairs)][int(time + 1000 * last) % 6]
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.lists(st.tuples(st.floats(0.1, 40.0), st.floats(0.0, 1.0)), min_size=5, max_size=15), st.booleans())
+def test_wrong_forecasts_make_nothing_feasible_and_put_nothing_off_for_ever(measured, is_wrong):
+    (kb, clock), (reactive, _) = mower(), mower()
+    if is_wrong:
+        kb.model.change(kb.model.attributes["charge"], rates=(), forecasting=wrong)
+    lookahead = Lookahead(kb, Worth(250.0, (Gain("mow", 1.0, 0.5, away=0.1),), (dock(spread=0.5),)))
+    for passed, charge in measured:
+        clock.now += passed
+        kb.measure("charge", charge)
+        reactive.measure("charge", charge)
+        lookahead.update()
+        assert reactive.is_feasible("mow") or not kb.is_feasible("mow")
+        assert kb.is_feasible("dock")
+    clock.now += 300.0
+    lookahead.update()
+    assert kb.is_feasible("mow") == reactive.is_feasible("mow")
+
+
 class Doing(RosaAction):
     def update(self):
         return Status.RUNNING
@@ -151,6 +189,7 @@ def test_first_that_is_feasible_is_done_and_with_nothing_stated_nothing_else_is_
     ("worth", "error", "words"),
     [
         (Worth(9.0, (Gain("mov", 1.0),)), UnknownName, "mow"),
+        (Worth(float("inf"), (Gain("mow", 1.0),)), InvalidValue, "a finite number is needed"),
         (Worth(9.0, (Gain("mow", {"fst": 1.0}),)), UnknownName, "fast"),
         (Worth(9.0, (Gain("mow", -1.0),)), InvalidValue, "what mow gains in a second is 0 or more, not -1.0"),
         (Worth(9.0, (Gain("mow", 1.0, 1.5),)), InvalidValue, "a share from 0 to below 1, not 1.5"),
