@@ -19,6 +19,7 @@ def gave_way(task: Behaviour) -> bool:
     failed = [child for child in task.children if child.status is Status.FAILURE]
     if isinstance(task, ActionBehaviour | ForAction):
         is_unfeasible = task.action not in task.kb.actions or not task.kb.is_feasible(task.action)
+        is_unfeasible |= getattr(task, "ends_too_soon", False)
         if is_unfeasible or not failed:
             return is_unfeasible
     is_side_by_side = getattr(task, "is_side_by_side", isinstance(task, Parallel))

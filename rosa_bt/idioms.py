@@ -14,16 +14,22 @@ from rosa_bt.exceptions import TreeChangeError
 from rosa_bt.xml.controls import CONTROLS
 
 
-def feasible_then_act(task: Behaviour) -> Behaviour:
+def feasible_then_act(task: Behaviour, during: float = 0.0) -> Behaviour:
     """Return an action that is done only while it is feasible, asked at each tick.
 
     Args:
         task: the action. Any other behaviour asks for itself (`ForAction`) or inside itself (a subtree) and is
             returned as it is.
+        during: how long it takes [s]; see `IsActionFeasible`.
+
+    Raises:
+        TreeChangeError: how long it takes is given of what is no action.
     """
     if not isinstance(task, RosaAction):
+        if during:
+            raise TreeChangeError(f"{task.name!r} is no RosaAction; say within it how long its actions take")
         return task
-    condition = IsActionFeasible(f"{task.name} feasible?", task.kb, task.action)
+    condition = IsActionFeasible(f"{task.name} feasible?", task.kb, task.action, during=during)
     return composites.Sequence(f"{task.name} if feasible", memory=False, children=[condition, task])
 
 
@@ -51,7 +57,7 @@ def _is_guarded(action: RosaAction) -> bool:
     return False
 
 
-def first_feasible(name: str, tasks: Sequence[Behaviour], *, memory: bool = False) -> Behaviour:
+def first_feasible(name: str, tasks: Sequence[Behaviour], *, memory: bool = False, during: float = 0.0) -> Behaviour:
     """Return a choice: the first of several actions that is feasible, and does not fail, is done.
 
     Args:
@@ -59,12 +65,13 @@ def first_feasible(name: str, tasks: Sequence[Behaviour], *, memory: bool = Fals
         tasks: the actions, the most preferred first.
         memory: stay with what was begun as long as it is feasible; otherwise a preferred one takes over in the tick in
             which it becomes feasible.
+        during: how long each of them takes [s]; one that is to be asked otherwise is given as `feasible_then_act`.
     """
-    return composites.Selector(name, memory=memory, children=[feasible_then_act(task) for task in tasks])
+    return composites.Selector(name, memory=memory, children=[feasible_then_act(task, during) for task in tasks])
 
 
 def do_until_unfeasible(
-    task: Behaviour, meanwhile: Behaviour, *, memory: bool = False, name: str | None = None
+    task: Behaviour, meanwhile: Behaviour, *, memory: bool = False, name: str | None = None, during: float = 0.0
 ) -> DoUntilUnfeasible:
     """Return a task that is done; while it is unfeasible, something else is; then the task goes on.
 
@@ -73,9 +80,10 @@ def do_until_unfeasible(
         meanwhile: an action, or a subtree, to do in the meantime.
         memory: finish what is done meanwhile, also when the task is feasible before.
         name: of the whole.
+        during: how long the task takes [s], if it is an action; it is not begun if it would not stay feasible as long.
     """
     name = name or f"{task.name}, or else {meanwhile.name}"
-    return DoUntilUnfeasible(name, feasible_then_act(task), feasible_then_act(meanwhile), memory=memory)
+    return DoUntilUnfeasible(name, feasible_then_act(task, during), feasible_then_act(meanwhile), memory=memory)
 
 
 def switch_safely(root: Behaviour, transitions: Mapping[tuple[str, str], Behaviour]) -> Behaviour:

@@ -11,7 +11,7 @@ from py_trees.composites import Selector, Sequence
 from py_trees.decorators import FailureIsSuccess, Inverter, SuccessIsFailure
 from py_trees.ports import PortsMixin
 
-from rosa_bt.behaviours import ActionBehaviour, RosaAction
+from rosa_bt.behaviours import ActionBehaviour, IsActionFeasible, RosaAction
 from rosa_bt.composites import DoUntilUnfeasible, SafeSwitch
 from rosa_bt.decorators import ForAction, UntilSuccess
 from rosa_bt.exceptions import ExportError, XmlError
@@ -167,13 +167,15 @@ class _Writer:
             element.set("action", leaf.action)
             if isinstance(leaf, RosaAction) and leaf.preference:
                 element.set("preference", leaf.preference)
+            if isinstance(leaf, IsActionFeasible) and leaf.during:
+                element.set("during", f"{leaf.during:g}")
         return element
 
     def _check_arguments(self, leaf: Behaviour) -> None:
         bound = {"kb"} if self._registry is None else set(self._registry.bound)
         known = {"name", "self", "behaviour_class_name", *bound}
         if isinstance(leaf, ActionBehaviour):
-            known |= {"action", "preference"}
+            known |= {"action", "preference"} | ({"during"} if isinstance(leaf, IsActionFeasible) else set())
             known |= set() if isinstance(leaf, RosaAction) and leaf.waits else {"wait", "timeout"}
             known |= set() if isinstance(leaf, RosaAction) and leaf.even_if_unfeasible else {"even_if_unfeasible"}
         elif isinstance(leaf, PortsMixin) and {**leaf.input_ports(), **leaf.output_ports()}:
