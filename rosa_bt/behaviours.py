@@ -337,8 +337,8 @@ class IsActionFeasible(ActionBehaviour):
 
     Args:
         action: name of the ROSA action; without it, the port `action` gives it.
-        during: how long it takes [s]; also a port. It has to stay feasible as long, as far as is known: to begin, at
-            the worse ends of what is forecast, and once it is requested, as expected, for what is left of its time.
+        during: how long it takes [s]. It has to stay feasible as long, as far as is known: to begin, at the worse ends
+            of what is forecast, and once it is requested, as expected, for what is left of its time.
 
     Attributes:
         ends_too_soon: it is feasible now, and will not be for as long.
@@ -347,45 +347,23 @@ class IsActionFeasible(ActionBehaviour):
         kb.UnknownName: no such action; the message lists the nearest ones.
     """
 
-    INPUT_PORTS: dict[str, PortInformation] = {  # noqa: RUF012  # py_trees declares it so
-        **ActionBehaviour.INPUT_PORTS,
-        "during": PortInformation(float, required=False, default_value=0.0, description="how long it takes [s]"),
-    }
-
     def __init__(
-        self,
-        name: str,
-        kb: KnowledgeBase,
-        action: str | None = None,
-        *,
-        during: float | None = None,
-        behaviour_class_name: str | None = None,
+        self, name: str, kb: KnowledgeBase, action: str | None = None, *, during: float = 0.0, **named: str | None
     ) -> None:
-        super().__init__(name, kb, action, behaviour_class_name=behaviour_class_name)
-        self._during, self.ends_too_soon = during, False
-
-    @property
-    def during(self) -> float:
-        """How long the action takes [s]: as constructed, or else what the port `during` carries, if anything."""
-        if self._during is not None:
-            return self._during
-        try:
-            return float(self.get_input("during"))
-        except RuntimeError:  # this leaf is not connected to a blackboard
-            return 0.0
+        super().__init__(name, kb, action, **named)
+        self.during, self.ends_too_soon = during, False
 
     def update(self) -> Status:
-        action, left, self.ends_too_soon = self.action, self.during, False
+        action, self.ends_too_soon = self.action, False
         if not self.kb.is_feasible(action):
             return self._answer(why(self.kb, action))
-        began = next((one.start for one in self.kb.required_actions if one.action == action), None) if left else None
-        left -= 0.0 if began is None else self.kb.now - began
-        if left > 0.0:
-            until = self.kb.feasible_until(action, left)
-            self.ends_too_soon = (until.earliest if began is None else until.at) is not None
-            if self.ends_too_soon:
-                return self._answer(f"{action} takes {left:.3g} s and is {until}")
-        return self._answer("")
+        began = [one.start for one in self.kb.required_actions if one.action == action] if self.during else []
+        left = self.during - sum(self.kb.now - start for start in began)
+        if left <= 0.0:
+            return self._answer("")
+        until = self.kb.feasible_until(action, left)
+        self.ends_too_soon = (until.at if began else until.earliest) is not None
+        return self._answer(f"{action} takes {left:.3g} s and is {until}" if self.ends_too_soon else "")
 
 
 class HasStatus(KbBehaviour):
