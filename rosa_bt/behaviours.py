@@ -340,9 +340,6 @@ class IsActionFeasible(ActionBehaviour):
         during: how long it takes [s]. It has to stay feasible as long, as far as is known: to begin, at the worse ends
             of what is forecast, and once it is requested, as expected, for what is left of its time.
 
-    Attributes:
-        ends_too_soon: it is feasible now, and will not be for as long.
-
     Raises:
         kb.UnknownName: no such action; the message lists the nearest ones.
     """
@@ -351,7 +348,7 @@ class IsActionFeasible(ActionBehaviour):
         self, name: str, kb: KnowledgeBase, action: str | None = None, *, during: float = 0.0, **named: str | None
     ) -> None:
         super().__init__(name, kb, action, **named)
-        self.during, self.ends_too_soon = during, False
+        self.during, self.ends_too_soon = during, False  # it is feasible now, and will not be for as long
 
     def update(self) -> Status:
         action, self.ends_too_soon = self.action, False

@@ -21,14 +21,11 @@ def feasible_then_act(task: Behaviour, during: float = 0.0) -> Behaviour:
         task: the action. Any other behaviour asks for itself (`ForAction`) or inside itself (a subtree) and is
             returned as it is.
         during: how long it takes [s]; see `IsActionFeasible`.
-
-    Raises:
-        TreeChangeError: how long it takes is given of what is no action.
     """
     if not isinstance(task, RosaAction):
-        if during:
-            raise TreeChangeError(f"{task.name!r} is no RosaAction; say within it how long its actions take")
-        return task
+        if not during:
+            return task
+        raise TreeChangeError(f"{task.name!r} is no RosaAction; say within it how long its actions take")
     condition = IsActionFeasible(f"{task.name} feasible?", task.kb, task.action, during=during)
     return composites.Sequence(f"{task.name} if feasible", memory=False, children=[condition, task])
 

@@ -127,10 +127,10 @@ class Forecaster:
         if isinstance(expected, str):
             reason = f"it is not known what {node.name} is in {time - now:.3g} s: {expected}"
             return Forecast(node.name, time, None, None, None, LEVEL, reason)
-        value, radius, words = expected
+        value, radius, words = expected[0], expected[1], expected[2].format(node.attribute.amount(""))
         low, value, high = (_possible(node, value + side * (radius or 0.0)) for side in (_WORSE, _EXPECTED, _BETTER))
         span = "how exactly is not known" if radius is None else f"{low:.3g} to {high:.3g}"
-        reason = f"{node.name} is {reading(value, (), node)} ({span}) in {time - now:.3g} s: it {_said(node, words)}"
+        reason = f"{node.name} is {reading(value, (), node)} ({span}) in {time - now:.3g} s: it {words}"
         is_known = radius is not None
         return Forecast(node.name, time, value, low if is_known else None, high if is_known else None, LEVEL, reason)
 
@@ -232,7 +232,7 @@ def _first(
             one = next((one for one in nodes if one not in already), nodes[0])
             _, _, words = known[one](time) or (0.0, None, "")
             threshold = one.attribute.amount(exact(one.constraint.value))
-            return time, f"{one.attribute.name} {_said(one, words)} and reaches {threshold}"
+            return time, f"{one.attribute.name} {words.format(one.attribute.amount(''))} and reaches {threshold}"
     return None
 
 
@@ -295,10 +295,6 @@ def _rated(slopes: dict[str, float], past: Series, deeds: _Deeds, doing: frozens
 
 def _possible(node: Node, value: float) -> float:
     return min(max(value, node.attribute.low), node.attribute.high)
-
-
-def _said(node: Node, words: str) -> str:
-    return words.format(f" {node.attribute.unit}" if node.attribute.unit else "")
 
 
 def _horizon(given: float) -> float:

@@ -199,7 +199,7 @@ class Outlook:
     def _errors(self, ahead: float) -> list[float]:
         """Return how far forecasts of so far ahead [s] were off, by time; those alike only, if these are enough."""
         times, gap = self._series.times, max(self._step, ahead / _GAPS)
-        found: list[tuple[float, bool]] = []
+        found = list[tuple[float, bool]]()
         last, turn = -1, math.floor((times[-1] - ahead) / gap)
         while len(found) < _ORIGINS and turn * gap >= times[0]:
             place = bisect_right(times, turn * gap) - 1
