@@ -195,12 +195,11 @@ def _adaptable(state: State, kind: str) -> tuple[str, ...]:
 class _Assumption(NamedTuple):
     what: str
     node: Node
-    value: float | None = None
-    forecast: Forecast | None = None
+    value: float | Forecast | None = None
 
     def __str__(self) -> str:
-        if self.forecast is not None:
-            return str(self.forecast)
+        if isinstance(self.value, Forecast):
+            return str(self.value)
         if self.what != "measured":
             return f"{self.node.name} {self.what}"
         value = "not measured" if self.value is None else self.node.attribute.amount(exact(self.value))
@@ -253,7 +252,7 @@ def suppose(
                 raise InvalidValue(f"a situation is that of a time from now on, {now!r} s by the clock; not {at!r}")
             doing = of.doing(state, None).union(one.node.name for one in supposed if one.what == "requested")
             for node in (node for name, node in network.attributes.items() if name not in values):
-                supposed.append(_Assumption("forecast", node, None, of.at(state, node, then, now, doing)))
+                supposed.append(_Assumption("forecast", node, of.at(state, node, then, now, doing)))
         return Situation(base, state, supposed, at)
 
 
@@ -312,18 +311,17 @@ class Situation:
     def _supposed(self, below: State) -> Overlay:
         state = Overlay(below)
         touched: list[Node] = []
-        for what, node, value, forecast in self._assumptions:
+        for what, node, value in self._assumptions:
             self._network.find(node.element)
-            if forecast is not None:
-                touched += suppose_forecast(state, node, forecast)
-                continue
-            if what == "measured":
+            if isinstance(value, Forecast):
+                touched += suppose_forecast(state, node, value)
+            elif what == "measured":
                 touched += _suppose_measured(state, node, value)
-                continue
-            touched.append(node)
+            else:
+                touched.append(node)
             if what == "requested":
                 state.requested[node.index] = True
-            else:
+            elif what in ("failed", "recovered"):
                 state.failed[node.index] = what == "failed"
                 if what == "recovered" and state.asserted[node.index] is Status.FAILURE:
                     state.asserted[node.index] = None

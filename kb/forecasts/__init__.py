@@ -23,7 +23,7 @@ from kb.state import Overlay, State
 from kb.status import OPERATORS, Status
 from kb.views import Readable, named
 
-_MOST_SAMPLES, _MOST_REQUESTS, _MOST_FITS = 2048, 256, 4096
+_MOST_SAMPLES, _MOST_REQUESTS, _MOST_FITS = 2048, 64, 4096
 _LOOKS, _HALVINGS = 128, 24
 """At how many instants a horizon is looked at, and how often it is halved where something changes between two."""
 _WORSE, _EXPECTED, _BETTER = -1, 0, 1
@@ -75,16 +75,10 @@ class FeasibleUntil(NamedTuple):
 class _Deeds:
     """Which actions were done when, as far as that is on record."""
 
-    def __init__(self, requests: Iterable[RequiredAction]) -> None:
-        turns: dict[float, set[str]] = {}
-        for one in requests:
-            for time in (one.start, one.end):
-                if time is not None:
-                    turns.setdefault(time, set()).symmetric_difference_update((one.action,))
-        self._times, self._doing = [-math.inf], [frozenset[str]()]
-        for time in sorted(turns):
-            self._times.append(time)
-            self._doing.append(self._doing[-1] ^ turns[time])
+    def __init__(self, requests: Sequence[RequiredAction]) -> None:
+        spans = [(one.start, math.inf if one.end is None else one.end, one.action) for one in requests]
+        self._times = [-math.inf, *sorted({time for *span, _ in spans for time in span})]
+        self._doing = [frozenset(one for start, end, one in spans if start <= time < end) for time in self._times]
 
     def between(self, start: float, end: float) -> Iterator[tuple[float, float, frozenset[str]]]:
         """Yield the spans between two times [s] within which the same was done, the latest first."""
