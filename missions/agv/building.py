@@ -43,7 +43,6 @@ class Corridor:
     light: float
 
     def other(self, place: str) -> str:
-        """Return the end that is not this one."""
         return self.ends[1] if self.ends[0] == place else self.ends[0]
 
     def check(self) -> None:
@@ -96,13 +95,11 @@ class Building:
         return {place: tuple(one for one in corridors if place in one.ends) for place in self.places}
 
     def check_place(self, place: str, what: str) -> None:
-        """Raise unless there is that place."""
         if place not in self.places:
             near = _near(place, self.places)
             raise BuildingError(f"{what} names the place {place!r}, which map {self.name} lacks; near: {near}")
 
     def check_corridor(self, corridor: str) -> None:
-        """Raise unless there is that corridor."""
         if corridor not in self.corridors:
             near = _near(corridor, self.corridors)
             raise BuildingError(f"map {self.name} has no corridor {corridor!r}; near: {near}")

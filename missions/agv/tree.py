@@ -53,12 +53,10 @@ class Route:
 
     @property
     def is_there(self) -> bool:
-        """Whether the robot has arrived."""
         return self.at == self.building.goal and not self.inside
 
     @property
     def answer(self) -> Answer:
-        """The best plan from here, or why there is none."""
         believed = self._believes()
         if self._answer is None or believed != self._believed:
             self._believed, self._answer = believed, self._planner.plan(self.question)
@@ -72,7 +70,6 @@ class Route:
 
     @property
     def task(self) -> Task:
-        """What is to be planned from here, as a graph."""
         return self._planner.task(self.question)
 
     @property
@@ -124,7 +121,6 @@ class Cross(RosaAction):
 
     @property
     def is_crossed(self) -> bool:
-        """Whether the robot has come to the other end."""
         return self._leg is not None and self._route.at == self._leg.to and not self._route.inside
 
     def initialise(self) -> None:

@@ -128,7 +128,6 @@ def unrealisable(knowledge: Knowledge, situation: Situation) -> frozenset[str]:
 
 
 def standing(knowledge: Knowledge, situation: Situation, function: str) -> Standing:
-    """Return how the objective of a function stands."""
     grounded = situation.grounded.get(function)
     design = next((one for one in knowledge.of(function) if one.name == grounded), None)
     if design is None:

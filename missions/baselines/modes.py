@@ -32,7 +32,6 @@ class SystemModes:
         self._requested: dict[str, str] = {}
 
     def of(self, function: str) -> tuple[str, ...]:
-        """Return the names of the modes of a function."""
         return tuple(self._known(function))
 
     def request(self, function: str, mode: str) -> None:

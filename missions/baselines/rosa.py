@@ -45,11 +45,9 @@ class OwnTree(Manager):
         self.runner.tree.setup()
 
     def model(self) -> Model:
-        """Build what is known of the robot."""
         return self.robot.mission.model()
 
     def tree(self) -> Behaviour:
-        """Build what is ticked."""
         robot = self.robot
         return build_task("bt", robot.mission, self.kb, self.percepts, lambda: robot.now, 0.0).root
 

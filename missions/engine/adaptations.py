@@ -83,7 +83,6 @@ class Adaptation:
         return kb.actions[self.action].status is Status.SOLVED or last_tick >= acted
 
     def add(self, words: str, plan: ReconfigurationPlan) -> None:
-        """Take in a plan that belongs to it."""
         self.plans.append((words, plan))
         self.close()
 

@@ -80,7 +80,6 @@ class RosaController(Controller):
 
     @property
     def tree(self) -> BehaviourTree:
-        """The tree of the task layer, for visitors."""
         return self._runner.tree
 
     @property
@@ -298,7 +297,6 @@ def rosa_run(
 
 
 def check_task(kind: str) -> None:
-    """Raise unless there is that kind of task layer."""
     if kind not in TASK_KINDS:
         raise MissionError(f"unknown task layer {kind!r}; there are {' and '.join(TASK_KINDS)}")
 

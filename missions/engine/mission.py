@@ -63,7 +63,6 @@ class Percepts:
             return None
 
     def count(self, key: str) -> int:
-        """How often something was spoken of."""
         return self._times[key]
 
 

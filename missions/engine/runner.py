@@ -170,7 +170,6 @@ class MissionRun:
         controller.attend(listeners)
 
     def listen(self, listener: Listener) -> None:
-        """Have one more hear of the run from now on."""
         self._listeners = (*self._listeners, listener)
         self.controller.attend(self._listeners)
 
@@ -273,7 +272,6 @@ class MissionRun:
         self._report_plans()
 
     def _advanced(self, until: float) -> Sequence[Message]:
-        """Let the world go on, and see that it does."""
         world, before, name = self.world, self.world.now, self.mission.name
         try:
             messages = [*world.advance(until)]

@@ -106,7 +106,6 @@ class Constants:
 
     @classmethod
     def describe(cls) -> tuple[Setting, ...]:
-        """List every setting, in the order of declaration."""
         return declared(cls)
 
     @classmethod

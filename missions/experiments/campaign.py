@@ -234,7 +234,6 @@ def _settings(value: object, where: str) -> dict[str, str]:
 
 
 def _text(value: object, where: str) -> str:
-    """Return a value as the command line takes it."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str | int | float):

@@ -77,7 +77,6 @@ class Group:
 
     @property
     def successes(self) -> int:
-        """How many runs reached the goal of the mission."""
         return sum(record["outcome"] not in NO_SUCCESS for record in self.records.values())
 
     @property
@@ -117,7 +116,6 @@ class Comparison:
 
     @property
     def title(self) -> str:
-        """What it is called in the report."""
         changed = ", ".join(f"{name} = {value}" for name, value in self.settings.items())
         return f"{self.mission} with {changed}" if changed else self.mission
 
@@ -130,7 +128,6 @@ class Comparison:
 
     @property
     def uncertainties(self) -> tuple[str, ...]:
-        """Every uncertainty that was reacted to."""
         found = {one[0] for group in self.groups for record in group.records.values() for one in record["reactions"]}
         return tuple(sorted(found))
 

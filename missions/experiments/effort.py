@@ -173,7 +173,6 @@ class TreeCount:
 
     @property
     def total(self) -> int:
-        """What is there for the sake of adaptation."""
         return self.adaptation_nodes + self.modes
 
 
@@ -244,7 +243,6 @@ def count_tree(mission: Mission) -> TreeCount:
 
 
 def as_data(found: Survey) -> dict[str, Any]:
-    """Return it as data for JSON."""
     models, trees = [], []
     for model in found.models:
         counted = model.counted
@@ -299,7 +297,6 @@ LAW_IN_WORDS: Final = "linear law: 10 + 6 for each structural + 3 for each param
 
 
 def lines_of(found: Survey) -> Iterator[str]:
-    """Yield all of it, a line each."""
     about = [*RULE, *([AGV] if any(one.name == "agv" for one in found.models) else [])]
     yield from _table(_models(found.models), about, DIFFERS)
     if found.trees:
@@ -341,5 +338,4 @@ def _published(one: ModelEffort | TreeEffort, counted: tuple[int, int]) -> str:
 
 
 def _short(name: str) -> str:
-    """Return a name without the folders of its files."""
     return ",".join(Path(part).name for part in name.split(","))

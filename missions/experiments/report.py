@@ -137,7 +137,6 @@ def _add_comparison(document: Document, comparison: Comparison) -> None:
 
 
 def _add_headlines(document: Document, comparison: Comparison, headlines: Mapping[str, str]) -> None:
-    """Put the published table beside ours."""
     head = ["manager", "runs", "goal reached"]
     for label in headlines.values():
         head += [f"{label}: published", f"{label}: mean [95 %]", "sd [95 %]"]

@@ -82,7 +82,6 @@ class Kept(NamedTuple):
 
     @property
     def missing(self) -> int:
-        """How many runs are still to be done."""
         return len(self.campaign.planned()) - len(self.records)
 
 

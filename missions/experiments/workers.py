@@ -125,7 +125,6 @@ class Processes(Workers):
         self.close()
 
     def close(self) -> None:
-        """End the processes, also in the middle of a run."""
         if self._executor is not None:
             self._executor.shutdown(wait=True, kill_workers=True)
             self._executor = None
@@ -224,7 +223,6 @@ def _together(
 
 
 def _hand_out(waiting: deque[PlannedRun], under_way: dict[Future[Outcome], PlannedRun], workers: Workers) -> None:
-    """Hand out as many runs as keep every worker busy."""
     for _ in range(2 * workers.count - len(under_way)):
         if not waiting:
             return

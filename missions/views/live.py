@@ -137,7 +137,6 @@ class LiveView:
 
     @property
     def pages(self) -> int:
-        """How many pages look."""
         return len(self._pages)
 
     @property
@@ -270,7 +269,6 @@ class LiveView:
                     await page.send(self._frame[2])
 
     async def _greet(self, page: "_Page") -> None:
-        """Give a page the present."""
         rows, following = self._rows.snapshot()
         greeting = {"hello": self.recorder.header, "rows": rows, "first": self._rows.first, "next": following}
         greeting |= {"now": self._now, "dropped": page.dropped, "state": self._state}

@@ -65,7 +65,6 @@ def lines_of(answer: Answer) -> Iterator[str]:
 
 
 def as_data(result: PlanningResult) -> dict[str, object]:
-    """Return a plan, or that there is none, for JSON."""
     steps = [{"action": step.schema, "arguments": list(step.arguments)} for step in result.steps]
     return {"outcome": str(result.outcome), "engine": result.engine, "cost": result.cost, "steps": steps}
 
@@ -85,7 +84,6 @@ def certificate_lines(certificate: Certificate) -> Iterator[str]:
 
 
 def certificate_as_data(certificate: Certificate) -> dict[str, object]:
-    """Return a certificate for JSON."""
     entries = [{"unfeasible": list(out), **as_data(result)} for out, result in certificate.entries.items()]
     return {"fatal": list(certificate.fatal), "entries": entries}
 

@@ -124,7 +124,6 @@ class Recorder:
 
     @property
     def recorded(self) -> Recorded:
-        """The run up to now."""
         return Recorded(self.header, self.rows.since(0)[1])
 
     def report(self, path: str) -> None:
@@ -171,7 +170,6 @@ class Recorder:
             self._own.settle()
 
     def _look(self, time: float) -> None:
-        """Write down what is not as it was."""
         with self.kb.reading() as state:
             if state.network.revision != self._revision:
                 self._revision = state.network.revision

@@ -67,7 +67,6 @@ def write_report(path: str | Path, run: Recorded, other: Recorded | None = None)
 
 
 def framed(run: Recorded) -> str:
-    """Return the page of a run as part of a notebook."""
     return f'<iframe srcdoc="{escape(report(run))}" style="width: 100%; height: 50rem; border: 0"></iframe>'
 
 

@@ -27,7 +27,6 @@ _ENCODER: Final = json.JSONEncoder(separators=(",", ":"), ensure_ascii=False, al
 
 
 def encoded(value: object) -> str:
-    """Return a value as JSON in one line."""
     return _ENCODER.encode(value)
 
 
@@ -54,7 +53,6 @@ class Rows:
 
     @property
     def next(self) -> int:
-        """Number of the next row to come."""
         return self.first + len(self._rows)
 
     @property
@@ -116,9 +114,7 @@ class Recorded:
         return str(self.header.get("title", ""))
 
     def track(self, name: str) -> Iterator[tuple[float, int | str, Any]]:
-        """Yield (time, key, value) of the rows of a track."""
         return ((time, key, value) for time, track, key, value in self.rows if track == name)
 
     def last(self, name: str) -> dict[int | str, Any]:
-        """Return the last value of each key of a track."""
         return {key: value for _, key, value in self.track(name)}

@@ -33,7 +33,6 @@ class RunRecorder(Listener):
         self._measured: frozenset[str] = frozenset()
 
     def begin(self, run: MissionRun, seed: int, settings: Mapping[str, str]) -> None:
-        """Take over a run that is opened, before it runs."""
         kb, sample = run.controller.kb, run.world.sample()
         if kb is None:
             kb = self._own = KnowledgeBase(run.model, clock=lambda: run.world.now)
@@ -48,7 +47,6 @@ class RunRecorder(Listener):
         self._show(run)
 
     def end(self, run: MissionRun, verdict: Verdict) -> None:
-        """Write down how it ended."""
         self.tick(run)
         self._show(run)
         figures = [list(figure_in_words(name, value, run.model)) for name, value in run.results().items()]

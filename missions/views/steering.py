@@ -40,7 +40,6 @@ class Steering(Listener):
             return {"paused": self._is_paused, "speed": self._speed, "held": dict(self._held)}
 
     def begin(self, run: MissionRun) -> None:
-        """Take over a run of a simulation that is opened."""
         self._attributes, self._components = frozenset(run.model.attributes), frozenset(run.model.components)
         run.alter = self.alter
 
@@ -86,7 +85,6 @@ class Steering(Listener):
         return messages
 
     def tick(self, run: MissionRun) -> None:
-        """Wait until the run may go on."""
         with self._change:
             while (left := self._left(run.world.now)) > 0:
                 self._change.wait(None if left == inf else left)

@@ -205,7 +205,6 @@ class TerminalView(App[None]):
         self.title, self._feed, self._fold, self._is_held = title, feed, Fold(), False
 
     def compose(self) -> ComposeResult:
-        """Lay out the panes."""
         yield Header()
         for name in self.PANES:
             pane = VerticalScroll(Static(id=name))
@@ -214,7 +213,6 @@ class TerminalView(App[None]):
         yield Footer()
 
     def on_mount(self) -> None:
-        """Begin to look."""
         self.set_interval(_PERIOD_S, self.look)
 
     def action_hold(self) -> None:
@@ -222,7 +220,6 @@ class TerminalView(App[None]):
         self._is_held = not self._is_held
 
     def look(self) -> None:
-        """Take in what has come, and show it."""
         rows, wrong = self._feed.take()
         for row in rows:
             self._fold.put(row)
