@@ -124,6 +124,14 @@ def _keep(kb: KnowledgeBase, key: tuple[str, str], saved: str) -> None:
     kb.tell(Event(0, kb.now, "progress", (*key, saved)))
 
 
+def kept(kb: KnowledgeBase) -> tuple[object, ...]:
+    """Return what is kept of behaviours beside the tree, as it is held: who holds requests, and what was saved."""
+    found = _ledger(kb)
+    for action in kb.actions:
+        found.holders.setdefault(action, {})
+    return found.holders, found.progress
+
+
 def why(kb: KnowledgeBase, action: str) -> str:
     """Return why an action has its status, in the values of when a status changed last: cached until one does."""
     reasons = _ledger(kb).reasons

@@ -1,0 +1,120 @@
+"""What leaves may answer: each in turn, while all that stands above them, and what asks the knowledge base, is real."""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Final
+
+import py_trees
+from py_trees.behaviour import Behaviour
+from py_trees.common import Status
+
+from kb import KnowledgeBase, UnknownName
+from missions.engine.mission import Condition
+from missions.testing.scripted import LETTERS
+from rosa_bt import RosaAction
+from rosa_bt.behaviours import KbBehaviour
+
+Answer = tuple[str, str]
+"""The name of a leaf, and the letter of what it returned: R, S or F."""
+
+_CHANCE: Final = (py_trees.timers.Timer, py_trees.behaviours.ProbabilisticBehaviour)
+"""Leaves of py_trees that decide by the wall clock or by dice; the others by what they are and remember."""
+
+
+@dataclass(frozen=True)
+class Leaf:
+    """What a leaf may return, and what it does to facts.
+
+    Attributes:
+        answers: letters of "R", "S" and "F"; empty for a leaf that is left to work as it is.
+        effects: attributes that are measured, with their values, when it returns what the letter says, such as
+            {"S": {"battery_level": 1.0}}.
+    """
+
+    answers: str = "RSF"
+    effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        wrong = [one for one in (*self.answers, *self.effects) if one not in LETTERS]
+        if wrong:
+            raise ValueError(f"a leaf answers with letters of R, S and F, not with {wrong[0]!r}")
+
+
+class Choices:
+    """Says what leaves answer in a tick: as scripted first, then the first letter; the same when asked again.
+
+    Attributes:
+        taken: the answers since `begin`.
+    """
+
+    def __init__(self) -> None:
+        self.taken: list[Answer] = []
+        self._script: tuple[Answer, ...] = ()
+        self._open: list[tuple[Answer, ...]] = []
+        self._said: dict[Behaviour, str] = {}
+
+    def begin(self, script: tuple[Answer, ...]) -> None:
+        self.taken, self._script, self._open, self._said = [], script, [], {}
+
+    def choose(self, leaf: Behaviour, letters: str) -> str:
+        if leaf in self._said:
+            return self._said[leaf]
+        name, place = leaf.name, len(self.taken)
+        letter = self._script[place][1] if place < len(self._script) else letters[0]
+        if place >= len(self._script):
+            before = tuple(self.taken)
+            self._open += [(*before, (name, other)) for other in letters[1:]]
+        self.taken.append((name, letter))
+        self._said[leaf] = letter
+        return letter
+
+    def others(self) -> list[tuple[Answer, ...]]:
+        """Return the beginnings of what could have been answered instead, each once."""
+        return self._open
+
+
+def usual(leaf: Behaviour) -> Leaf:
+    """Return what a leaf may return that nothing is declared of."""
+    is_ours = isinstance(leaf, KbBehaviour) and not isinstance(leaf, RosaAction)
+    is_known = type(leaf).__module__.startswith(("py_trees.", "rosa_bt.")) and not isinstance(leaf, RosaAction)
+    if is_ours or (is_known and not isinstance(leaf, _CHANCE)):
+        return Leaf("")
+    return Leaf("FS") if isinstance(leaf, Condition) else Leaf()
+
+
+def take_over(root: Behaviour, kb: KnowledgeBase, declared: Mapping[str, Leaf], choices: Choices) -> None:
+    """Have the leaves of a tree answer as is chosen; an action is still requested and released.
+
+    Raises:
+        UnknownName: something is declared of a leaf that the tree does not have.
+    """
+    leaves = [one for one in root.iterate() if not one.children]
+    for name in declared:
+        if name not in {leaf.name for leaf in leaves}:
+            raise UnknownName("leaf", name, dict.fromkeys(leaf.name for leaf in leaves))
+    for leaf in leaves:
+        said = declared.get(leaf.name) or usual(leaf)
+        if said.answers:
+            vars(leaf).update(_own(leaf, said, kb, choices))
+
+
+def _own(leaf: Behaviour, said: Leaf, kb: KnowledgeBase, choices: Choices) -> dict[str, Callable[..., object]]:
+    def update() -> Status:
+        letter = choices.choose(leaf, said.answers)
+        for attribute, value in said.effects.get(letter, {}).items():
+            kb.measure(attribute, value)
+        return LETTERS[letter]
+
+    own: dict[str, Callable[..., object]] = {
+        "update": update,
+        "initialise": lambda: None,
+        "terminate": lambda new_status: None,
+    }
+    if isinstance(leaf, RosaAction):
+        own |= {"save_progress": lambda: None, "restore_progress": lambda progress: None}
+    return own
+
+
+def words(answers: Iterable[Answer]) -> str:
+    """Write down what leaves answered."""
+    return ", ".join(f"{name} {LETTERS[letter].name}" for name, letter in answers)
