@@ -22,6 +22,7 @@ from missions.commands import (
     report,
     run,
     store,
+    verify,
     watch,
 )
 
@@ -63,6 +64,7 @@ app.command("replay")(recordings.replay)
 app.add_typer(recordings.record, name="record")
 app.command("check")(check.check)
 app.command("plan")(plan.plan)
+app.command("verify")(verify.verify)
 app.command("campaign")(campaign.campaign)
 app.command("report")(report.report)
 app.command("learn")(learn.learn)

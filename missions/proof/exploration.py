@@ -20,6 +20,7 @@ from py_trees.visitors import VisitorBase
 from kb import ConfigurationManager, KnowledgeBase, Model
 from kb.managed_system import Operation
 from kb.elements import ComponentKind, Parameters
+from kb.execution.safeguards import Budgets
 from kb.manager import Planner
 from missions.proof.leaves import Answer, Choices, Leaf, take_over
 from missions.proof.memory import Content, Memory
@@ -105,7 +106,7 @@ class Rig(VisitorBase):
         ticked: the behaviours that were ever ticked.
     """
 
-    def __init__(self, setup: Setup) -> None:
+    def __init__(self, setup: Setup, choices: Choices | None = None) -> None:
         super().__init__(full=False)
         self.clock = 0.0
         self.robot = Robot()
@@ -114,13 +115,14 @@ class Rig(VisitorBase):
             for index in range(len(state.columns["status"])):
                 state.users.of(index)  # so that they are there in every state, also while nobody uses anything
         planner = None if setup.planner is None else setup.planner()
+        self.budgets = Budgets(getattr(planner, "budgets", None))
         self.manager = ConfigurationManager(self.kb, self.robot, planner=planner)
         self.root = setup.build(self.kb)
-        self.choices = Choices()
-        take_over(self.root, self.kb, setup.leaves, self.choices)
+        self.surroundings = Surroundings(self.kb, self.root, **setup.surroundings)
+        self.choices = Choices() if choices is None else choices
+        self.letters = take_over(self.root, self.kb, setup.leaves, self.surroundings.values, self.choices)
         self.runner = TreeRunner(self.root, clock=lambda: self.clock)
         self.runner.tree.add_visitor(self)
-        self.surroundings = Surroundings(self.kb, self.root, **setup.surroundings)
         for name, value in setup.start.items():
             self.kb.measure(name, value)
         self.doing = [one for one in self.root.iterate() if isinstance(one, RosaAction | ForAction)]
@@ -142,6 +144,11 @@ class Rig(VisitorBase):
         """The actions that are requested."""
         return tuple(sorted(one.action for one in self.kb.required_actions))
 
+    @property
+    def unfeasible(self) -> tuple[str, ...]:
+        """The actions that are requested although they are unfeasible."""
+        return tuple(one for one in self.required if not self.kb.is_feasible(one))
+
     def settle(self) -> tuple[str, ...]:
         """Have the manager take its turns until it has nothing to do; return what was wrong about that, in words."""
         self.robot.faults.clear()
@@ -153,6 +160,11 @@ class Rig(VisitorBase):
             self.robot.faults.append("the manager does not come to rest")
         if self.kb.pending_plan is not None:
             self.robot.faults.append(f"the plan {self.kb.pending_plan} does not end")
+        if not self.budgets.allow(self.kb, (), ()):
+            self.robot.faults.append("a budget is exceeded")
+        for action in self.required:
+            if self.kb.actions[action].status not in ("unfeasible", "solved"):
+                self.robot.faults.append(f"the manager does not configure the robot for {action}")
         return tuple(self.robot.faults)
 
 
@@ -161,7 +173,6 @@ class Known(NamedTuple):
 
     required: tuple[str, ...]
     unfeasible: frozenset[str]  # required all the same
-    unsolved: frozenset[str]  # required, feasible, and not configured for
     occurring: frozenset[tuple[str, str]]  # kind and name of what is selected, active or required
     failed: tuple[str, ...]
     values: tuple[tuple[str, float | str | None], ...]
@@ -232,8 +243,7 @@ class Exploration:
         self.setup, self.rig = setup, Rig(setup)
         self.predicates = tuple(dict.fromkeys(predicates))
         rig = self.rig
-        self.faults: dict[str, int] = {}
-        rig.settle()
+        self.faults: dict[str, list[Step]] = {}
         with rig.kb.reading() as state:  # which parameters are in force is asked by budgets, and by users
             apart = [] if setup.planner or predicates else [state.parameters]
         self._known = _Table(Memory([rig.kb, rig.manager], apart))
@@ -244,16 +254,19 @@ class Exploration:
         self.steps: list[Step] = []
         self._numbers: dict[Situation, int] = {}
         self.moments: list[Situation] = []
+        self.origins: list[Step] = []
         self._moment_numbers: dict[Situation, int] = {}
         self.happening: list[list[tuple[int, tuple[Change, ...], bool]]] = []
         self.ticks: list[list[tuple[int, tuple[Answer, ...], bool]]] = []
         self.holds: dict[Predicate, set[int]] = {one: set() for one in self.predicates}
-        self._settled: dict[int, tuple[int, tuple[str, ...]]] = {}
+        self._settled: dict[int, int] = {}
         self._changed: dict[int, list[tuple[int, tuple[Change, ...], bool]]] = {}
         self._told: dict[tuple[object, ...], int] = {}
         self.is_finished = False
         self.transitions, self.seconds = 0, 0.0
-        self._waiting = [self._add(Situation(self._tree.read(), self._known.read()), Step(-1, (), ()))]
+        self.first: list[Step] = []
+        settled = self._settle(self._known.read(), lambda: [])
+        self._waiting = [self._add(Situation(self._tree.read(), settled), Step(-1, (), ()))]
 
     def explore(self, most: int = 100_000, seconds: float = 60.0) -> "Exploration":
         """Find what can be reached, at most so many situations and for so long [s]; called again, it goes on."""
@@ -290,18 +303,19 @@ class Exploration:
                 continue
             if self._doing(tree).status is Status.SUCCESS:
                 continue
-            for after, changes, is_late in self._changes(known):
+            for after, changes, is_late in self._changes(known, number):
                 moment = Situation(tree, after)
                 place = self._moment_numbers.setdefault(moment, len(self.moments))
                 if place == len(self.moments):
                     self.moments.append(moment)
                     self.ticks.append([])
+                    self.origins.append(Step(number, changes, (), (is_late, False)))
+                    self._describe(moment)
                     new.append((place, number, changes, is_late))
                 self.happening[number].append((place, changes, is_late))
                 self.transitions += 1
         new.sort(key=lambda one: self.moments[one[0]][::-1])
         for place, number, changes, is_late in new:
-            if time.perf_counter() > end: continue
             self._tick(place, number, changes, is_late)
 
     def _tick(self, place: int, before: int, changes: tuple[Change, ...], was_late: bool) -> None:
@@ -317,7 +331,7 @@ class Exploration:
             scripts += rig.choices.others()
             answers, after_tree = tuple(rig.choices.taken), self._tree.read()
             after = self._after_tick(known, last)
-            settled = self._settle(after)
+            settled = self._settle(after, lambda: [*self.path(before), Step(before, changes, answers)])  # noqa: B023
             for reached in dict.fromkeys((settled, after) if self.setup.slow else (settled,)):
                 is_late = reached != settled
                 step = Step(before, changes, answers, (was_late, is_late))
@@ -357,17 +371,19 @@ class Exploration:
             self._known.memory.assume(self._known.contents[after])
         return after
 
-    def _settle(self, known: int) -> int:
-        """Return what is known when the manager has done all there is to do."""
+    def _settle(self, known: int, trail: Callable[[], list[Step]]) -> int:
+        """Return what is known when the manager has done all there is to do; its faults are noted with the way there."""
         found = self._settled.get(known)
         if found is None:
             self._known.write(known)
             faults = self.rig.settle()
-            found = self._settled[known] = self._known.read(), faults
-            self._settled.setdefault(found[0], (found[0], ()))
-        return found[0]
+            found = self._settled[known] = self._known.read()
+            self._settled.setdefault(found, found)
+            for fault in faults:
+                self.faults.setdefault(fault, trail())
+        return found
 
-    def _changes(self, known: int) -> list[tuple[int, tuple[Change, ...], bool]]:
+    def _changes(self, known: int, number: int) -> list[tuple[int, tuple[Change, ...], bool]]:
         """Return what is known after each change of facts, with and without the manager's turn."""
         found = self._changed.get(known)
         if found is None:
@@ -378,7 +394,8 @@ class Exploration:
                 for change in changes:
                     change.tell(self.rig.kb)
                 told = self._known.read()
-                reached.setdefault(self._settle(told), (changes, False))
+                trail = lambda: [*self.path(number), Step(number, changes, ())]  # noqa: B023, E731
+                reached.setdefault(self._settle(told, trail), (changes, False))
                 if self.setup.slow:
                     reached.setdefault(told, (changes, True))
                 self._known.write(known)
@@ -402,13 +419,11 @@ class Exploration:
 
 def _known(rig: Rig) -> Known:
     kb, required = rig.kb, rig.required
-    status = {action: str(kb.actions[action].status) for action in required}
     tables = (("function design", kb.designs, "is_selected"), ("configuration", kb.configurations, "is_selected"))
     tables += (("component", kb.components, "is_active"), ("action", kb.actions, "is_required"))
     return Known(
         required,
-        frozenset(one for one in required if status[one] == "unfeasible"),
-        frozenset(one for one in required if status[one] not in ("unfeasible", "solved")),
+        frozenset(rig.unfeasible),
         frozenset((kind, name) for kind, table, what in tables for name, one in table.items() if getattr(one, what)),
         rig.surroundings.failed(),
         tuple((name, "stale" if (one := kb.attributes[name]).is_stale else one.value) for name in rig.surroundings.values),

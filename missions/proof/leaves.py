@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from math import nan
 from typing import Final
 
 import py_trees
@@ -9,6 +10,8 @@ from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 
 from kb import KnowledgeBase, UnknownName
+from kb.status import OPERATORS
+from kb.views import ConstraintView
 from missions.engine.mission import Condition
 from missions.testing.scripted import LETTERS
 from rosa_bt import RosaAction
@@ -16,6 +19,9 @@ from rosa_bt.behaviours import KbBehaviour
 
 Answer = tuple[str, str]
 """The name of a leaf, and the letter of what it returned: R, S or F."""
+
+Values = Mapping[str, tuple[float, ...]]
+"""By attribute, what can be measured."""
 
 _CHANCE: Final = (py_trees.timers.Timer, py_trees.behaviours.ProbabilisticBehaviour)
 """Leaves of py_trees that decide by the wall clock or by dice; the others by what they are and remember."""
@@ -73,17 +79,43 @@ class Choices:
         return self._open
 
 
-def usual(leaf: Behaviour) -> Leaf:
-    """Return what a leaf may return that nothing is declared of."""
+class Played(Choices):
+    """Answers as in a story, of which each tick has its own time."""
+
+    def __init__(self, scripts: Mapping[float, tuple[Answer, ...]], clock: Callable[[], float]) -> None:
+        super().__init__()
+        self._scripts, self._clock, self._at = scripts, clock, nan
+
+    def choose(self, leaf: Behaviour, letters: str) -> str:
+        if self._clock() != self._at:
+            self._at = self._clock()
+            self.begin(self._scripts.get(self._at, ()))
+        return super().choose(leaf, letters)
+
+
+def usual(leaf: Behaviour, kb: KnowledgeBase, values: Values) -> Leaf:
+    """Return what a leaf may return that nothing is declared of; what its schema promises comes true."""
     is_ours = isinstance(leaf, KbBehaviour) and not isinstance(leaf, RosaAction)
     is_known = type(leaf).__module__.startswith(("py_trees.", "rosa_bt.")) and not isinstance(leaf, RosaAction)
     if is_ours or (is_known and not isinstance(leaf, _CHANCE)):
         return Leaf("")
-    return Leaf("FS") if isinstance(leaf, Condition) else Leaf()
+    promised = getattr(getattr(leaf, "schema", None), "makes_feasible", ())
+    needed = [one for action in promised for one in kb.actions[action].constraints]
+    met = {
+        name: max(values[name], key=lambda value, name=name: _met(needed, name, value))  # type: ignore[misc]
+        for name in dict.fromkeys(one.attribute for one in needed)
+    }
+    return Leaf("FS") if isinstance(leaf, Condition) else Leaf(effects={"S": met} if met else {})
 
 
-def take_over(root: Behaviour, kb: KnowledgeBase, declared: Mapping[str, Leaf], choices: Choices) -> None:
-    """Have the leaves of a tree answer as is chosen; an action is still requested and released.
+def _met(needed: Iterable[ConstraintView], name: str, value: float) -> int:
+    return sum(OPERATORS[one.operator](value, one.value) for one in needed if one.attribute == name)
+
+
+def take_over(
+    root: Behaviour, kb: KnowledgeBase, declared: Mapping[str, Leaf], values: Values, choices: Choices
+) -> dict[str, str]:
+    """Have the leaves of a tree answer as is chosen, and return with what; an action is still requested and released.
 
     Raises:
         UnknownName: something is declared of a leaf that the tree does not have.
@@ -92,10 +124,13 @@ def take_over(root: Behaviour, kb: KnowledgeBase, declared: Mapping[str, Leaf], 
     for name in declared:
         if name not in {leaf.name for leaf in leaves}:
             raise UnknownName("leaf", name, dict.fromkeys(leaf.name for leaf in leaves))
+    letters: dict[str, str] = {}
     for leaf in leaves:
-        said = declared.get(leaf.name) or usual(leaf)
+        said = declared.get(leaf.name) or usual(leaf, kb, values)
         if said.answers:
             vars(leaf).update(_own(leaf, said, kb, choices))
+            letters[leaf.name] = said.answers
+    return letters
 
 
 def _own(leaf: Behaviour, said: Leaf, kb: KnowledgeBase, choices: Choices) -> dict[str, Callable[..., object]]:

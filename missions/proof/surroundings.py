@@ -49,6 +49,7 @@ class Surroundings:
 
     Attributes:
         values: by attribute, one value for each difference.
+        alike: the components that can fail, in groups of those that can stand for one another.
         worst: by attribute, the value that leaves the fewest constraints satisfied.
     """
 
@@ -75,7 +76,7 @@ class Surroundings:
         names = list(kb.components) if failing is None else [kb.components[one].name for one in failing]
         asking = [one.port_arguments.get("element") for one in root.iterate() if isinstance(one, HasStatus)]
         named = {getattr(one, "name", one) for one in asking}
-        self._alike = _alike(kb, names, named) if symmetric else [(one,) for one in names]
+        self.alike = _alike(kb, names, named) if symmetric else [(one,) for one in names]
         self._ageing = [name for name in self.values if kb.model.attributes[name].max_age != inf]
 
     def failed(self) -> tuple[str, ...]:
@@ -87,7 +88,7 @@ class Surroundings:
         single = [one for name in self.values for one in self._measured(name)]
         down = self.failed()
         single += [Change(next(one for one in reversed(alike) if one in down), False) for alike in self._broken(down)]
-        single += [Change(working[0], True) for alike in self._alike if (working := [o for o in alike if o not in down])]
+        single += [Change(working[0], True) for alike in self.alike if (working := [o for o in alike if o not in down])]
         for count in range(self._at_once + 1):
             for chosen in combinations(single, count):
                 more = sum(1 if one.to else -1 for one in chosen if isinstance(one.to, bool))
@@ -95,7 +96,7 @@ class Surroundings:
                     yield chosen
 
     def _broken(self, down: tuple[str, ...]) -> list[tuple[str, ...]]:
-        return [alike for alike in self._alike if any(one in down for one in alike)]
+        return [alike for alike in self.alike if any(one in down for one in alike)]
 
     def _measured(self, name: str) -> Iterator[Change]:
         view = self._kb.attributes[name]

@@ -1,0 +1,50 @@
+"""`rosa verify`: a mission against everything that can happen, before it leaves."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from missions.commands import FAILED
+
+
+def verify(
+    mission: Annotated[str, typer.Argument(help="A mission, or module:NAME.")],
+    task: Annotated[str, typer.Option(help="What decides: bt or pddl.")] = "bt",
+    failures: Annotated[int, typer.Option(help="So many components have failed at once at most.")] = 1,
+    at_once: Annotated[int, typer.Option(help="So many facts change between two ticks at most.")] = 1,
+    slow: Annotated[bool, typer.Option("--slow", help="The manager may miss its turn.")] = False,
+    reaction: Annotated[int, typer.Option(help="Ticks after which nothing unfeasible may be requested.")] = 1,
+    exclusive: Annotated[list[str] | None, typer.Option(metavar="A,B", help="Actions that exclude each other.")] = None,
+    most: Annotated[int, typer.Option(help="So many situations at most.")] = 100_000,
+    seconds: Annotated[float, typer.Option(help="For so long at most [s].")] = 60.0,
+    json: Annotated[Path | None, typer.Option(help="Write what was found.")] = None,
+    report: Annotated[Path | None, typer.Option(help="Write the page of the first story.")] = None,
+    test: Annotated[Path | None, typer.Option(help="Write the first story as a test for pytest.")] = None,
+) -> None:
+    """Say what holds in everything that can happen; exit with 0 if all of it does, as far as was explored."""
+    from missions.engine.registry import find_mission
+    from missions.proof.story import as_test
+    from missions.proof.verification import prove, setup_of
+    from missions.views.output import OutputFile, as_json
+
+    options = {"failures": failures, "at_once": at_once, "slow": slow}
+    setup = setup_of(find_mission(mission), task, **options)
+    groups = [one.split(",") for one in exclusive or ()]
+    proof = prove(setup, most, seconds, reaction=reaction, exclusive=groups)
+    typer.echo(f"{mission}: {proof}")
+    for one in proof.consequences:
+        typer.echo(f"     {one}")
+    if json is not None:
+        with OutputFile(json) as file:
+            file.finish(as_json(proof.as_data()))
+    shown = next((one for one in proof.broken if one.trail is not None), None)
+    if report is not None and shown is not None:
+        proof.story(shown, report)
+    if test is not None and shown is not None and shown.trail is not None:
+        imports = "from missions.engine.registry import find_mission\nfrom missions.proof.verification import setup_of"
+        made = f"setup_of(find_mission({mission!r}), {task!r}, {', '.join(f'{k}={v}' for k, v in options.items())})"
+        with OutputFile(test) as file:
+            file.finish(as_test(f"{imports}\n{made}", shown.name, shown.what, shown.trail))
+    if proof.broken:
+        raise typer.Exit(FAILED)

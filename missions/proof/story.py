@@ -1,0 +1,124 @@
+"""A story of what happened, round by round: played with everything as it is, in words, as a trace, a page or a test."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from pprint import pformat
+from typing import Any
+
+from py_trees.behaviour import Behaviour
+
+from kb import KnowledgeBase
+from missions.proof.exploration import Rig, Setup, Step
+from missions.proof.leaves import Played, take_over, words
+from missions.proof.surroundings import Change, Surroundings
+from rosa_bt import Trace, TraceVisitor, replay_trace
+
+
+@dataclass(frozen=True)
+class Story:
+    """What happened when the rounds of a counterexample were run.
+
+    Attributes:
+        lines: in words.
+        trace: of the ticks; a round is a second.
+        wrong: what is wrong at the end, in words, as far as a single situation shows it.
+        rig: the parts of the mission, as they are at the end.
+    """
+
+    lines: tuple[str, ...]
+    trace: Trace
+    wrong: tuple[str, ...]
+    rig: Rig
+
+    def __str__(self) -> str:
+        return "\n".join(self.lines)
+
+
+def play(setup: Setup, trail: Sequence[Any], page: str | Path | None = None, problems: Sequence[str] = ()) -> Story:
+    """Run the rounds of a story, and write a page of it if that is asked for, with what is to stand at its top."""
+    steps = [Step(0, tuple(Change(*one) for one in changes), answers, late) for changes, answers, late in _plain(trail)]
+    rig = Rig(setup)
+    recorder = None
+    if page is not None:
+        from missions.views.recorder import Recorder
+
+        recorder = Recorder(rig.kb, rig.runner)
+        for number, problem in enumerate(problems):
+            recorder.put("problem", number, problem)
+    lines: list[str] = []
+    rig.kb.subscribe(lambda event: lines.append(f"      {event.text}") if event.verb in _TOLD or event.plan else None)
+    faults = list(rig.settle())
+    with TraceVisitor(rig.kb) as visitor:
+        rig.runner.tree.add_visitor(visitor)
+        for number, step in enumerate(steps, start=1):
+            rig.clock = float(number)
+            happens = "; ".join(map(str, step.changes)) or "nothing happens"
+            late = " (the manager is late)" if step.late[0] else ""
+            lines.append(f"  {number}. {happens}{late}; {words(step.answers) or 'no leaf is asked'}")
+            for change in step.changes:
+                change.tell(rig.kb)
+            faults += [] if step.late[0] else rig.settle()
+            before = set(rig.unfeasible)
+            rig.choices.begin(step.answers)
+            rig.runner.tick()
+            faults += [] if step.late[1] else rig.settle()
+            late_ones = before & set(rig.unfeasible)
+        trace = visitor.trace
+    if recorder is not None and page is not None:
+        recorder.close()
+        recorder.report(str(page))
+    running = {one.action for one in rig.doing if one.status.name == "RUNNING"}
+    wrong = [*faults, *(f"{one} is requested while it is unfeasible" for one in sorted(late_ones if steps else ()))]
+    wrong += [f"{one} is requested or runs, not both" for one in sorted(running ^ set(rig.required))]
+    return Story(tuple(lines), trace, tuple(wrong), rig)
+
+
+_TOLD = ("request_action", "cancel_action")
+
+
+def replayed(setup: Setup, story: Story, trail: Sequence[Step]) -> Trace:
+    """Return the trace of a story decided once more, by `rosa_bt.replay_trace`; it equals the story's own."""
+    scripts = {float(number): step.answers for number, step in enumerate(trail, start=1)}
+
+    def build(kb: KnowledgeBase) -> Behaviour:
+        root = setup.build(kb)
+        values = Surroundings(kb, root, **setup.surroundings).values
+        take_over(root, kb, setup.leaves, values, Played(scripts, lambda: kb.now))
+        return root
+
+    return replay_trace(story.trace, setup.model(), build)
+
+
+def as_test(setup: str, name: str, what: str, trail: Sequence[Step]) -> str:
+    """Return a test for pytest that plays a story, and fails as long as what it tells of can happen.
+
+    Args:
+        setup: an expression that makes the `Setup`, with the imports that it needs as lines before it.
+        name: of the property.
+        what: is wrong.
+        trail: the rounds.
+    """
+    *imports, expression = setup.splitlines()
+    function = "".join(letter if letter.isalnum() else "_" for letter in name.lower())
+    lines = [
+        '"""A story that `rosa verify` has found."""',
+        "",
+        *imports,
+        "from missions.proof.story import play",
+        "",
+        f"SETUP = {expression}",
+        f"ROUNDS = {pformat(_plain(trail), width=110)}",
+        "",
+        "",
+        f"def test_{function}():",
+        f"    story = play(SETUP, ROUNDS)  # {what}",
+        "    assert not story.wrong, story",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _plain(trail: Sequence[Any]) -> list[tuple[Any, Any, Any]]:
+    """Return rounds as plain tuples: what happens, what leaves answer, and when the manager is late."""
+    return [tuple(one) if len(one) == 3 else (tuple(map(tuple, one[1])), one[2], one[3]) for one in trail]

@@ -1,0 +1,183 @@
+"""Verifying a tree: exploring it, checking what should hold, and telling what was found."""
+
+from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import dataclass
+from inspect import signature
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+from py_trees.behaviour import Behaviour
+
+from kb import KnowledgeBase, Model
+from missions.engine.controller import build_task
+from missions.engine.mission import Mission, Percepts
+from missions.proof.exploration import Exploration, Predicate, Setup
+from missions.proof.properties import Finding, Graph, Property, check
+from missions.proof.story import Story, play
+from missions.proof.surroundings import Change
+
+
+@dataclass(frozen=True)
+class Consequence:
+    """What a mission still reaches while some facts are as bad as can be, and nothing else has failed.
+
+    Attributes:
+        facts: what is so, in words.
+        reaches: "the goal", "the goal from some situations" or "nothing"; "not explored" where it never came about.
+        actions: what is done meanwhile.
+    """
+
+    facts: tuple[str, ...]
+    reaches: str
+    actions: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        meanwhile = f"; does {', '.join(self.actions)}" if self.actions else ""
+        return f"{' and '.join(self.facts)}: reaches {self.reaches}{meanwhile}"
+
+
+@dataclass(frozen=True)
+class Proof:
+    """What came of a verification.
+
+    Attributes:
+        setup: what was verified.
+        found: what was explored.
+        findings: what holds and what does not.
+        consequences: what single failures, and pairs of those that do not end the mission, lead to.
+    """
+
+    setup: Setup
+    found: Exploration
+    findings: tuple[Finding, ...]
+    consequences: tuple[Consequence, ...]
+
+    @property
+    def broken(self) -> tuple[Finding, ...]:
+        """What does not hold."""
+        return tuple(one for one in self.findings if one.holds is False)
+
+    def story(self, finding: Finding, page: str | Path | None = None) -> Story | None:
+        """Return the story that shows that something does not hold, if one does; with its page if asked for."""
+        if finding.trail is None:
+            return None
+        told = [f"{finding.name}: {finding.what}", *map(str, self.consequences)]
+        return play(self.setup, finding.trail, page, told)
+
+    def __str__(self) -> str:
+        found = self.found
+        count = f"{len(found.situations)} situations, {found.transitions} transitions, {found.seconds:.1f} s"
+        lines = [count if found.is_finished else f"up to {count}, not finished"]
+        for one in self.findings:
+            verdict = {True: "yes ", False: "NO  ", None: "open"}[one.holds]
+            lines.append(f"{verdict} {one.name}{f': {one.what}' if one.what else ''}")
+            story = self.story(one) if one.holds is False else None
+            lines += story.lines if story is not None else ()
+        return "\n".join(lines)
+
+    def as_data(self) -> dict[str, Any]:
+        """Return all of it as values that JSON can hold."""
+        return {
+            "finished": self.found.is_finished,
+            "situations": len(self.found.situations),
+            "transitions": self.found.transitions,
+            "seconds": round(self.found.seconds, 3),
+            "findings": [
+                {"name": one.name, "holds": one.holds, "what": one.what, "story": self._lines(one)}
+                for one in self.findings
+            ],
+            "consequences": [vars(one) for one in self.consequences],
+        }
+
+    def _lines(self, finding: Finding) -> list[str]:
+        story = self.story(finding)
+        return [] if story is None else [line.strip() for line in story.lines]
+
+
+def verify(
+    build_tree: Callable[..., Behaviour],
+    model: Model | Callable[[], Model],
+    *,
+    wanted: Iterable[Property] = (),
+    reaction: int = 1,
+    exclusive: Iterable[Collection[str]] = (),
+    goal: Predicate | None = None,
+    most: int = 100_000,
+    seconds: float = 60.0,
+    **given: Any,  # noqa: ANN401  # of Setup and Surroundings
+) -> Proof:
+    """Explore a tree with its knowledge base and the manager, and say what holds in everything that can happen.
+
+    Args:
+        build_tree: makes the tree, given the knowledge base, and percepts if it takes two arguments.
+        model: of the robot, or what makes one.
+        wanted: what shall hold besides; see `always`, `never`, `eventually` and `leads_to`.
+        reaction: after how many ticks an action that became unfeasible must not be requested any more.
+        exclusive: groups of actions of which one at most may be required.
+        goal: what the mission is to reach; by default that its root succeeds.
+        most: so many situations are explored at most.
+        seconds: for so long at most [s].
+        given: `leaves`, `planner`, `start` and `slow` of `Setup`; `failures`, `at_once`, `values`, `failing` and
+            `symmetric` of `Surroundings`.
+    """
+    of_setup = {name: given.pop(name) for name in ("leaves", "planner", "start", "slow") if name in given}
+    takes_percepts = len(signature(build_tree).parameters) > 1
+
+    def build(kb: KnowledgeBase) -> Behaviour:
+        return build_tree(kb, Percepts()) if takes_percepts else build_tree(kb)
+
+    make = model if callable(model) else lambda: model
+    return prove(
+        Setup(make, build, surroundings=given, **of_setup),
+        most,
+        seconds,
+        wanted=tuple(wanted),
+        reaction=reaction,
+        exclusive=exclusive,
+        goal=goal,
+    )
+
+
+def setup_of(mission: Mission, task: str = "bt", *, slow: bool = False, **given: Any) -> Setup:  # noqa: ANN401  # of Surroundings
+    """Return what is explored of a mission, with its tree or its plan executor."""
+
+    def build(kb: KnowledgeBase) -> Behaviour:
+        return build_task(task, mission, kb, Percepts(), lambda: kb.now, 0.0).root
+
+    return Setup(mission.model, build, surroundings=given, slow=slow)
+
+
+def prove(setup: Setup, most: int, seconds: float, wanted: Sequence[Property] = (), **asked: Any) -> Proof:  # noqa: ANN401
+    """Explore and check; what is asked is as of `check`."""
+    goal = asked.get("goal")
+    predicates = [*(one for each in wanted for one in each.predicates), *((goal,) if goal is not None else ())]
+    found = Exploration(setup, predicates).explore(most, seconds)
+    findings = check(found, wanted=wanted, **asked)
+    return Proof(setup, found, tuple(findings), tuple(consequences(Graph(found, goal))))
+
+
+def consequences(graph: Graph) -> list[Consequence]:
+    """Return what each single bad fact leads to, and each pair of those that do not end the mission."""
+    surroundings = graph.found.rig.surroundings
+    bad = [Change(alike[0], True) for alike in surroundings.alike]
+    bad += [Change(name, value) for name, value in surroundings.worst.items()]
+    single = {one: _consequence(graph, (one,)) for one in bad}
+    lasting = [one for one in bad if single[one].reaches.startswith("the goal")]
+    pairs = [_consequence(graph, pair) for pair in combinations(lasting, 2) if pair[0].name != pair[1].name]
+    return [*single.values(), *(one for one in pairs if one.reaches == "nothing")]
+
+
+def _consequence(graph: Graph, facts: Sequence[Change]) -> Consequence:
+    found = graph.found
+    failed = sorted(one.name for one in facts if one.to is True)
+    measured = {(one.name, one.to) for one in facts if one.to is not True}
+    within = {
+        number
+        for number, one in enumerate(found.situations)
+        if sorted(found.known[one.known].failed) == failed and measured <= set(found.known[one.known].values)
+    }
+    reached = graph.reaching(graph.goals & within, within=within)
+    actions = sorted({one for number in within for one in found.known[found.situations[number].known].required})
+    reaches = "nothing" if not reached else "the goal" if reached >= within else "the goal from some situations"
+    return Consequence(tuple(map(str, facts)), reaches if within else "not explored", tuple(actions))
