@@ -1,7 +1,7 @@
 """`rosa verify`: a mission against everything that can happen, before it leaves."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -28,7 +28,7 @@ def verify(
     from missions.proof.verification import prove, setup_of
     from missions.views.output import OutputFile, as_json
 
-    options = {"failures": failures, "at_once": at_once, "slow": slow}
+    options: dict[str, Any] = {"failures": failures, "at_once": at_once, "slow": slow}
     setup = setup_of(find_mission(mission), task, **options)
     groups = [one.split(",") for one in exclusive or ()]
     proof = prove(setup, most, seconds, reaction=reaction, exclusive=groups)

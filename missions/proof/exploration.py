@@ -1,16 +1,13 @@
 """Every situation that a tree, its knowledge base and the manager can get into, found by running them.
 
-A round is what happens around the robot, the manager's turn, a tick in which each leaf answers, and the manager's turn
-again. What a change of facts and what a turn of the manager make of what is known does not depend on the tree, so it is
-found once for each state of the knowledge base; a tick is run in each state of both, for every answer.
+A round is what happens around the robot, the manager's turns, a tick in which each leaf answers, and the manager's
+turns again. What facts and the manager make of what is known does not depend on the tree, so it is found once for each
+state of the knowledge base; a tick is run in each state of both, for all answers.
 """
 
-import sys
 import time
-from array import array
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import groupby
 from typing import Any, Final, NamedTuple
 
 from py_trees.behaviour import Behaviour
@@ -18,7 +15,6 @@ from py_trees.common import Status
 from py_trees.visitors import VisitorBase
 
 from kb import ConfigurationManager, KnowledgeBase, Model
-from kb.managed_system import Operation
 from kb.elements import ComponentKind, Parameters
 from kb.execution.safeguards import Budgets
 from kb.manager import Planner
@@ -35,38 +31,25 @@ _MOST_TURNS: Final = 20
 """So many turns of the manager settle everything, or it never comes to rest."""
 
 
-class Robot:
-    """A managed system that does what it is told, at once, and notes what a model does not allow.
+class _Robot:
+    """A managed system that does what it is told, at once, and notes what a model does not allow."""
 
-    Attributes:
-        faults: what the manager should not have commanded, in words.
-    """
-
-    def __init__(self) -> None:
-        self.faults: list[str] = []
-        self.kb: KnowledgeBase | None = None
+    def __init__(self, kb: KnowledgeBase) -> None:
+        self.kb, self.faults = kb, list[str]()
 
     def activate(self, component: str) -> None:
-        """Note it if the component cannot work, or is never switched."""
-        self._check("activates", component, "it cannot be used" if self._is_unusable(component) else "")
+        is_unusable = self.kb.components[component].status in ("failure", "unfeasible")
+        self._note("activates", component, "it cannot be used" if is_unusable else "")
 
     def deactivate(self, component: str) -> None:
-        """Note it if the component is never switched."""
-        self._check("deactivates", component, "")
+        self._note("deactivates", component, "")
 
     def set_parameters(self, component: str, parameters: Parameters) -> None:
-        """Note it if no configuration that can be had now says so."""
-        assert self.kb is not None
         known = [self.kb.configurations[one] for one in self.kb.components[component].configurations]
-        is_allowed = any(dict(one.parameters) == dict(parameters) and one.status != "unfeasible" for one in known)
-        self._check("configures", component, "" if is_allowed else f"no feasible configuration has {dict(parameters)}")
+        is_allowed = any(one.parameters == parameters and one.status != "unfeasible" for one in known)
+        self._note("configures", component, "" if is_allowed else f"no feasible configuration has {dict(parameters)}")
 
-    def _is_unusable(self, component: str) -> bool:
-        assert self.kb is not None
-        return self.kb.components[component].status in ("failure", "unfeasible")
-
-    def _check(self, does: str, component: str, why_not: str) -> None:
-        assert self.kb is not None
+    def _note(self, does: str, component: str, why_not: str) -> None:
         if self.kb.components[component].kind is ComponentKind.PLAIN and does != "configures":
             why_not = "nobody switches it"
         if why_not:
@@ -103,28 +86,26 @@ class Rig(VisitorBase):
         kb: the knowledge base.
         root: of the tree.
         clock: the time [s]; it stands still while exploring.
+        letters: what leaves may answer, by name.
         ticked: the behaviours that were ever ticked.
     """
 
     def __init__(self, setup: Setup, choices: Choices | None = None) -> None:
         super().__init__(full=False)
-        self.clock = 0.0
-        self.robot = Robot()
-        self.robot.kb = self.kb = KnowledgeBase(setup.model(), clock=lambda: self.clock)
+        self.clock, self._start = 0.0, setup.start
+        self.kb = KnowledgeBase(setup.model(), clock=lambda: self.clock)
         with self.kb.reading() as state:
             for index in range(len(state.columns["status"])):
                 state.users.of(index)  # so that they are there in every state, also while nobody uses anything
         planner = None if setup.planner is None else setup.planner()
-        self.budgets = Budgets(getattr(planner, "budgets", None))
-        self.manager = ConfigurationManager(self.kb, self.robot, planner=planner)
+        self._robot, self._budgets = _Robot(self.kb), Budgets(getattr(planner, "budgets", None))
+        self.manager = ConfigurationManager(self.kb, self._robot, planner=planner)
         self.root = setup.build(self.kb)
         self.surroundings = Surroundings(self.kb, self.root, **setup.surroundings)
         self.choices = Choices() if choices is None else choices
         self.letters = take_over(self.root, self.kb, setup.leaves, self.surroundings.values, self.choices)
         self.runner = TreeRunner(self.root, clock=lambda: self.clock)
         self.runner.tree.add_visitor(self)
-        for name, value in setup.start.items():
-            self.kb.measure(name, value)
         self.doing = [one for one in self.root.iterate() if isinstance(one, RosaAction | ForAction)]
         self.ticked: set[Behaviour] = set()
 
@@ -144,6 +125,12 @@ class Rig(VisitorBase):
         """The actions that are requested."""
         return tuple(sorted(one.action for one in self.kb.required_actions))
 
+    def begin(self) -> tuple[str, ...]:
+        """Measure what is measured before the first tick, and have the manager take its turns."""
+        for name, value in self._start.items():
+            self.kb.measure(name, value)
+        return self.settle()
+
     @property
     def unfeasible(self) -> tuple[str, ...]:
         """The actions that are requested although they are unfeasible."""
@@ -151,35 +138,34 @@ class Rig(VisitorBase):
 
     def settle(self) -> tuple[str, ...]:
         """Have the manager take its turns until it has nothing to do; return what was wrong about that, in words."""
-        self.robot.faults.clear()
-        for _ in range(_MOST_TURNS):
-            revision = self.kb.revision
-            if self.manager.update() is None and self.kb.revision == revision:
-                break
-        else:
-            self.robot.faults.append("the manager does not come to rest")
+        self._robot.faults.clear()
+        try:
+            for _ in range(_MOST_TURNS):
+                revision = self.kb.revision
+                if self.manager.update() is None and self.kb.revision == revision:
+                    break
+            else:
+                self._robot.faults.append("the manager does not come to rest")
+        except Exception as error:
+            self._robot.faults.append(f"the manager raised {type(error).__name__}: {error}")
         if self.kb.pending_plan is not None:
-            self.robot.faults.append(f"the plan {self.kb.pending_plan} does not end")
-        if not self.budgets.allow(self.kb, (), ()):
-            self.robot.faults.append("a budget is exceeded")
+            self._robot.faults.append(f"the plan {self.kb.pending_plan} does not end")
+        if not self._budgets.allow(self.kb, (), ()):
+            self._robot.faults.append("a budget is exceeded")
         for action in self.required:
             if self.kb.actions[action].status not in ("unfeasible", "solved"):
-                self.robot.faults.append(f"the manager does not configure the robot for {action}")
-        return tuple(self.robot.faults)
+                self._robot.faults.append(f"the manager does not configure the robot for {action}")
+        return tuple(self._robot.faults)
 
 
 class Known(NamedTuple):
-    """What matters of a state of the knowledge base, once the manager has had its turn."""
+    """What matters of a state of the knowledge base."""
 
     required: tuple[str, ...]
-    unfeasible: frozenset[str]  # required all the same
-    occurring: frozenset[tuple[str, str]]  # kind and name of what is selected, active or required
+    unfeasible: tuple[str, ...]  # required all the same
+    occurring: frozenset[tuple[str, str]]  # kind and name of what is selected or required
     failed: tuple[str, ...]
     values: tuple[tuple[str, float | str | None], ...]
-
-    @property
-    def facts(self) -> tuple[object, object]:
-        return self.failed, self.values
 
 
 class Doing(NamedTuple):
@@ -190,19 +176,34 @@ class Doing(NamedTuple):
 
 
 class Step(NamedTuple):
-    """How a situation was reached from the one before: one round."""
+    """A round: what changes, what leaves answer, and whether the manager misses its turn before and after the tick."""
 
-    before: int
-    changes: tuple[Change, ...]
-    answers: tuple[Answer, ...]
-    late: tuple[bool, bool] = (False, False)  # whether the manager missed its turn before and after the tick
+    changes: tuple[Change, ...] = ()
+    answers: tuple[Answer, ...] = ()
+    late: tuple[bool, bool] = (False, False)
 
 
 class Situation(NamedTuple):
-    """Tree and knowledge base after a round."""
+    """Numbers of the states of tree and knowledge base: after a round, or after changes and before a tick."""
 
     tree: int
     known: int
+
+
+class Move(NamedTuple):
+    """A round that may follow a situation, up to its tick: changes lead to a moment, of that number."""
+
+    moment: int
+    changes: tuple[Change, ...]
+    is_late: bool
+
+
+class Tick(NamedTuple):
+    """What follows a moment: answers lead to a situation, of that number."""
+
+    situation: int
+    answers: tuple[Answer, ...]
+    is_late: bool
 
 
 class _Table:
@@ -213,8 +214,7 @@ class _Table:
 
     def read(self) -> int:
         contents = self.memory.read()
-        key = tuple(map(id, contents))
-        number = self._numbers.setdefault(key, len(self.contents))
+        number = self._numbers.setdefault(tuple(map(id, contents)), len(self.contents))
         if number == len(self.contents):
             self.contents.append(contents)
         return number
@@ -228,55 +228,57 @@ class Exploration:
 
     Attributes:
         rig: the parts of the mission; `load` puts them into a situation.
-        situations: by number, 0 the first.
-        steps: by number of situation, how it was reached first, by the fewest rounds.
-        moments: by number: a situation's tree with what is known before its tick.
-        happening: from a situation to a moment: pairs of numbers.
-        ticks: from a moment to a situation, with the answers.
+        situations: by number, that in the beginning first, then by the fewest rounds that lead there.
+        moments: by number.
+        moves: by number of situation, the rounds that may follow.
+        ticks: by number of moment, what may follow.
+        known, doing: what matters of states, by their numbers.
+        faults: of the manager, in words, with the rounds that lead there first.
+        holds: by predicate, in which situations it does.
         is_finished: whether nothing is left to be found.
         transitions: how many changes and ticks were found.
         seconds: how long it took [s].
-        holds: by predicate, in which situations it does.
     """
 
     def __init__(self, setup: Setup, predicates: Sequence[Predicate] = ()) -> None:
-        self.setup, self.rig = setup, Rig(setup)
-        self.predicates = tuple(dict.fromkeys(predicates))
-        rig = self.rig
-        self.faults: dict[str, list[Step]] = {}
+        self.rig = rig = Rig(setup)
         with rig.kb.reading() as state:  # which parameters are in force is asked by budgets, and by users
             apart = [] if setup.planner or predicates else [state.parameters]
+        self._slow, self.faults = setup.slow, {fault: list[Step]() for fault in rig.begin()}
         self._known = _Table(Memory([rig.kb, rig.manager], apart))
         self._tree = _Table(Memory([rig.root, *kept(rig.kb)], apart=[rig.kb, rig.manager, rig.choices]))
         self.known: dict[int, Known] = {}
         self.doing: dict[int, Doing] = {}
         self.situations: list[Situation] = []
-        self.steps: list[Step] = []
-        self._numbers: dict[Situation, int] = {}
         self.moments: list[Situation] = []
-        self.origins: list[Step] = []
+        self.origins: list[tuple[int, Move]] = []  # of moments: from which situation first
+        self.moves: list[list[Move]] = []
+        self.ticks: list[list[Tick]] = []
+        self._steps: list[tuple[int, Step]] = []
+        self._numbers: dict[Situation, int] = {}
         self._moment_numbers: dict[Situation, int] = {}
-        self.happening: list[list[tuple[int, tuple[Change, ...], bool]]] = []
-        self.ticks: list[list[tuple[int, tuple[Answer, ...], bool]]] = []
-        self.holds: dict[Predicate, set[int]] = {one: set() for one in self.predicates}
+        self.holds: dict[Predicate, set[int]] = {one: set() for one in predicates}
         self._settled: dict[int, int] = {}
         self._changed: dict[int, list[tuple[int, tuple[Change, ...], bool]]] = {}
         self._told: dict[tuple[object, ...], int] = {}
-        self.is_finished = False
-        self.transitions, self.seconds = 0, 0.0
-        self.first: list[Step] = []
-        settled = self._settle(self._known.read(), lambda: [])
-        self._waiting = [self._add(Situation(self._tree.read(), settled), Step(-1, (), ()))]
+        self.is_finished, self.transitions, self.seconds = False, 0, 0.0
+        self._waiting: list[int] = []
+        self._reach(Situation(self._tree.read(), self._known.read()), -1, Step())
 
     def explore(self, most: int = 100_000, seconds: float = 60.0) -> "Exploration":
         """Find what can be reached, at most so many situations and for so long [s]; called again, it goes on."""
         begun = time.perf_counter()
-        end, before = begun + seconds, self.seconds
-        while self._waiting and len(self.situations) < most and time.perf_counter() < end:
-            self._round(end, most)
+        while self._waiting and len(self.situations) < most and time.perf_counter() < begun + seconds:
+            layer, self._waiting = self._waiting, []
+            self._round(layer, most, begun + seconds)
         self.is_finished = not self._waiting
-        self.seconds = before + time.perf_counter() - begun
+        self.seconds += time.perf_counter() - begun
         return self
+
+    @property
+    def unexplored(self) -> frozenset[int]:
+        """The situations of which it is not known yet what follows."""
+        return frozenset(self._waiting)
 
     def load(self, number: int) -> Rig:
         """Put the parts of the mission into a situation and return them."""
@@ -288,39 +290,39 @@ class Exploration:
     def path(self, number: int) -> list[Step]:
         """Return the rounds by which a situation was reached first."""
         found = []
-        while self.steps[number].before >= 0:
-            found.append(self.steps[number])
-            number = self.steps[number].before
+        while number > 0:
+            number, step = self._steps[number]
+            found.append(step)
         return found[::-1]
 
-    def _round(self, end: float, most: int) -> None:
-        layer, self._waiting = self._waiting, []
-        new: list[tuple[int, int, tuple[Change, ...], bool]] = []
-        for number in layer:
-            tree, known = self.situations[number]
+    def _round(self, layer: Sequence[int], most: int, end: float) -> None:
+        """Find what follows situations; those for which there is no room or time any more wait for the next call."""
+        new: list[tuple[int, int]] = []
+        for place, number in enumerate(layer):
             if time.perf_counter() > end or len(self.situations) >= most:
-                self._waiting.append(number)
-                continue
-            if self._doing(tree).status is Status.SUCCESS:
-                continue
-            for after, changes, is_late in self._changes(known, number):
+                self._waiting += layer[place:]
+                break
+            tree, known = self.situations[number]
+            for after, changes, is_late in self._changes(known, number) if self._goes_on(tree) else ():
                 moment = Situation(tree, after)
-                place = self._moment_numbers.setdefault(moment, len(self.moments))
-                if place == len(self.moments):
+                move = Move(self._moment_numbers.setdefault(moment, len(self.moments)), changes, is_late)
+                if move.moment == len(self.moments):
                     self.moments.append(moment)
+                    self.origins.append((number, move))
                     self.ticks.append([])
-                    self.origins.append(Step(number, changes, (), (is_late, False)))
                     self._describe(moment)
-                    new.append((place, number, changes, is_late))
-                self.happening[number].append((place, changes, is_late))
+                    new.append((after, move.moment))
+                self.moves[number].append(move)
                 self.transitions += 1
-        new.sort(key=lambda one: self.moments[one[0]][::-1])
-        for place, number, changes, is_late in new:
-            self._tick(place, number, changes, is_late)
+        for _, place in sorted(new):  # those of one state of the knowledge base together, for it is written only once
+            self._tick(place)
 
-    def _tick(self, place: int, before: int, changes: tuple[Change, ...], was_late: bool) -> None:
+    def _goes_on(self, tree: int) -> bool:
+        return self.doing[tree].status is not Status.SUCCESS
+
+    def _tick(self, place: int) -> None:
         """Tick in a moment with every combination of answers."""
-        rig, (tree, known) = self.rig, self.moments[place]
+        rig, (tree, known), (before, move) = self.rig, self.moments[place], self.origins[place]
         scripts: list[tuple[Answer, ...]] = [()]
         while scripts:
             self._known.write(known)
@@ -329,33 +331,26 @@ class Exploration:
             last = rig.kb.log.last
             rig.runner.tick()
             scripts += rig.choices.others()
-            answers, after_tree = tuple(rig.choices.taken), self._tree.read()
-            after = self._after_tick(known, last)
-            settled = self._settle(after, lambda: [*self.path(before), Step(before, changes, answers)])  # noqa: B023
-            for reached in dict.fromkeys((settled, after) if self.setup.slow else (settled,)):
-                is_late = reached != settled
-                step = Step(before, changes, answers, (was_late, is_late))
-                self.ticks[place].append((self._situated(Situation(after_tree, reached), step), answers, is_late))
+            after_tree, after = self._tree.read(), self._after_tick(known, last)
+            step = Step(move.changes, tuple(rig.choices.taken), (move.is_late, False))
+            settled = self._settle(after, before, step)
+            for reached in dict.fromkeys((settled, after) if self._slow else (settled,)):
+                late = Step(step.changes, step.answers, (move.is_late, reached != settled))
+                number = self._reach(Situation(after_tree, reached), before, late)
+                self.ticks[place].append(Tick(number, step.answers, late.late[1]))
                 self.transitions += 1
 
-    def _situated(self, situation: Situation, step: Step) -> int:
-        number = self._numbers.get(situation)
-        if number is None:
-            number = self._add(situation, step)
+    def _reach(self, situation: Situation, before: int, step: Step) -> int:
+        number = self._numbers.setdefault(situation, len(self.situations))
+        if number == len(self.situations):
+            self.situations.append(situation)
+            self._steps.append((before, step))
+            self.moves.append([])
             self._waiting.append(number)
-        return number
-
-    def _add(self, situation: Situation, step: Step) -> int:
-        number = self._numbers[situation] = len(self.situations)
-        self.situations.append(situation)
-        self.steps.append(step)
-        self.happening.append([])
-        self._describe(situation)
-        if self.predicates:
-            rig = self.load(number)
-            for predicate in self.predicates:
-                if predicate(rig):
-                    self.holds[predicate].add(number)
+            self._describe(situation)
+            for predicate, holds in self.holds.items():
+                if predicate(self.load(number)):
+                    holds.add(number)
         return number
 
     def _after_tick(self, known: int, last: int) -> int:
@@ -364,15 +359,14 @@ class Exploration:
         if log.last == last:
             return known
         key = (known, *((event.verb, str(event.arguments)) for event in log.since(last)))
-        after = self._told.get(key)
-        if after is None:
-            after = self._told[key] = self._known.read()
+        if key in self._told:
+            self._known.memory.assume(self._known.contents[self._told[key]])
         else:
-            self._known.memory.assume(self._known.contents[after])
-        return after
+            self._told[key] = self._known.read()
+        return self._told[key]
 
-    def _settle(self, known: int, trail: Callable[[], list[Step]]) -> int:
-        """Return what is known when the manager has done all there is to do; its faults are noted with the way there."""
+    def _settle(self, known: int, before: int, step: Step) -> int:
+        """Return what is known when the manager has nothing to do any more; its faults are noted with the way there."""
         found = self._settled.get(known)
         if found is None:
             self._known.write(known)
@@ -380,7 +374,7 @@ class Exploration:
             found = self._settled[known] = self._known.read()
             self._settled.setdefault(found, found)
             for fault in faults:
-                self.faults.setdefault(fault, trail())
+                self.faults.setdefault(fault, [*self.path(before), step])
         return found
 
     def _changes(self, known: int, number: int) -> list[tuple[int, tuple[Change, ...], bool]]:
@@ -394,37 +388,25 @@ class Exploration:
                 for change in changes:
                     change.tell(self.rig.kb)
                 told = self._known.read()
-                trail = lambda: [*self.path(number), Step(number, changes, ())]  # noqa: B023, E731
-                reached.setdefault(self._settle(told, trail), (changes, False))
-                if self.setup.slow:
+                reached.setdefault(self._settle(told, number, Step(changes)), (changes, False))
+                if self._slow:
                     reached.setdefault(told, (changes, True))
-                self._known.write(known)
-            found = self._changed[known] = [(number, *how) for number, how in reached.items()]
+            found = self._changed[known] = [(after, *how) for after, how in reached.items()]
         return found
 
-    def _doing(self, tree: int) -> Doing:
-        return self.doing[tree]
-
     def _describe(self, situation: Situation) -> None:
-        """Note what matters of a state that is new; it is loaded for that."""
+        """Note what matters of states that are new."""
         tree, known = situation
+        rig, kb = self.rig, self.rig.kb
         if tree not in self.doing:
             self._tree.write(tree)
-            running = frozenset(one.action for one in self.rig.doing if one.status is Status.RUNNING)
-            self.doing[tree] = Doing(self.rig.root.status, running)
+            running = frozenset(one.action for one in rig.doing if one.status is Status.RUNNING)
+            self.doing[tree] = Doing(rig.root.status, running)
         if known not in self.known:
             self._known.write(known)
-            self.known[known] = _known(self.rig)
-
-
-def _known(rig: Rig) -> Known:
-    kb, required = rig.kb, rig.required
-    tables = (("function design", kb.designs, "is_selected"), ("configuration", kb.configurations, "is_selected"))
-    tables += (("component", kb.components, "is_active"), ("action", kb.actions, "is_required"))
-    return Known(
-        required,
-        frozenset(rig.unfeasible),
-        frozenset((kind, name) for kind, table, what in tables for name, one in table.items() if getattr(one, what)),
-        rig.surroundings.failed(),
-        tuple((name, "stale" if (one := kb.attributes[name]).is_stale else one.value) for name in rig.surroundings.values),
-    )
+            chosen = [one for table in (kb.designs, kb.configurations) for one in table.values() if one.is_selected]
+            occurring = [("action", one) for one in rig.required] + [(one.node.kind, one.name) for one in chosen]
+            attributes = [kb.attributes[name] for name in rig.surroundings.values]
+            values = tuple((one.name, "stale" if one.is_stale else one.value) for one in attributes)
+            failed = rig.surroundings.failed()
+            self.known[known] = Known(rig.required, rig.unfeasible, frozenset(occurring), failed, values)

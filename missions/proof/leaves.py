@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from math import nan
 from typing import Final
 
@@ -101,10 +102,7 @@ def usual(leaf: Behaviour, kb: KnowledgeBase, values: Values) -> Leaf:
         return Leaf("")
     promised = getattr(getattr(leaf, "schema", None), "makes_feasible", ())
     needed = [one for action in promised for one in kb.actions[action].constraints]
-    met = {
-        name: max(values[name], key=lambda value, name=name: _met(needed, name, value))  # type: ignore[misc]
-        for name in dict.fromkeys(one.attribute for one in needed)
-    }
+    met = {one.attribute: max(values[one.attribute], key=partial(_met, needed, one.attribute)) for one in needed}
     return Leaf("FS") if isinstance(leaf, Condition) else Leaf(effects={"S": met} if met else {})
 
 

@@ -1,7 +1,7 @@
-"""What a program remembers, read from its objects as one value that can be compared, kept, and written back.
+"""What a program remembers, read from its objects as one value that can be compared and kept, and written back.
 
-A state is restored in place: every object below the roots stays the object that it is, and only what differs is
-written. So tree, knowledge base and manager need not know that they are explored, and nothing is copied twice.
+A state is restored in place: every object stays the object that it is, and only what differs is written. So tree,
+knowledge base and manager need not know that they are explored, and nothing is copied twice.
 """
 
 import functools
@@ -20,7 +20,7 @@ from py_trees.common import Status
 from py_trees.composites import Composite, Selector, Sequence
 from py_trees.decorators import Decorator
 
-from kb import ConfigurationManager, KnowledgeBase, Model
+from kb import ConfigurationManager, Model
 from kb.elements import Element
 from kb.events import Log, Publisher
 from kb.execution.executor import StagedExecutor
@@ -35,7 +35,7 @@ from rosa_bt.composites import DoUntilUnfeasible, SafeSwitch
 from rosa_bt.decorators import ForAction, UntilSuccess
 
 Content = tuple[Any, ...]
-"""What one object holds; equal contents decide alike."""
+"""What one object holds, or all of them; equal contents decide alike."""
 
 _ATOMS: Final = (int, float, str, bytes, bool, type(None), type, Enum, UUID)
 _FIXED: Final = (Model, Network, Node, Element)
@@ -46,41 +46,40 @@ _LEFT: Final = (
     *(weakref.ref, types.MappingProxyType),
 )
 """What is left as it is: it does not change, or what it holds decides nothing."""
-_IDLE: Final[Mapping[type, frozenset[str]]] = {
-    Behaviour: frozenset({"iterator", "feedback_message", "logger", "id", "known"}),
-    Knowledge: frozenset(
-        "changed_by feasibility revision now pending _before _amended _is_laid _layer serials in_words".split()
-    ),
-    State: frozenset({"reasons", "histories", "version", "visited"}),
-    Marked: frozenset({"_most"}),
-    Records: frozenset("requests plans processes attempts answers ended last_end begins rejected _full".split()),
-    StagedExecutor: frozenset("_known _plan _stages _stage _failed _commanded _paused".split()),
-    RequiredAction: frozenset({"number", "cause", "start"}),
+_IDLE: Final[Mapping[type, str]] = {
+    Behaviour: "iterator feedback_message logger id known",
+    Knowledge: "changed_by feasibility revision now pending _before _amended _is_laid _layer serials in_words",
+    State: "reasons histories version visited",
+    Marked: "_most",
+    Records: "requests plans processes attempts answers ended last_end begins rejected _full",
+    StagedExecutor: "_known _plan _stages _stage _failed _commanded _paused",
+    RequiredAction: "number cause start",
 }
 """What decides nothing: the past, and what is said of it. A plan has ended whenever a state is read."""
-_REPLACED: Final[Mapping[type, frozenset[str]]] = {Marked: frozenset({"_own"}), Records: frozenset({"open_plans"})}
-"""Containers that are replaced by others now and then, so that nobody else holds them."""
-_AFRESH: Final[Mapping[type, Mapping[str, Any]]] = {ConfigurationManager: {"_planned_at": -1}}
-"""What is the same in every state that is restored: the manager looks at it anew."""
+_REPLACED: Final[Mapping[type, str]] = {Marked: "_own", Records: "open_plans"}
+"""Containers that are replaced by others now and then, and that nobody else holds."""
 _UNORDERED: Final = (Marked, Measurements, State)
 """Whose mappings are asked by key, never in order."""
 _FORGETFUL: Final = (Selector, Sequence, UntilSuccess, ForAction, DoUntilUnfeasible, SafeSwitch)
 """Composites, and decorators with those of py_trees, to which a child that has ended is as one that never ran."""
+_KINDS: Final[Mapping[str, Any]] = {
+    kind.__name__: kind for kind in (list, tuple, set, frozenset, deque, dict, types.MappingProxyType)
+}
 _ABSENT: Final = object()
 
 
 class _Cell(NamedTuple):
     """An object that is remembered: how it is read, and how what was read is written back."""
 
-    read: Callable[[], Content]
-    write: Callable[[Content], None]
+    read: Callable[[], Any]
+    write: Callable[[Any], None]
 
 
 class Memory:
     """All that changes below some objects.
 
     Args:
-        roots: where to begin; what they lead to is found once, so what comes later belongs to what held it.
+        roots: where to begin; what they lead to is found once, so what comes later belongs to what holds it.
         apart: objects that belong to another memory.
         reduced: leave out how behaviours ended where it decides nothing.
 
@@ -89,11 +88,11 @@ class Memory:
     """
 
     def __init__(self, roots: Iterable[object], apart: Iterable[object] = (), *, reduced: bool = True) -> None:
-        self._is_reduced = reduced
         self._objects: list[Any] = []
         self._numbers: dict[int, int] = {}
         self._cells: list[_Cell] = []
-        self._pool: dict[Content, Content] = {}
+        self._pool: dict[Any, Any] = {}
+        self._is_reduced = reduced
         for one in apart:
             self._note(one)
         for root in roots:
@@ -101,7 +100,7 @@ class Memory:
         self._loaded = self.read()
 
     def read(self) -> Content:
-        """Return what is remembered now."""
+        """Return what is remembered now; equal contents of an object are the same ones."""
         pool = self._pool
         contents = [cell.read() for cell in self._cells]
         self._loaded = tuple([pool.setdefault(one, one) for one in contents])
@@ -112,7 +111,7 @@ class Memory:
         self._loaded = contents
 
     def write(self, contents: Content) -> None:
-        """Have everything be as it was when this was read; it was read or written last by this memory."""
+        """Have everything be as it was when this was read."""
         for cell, wanted, present in zip(self._cells, contents, self._loaded, strict=True):
             if wanted is not present:
                 cell.write(wanted)
@@ -132,52 +131,47 @@ class Memory:
         if isinstance(what, dict):
             below += [*what, *what.values()]
             in_order: Callable[[Iterable[Any]], Any] = frozenset if isinstance(of, _UNORDERED) else tuple
-            self._cells.append(_Cell(lambda: in_order(self._items(what)), lambda content: self._refill(what, content)))
-        elif isinstance(what, list | set | deque):
+            self._cells.append(_Cell(lambda: in_order(self._held(what)), lambda held: self._refill(what, held)))
+        elif isinstance(what, list | set | deque | tuple | frozenset):
             below += what
-            self._cells.append(_Cell(lambda: self._sequence(what), lambda content: self._replace(what, content)))
-        elif isinstance(what, tuple | frozenset):
-            below += what
-        named, idle = dict(_attributes(what)), _names(_IDLE, what)
-        for name in _names(_REPLACED, what):
+            if not isinstance(what, tuple | frozenset):
+                self._cells.append(_Cell(lambda: self._held(what), lambda held: self._refill(what, held)))
+        named, replaced, idle = dict(_attributes(what)), _names(_REPLACED, type(what)), _names(_IDLE, type(what))
+        for name in replaced:
             del named[name]
         for value in (*below, *(value for name, value in named.items() if name not in idle)):
             self._find(value, what)
-        if named or _names(_REPLACED, what):
+        if named or replaced:
             self._cells.append(self._cell_of(what, named, idle))
 
-    def _cell_of(self, what: Any, base: dict[str, Any], idle: frozenset[str]) -> _Cell:  # noqa: ANN401
+    def _cell_of(self, what: Any, base: dict[str, Any], idle: frozenset[str]) -> _Cell:  # noqa: ANN401  # any object
         """Return the cell of an object's attributes: only what is not as it was at first."""
         encoded = {name: self._of(value) for name, value in base.items() if name not in idle}
-        own = getattr(what, "__dict__", None)
-        is_unordered = isinstance(what, _UNORDERED)
-        over = _over(what) if isinstance(what, Behaviour) and self._is_reduced else None
-        afresh = next((values for kind, values in _AFRESH.items() if isinstance(what, kind)), {})
-
-        last: list[tuple[Any, ...]] = [(_ABSENT,)]
-        known: list[Content] = [()]
+        own = vars(what) if _attributes(what) is getattr(what, "__dict__", None) else None
+        in_order: Callable[[Any], Any] = frozenset if isinstance(what, _UNORDERED) else tuple
+        of_no_use = _of_no_use(what) if isinstance(what, Behaviour) and self._is_reduced else None
+        afresh = {"_planned_at": -1} if isinstance(what, ConfigurationManager) else {}  # it looks at each state anew
+        last: tuple[Any, ...] = (_ABSENT,)
+        known: Content = ()
 
         def read() -> Content:
-            found = []
+            nonlocal last, known
             now = own if own is not None else _attributes(what)
             held = tuple(now.values())
-            if len(held) == len(last[0]) and all(map(is_, held, last[0])):
-                return known[0]
+            if len(held) == len(last) and all(map(is_, held, last)):
+                return known
+            found = [(name, ("gone",)) for name in base if name not in now] if len(now) < len(base) else []
             for name, value in now.items():
                 if value is not base.get(name, _ABSENT) and name not in idle and name not in afresh:
                     content = self._of(value)
-                    if is_unordered and type(content) is tuple and content[0] == "dict":
-                        content = ("dict", frozenset(content[1]))
+                    if type(content) is tuple and content[0] == "dict":
+                        content = ("dict", in_order(content[1]))
                     if name not in encoded or content != encoded[name]:
                         found.append((name, content))
-            if len(now) < len(base):
-                found += [(name, ("gone",)) for name in base if name not in now]
-            if len(found) > 1:
-                found.sort(key=lambda one: one[0])
-            content = over(found) if over is not None else tuple(found)
-            last[0] = held if _is_shallow(value for _, value in found) else (_ABSENT,)
-            known[0] = content
-            return content
+            left = of_no_use(dict(found)) if of_no_use is not None else ()
+            known = tuple(sorted((one for one in found if one[0] not in left), key=lambda one: one[0]))
+            last = held if _is_shallow(value for _, value in found) else (_ABSENT,)
+            return known
 
         def write(content: Content) -> None:
             wanted = {**base, **afresh, **{name: self._decoded(value) for name, value in content}}
@@ -189,104 +183,82 @@ class Memory:
 
         return _Cell(read, write)
 
-    def _items(self, what: Mapping[Any, Any]) -> Content:
-        return tuple([(self._of(key), self._of(value)) for key, value in what.items()])
-
-    def _refill(self, what: dict[Any, Any], content: Content) -> None:
-        what.clear()
-        what.update((self._decoded(key), self._decoded(value)) for key, value in content)
-
-    def _sequence(self, what: Any) -> Content:  # noqa: ANN401  # a list, set or deque
+    def _held(self, what: Any) -> Content:  # noqa: ANN401  # a container
+        if isinstance(what, Mapping):
+            return tuple([(self._of(key), self._of(value)) for key, value in what.items()])
         values = tuple(what)
-        if all(map(_is_atomic, set(map(type, values)))):
-            return values
-        return tuple([self._of(value) for value in what])
+        return values if all(map(_is_atomic, set(map(type, values)))) else tuple([self._of(one) for one in values])
 
-    def _replace(self, what: Any, content: Content) -> None:  # noqa: ANN401  # a list, set or deque
+    def _refill(self, what: Any, content: Iterable[Any]) -> None:  # noqa: ANN401  # a container
         what.clear()
-        (what.update if isinstance(what, set) else what.extend)([self._decoded(value) for value in content])
+        if isinstance(what, dict):
+            what.update((self._decoded(key), self._decoded(value)) for key, value in content)
+        else:
+            (what.update if isinstance(what, set) else what.extend)([self._decoded(value) for value in content])
 
     def _of(self, value: Any) -> Any:  # noqa: ANN401  # whatever a program holds
         """Return a value as something that can be compared and hashed."""
-        if _is_atomic(type(value)):
+        kind = type(value)
+        if _is_atomic(kind):  # type: ignore[arg-type]  # a type can be hashed
             return value
         number = self._numbers.get(id(value))
         if number is not None:
             return ("known", number)
-        kind = type(value)
-        if kind in (list, tuple, set, frozenset, deque):
-            return (kind.__name__, tuple([self._of(one) for one in value]))
-        if kind in (dict, types.MappingProxyType):
-            return ("dict" if kind is dict else "proxy", self._items(value))
+        if kind in _KINDS.values():
+            return (type(value).__name__, self._held(value))
         if isinstance(value, tuple):
             return ("made", kind, tuple([self._of(one) for one in value]))
         if isinstance(value, _FIXED) or (not isinstance(value, _LEFT) and _is_value(value)):
             return ("value", value)
-        named = _attributes(value)
+        named, idle = _attributes(value), _names(_IDLE, kind)
         if not named or isinstance(value, _LEFT) or hasattr(value, "__next__"):
             raise MissionError(f"{value!r:.120} came to be while the mission ran and cannot be restored")
-        idle = _names(_IDLE, value)
         held = [(name, self._of(one) if name not in idle else one and type(one)()) for name, one in named.items()]
         return ("object", kind, tuple(held))
 
     def _decoded(self, content: Any) -> Any:  # noqa: ANN401  # what was encoded
         if type(content) is not tuple:
             return content
-        kind, *rest = content
+        kind, first, *rest = content
         if kind == "known":
-            return self._objects[rest[0]]
+            return self._objects[first]
         if kind == "value":
-            return rest[0]
-        if kind in ("dict", "proxy"):
-            items = {self._decoded(key): self._decoded(value) for key, value in rest[0]}
-            return items if kind == "dict" else types.MappingProxyType(items)
+            return first
         if kind == "made":
-            return rest[0]._make(map(self._decoded, rest[1]))
+            return tuple.__new__(first, map(self._decoded, rest[0]))
         if kind == "object":
-            made = object.__new__(rest[0])
-            for name, value in rest[1]:
+            made = object.__new__(first)
+            for name, value in rest[0]:
                 object.__setattr__(made, name, self._decoded(value))
             return made
-        return _CONTAINERS[kind](map(self._decoded, rest[0]))
-
-
-_CONTAINERS: Final[Mapping[str, Callable[..., Any]]] = {
-    "list": list,
-    "tuple": tuple,
-    "set": set,
-    "frozenset": frozenset,
-    "deque": deque,
-}
+        if kind in ("dict", "mappingproxy"):
+            items = {self._decoded(key): self._decoded(value) for key, value in first}
+            return items if kind == "dict" else types.MappingProxyType(items)
+        return _KINDS[kind](map(self._decoded, first))
 
 
 def _attributes(what: object) -> dict[str, Any]:
     """Return the attributes of an object, those in slots too."""
-    slots = _slots(type(what))
-    if not slots:
-        return getattr(what, "__dict__", {})
-    found = {name: value for name in slots if (value := getattr(what, name, _ABSENT)) is not _ABSENT}
-    return {**found, **getattr(what, "__dict__", {})}
+    own: dict[str, Any] = getattr(what, "__dict__", {})
+    slots = _slots(type(what))  # type: ignore[arg-type]  # a type can be hashed
+    return own if not slots else {name: getattr(what, name) for name in slots if hasattr(what, name)} | own
 
 
-def _over(behaviour: Behaviour) -> Callable[[list[tuple[str, Any]]], Content]:
-    """Return what leaves out of what a behaviour remembers how it ended, where that decides nothing any more.
+def _of_no_use(behaviour: Behaviour) -> Callable[[Mapping[str, Any]], set[str]]:
+    """Return what tells which of the things that a behaviour remembers decide nothing any more.
 
     py_trees' own composites, decorators and leaves, and ours, ask of a child that they have not ticked only whether it
-    runs, and where a composite is matters while it runs.
+    runs; and where a composite has got to matters while it runs.
     """
-    parent = behaviour.parent
-    is_of_no_use = parent is not None and _is_forgetful(parent)
+    is_below = behaviour.parent is not None and _is_forgetful(behaviour.parent)
     is_restarting = isinstance(behaviour, Composite) and _is_forgetful(behaviour)
-    ended = (Status.SUCCESS, Status.FAILURE)
 
-    def content(found: list[tuple[str, Any]]) -> Content:
-        status = next((value for name, value in found if name == "status"), Status.INVALID)
-        left = {"current_child"} if is_restarting and status is not Status.RUNNING else set()
-        if is_of_no_use and status in ended:
-            left.add("status")
-        return tuple([one for one in found if one[0] not in left]) if left else tuple(found)
+    def names(found: Mapping[str, Any]) -> set[str]:
+        status = found.get("status", Status.INVALID)
+        place = {"current_child"} if is_restarting and status is not Status.RUNNING else set()
+        return place | ({"status"} if is_below and status is not Status.RUNNING else set())
 
-    return content
+    return names
 
 
 def _is_forgetful(behaviour: Behaviour) -> bool:
@@ -296,31 +268,28 @@ def _is_forgetful(behaviour: Behaviour) -> bool:
 
 def _is_value(value: object) -> bool:
     """Tell whether an object is compared by what it holds, all of which can be compared."""
-    if type(value).__hash__ in (None, object.__hash__):
-        return False
     try:
-        hash(value)
+        return type(value).__hash__ is not object.__hash__ and hash(value) is not None
     except TypeError:
         return False
-    return True
 
 
 def _is_shallow(contents: Iterable[Any]) -> bool:
-    """Tell whether all of it is as long as the same objects are held: what is held cannot change by itself."""
+    """Tell whether all of it is the same as long as the same objects are held: none of these can change."""
     return all(type(one) is not tuple or one[0] in ("known", "value", "gone") for one in contents)
 
 
 @functools.cache
-def _is_atomic(kind: type) -> bool:
+def _is_atomic(kind: Any) -> bool:  # noqa: ANN401  # a type
     return issubclass(kind, _ATOMS)
 
 
 @functools.cache
-def _slots(kind: type) -> tuple[str, ...]:
+def _slots(kind: Any) -> tuple[str, ...]:  # noqa: ANN401  # a type
     named = [vars(one).get("__slots__", ()) for one in kind.__mro__]
     flat = [name for names in named for name in ((names,) if isinstance(names, str) else names)]
     return tuple(name for name in flat if name not in ("__dict__", "__weakref__"))
 
 
-def _names(table: Mapping[type, frozenset[str]], what: object) -> frozenset[str]:
-    return frozenset().union(*(names for kind, names in table.items() if isinstance(what, kind)))
+def _names(table: Mapping[type, str], kind: type) -> frozenset[str]:
+    return frozenset(name for one, names in table.items() if issubclass(kind, one) for name in names.split())

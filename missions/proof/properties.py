@@ -6,7 +6,10 @@ from dataclasses import dataclass
 
 from py_trees.common import Status
 
-from missions.proof.exploration import Exploration, Predicate, Rig, Step
+from missions.proof.exploration import Exploration, Predicate, Step
+
+Wrong = tuple[str, Sequence[Step] | None]
+"""What is wrong, in words, and the rounds that lead there, if a story shows it."""
 
 
 @dataclass(frozen=True)
@@ -32,15 +35,14 @@ class Property:
 
     name: str
     predicates: tuple[Predicate, ...]
-    check: "Callable[[Graph], tuple[str, Sequence[Step]] | None]"
+    check: "Callable[[Graph], Wrong | None]"
 
 
 def always(name: str, predicate: Predicate) -> Property:
     """Want something to hold after every tick."""
 
-    def check(graph: "Graph") -> tuple[str, Sequence[Step]] | None:
-        holds = graph.found.holds[predicate]
-        bad = next((one for one in range(len(graph.found.situations)) if one not in holds), None)
+    def check(graph: "Graph") -> Wrong | None:
+        bad = next((one for one in graph.every if one not in graph.found.holds[predicate]), None)
         return None if bad is None else ("it does not hold then", graph.found.path(bad))
 
     return Property(name, (predicate,), check)
@@ -49,7 +51,7 @@ def always(name: str, predicate: Predicate) -> Property:
 def never(name: str, predicate: Predicate) -> Property:
     """Want something not to hold after any tick."""
 
-    def check(graph: "Graph") -> tuple[str, Sequence[Step]] | None:
+    def check(graph: "Graph") -> Wrong | None:
         bad = min(graph.found.holds[predicate], default=None)
         return None if bad is None else ("it is so then", graph.found.path(bad))
 
@@ -71,17 +73,15 @@ def leads_to(name: str, first: Predicate, then: Predicate, within: int | None = 
         within: in how many ticks at most, whatever happens; None: it can still come about.
     """
 
-    def check(graph: "Graph") -> tuple[str, Sequence[Step]] | None:
-        found = graph.found
-        begun, met = sorted(found.holds[first]), found.holds[then]
+    def check(graph: "Graph") -> Wrong | None:
+        met, begun = graph.found.holds[then], sorted(graph.found.holds[first])
         if within is None:
-            bad = next((one for one in begun if one not in graph.reaching(met)), None)
-            return None if bad is None else ("it cannot come about any more", found.path(bad))
-        for number in begun:
-            trail = graph.avoiding(number, met, within)
-            if trail is not None:
-                return f"it has not come about {within} ticks later", [*found.path(number), *trail]
-        return None
+            good = graph.reaching(met | graph.found.unexplored)
+            bad = next((one for one in begun if one not in good), None)
+            return None if bad is None else ("it cannot come about any more", graph.found.path(bad))
+        trails = ((number, graph.avoiding(number, met, within)) for number in begun)
+        late = next(((number, trail) for number, trail in trails if trail is not None), None)
+        return None if late is None else ("it has not come about in time", [*graph.found.path(late[0]), *late[1]])
 
     return Property(name, (first, then), check)
 
@@ -90,47 +90,39 @@ class Graph:
     """What was explored, with the questions that properties ask of it."""
 
     def __init__(self, found: Exploration, goal: Predicate | None = None) -> None:
-        self.found = found
-        ended = (place for place, one in enumerate(found.situations) if found.doing[one.tree].status is Status.SUCCESS)
+        self.found, self.every = found, range(len(found.situations))
+        ended = (one for one in self.every if found.doing[found.situations[one].tree].status is Status.SUCCESS)
         self.goals = set(ended) if goal is None else found.holds[goal]
 
-    def following(self, number: int, *, still: bool = False) -> Iterator[tuple[Step, int]]:
-        """Yield each round that may follow a situation, and where it leads; if still, none in which facts change."""
-        for moment, changes, was_late in self.found.happening[number]:
-            if not (still and (changes or was_late)):
-                for after, answers, is_late in self.found.ticks[moment]:
-                    if not (still and is_late):
-                        yield Step(number, changes, answers, (was_late, is_late)), after
+    def following(self, number: int, *, still: bool = False) -> Iterator[tuple[Step, int, int]]:
+        """Yield each round that may follow, its moment and where it leads; if still, those in which nothing happens."""
+        for moment, changes, was_late in self.found.moves[number]:
+            for after, answers, is_late in self.found.ticks[moment] if not (still and (changes or was_late)) else ():
+                if not (still and is_late):
+                    yield Step(changes, answers, (was_late, is_late)), moment, after
 
     def reaching(
         self, wanted: Collection[int], *, still: bool = False, within: Collection[int] | None = None
     ) -> set[int]:
         """Return the situations from which one of those that are wanted can be reached, those included."""
         before: defaultdict[int, list[int]] = defaultdict(list)
-        for number in range(len(self.found.situations)) if within is None else within:
-            for _, after in self.following(number, still=still):
+        for number in self.every if within is None else within:
+            for _, _, after in self.following(number, still=still):
                 if within is None or after in within:
                     before[after].append(number)
         reached, pending = set(wanted), list(wanted)
         while pending:
-            for one in before[pending.pop()]:
-                if one not in reached:
-                    reached.add(one)
-                    pending.append(one)
+            new = [one for one in before[pending.pop()] if one not in reached]
+            reached.update(new)
+            pending += new
         return reached
 
     def avoiding(self, number: int, wanted: Collection[int], rounds: int) -> list[Step] | None:
         """Return rounds after which nothing that is wanted was reached; None if there are no such."""
-        if number in wanted:
-            return None
-        layer: dict[int, list[Step]] = {number: []}
+        layer: dict[int, list[Step]] = {} if number in wanted else {number: []}
         for _ in range(rounds):
-            layer = {
-                after: [*trail, step]
-                for one, trail in layer.items()
-                for step, after in self.following(one)
-                if after not in wanted
-            }
+            onward = [(trail, *one) for number, trail in layer.items() for one in self.following(number)]
+            layer = {after: [*trail, step] for trail, step, _, after in reversed(onward) if after not in wanted}
         return next(iter(layer.values()), None)
 
 
@@ -142,129 +134,111 @@ def check(
     goal: Predicate | None = None,
     wanted: Iterable[Property] = (),
 ) -> list[Finding]:
-    """Return what holds of an exploration, what everybody wants first."""
+    """Return what holds of an exploration, what everybody wants first; see `verify`."""
     graph = Graph(found, goal)
     ticks = "a tick" if reaction == 1 else f"{reaction} ticks"
-    checks: list[tuple[str, Callable[[], tuple[str, Sequence[Step] | None] | None]]] = [
-        (f"nothing is requested while unfeasible for longer than {ticks}", lambda: _unfeasible(graph, reaction)),
-        ("every request is released once, when what does it ends", lambda: _unreleased(found)),
-        ("actions that exclude each other are not required together", lambda: _together(found, exclusive)),
-        ("the goal is reached if all goes well", lambda: None if graph.goals else ("it is never reached", None)),
-        ("wherever the goal can be reached as facts are, the mission is not stuck", lambda: _stuck(graph)),
-        ("while nothing happens, the mission does not waver", lambda: _wavering(graph)),
-        ("every node of the tree can be reached", lambda: _unreached(found)),
-        ("every adaptation of the model can occur", lambda: _missing(found)),
-        ("the manager keeps to the model and its budgets, and ends its plans", lambda: _first(found.faults.items())),
-        *((one.name, lambda one=one: one.check(graph)) for one in wanted),  # type: ignore[misc]
+    groups = [set(one) for one in exclusive]
+    wrong: list[tuple[str, Wrong | None]] = [
+        (f"nothing is requested while unfeasible for longer than {ticks}", _unfeasible(graph, reaction)),
+        ("every request is released once, when what does it ends", _unreleased(found)),
+        ("actions that exclude each other are not required together", _together(found, groups)),
+        ("the goal is reached if all goes well", None if graph.goals else ("it is never reached", None)),
+        ("wherever the goal can be reached as facts are, the mission is not stuck", _stuck(graph)),
+        ("while nothing happens, the mission does not waver", _wavering(graph)),
+        ("every node of the tree can be reached", _unreached(found)),
+        ("every adaptation of the model can occur", _missing(found)),
+        ("the manager keeps to the model and its budgets, and ends its plans", _shortest(found.faults.items())),
+        *((one.name, one.check(graph)) for one in wanted),
     ]
-    return [_finding(found, name, ask()) for name, ask in checks]
+    return [_finding(name, bad, is_finished=found.is_finished) for name, bad in wrong]
 
 
-_ONLY_AT_THE_END = ("the goal is", "every node", "every adaptation", "wherever")
-
-
-def _finding(found: Exploration, name: str, bad: tuple[str, Sequence[Step] | None] | None) -> Finding:
-    if bad is None:
-        return Finding(name, True if found.is_finished else None)
-    if not found.is_finished and bad[1] is None:
-        return Finding(name, None, f"not so far: {bad[0]}")
+def _finding(name: str, bad: Wrong | None, *, is_finished: bool) -> Finding:
+    if bad is None or (bad[1] is None and not is_finished):
+        return Finding(name, True if is_finished else None)
     return Finding(name, False, bad[0], None if bad[1] is None else tuple(bad[1]))
 
 
-def _first(bad: Iterable[tuple[str, Sequence[Step]]]) -> tuple[str, Sequence[Step]] | None:
+def _shortest(bad: Iterable[tuple[str, Sequence[Step]]]) -> Wrong | None:
     return min(bad, key=lambda one: len(one[1]), default=None)
 
 
-def _unfeasible(graph: Graph, reaction: int) -> tuple[str, Sequence[Step]] | None:
+def _unfeasible(graph: Graph, reaction: int) -> Wrong | None:
+    """Look for a request that is unfeasible before and after so many ticks in a row."""
     found = graph.found
-    layer: dict[tuple[int, str], list[Step]] = {}
-    for rounds in range(reaction):
-        following: dict[tuple[int, str], list[Step]] = {}
-        for moment, (_, known) in enumerate(found.moments):
-            for action in found.known[known].unfeasible:
-                before = [found.path(found.origins[moment].before)] if not rounds else []
-                before += [trail for (number, name), trail in layer.items() if name == action and moment in
-                           {one[0] for one in found.happening[number]}] if rounds else []
-                for after, answers, is_late in found.ticks[moment] if before else ():
-                    if action in found.known[found.situations[after].known].unfeasible:
-                        _, changes, _, (was_late, _) = found.origins[moment]
-                        step = Step(found.origins[moment].before, changes, answers, (was_late, is_late))
-                        following.setdefault((after, action), [*min(before, key=len), step])
+    layer: dict[tuple[str, int], list[Step]] = {}
+    for count in range(reaction):
+        following: dict[tuple[str, int], list[Step]] = {}
+        for number in graph.every if not count else dict.fromkeys(number for _, number in layer):
+            for step, moment, after in graph.following(number):
+                both = found.known[found.moments[moment].known].unfeasible
+                for action in both and set(both).intersection(found.known[found.situations[after].known].unfeasible):
+                    if not count or (action, number) in layer:
+                        way = layer[action, number] if count else found.path(number)
+                        following.setdefault((action, after), [*way, step])
         layer = following
-    return _first((f"{action} is still requested", trail) for (_, action), trail in layer.items())
+    return _shortest((f"{action} is still requested", trail) for (action, _), trail in layer.items())
 
 
-def _unreleased(found: Exploration) -> tuple[str, Sequence[Step]] | None:
+def _unreleased(found: Exploration) -> Wrong | None:
     for number, (tree, known) in enumerate(found.situations):
-        required, running = set(found.known[known].required), found.doing[tree].running
-        for action in sorted(required ^ running):
-            what = "is still requested, and nothing that does it runs"
-            if action in running:
-                what = "is not requested any more, and what does it still runs"
-            return f"{action} {what}", found.path(number)
+        running = found.doing[tree].running
+        for action in sorted(running ^ set(found.known[known].required)):
+            is_running = "is not requested any more, and what does it still runs"
+            is_left = "is still requested, and nothing that does it runs"
+            return f"{action} {is_running if action in running else is_left}", found.path(number)
     return None
 
 
-def _together(found: Exploration, exclusive: Iterable[Collection[str]]) -> tuple[str, Sequence[Step]] | None:
-    groups = [set(one) for one in exclusive]
+def _together(found: Exploration, groups: Iterable[set[str]]) -> Wrong | None:
     for number, (_, known) in enumerate(found.situations):
-        for group in groups:
-            both = group.intersection(found.known[known].required)
+        for both in (group.intersection(found.known[known].required) for group in groups):
             if len(both) > 1:
                 return f"{' and '.join(sorted(both))} are required", found.path(number)
     return None
 
 
-def _stuck(graph: Graph) -> tuple[str, Sequence[Step]] | None:
+def _stuck(graph: Graph) -> Wrong | None:
     """Compare situations in which the same facts hold: from one the goal is reached while they do, from another not."""
-    found = graph.found
-    good = graph.reaching(graph.goals, still=True)
-    facts = [found.known[one.known].facts for one in found.situations]
-    possible = {facts[number] for number in good}
-    for number, of in enumerate(facts):
-        if number not in good and of in possible:
-            return "from here it is not, but with the same facts elsewhere it is", found.path(number)
-    return None
+    good = graph.reaching(graph.goals | graph.found.unexplored, still=True)
+    known = [graph.found.known[one.known] for one in graph.found.situations]
+    facts = [(one.failed, one.values) for one in known]
+    possible = {facts[number] for number in graph.reaching(graph.goals, still=True)}
+    bad = next((one for one in graph.every if one not in good and facts[one] in possible), None)
+    return None if bad is None else ("it is not then, but elsewhere with the same facts it is", graph.found.path(bad))
 
 
-def _wavering(graph: Graph) -> tuple[str, Sequence[Step]] | None:
+def _wavering(graph: Graph) -> Wrong | None:
+    """Follow what happens while conditions stay what they are and every action goes on: requests come to rest."""
     found = graph.found
     for held in "FS":
         onward: dict[int, tuple[Step, int]] = {}
-        for number in range(len(found.situations)):
-            for step, after in graph.following(number, still=True):
+        for number in graph.every:
+            for step, _, after in graph.following(number, still=True):
                 if all(letter == ("R" if "R" in found.rig.letters[name] else held) for name, letter in step.answers):
                     onward.setdefault(number, (step, after))
         for number in onward:
-            seen, at = {number: 0}, number
-            trail: list[Step] = []
+            at, trail, places = number, list[Step](), {number: 0}
             while at in onward:
                 step, at = onward[at]
                 trail.append(step)
-                if at in seen:
+                if places.setdefault(at, len(trail)) < len(trail):
                     break
-                seen[at] = len(trail)
-            cycle = [one for one, place in seen.items() if at in onward and place >= seen.get(at, 0)]
-            required = {found.known[found.situations[one].known].required for one in cycle}
-            if len(required) > 1:
-                words = " and ".join(sorted(", ".join(one) or "nothing" for one in required))
-                return f"it goes to and fro between {words}", [*found.path(number), *trail]
+            cycle = [one for one, place in places.items() if at in onward and place >= places[at]]
+            done = {", ".join(found.known[found.situations[one].known].required) or "nothing" for one in cycle}
+            if len(done) > 1:
+                return f"it goes to and fro between {' and '.join(sorted(done))}", [*found.path(number), *trail]
     return None
 
 
-def _unreached(found: Exploration) -> tuple[str, None] | None:
+def _unreached(found: Exploration) -> Wrong | None:
     names = [one.name for one in found.rig.root.iterate() if one not in found.rig.ticked]
     return (f"never ticked: {', '.join(names)}", None) if names else None
 
 
-def _missing(found: Exploration) -> tuple[str, None] | None:
-    kb = found.rig.kb
-    occurring = {pair for one in found.known.values() for pair in one.occurring}
-    every = [(kind, name) for kind, table in _adaptable(found.rig) for name in table]
-    names = [f"{kind} {name}" for kind, name in every if (kind, name) not in occurring]
-    return (f"never: {', '.join(names)}", None) if names and kb else None
-
-
-def _adaptable(rig: Rig) -> list[tuple[str, Iterable[str]]]:
-    kb = rig.kb
-    return [("action", kb.actions), ("function design", kb.designs), ("configuration", kb.configurations)]
+def _missing(found: Exploration) -> Wrong | None:
+    kb, occurring = found.rig.kb, {pair for one in found.known.values() for pair in one.occurring}
+    tables: dict[str, Iterable[str]] = {"action": kb.actions, "function design": kb.designs}
+    tables["configuration"] = kb.configurations
+    names = [f"{kind} {name}" for kind, table in tables.items() for name in table if (kind, name) not in occurring]
+    return (f"never: {', '.join(names)}", None) if names else None

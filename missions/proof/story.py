@@ -14,6 +14,9 @@ from missions.proof.leaves import Played, take_over, words
 from missions.proof.surroundings import Change, Surroundings
 from rosa_bt import Trace, TraceVisitor, replay_trace
 
+Rounds = tuple[Any, Any, Any]
+"""A `Step`, or the same as plain tuples."""
+
 
 @dataclass(frozen=True)
 class Story:
@@ -35,9 +38,9 @@ class Story:
         return "\n".join(self.lines)
 
 
-def play(setup: Setup, trail: Sequence[Any], page: str | Path | None = None, problems: Sequence[str] = ()) -> Story:
+def play(setup: Setup, trail: Sequence[Rounds], page: str | Path | None = None, problems: Sequence[str] = ()) -> Story:
     """Run the rounds of a story, and write a page of it if that is asked for, with what is to stand at its top."""
-    steps = [Step(0, tuple(Change(*one) for one in changes), answers, late) for changes, answers, late in _plain(trail)]
+    steps = [Step(tuple(Change(*one) for one in changes), answers, late) for changes, answers, late in trail]
     rig = Rig(setup)
     recorder = None
     if page is not None:
@@ -48,8 +51,8 @@ def play(setup: Setup, trail: Sequence[Any], page: str | Path | None = None, pro
             recorder.put("problem", number, problem)
     lines: list[str] = []
     rig.kb.subscribe(lambda event: lines.append(f"      {event.text}") if event.verb in _TOLD or event.plan else None)
-    faults = list(rig.settle())
     with TraceVisitor(rig.kb) as visitor:
+        faults = list(rig.begin())
         rig.runner.tree.add_visitor(visitor)
         for number, step in enumerate(steps, start=1):
             rig.clock = float(number)
@@ -100,6 +103,7 @@ def as_test(setup: str, name: str, what: str, trail: Sequence[Step]) -> str:
         trail: the rounds.
     """
     *imports, expression = setup.splitlines()
+    rounds = [(tuple(map(tuple, step.changes)), step.answers, step.late) for step in trail]
     function = "".join(letter if letter.isalnum() else "_" for letter in name.lower())
     lines = [
         '"""A story that `rosa verify` has found."""',
@@ -108,7 +112,7 @@ def as_test(setup: str, name: str, what: str, trail: Sequence[Step]) -> str:
         "from missions.proof.story import play",
         "",
         f"SETUP = {expression}",
-        f"ROUNDS = {pformat(_plain(trail), width=110)}",
+        f"ROUNDS = {pformat(rounds, width=110)}",
         "",
         "",
         f"def test_{function}():",
@@ -117,8 +121,3 @@ def as_test(setup: str, name: str, what: str, trail: Sequence[Step]) -> str:
         "",
     ]
     return "\n".join(lines)
-
-
-def _plain(trail: Sequence[Any]) -> list[tuple[Any, Any, Any]]:
-    """Return rounds as plain tuples: what happens, what leaves answer, and when the manager is late."""
-    return [tuple(one) if len(one) == 3 else (tuple(map(tuple, one[1])), one[2], one[3]) for one in trail]

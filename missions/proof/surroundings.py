@@ -2,6 +2,7 @@
 
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
+from functools import partial
 from itertools import combinations, pairwise
 from math import inf
 from typing import NamedTuple
@@ -9,6 +10,7 @@ from typing import NamedTuple
 from py_trees.behaviour import Behaviour
 
 from kb import Event, KnowledgeBase
+from kb.elements import Constraint
 from kb.status import OPERATORS
 from rosa_bt.behaviours import HasStatus, Measurement
 
@@ -69,13 +71,10 @@ class Surroundings:
         for name, more in (values or {}).items():
             asked[kb.attributes[name].name] |= {(">=", float(one)) for one in more}
         self.values = {name: _distinct(asked[name], *_range(kb, name)) for name in kb.attributes if asked[name]}
-        self.worst = {
-            name: min(found, key=lambda value, name=name: sum(OPERATORS[sign](value, of) for sign, of in asked[name]))  # type: ignore[misc]
-            for name, found in self.values.items()
-        }
+        self.worst = {name: min(found, key=partial(_satisfied, asked[name])) for name, found in self.values.items()}
         names = list(kb.components) if failing is None else [kb.components[one].name for one in failing]
         asking = [one.port_arguments.get("element") for one in root.iterate() if isinstance(one, HasStatus)]
-        named = {getattr(one, "name", one) for one in asking}
+        named = {str(getattr(one, "name", one)) for one in asking}
         self.alike = _alike(kb, names, named) if symmetric else [(one,) for one in names]
         self._ageing = [name for name in self.values if kb.model.attributes[name].max_age != inf]
 
@@ -108,12 +107,17 @@ class Surroundings:
             yield Change(name, STALE)
 
 
+def _satisfied(asked: Iterable[tuple[str, float]], value: float) -> int:
+    return sum(OPERATORS[sign](value, of) for sign, of in asked)
+
+
 def _thresholds(kb: KnowledgeBase, root: Behaviour) -> defaultdict[str, set[tuple[str, float]]]:
     """Return what each attribute is compared with, by the model and by the conditions of the tree."""
     found: defaultdict[str, set[tuple[str, float]]] = defaultdict(set)
     for elements in (kb.actions, kb.designs, kb.components, kb.configurations):
         for element in elements.values():
             for one in (view.element for view in element.constraints):
+                assert isinstance(one, Constraint)
                 found[one.attribute] |= {(one.operator, one.value + side * one.hysteresis) for side in (1, 0, -1)}
     for leaf in root.iterate():
         if isinstance(leaf, Measurement):

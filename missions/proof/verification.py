@@ -122,7 +122,8 @@ def verify(
             `symmetric` of `Surroundings`.
     """
     of_setup = {name: given.pop(name) for name in ("leaves", "planner", "start", "slow") if name in given}
-    takes_percepts = len(signature(build_tree).parameters) > 1
+    parameters = signature(build_tree).parameters.values()
+    takes_percepts = sum(one.default is one.empty and one.kind is one.POSITIONAL_OR_KEYWORD for one in parameters) > 1
 
     def build(kb: KnowledgeBase) -> Behaviour:
         return build_tree(kb, Percepts()) if takes_percepts else build_tree(kb)
@@ -148,7 +149,7 @@ def setup_of(mission: Mission, task: str = "bt", *, slow: bool = False, **given:
     return Setup(mission.model, build, surroundings=given, slow=slow)
 
 
-def prove(setup: Setup, most: int, seconds: float, wanted: Sequence[Property] = (), **asked: Any) -> Proof:  # noqa: ANN401
+def prove(setup: Setup, most: int, seconds: float, wanted: Sequence[Property] = (), **asked: Any) -> Proof:  # noqa: ANN401  # of check
     """Explore and check; what is asked is as of `check`."""
     goal = asked.get("goal")
     predicates = [*(one for each in wanted for one in each.predicates), *((goal,) if goal is not None else ())]

@@ -1,0 +1,213 @@
+"""Verification: what can happen is found, what is wrong is found with the shortest story, and what is right is silent.
+
+The whole of the mutants and of the twin's missions is in tests/benchmarks/test_proof_whole.py.
+"""
+
+import json
+from contextlib import nullcontext
+
+import pytest
+from proof_mutants import CORRECT, FULL, MUTANTS, Act, either, rover_model, until
+from proof_twin import agree
+from typer.testing import CliRunner
+
+from kb import Model, UnknownName
+from missions import cli
+from missions.engine.mission import MissionError
+from missions.proof import Leaf, eventually, leads_to, never, verify
+from missions.proof.exploration import Exploration, Setup
+from missions.proof.memory import Memory
+from missions.proof.story import as_test, replayed
+from missions.suave_extended import MISSION
+from rosa_bt import do_until_unfeasible
+from rosa_bt.decorators import UntilSuccess
+
+NAMED = {case.name: case for case in (*MUTANTS, *CORRECT)}
+
+
+def proof_of(name, **given):
+    case = NAMED[name]
+    return verify(case.build, case.model, wanted=case.wanted, **{**FULL, **case.given, **given})
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "no guard",
+        "guard asks for a status",
+        "gives up for ever",
+        "request kept",
+        "no design",
+        "chooses what has failed",
+    ],
+)
+def test_seeded_bug_is_found_and_its_story_is_replayed(name):
+    proof = proof_of(name)
+    found = next(one for one in proof.broken if NAMED[name].broken in one.name)
+    assert found.what
+    stories = [(one, proof.story(one)) for one in proof.broken if one.trail is not None]
+    for one, story in stories:
+        assert replayed(proof.setup, story, one.trail) == story.trace
+        assert len(story.trace.ticks) == len(one.trail)
+    assert any(story for _, story in stories) or found.trail is None
+
+
+@pytest.mark.parametrize("name", ["either", "waits for the robot"])
+def test_correct_mission_has_nothing_wrong(name):
+    proof = proof_of(name)
+    assert proof.found.is_finished
+    assert not proof.broken, proof
+    assert all(one.holds for one in proof.findings)
+
+
+@pytest.mark.parametrize("seed", [5, 8])
+def test_exploring_anew_from_the_beginning_finds_the_same(seed):
+    assert agree(seed, rounds=2) > 20
+
+
+def test_stories_are_the_shortest():
+    proof = proof_of("no guard")
+    (found,) = (one for one in proof.broken if "unfeasible" in one.name)
+    assert len(found.trail) == 2, "it begins, and then the energy drops"
+    assert [str(change) for change in found.trail[1].changes] == ["energy is measured 0.125"]
+    story = proof.story(found)
+    assert story.wrong == ("explore is requested while it is unfeasible",)
+    assert "  2. energy is measured 0.125; explore RUNNING" in story.lines
+
+
+def test_later_reaction_is_allowed_if_it_is_stated():
+    def slowly(kb):
+        return until(
+            do_until_unfeasible(Act("explore", kb, "explore", even_if_unfeasible=True), Act("c", kb, "charge"))
+        )
+
+    once = verify(slowly, rover_model(), start=FULL["start"], leaves={"explore": Leaf("F")})
+    assert not [one for one in once.broken if "unfeasible" in one.name]
+    always_ = verify(lambda kb: NAMED["no guard"].build(kb), rover_model(), reaction=3, **FULL)
+    (found,) = (one for one in always_.broken if "unfeasible" in one.name)
+    assert found.name.endswith("longer than 3 ticks")
+    assert len(found.trail) == 4
+
+
+def test_state_is_read_and_written_back():
+    found = Exploration(Setup(MISSION.model, lambda kb: MISSION.tree(kb, None), surroundings={"failures": 0}))
+    found.explore(most=60)
+    assert len(found.situations) >= 60
+    rig = found.load(0)
+    tree, known = Memory([rig.root], apart=[rig.kb]), Memory([rig.kb, rig.manager])
+    before = tree.read(), known.read()
+    rig.choices.begin(())
+    rig.runner.tick()
+    rig.settle()
+    assert tree.read() != before[0]
+    assert known.read() != before[1]
+    tree.write(before[0])
+    known.write(before[1])
+    assert (tree.read(), known.read()) == before
+    assert rig.required == ()
+
+
+def test_what_cannot_be_restored_is_named():
+    class Walks(Act):
+        def stop(self, new_status):
+            super().stop(new_status)
+            self.way = iter([1, 2])
+
+    with pytest.raises(MissionError, match=r"list_iterator.* cannot be restored"):
+        verify(lambda kb: either(kb, Walks("explore", kb, "explore")), rover_model(), **FULL)
+
+
+def test_bounds_are_told_and_exploring_goes_on_from_there():
+    case = NAMED["either"]
+    proof = verify(case.build, case.model, most=10, **FULL)
+    assert not proof.found.is_finished
+    assert str(proof).startswith("up to ")
+    assert {one.holds for one in proof.findings} == {None}
+    whole = verify(case.build, case.model, **FULL).found
+    while not proof.found.is_finished:
+        proof.found.explore(most=len(proof.found.situations) + 10)
+    assert len(proof.found.situations) == len(whole.situations)
+    assert proof.found.transitions == whole.transitions
+
+
+def test_components_that_are_alike_stand_for_one_another():
+    def model():
+        made = Model("boat")
+        thrusters = [made.component(f"thruster_{number}") for number in range(4)]
+        made.function("move").design("all", thrusters)
+        made.action("explore", requires=["move"])
+        return made
+
+    def tree(kb):
+        return UntilSuccess("u", Act("explore", kb, "explore"))
+
+    few, all_ = verify(tree, model), verify(tree, model, symmetric=False)
+    assert len(few.found.situations) < len(all_.found.situations)
+    assert [one.holds for one in few.findings] == [one.holds for one in all_.findings]
+
+
+def test_failures_that_end_the_mission_are_told():
+    proof = proof_of("either", failures=2)
+    reaches = {one.facts: one.reaches for one in proof.consequences}
+    assert reaches["wheels fails",] == "nothing"
+    assert reaches["camera fails",] == "the goal"
+    assert reaches["camera fails", "radar fails"] == "nothing"
+
+
+def test_what_a_user_wants_is_checked():
+    case = NAMED["either"]
+    wanted = (
+        never("never dark", lambda rig: rig.measured("light") == 0.25),
+        eventually("explores still", lambda rig: rig.is_required("explore")),
+        leads_to("at once", lambda rig: rig.is_required("charge"), lambda rig: rig.is_required("explore"), within=1),
+    )
+    proof = verify(case.build, case.model, wanted=wanted, **FULL)
+    verdicts = {one.name: one.holds for one in proof.findings[-3:]}
+    assert verdicts["never dark"] is False
+    assert verdicts["at once"] is False
+    assert "explores still" in verdicts
+
+
+def test_unknown_leaf_is_refused_with_those_there_are():
+    with pytest.raises(UnknownName, match="'explore'"):
+        verify(NAMED["either"].build, rover_model(), leaves={"explor": Leaf("R")})
+
+
+def test_saved_test_fails_while_the_bug_is_there():
+    proof = proof_of("no guard")
+    found = next(one for one in proof.broken if one.trail)
+    setup = "import proof_mutants\nfrom missions.proof.exploration import Setup\n"
+    setup += "Setup(proof_mutants.rover_model(), proof_mutants.{}, start=proof_mutants.FULL['start'])"
+    for build, is_broken in (("MUTANTS[0].build", True), ("either", False)):
+        namespace = {}
+        exec(as_test(setup.format(build), found.name, found.what, found.trail), namespace)
+        (test,) = (value for name, value in namespace.items() if name.startswith("test_"))
+        with pytest.raises(AssertionError) if is_broken else nullcontext():
+            test()
+
+
+def test_command_tells_what_holds_and_writes_it(tmp_path):
+    path = tmp_path / "proof.json"
+    done = CliRunner().invoke(cli.app, ["verify", "suave", "--json", str(path)])
+    assert done.exit_code == 0, done.output
+    assert "yes  every adaptation of the model can occur" in done.output
+    assert "follow_pipeline fails: reaches nothing" in done.output
+    written = json.loads(path.read_text())
+    assert written["finished"]
+    assert all(one["holds"] for one in written["findings"])
+
+
+def test_command_fails_and_writes_page_and_test_of_the_first_story(tmp_path, monkeypatch):
+    (tmp_path / "broken_rover.py").write_text(
+        "from dataclasses import replace\nimport proof_mutants\nfrom missions.suave import MISSION as SUAVE\n"
+        "MISSION = replace(SUAVE, name='rover', model=proof_mutants.rover_model(),\n"
+        "    tree=lambda kb, percepts: proof_mutants.MUTANTS[0].build(kb))\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    page, test = tmp_path / "story.html", tmp_path / "test_story.py"
+    options = ["--report", str(page), "--test", str(test), "--failures", "0"]
+    done = CliRunner().invoke(cli.app, ["verify", "broken_rover:MISSION", *options])
+    assert done.exit_code == 1, done.output
+    assert "NO   nothing is requested while unfeasible" in done.output
+    assert "explore is still requested" in page.read_text()
+    assert "setup_of(find_mission('broken_rover:MISSION')" in test.read_text()
