@@ -31,6 +31,7 @@ from kb.records import HistoryView, Records, RequiredAction
 from kb.state import History, Marked, Overlay, State
 from kb.views import Views
 from missions.engine.mission import MissionError
+from rosa_bt.behaviours import ActionRequest
 from rosa_bt.composites import DoUntilUnfeasible, SafeSwitch
 from rosa_bt.decorators import ForAction, UntilSuccess
 
@@ -47,7 +48,8 @@ _LEFT: Final = (
 )
 """What is left as it is: it does not change, or what it holds decides nothing."""
 _IDLE: Final[Mapping[type, str]] = {
-    Behaviour: "iterator feedback_message logger id known",
+    Behaviour: "iterator feedback_message logger id known _saved_s",
+    ActionRequest: "_since",
     Knowledge: "changed_by feasibility revision now pending _before _amended _is_laid _layer serials in_words",
     State: "reasons histories version visited",
     Marked: "_most",
@@ -280,12 +282,12 @@ def _is_shallow(contents: Iterable[Any]) -> bool:
 
 
 @functools.cache
-def _is_atomic(kind: Any) -> bool:  # noqa: ANN401  # a type
+def _is_atomic(kind: Any) -> bool:  # noqa: ANN401  # whatever type
     return issubclass(kind, _ATOMS)
 
 
 @functools.cache
-def _slots(kind: Any) -> tuple[str, ...]:  # noqa: ANN401  # a type
+def _slots(kind: Any) -> tuple[str, ...]:  # noqa: ANN401  # whatever type
     named = [vars(one).get("__slots__", ()) for one in kind.__mro__]
     flat = [name for names in named for name in ((names,) if isinstance(names, str) else names)]
     return tuple(name for name in flat if name not in ("__dict__", "__weakref__"))

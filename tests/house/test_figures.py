@@ -27,6 +27,7 @@ FORECASTS, WORTH, LEARNING = 450, 500, 300
 FORECASTS += 30  # of the task layers: what takes longer than it stays feasible is not begun; to be folded
 LEARNING += 440  # 137 of its own; 303 that planning and worth left it short of; to be folded
 PROOF = 800
+PROOF += 840 + 670  # 840 of its own: memory, properties and stories; 670 that others left it short of; to be folded
 ADOPTION = 300
 MOST_LINES = {
     "product": sum((REBUILT, TRUST, PAGE, CONNECTIONS, TREES, PLANNING, FORECASTS, WORTH, LEARNING, PROOF, ADOPTION)),
