@@ -146,7 +146,7 @@ class Memory:
         if named or replaced:
             self._cells.append(self._cell_of(what, named, idle))
 
-    def _cell_of(self, what: Any, base: dict[str, Any], idle: frozenset[str]) -> _Cell:  # noqa: ANN401  # any object
+    def _cell_of(self, what: Any, base: dict[str, Any], idle: frozenset[str]) -> _Cell:  # noqa: ANN401  # whatever object
         """Return the cell of an object's attributes: only what is not as it was at first."""
         encoded = {name: self._of(value) for name, value in base.items() if name not in idle}
         own = vars(what) if _attributes(what) is getattr(what, "__dict__", None) else None

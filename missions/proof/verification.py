@@ -149,7 +149,7 @@ def setup_of(mission: Mission, task: str = "bt", *, slow: bool = False, **given:
     return Setup(mission.model, build, surroundings=given, slow=slow)
 
 
-def prove(setup: Setup, most: int, seconds: float, wanted: Sequence[Property] = (), **asked: Any) -> Proof:  # noqa: ANN401  # of check
+def prove(setup: Setup, most: int, seconds: float, wanted: Sequence[Property] = (), **asked: Any) -> Proof:  # noqa: ANN401  # what check takes
     """Explore and check; what is asked is as of `check`."""
     goal = asked.get("goal")
     predicates = [*(one for each in wanted for one in each.predicates), *((goal,) if goal is not None else ())]
