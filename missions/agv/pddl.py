@@ -97,7 +97,6 @@ class PddlNames:
 
     @property
     def problem(self) -> DeclaredProblem:
-        """The problem, without what may change."""
         objects = {
             **dict.fromkeys(self.actions.values(), "action"),
             **dict.fromkeys(self.places.values(), "place"),

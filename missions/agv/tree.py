@@ -169,7 +169,6 @@ class Switch(RosaAction):
         self._plan: ReconfigurationPlan | None = None
 
     def initialise(self) -> None:
-        """Demand no more than where it stands."""
         self._plan = None
         _measure(self._route, self._route.standing)
 
@@ -267,7 +266,6 @@ class FollowRoute(Composite):
         super().__init__("follow route", list(self._by_corridor.values()))
 
     def tick(self) -> Iterator[Behaviour]:
-        """Do what is planned next."""
         leg = None if self._route.is_there else self._route.leg
         self._note(self._route.answer)
         planned = None if leg is None else self._by_corridor[leg.corridor]

@@ -124,7 +124,6 @@ class Robot:
             self.vehicle.carry(0.0)
 
     def analysed(self, quality: float) -> None:
-        """Take down that the target is analysed."""
         target = self.field.target
         if target is not None:
             target.quality, self.field.target = quality, None

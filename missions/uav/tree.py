@@ -41,7 +41,6 @@ PROBLEM: Final = DeclaredProblem(
 
 
 def analysed(percepts: Percepts) -> int:
-    """Return how many samples are analysed."""
     return sum(percepts.holds(f"{one}_analysed") for one in SAMPLES)
 
 

@@ -174,7 +174,6 @@ class Quadrotor:
         self._target, self._lands = (x, y, 0.0), True
 
     def fold(self, is_folded: bool) -> None:
-        """Begin to fold or to unfold the arm."""
         self._arm_wanted = 0.0 if is_folded else math.pi / 2
 
     def carry(self, mass: float) -> None:

@@ -106,7 +106,6 @@ class UavWorld(World):
             self._publish(STATUS, "battery_empty", "true")
 
     def _want(self) -> None:
-        """Tell which samples have become wanted."""
         for one in [one for one in self._not_wanted if one.wanted_s <= self._now]:
             self._not_wanted.remove(one)
             self._publish(STATUS, f"{one.name}_wanted", "true")

@@ -44,7 +44,6 @@ def described(node: Node, units: Mapping[str, str]) -> dict[str, Any]:
 
 
 def plain(value: object) -> Any:  # noqa: ANN401  # whatever JSON holds
-    """Return a value as JSON can hold it."""
     if isinstance(value, Mapping):
         return {str(key): plain(one) for key, one in value.items()}
     if isinstance(value, float) and not -inf < value < inf:

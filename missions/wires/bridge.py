@@ -194,7 +194,6 @@ class RosComponents:
         self._states[component] = int(message["goal_state"]["id"])
 
     def ask(self) -> None:
-        """Ask every node for its state."""
         for name in self._names:
             self._follow(self._look(name))
 

@@ -61,7 +61,6 @@ class Structs:
         return self.find(kind, has_header=True)(whose, number, *vars(message).values())
 
     def find(self, kind: str, *, has_header: bool = False) -> Any:  # noqa: ANN401  # a class is made here
-        """Return the class of a type."""
         from cyclonedds.idl import make_idl_struct, types
 
         if (kind, has_header) not in self._made:
@@ -240,7 +239,6 @@ class DdsNode(TypedNode):
         return found is not None and found.participant_key.bytes.startswith(_FAST_DDS)
 
     def _announce(self) -> None:
-        """Be seen by `ros2 node list`."""
         from cyclonedds.core import Policy
 
         kind = "rmw_dds_common/msg/ParticipantEntitiesInfo"

@@ -101,7 +101,6 @@ class Groot2Publisher(VisitorBase):
         self._thread.join()
 
     def initialise(self) -> None:
-        """Begin a tick."""
         self._visited.clear()
 
     def run(self, behaviour: Behaviour) -> None:

@@ -68,7 +68,6 @@ class Refusals(Counter[str]):
     """How many messages made no sense, by what was wrong, each kind logged once; beyond a hundred they are one."""
 
     def add(self, error: Exception | str) -> str:
-        """Count one, and return it in words."""
         text = (error if isinstance(error, str) else f"{type(error).__name__}: {error}")[:200]
         kind = text if text in self or len(self) < _KINDS else "something else"
         if kind not in self:

@@ -271,7 +271,6 @@ def _value_message(value: Any) -> Message:  # noqa: ANN401  # of a parameter
 
 
 def log_message(time_s: float, level: int, text: str) -> Message:
-    """Return rcl_interfaces/Log."""
     whole, part = divmod(round(time_s * 1e9), 10**9)
     told = {"stamp": {"sec": whole, "nanosec": part}, "level": level, "name": "rosa_kb", "msg": text}
     return {**told, "file": "", "function": "", "line": 0}

@@ -234,7 +234,6 @@ class RosbridgeServer:
             finish(call.future, made)
 
     def _introspect(self) -> None:
-        """Serve what clients ask first."""
         told: dict[str, Answer] = {
             "Topics": lambda _: {"topics": list(self._types), "types": list(self._types.values())},
             "TopicType": lambda one: {"type": self._types.get(str(one.get("topic")), "")},

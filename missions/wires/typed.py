@@ -82,7 +82,6 @@ def _made(library: Library, kind: str, length: int | None, value: Any, place: st
 
 
 def told(library: Library, kind: str, thing: Any) -> Message:  # noqa: ANN401  # an object of the library
-    """Return a message as a dict."""
     return {name: _told(library, *field, getattr(thing, name)) for name, field in library.fields(kind).items()}
 
 
