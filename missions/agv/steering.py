@@ -50,10 +50,11 @@ def steer(bearing: float, hits: Array, speed: float) -> Aim:
     room_m = float(ahead.min(initial=math.inf))
     speed *= float(np.clip((room_m - _STOP_M) / _SLOW_M, 0.0, 1.0))
     headings = bearing + _OFFSETS
-    along = np.cos(headings)[:, None] * hits[:, 0] + np.sin(headings)[:, None] * hits[:, 1]
-    aside = np.abs(np.cos(headings)[:, None] * hits[:, 1] - np.sin(headings)[:, None] * hits[:, 0])
+    cos, sin, x, y = np.cos(headings)[:, None], np.sin(headings)[:, None], hits[:, 0], hits[:, 1]
+    along, aside = cos * x + sin * y, np.abs(cos * y - sin * x)
+    is_ahead = (along > 0.0) & (along < _CLEAR_M)
     for room in _ROOMS_M:
-        free = headings[~np.any((along > 0.0) & (along < _CLEAR_M) & (aside < room), axis=1)]
+        free = headings[~(is_ahead & (aside < room)).any(axis=1)]
         if len(free):
             return _turned_to(float(free[0]), speed)
     return Aim(-_BACK_M_S, 0.0)

@@ -118,6 +118,10 @@ def _walls(building: Building, corridor: Corridor) -> Iterator[str]:
 SENSORS: Final = {"lidar": (math.radians(120), 8.0), "kinect": (math.radians(28.5), 4.0), "camera": (0.5, 2.0)}
 """Half of the angle that each sees [rad], and how far it sees [m]; Kinect: its data sheet, else own choice."""
 _RAY_STEP: Final = math.radians(4)
+_RAYS: Final = {
+    name: (np.linspace(-half, half, 2 * int(half / _RAY_STEP) + 1), reach_m)
+    for name, (half, reach_m) in SENSORS.items()
+}
 _MEMORY: Final = 30  # scans that are remembered; what was passed is out of sight, but not away
 
 
@@ -134,6 +138,7 @@ class Vehicle:
     def __init__(self, building: Building, placed: list[Pose], pose: Pose, step_s: float) -> None:
         self._model: Any = mujoco.MjModel.from_xml_string(scene_xml(building, placed, pose, step_s))
         self._data: Any = mujoco.MjData(self._model)
+        self._qpos = self._data.qpos
         self._body = int(self._model.body("vehicle").id)
         self._groups = np.array([0, 1, 0, 0, 0, 0], dtype=np.uint8)
         self._seen: deque[Array] = deque(maxlen=_MEMORY)
@@ -144,13 +149,13 @@ class Vehicle:
     @property
     def position(self) -> Array:
         """X and y (2,) [m], world frame."""
-        where: Array = self._data.qpos[:2].copy()
+        where: Array = self._qpos[:2].copy()
         return where
 
     @property
     def yaw(self) -> float:
         """Heading [rad], from x to y."""
-        w, x, y, z = self._data.qpos[3:7]
+        w, x, y, z = self._qpos[3:7].tolist()
         return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
     def drive(self, aim: Aim, steps: int) -> None:
@@ -163,19 +168,19 @@ class Vehicle:
 
     def look(self, sensor: str) -> Array:
         """Cast the rays of a sensor; returns what it sees, and saw lately, near by: (n, 2) [m], vehicle's frame."""
-        half_angle, reach_m = SENSORS[sensor]
-        count = 2 * int(half_angle / _RAY_STEP) + 1
-        angles = self.yaw + np.linspace(-half_angle, half_angle, count)
-        rays = np.stack([np.cos(angles), np.sin(angles), np.zeros(count)], axis=1)
-        origin = np.array([*self.position, 0.2])
+        yaw, here, (offsets, reach_m) = self.yaw, self.position, _RAYS[sensor]
+        angles, count = yaw + offsets, len(offsets)
+        rays = np.zeros((count, 3))
+        rays[:, 0], rays[:, 1] = np.cos(angles), np.sin(angles)
+        origin = np.array([*here.tolist(), 0.2])
         hit, far = np.zeros(count, dtype=np.int32), np.zeros(count)
         past = self._groups, True, self._body
         mujoco.mj_multiRay(self._model, self._data, origin, rays.ravel(), *past, hit, far, None, count, reach_m)
         found = (hit >= 0) & (far > 0.0)
         self._seen.append(origin[:2] + rays[found, :2] * far[found, None])
-        apart = np.concatenate(self._seen) - self.position
-        near = apart[np.hypot(*apart.T) < 2.0]
-        cos, sin = math.cos(self.yaw), math.sin(self.yaw)
+        apart = np.concatenate(self._seen) - here
+        near = apart[np.hypot(apart[:, 0], apart[:, 1]) < 2.0]
+        cos, sin = math.cos(yaw), math.sin(yaw)
         local: Array = near @ np.array([[cos, -sin], [sin, cos]])
         return local
 

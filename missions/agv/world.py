@@ -215,10 +215,10 @@ class BuildingWorld(World):
 
     def _seeing(self) -> str:
         """Return the sensor by which the vehicle knows where it is; empty if it does not."""
-        active = self._components.is_active
+        running = self._components.running
         for (localizer, sensor), error_m in ERROR_M.items():
-            sees = sensor != "camera" or self._light_here >= NEEDED_LIGHT or active("lamp")
-            if sees and all(active(name) for name in (localizer, sensor, "base", NAVIGATOR)):
+            sees = sensor != "camera" or self._light_here >= NEEDED_LIGHT or "lamp" in running
+            if sees and running.issuperset((localizer, sensor, "base", NAVIGATOR)):
                 self._error_m = error_m
                 return sensor
         return ""
@@ -286,7 +286,8 @@ class BuildingWorld(World):
     def _draws_w(self, is_driving: bool) -> float:
         speed = next((name for name, value in SPEEDS.items() if value == self._speed), "")
         base_w = DRIVING_W[speed] if is_driving and speed else self._settings.standing_w
-        return base_w + sum(watts for name, watts in DRAW_W.items() if self._components.is_active(name))
+        running = self._components.running
+        return base_w + sum(watts for name, watts in DRAW_W.items() if name in running)
 
 
 class _Components(NamedComponents):
@@ -306,8 +307,12 @@ class _Components(NamedComponents):
     def parameters(self, component: str, /) -> Mapping[str, Any]:
         return super().parameters(component)
 
+    @property
+    def running(self) -> set[str]:
+        return self.active - self.failed
+
     def is_active(self, component: str, /) -> bool:
-        return super().is_active(component) and component not in self.failed
+        return component in self.running
 
 
 def _placed(wanted: Sequence[Incident], rng: Generator) -> list[tuple[Incident, float]]:

@@ -346,10 +346,13 @@ class Nodes(dict[str, Node]):
         nodes = [kind(robot) for kind in (*kinds, ReturnPlanner, LandingPlanner, FoldingServo)]
         super().__init__((one.name, one) for one in nodes)
         self._hold = robot.vehicle.hold
+        self.acting: tuple[Node, ...] = ()
+        self.watts = 0.0  # of those that act
 
-    @property
-    def acting(self) -> list[Node]:
-        return [one for one in self.values() if one.is_active]
+    def _switch(self, node: Node, is_active: bool) -> None:
+        node.is_active = is_active
+        self.acting = tuple(one for one in self.values() if one.is_active)
+        self.watts = sum(one.watts for one in self.acting)
 
     def check(self, component: str, parameters: Parameters, /) -> None:
         """Raise MissionError unless there is that component; none has parameters."""
@@ -362,13 +365,13 @@ class Nodes(dict[str, Node]):
     def activate(self, component: str, /) -> None:
         node = self[component]
         if not node.is_active:
-            node.is_active = True
+            self._switch(node, True)
             node.begin()
 
     def deactivate(self, component: str, /) -> None:
         node = self[component]
         if node.is_active:
-            node.is_active = False
+            self._switch(node, False)
             node.end()
             if node.moves and not any(other.moves for other in self.acting):
                 self._hold()

@@ -73,10 +73,10 @@ class UavWorld(World):
         return said
 
     def _step(self, step_s: float) -> None:
-        robot, before = self._robot, self._robot.vehicle.position
+        robot, vehicle, before = self._robot, self._robot.vehicle, self._robot.vehicle.position
         robot.now = self._now
-        robot.vehicle.step()
-        x, y, z = robot.vehicle.position
+        vehicle.step()
+        x, y, z = vehicle.position
         self._flown_m += ((x - before[0]) ** 2 + (y - before[1]) ** 2 + (z - before[2]) ** 2) ** 0.5
         self._drain(step_s)
         if self._now >= self._nodes_due - 1e-9:
@@ -92,15 +92,16 @@ class UavWorld(World):
 
     def _drain(self, step_s: float) -> None:
         robot, settings, before = self._robot, self._settings, self._robot.level
-        watts = robot.vehicle.rotor_w + settings.avionics_w
-        watts += sum(node.watts for node in self._nodes.acting)
+        watts = robot.vehicle.rotor_w + settings.avionics_w + self._nodes.watts
         gained = step_s / settings.charge_s if robot.is_charging else 0.0
         robot.level = max(0.0, min(1.0, before + gained - watts * step_s / settings.capacity_j))
-        self._least = min(self._least, robot.level)
+        after = robot.level
+        if after < self._least:
+            self._least = after
         for level, what in LEVELS.items():
-            if before >= level > robot.level:
+            if before >= level > after:
                 self._disturb(f"the battery fell below {level:g}, which {what}")
-        if robot.level == 0.0 and before > 0.0:
+        if after == 0.0 and before > 0.0:
             robot.vehicle.has_power = False
             self._disturb("the battery is empty")
             self._publish(STATUS, "battery_empty", "true")

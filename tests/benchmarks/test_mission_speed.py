@@ -3,7 +3,7 @@
 import copy
 from collections.abc import Callable
 from itertools import cycle
-from time import perf_counter, process_time
+from time import perf_counter, process_time, thread_time
 from typing import NamedTuple
 
 import numpy
@@ -197,3 +197,48 @@ def whole(label, seed):
     for _ in range(round(MISSION_S / settings.control_period_s)):
         vehicle.push([0.0] * 6)
     return process_time() - start, {}
+
+
+PLACES = ("suave_extended", "agv", "uav")
+
+
+@pytest.fixture(scope="module")
+def in_place(tables):
+    found = {}
+    head = ("a whole run, processor time", "all of it", "its own calls of mj_step", "ratio")
+    tables["0b"] = lambda: table("Beside its own physics", head, found.values())
+    return found
+
+
+@pytest.mark.parametrize("mission", PLACES)
+def test_a_run_beside_its_own_calls_of_the_physics(mission, in_place, monkeypatch):
+    """Time runs, and the physics within as many more, in turn: both suffer from the same neighbours on the machine."""
+    mujoco = pytest.importorskip("mujoco")
+    step, spent, calls = mujoco.mj_step, [0.0], [0]
+
+    def timed(*arguments):
+        start = thread_time()
+        step(*arguments)
+        spent[0] += thread_time() - start
+        calls[0] += 1
+
+    def took():
+        run = open_run(find_mission(mission), seed=0)
+        start = thread_time()
+        assert run.run().success
+        return thread_time() - start
+
+    start = thread_time()
+    for _ in range(100_000):
+        thread_time()
+    clock_s = (thread_time() - start) / 100_000
+    wholes, physics = [], []
+    for _ in range(MISSION_ROUNDS + 1):
+        wholes.append(took())
+        spent[0], calls[0] = 0.0, 0
+        with monkeypatch.context() as patched:
+            patched.setattr(mujoco, "mj_step", timed)
+            took()
+        physics.append(spent[0] - calls[0] * clock_s)
+    all_s, physics_s = min(wholes[1:]), min(physics[1:])
+    in_place[mission] = (mission, shown(all_s), shown(physics_s), f"{all_s / physics_s:.1f}")
