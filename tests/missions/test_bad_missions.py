@@ -147,7 +147,7 @@ def test_planner_that_runs_out_of_wall_clock_time_ends_the_mission_by_name_inste
     monkeypatch, capsys, altered
 ):
     altered()
-    planning_with(monkeypatch, lambda: Planner(timeout_s=1e-6))
+    planning_with(monkeypatch, lambda: Planner(timeout_s=1e-6, moves=0))
     code, out, err = run_altered(monkeypatch, capsys, "--task", "pddl")
     assert code == 2
     assert "planning ran out of wall-clock time, and going on would make the run depend on the machine" in err
