@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final, Protocol, runtime_checkable
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
+from py_trees.decorators import Decorator
 from py_trees.decorators import FailureIsRunning
 from py_trees.trees import BehaviourTree
 
@@ -322,7 +323,7 @@ def build_task(
         if not isinstance(root, Behaviour):
             raise MissionError(f"the tree of mission {mission.name} is {root!r}, not a py_trees behaviour")
         plans = _Plans(root)
-        return TaskLayer(root, plans.catch_up, plans)
+        return TaskLayer(root, plans.catch_up, plans, is_planned=isinstance(_bare(root), Planning))
     return _planning(mission, kb, percepts, clock, planning_delay_s)
 
 
@@ -357,6 +358,10 @@ def _planning(
             raise made.error
 
     return TaskLayer(root, catch_up, lambda: executor.plans, planner.close, is_planned=True)
+
+
+def _bare(behaviour: Behaviour) -> Behaviour:
+    return _bare(behaviour.decorated) if isinstance(behaviour, Decorator) else behaviour
 
 
 class _Plans:

@@ -7,7 +7,7 @@ from interrupted_lives import Interrupted, spent
 @pytest.mark.parametrize("seed", range(4))
 def test_interrupted_life_is_that_of_a_twin_that_was_told_its_log(seed):
     life = Interrupted(seed)
-    counts = spent(life, 60)
+    counts = spent(life, 120)
     assert counts["lies"] == 0, life.lies[0]
     assert counts["leaks"] == 0
     assert counts["interrupts"] > 20

@@ -272,7 +272,12 @@ def test_component_that_the_simulated_vehicle_lacks_has_failed_and_it_drives_wit
 @pytest.mark.parametrize(
     ("changes", "line", "code", "words"),
     [
-        ({"corridors": {"c1": {"from": "a", "to": "b", "length_m": -2}}}, "pass", 2, "rosa: length_m of corridor c1"),
+        (
+            {"corridors": {"c1": {"from": "a", "to": "b", "length_m": -2}}},
+            "pass",
+            2,
+            "length_m of corridor c1 is -2; it must be",
+        ),
         ({"places": {**HALL["places"], "z": [9, 9]}}, "pass", 2, "disconnected: no way from a to z; add a corridor"),
         ({}, "made.change(speed, parameters={'gain': 1.0})", 2, "rosa: aruco_camera slow sets no speed; give"),
         ({}, "made.change(speed, parameters={'speed': 0.0})", 2, "rosa: aruco_camera slow sets speed to 0"),
