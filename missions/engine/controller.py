@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Final, Protocol, runtime_checkable
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
-from py_trees.decorators import Decorator
-from py_trees.decorators import FailureIsRunning
+from py_trees.decorators import Decorator, FailureIsRunning
 from py_trees.trees import BehaviourTree
 
 from kb import ConfigurationManager, DiagnosticProblem, Event, EventKind, KnowledgeBase, RequiredAction
