@@ -11,7 +11,7 @@ from py_trees.behaviour import Behaviour
 
 from kb import KnowledgeBase, Model
 from missions.engine.controller import build_task
-from missions.engine.mission import Mission, Percepts
+from missions.engine.mission import Mission, MissionError, Percepts
 from missions.proof.exploration import Exploration, Predicate, Setup
 from missions.proof.properties import Finding, Graph, Property, check
 from missions.proof.story import Story, play
@@ -141,7 +141,9 @@ def verify(
 
 
 def setup_of(mission: Mission, task: str = "bt", *, slow: bool = False, **given: Any) -> Setup:  # noqa: ANN401  # of Surroundings
-    """Return what is explored of a mission, with its tree or its plan executor."""
+    """Return what is explored of a mission: its tree; plans are certified by `rosa plan --certificate`."""
+    if task != "bt":
+        raise MissionError(f"{mission.name} is verified with its tree; its plans: `rosa plan --certificate`")
 
     def build(kb: KnowledgeBase) -> Behaviour:
         return build_task(task, mission, kb, Percepts(), lambda: kb.now, 0.0).root
