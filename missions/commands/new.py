@@ -32,8 +32,7 @@ def new(
     folder = Path(name)
     if folder.exists() or find_spec(name) is not None:
         raise MissionError(f"there is something named {name} already; give the robot another name")
-    parts = {"bt", "pddl"} if task == "both" else {task}
-    parts |= {"ros2"} if ros2 else set()
+    parts = ({"bt", "pddl"} if task == "both" else {task}) | ({"ros2"} if ros2 else set())
     try:
         for template, target in FILES.items():
             if NEEDS.get(template) in (None, *parts):
