@@ -322,7 +322,7 @@ class Grounded:
         variables = _Variables()
         looked_at = dict[str, bool]()  # by atom, whether it is denied
         for one in instances:
-            looked_at.update(dict.fromkeys(one.denies, True))
+            looked_at.update(dict.fromkeys(sorted(one.denies), True))
             for node in (one.others, *(condition for condition, *_ in one.effects)):
                 for text, truth in _literals(node):
                     looked_at[text] = looked_at.get(text, False) or not truth
