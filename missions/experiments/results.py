@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from time import monotonic
 from types import TracebackType
 from typing import Any, NamedTuple, Self
 
@@ -22,6 +23,7 @@ from missions.views.output import OutputFile
 
 FORMAT = 1
 CAMPAIGN, RUNS, TIMING, CRASHES = "campaign.json", "runs.jsonl", "timing.jsonl", "crashes.txt"
+SYNC_S = 1.0
 CRASHED = "crashed"
 """Outcome of a run that raised an exception or took its process down with it."""
 
@@ -96,7 +98,7 @@ class Store:
     """
 
     def __init__(self, folder: Path, campaign: Campaign | None, *, resume: bool = False) -> None:
-        self._folder = folder
+        self._folder, self._synced_s = folder, monotonic()
         if campaign is None and not resume:
             raise MissionError("say what to run: FILE.toml or --paper-table, or --resume --out DIR")
         self.campaign = _begun(folder, campaign) if campaign and not resume else _same(folder, campaign)
@@ -115,10 +117,15 @@ class Store:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._stack.close()
+        with self._stack:
+            self._sync()
 
     def keep(self, outcome: Outcome) -> None:
-        """Add what came of a run, on disk when this returns; raises MissionError if other code ran it."""
+        """Add what came of a run, to the files at once and on disk within a second of the next, or at the end.
+
+        Raises:
+            MissionError: other code ran it, or there is no room.
+        """
         code = provenance()["code"]
         if outcome.code != code:
             raise MissionError(
@@ -130,6 +137,15 @@ class Store:
         if outcome.timing:
             self._write(self._timing, _line(outcome.timing))
         self._write(self._runs, _line({**outcome.record, "code": outcome.code}))
+        if monotonic() >= self._synced_s + SYNC_S:
+            self._sync()
+
+    def _sync(self) -> None:
+        """Have on disk what was written: together, as it takes longer than many a run."""
+        with files_tried(f"write to {self._folder}", "; make room, then go on with --resume"):
+            for file in (self._runs, self._timing, self._crashes):
+                os.fsync(file)
+        self._synced_s = monotonic()
 
     def _open(self, name: str, stack: ExitStack) -> int:
         """Open a file to append to, hold it, and take away what is half-written."""
@@ -149,7 +165,6 @@ class Store:
         with files_tried(f"write to {self._folder}", "; make room, then go on with --resume"):
             while content:
                 content = content[os.write(file, content) :]
-            os.fsync(file)
 
 
 def read_store(folder: Path) -> Kept:

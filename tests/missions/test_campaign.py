@@ -410,6 +410,21 @@ def test_run_of_another_campaign_among_the_results_is_found_out(tmp_path):
         read_store(tmp_path / "c")
 
 
+def test_results_are_put_on_disk_once_a_second_and_at_the_end(tmp_path, monkeypatch):
+    synced, now = [], [0.0]
+    monkeypatch.setattr("missions.experiments.results.monotonic", lambda: now[0])
+    monkeypatch.setattr(os, "fsync", lambda file: synced.append(now[0]))
+    campaign = Campaign("many", ("suave",), runs=50)
+    with Store(tmp_path / "c", campaign) as store:
+        for run in campaign.planned():
+            now[0] += 0.1
+            store.keep(Outcome(run, provenance()["code"], {"run": run.name, "outcome": "x"}, {"run": run.name}))
+            assert run.name in (tmp_path / "c" / "runs.jsonl").read_text()  # what a kill cannot take any more
+    each = dict.fromkeys(synced)
+    assert 5 <= len(each) <= 7
+    assert len(read_store(tmp_path / "c").records) == 50
+
+
 @settings(max_examples=25)
 @given(data=st.data())
 def test_whatever_is_cut_off_at_the_end_costs_the_last_line_at_most(data, tmp_path_factory):
