@@ -58,6 +58,11 @@ def _incomplete(network: Network) -> Iterator[Finding]:
         if not node.parts:
             what = f"function design {node.name}"
             yield found("design-without-components", what, f"{what} of function {node.wholes[0].name} has no component")
+    for name, action in (
+        (one.name, rate.while_) for one in network.attributes.values() for rate in one.attribute.rates
+    ):
+        if action and action not in network.actions:
+            yield found("unknown-action", name, f"a rate of {name}: {UnknownName('action', action, network.actions)}")
 
 
 def _unused(model: Contents, network: Network) -> Iterator[Finding]:

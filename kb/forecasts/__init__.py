@@ -124,7 +124,8 @@ class Forecaster:
         value, radius, words = expected[0], expected[1], expected[2].format(node.attribute.amount(""))
         low, value, high = (_possible(node, value + side * (radius or 0.0)) for side in (_WORSE, _EXPECTED, _BETTER))
         span = "how exactly is not known" if radius is None else f"{low:.3g} to {high:.3g}"
-        reason = f"{node.name} is {reading(value, (), node)} ({span}) in {time - now:.3g} s: it {words}"
+        shown = reading(value, state.network.thresholds(node).around(value), node)
+        reason = f"{node.name} is {shown} ({span}) in {time - now:.3g} s: it {words}"
         is_known = radius is not None
         return Forecast(node.name, time, value, low if is_known else None, high if is_known else None, LEVEL, reason)
 

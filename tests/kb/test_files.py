@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from models import KINDS, OPERATORS, models
 
 from kb import Model, ModelError
+from kb.elements import Rate
 from kb.facts import (
     ActiveFact,
     MeasurementFact,
@@ -55,6 +56,8 @@ def odd_models(draw):
             max_age=age,
             when_stale=draw(st.sampled_from(("not evaluated", "violated"))),
             agreement=draw(st.sampled_from(((1, 1), (2, 3), (5, 5)))),
+            forecasting=draw(st.sampled_from(("", "constant", "trend", "periodic", "robot.sea:view"))),
+            rates=[Rate(draw(FLOATS), draw(TEXTS), draw(st.booleans())) for _ in range(draw(st.integers(0, 2)))],
         )
     for name in unique(draw):
         model.component(
@@ -123,7 +126,7 @@ def fact_makers(draw, model):
         makers.append(lambda: MeasurementFact(pick(model.attributes), draw(FLOATS), draw(TIMES), draw(st.booleans())))
     if components:
         makers.append(lambda: ActiveFact(pick(components)))
-        makers.append(lambda: ProcessFact(pick(components), draw(st.integers(1)), draw(TIMES), draw(TIMES)))
+        makers.append(lambda: ProcessFact(pick(components), draw(st.integers(1, 2**63 - 1)), draw(TIMES), draw(TIMES)))
     if model.actions:
         makers.append(
             lambda: RequiredActionFact(

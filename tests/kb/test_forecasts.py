@@ -8,6 +8,7 @@ import pytest
 from clocks import Clock
 
 from kb import InvalidValue, KnowledgeBase, Model, ModelError, UnknownName
+from kb.elements import Rate
 
 
 def rover(**battery):
@@ -166,6 +167,8 @@ def test_bad_forecasts_are_refused_with_what_to_write(clock):
     energy.changes(-1, while_="explore")
     with pytest.raises(ModelError, match="a rate of 'energy'"):
         model.remove(model.actions["explore"])
+    model.change("energy", rates=[Rate(-1.0, "explor")])  # as files may say
+    assert "a rate of energy: unknown action 'explor'; did you mean 'explore'?" in str(model.check())
     kb = KnowledgeBase(model, clock=clock)
     for wrong in (-1.0, math.nan):
         with pytest.raises(InvalidValue):
