@@ -40,7 +40,6 @@ class Gain:
         spread: by what share the rate may be higher or lower.
         away: how fast doing it takes the robot away from where errands are done [m/s].
         switching_s: for how long nothing is gained when the configuration changes [s].
-        possible: says whether anything can be gained by it now.
     """
 
     action: str
@@ -48,7 +47,6 @@ class Gain:
     spread: float = 0.0
     away: float = 0.0
     switching_s: float = 0.0
-    possible: Callable[[], bool] = lambda: True
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +77,7 @@ class Worth:
         errands: what makes it last.
         keep: of which attributes enough is kept at every moment to have so much left at the end of an errand, by name.
             Of others an errand is planned only if their least value in the model is left.
-        away: says how far the robot is from where errands are done [m].
+        away: how far the robot is from where errands are done [m].
         unit: of the worth.
     """
 
@@ -87,7 +85,7 @@ class Worth:
     gains: Sequence[Gain] = ()
     errands: Sequence[Errand] = ()
     keep: Mapping[str, float] = field(default_factory=dict)
-    away: Callable[[], float] = lambda: 0.0
+    away: float = 0.0
     unit: str = ""
 
 
@@ -117,7 +115,7 @@ class Lookahead:
 
     Args:
         kb: the knowledge base; its forecasts say how attributes go on.
-        worth: what the mission is worth; None, or no gains, for nothing stated.
+        worth: what the mission is worth, or what says that at each decision; None, or no gains, for nothing stated.
         period: how often it is decided anew at most, while no status changes [s].
 
     Attributes:
@@ -128,13 +126,14 @@ class Lookahead:
         InvalidValue: a number that makes no sense.
     """
 
-    def __init__(self, kb: KnowledgeBase, worth: Worth | None = None, period: float = 1.0) -> None:
-        self._kb, self._worth, self._period = kb, worth or Worth(inf), period
+    def __init__(
+        self, kb: KnowledgeBase, worth: Worth | Callable[[], Worth] | None = None, period: float = 1.0
+    ) -> None:
+        self._kb, self._given, self._period = kb, worth, period
         self.latest = Decision()
         self._asked: tuple[int, float] = -1, -inf
         self._begun: tuple[Errand, float, list[str]] | None = None
-        if self._worth.gains:
-            _check(kb, self._worth)
+        self._worth = self._stated()
 
     def update(self) -> Decision:
         """Decide if it is time to, tell what is put off, and return what was decided last."""
@@ -165,8 +164,9 @@ class Lookahead:
         return self.latest
 
     def decide(self) -> Decision:
-        """Return what is best now; nothing is told, and nothing is remembered."""
-        kb, worth = self._kb, self._worth
+        """Return what is best now; nothing is told."""
+        kb, worth = self._kb, self._stated()
+        self._worth = worth
         if not worth.gains or kb.now >= worth.deadline:
             return Decision()
         steps = min(_STEPS, ceil((worth.deadline - kb.now) / _FINEST_S))
@@ -179,9 +179,15 @@ class Lookahead:
             except _TooManyStates:
                 steps = ceil(steps / 2)
 
+    def _stated(self) -> Worth:
+        worth = (self._given() if callable(self._given) else self._given) or Worth(inf)
+        if worth.gains:
+            _check(self._kb, worth)
+        return worth
+
     def _put_off(self, errand: Errand) -> None:
         """Put off what an errand interrupts, until it is done, or should long have been."""
-        kb, away = self._kb, self._worth.away()
+        kb, away = self._kb, self._worth.away
         until = kb.now + 2 * (errand.there(away) + errand.back(away)) + self._period
         names = [one.action for one in self._worth.gains if kb.is_feasible(one.action)]
         for name in names:
@@ -309,17 +315,19 @@ class _Question:
         self._idle = self._slopes("")
         self._keep = [worth.keep.get(name, kb.model.attributes[name].low) for name in self._names]
         self._kept = [index for index, name in enumerate(self._names) if name in worth.keep]
-        self._ways = [way for gain in worth.gains if gain.possible() for way in self._ways_of(gain)]
+        self._ways = [way for gain in worth.gains for way in self._ways_of(gain)]
 
     def _slopes(self, action: str) -> _Slopes:
         """Return how fast levels change while an action is done."""
         slopes: _Slopes = []
         for name, level in zip(self._names, self._levels, strict=True):
-            element, span = self._kb.model.attributes[name], _SLOPE_S
-            ahead = self._kb.forecast(name, span, doing=(action,) if action else ())
+            element, span, doing = self._kb.model.attributes[name], _SLOPE_S, (action,) if action else ()
+            now = self._kb.forecast(name, 0.0, doing=doing).value  # the level is as old as its measurement
+            level = level if now is None else now
+            ahead = self._kb.forecast(name, span, doing=doing)
             while ahead.value in (element.low, element.high) and span > 0.01:  # at the end of its range it stays
                 span /= 2
-                ahead = self._kb.forecast(name, span, doing=(action,) if action else ())
+                ahead = self._kb.forecast(name, span, doing=doing)
             self.unknown = self.unknown or (ahead.reason if ahead.value is None else "")
             ends = [ahead.value if end is None else end for end in (ahead.low, ahead.value, ahead.high)]
             slopes.append(tuple([0.0 if end is None else (end - level) / span for end in ends]))
@@ -363,7 +371,7 @@ class _Question:
         for number, (gain, name, *_) in enumerate(self._ways):
             if kb.actions[gain.action].is_required and (not name or kb.configurations[name].is_selected):
                 doing = number
-        start = state = round(self._left, 6), round(self._worth.away(), 3), self._levels, doing
+        start = state = round(self._left, 6), round(self._worth.away, 3), self._levels, doing
         errands, still = list[tuple[float, str]](), None
         while state[0] > _ROUNDING:
             move, time = self._best(state)[1], self._worth.deadline - state[0]
@@ -435,7 +443,7 @@ class _Question:
             way = self._ways[move]
             if not self._rates[move][self._step(left)] or self._lasting(levels, way) < 0.999 * time:
                 return None
-            levels, away = self._worn(levels, way.slopes, time), round(away + way.gain.away * time, 3)
+            levels, away = self._worn(levels, way.slopes, time), round(max(0.0, away + way.gain.away * time), 3)
             arriving = (self._arrives(levels, away, one, self._kept) for one in range(len(self._errands)))
             return (round(left - time, 6), away, levels, move) if not self._kept or any(arriving) else None
         number = move - len(self._ways)
@@ -456,9 +464,10 @@ class _Question:
         left, away, levels, before = state
         free = self._freely(left, before)[0]
         lasting = max([self._lasting(levels, way) for way in self._ways])
-        if lasting >= left or not self._errands or any(way.gain.away < 0.0 for way in self._ways):
+        if lasting >= left or not self._errands:
             return free
-        takes = min(sum(self._takes(number, away)) for number in range(len(self._errands)))
+        nearest = max(0.0, away + left * min([0.0, *(way.gain.away for way in self._ways)]))
+        takes = min(sum(self._takes(number, nearest)) for number in range(len(self._errands)))
         return min(free, self._top * max(lasting, left - takes))
 
     def _takes(self, errand: int, away: float) -> tuple[float, float]:

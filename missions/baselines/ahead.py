@@ -1,11 +1,11 @@
 """Ours, looking ahead: it recharges when that is worth most, and searches as high as is worth most.
 
-It knows what is published, the model, the deadline, where it began, where the station is and how its own nodes move it;
+It knows what is published, the model, the deadline, how far it is from the station and how its own nodes move it;
 nothing of the water, the pipeline or the battery but what it is told.
 """
 
-from functools import partial
-from math import hypot, pi, tan
+from collections import deque
+from math import pi, tan
 
 from py_trees.behaviour import Behaviour
 
@@ -22,8 +22,10 @@ TRANSIT_SHARE = 0.85
 """Mean speed of a drive to the station, as a share of the speed limit."""
 DRAIN_1_S = -1 / 200
 """How fast the battery is said to drain, until enough is known of how it does."""
-CLIMBING_S = 3.0
-"""For how long the spiral stands still when its altitude changes."""
+CLIMBING_S = 1.5
+"""By how much a step of the spiral takes longer when its altitude changes by a metre."""
+SEEN_POINTS = 6
+"""By how many points of the pipeline, reached one after the other, it is judged whether it leads to the station."""
 SETTLING_S = 10.0
 """From the end of a drive back until the follower counts again."""
 
@@ -43,8 +45,17 @@ class AheadManager(OwnTree):
         return model
 
     def tree(self) -> Behaviour:
-        mission = super().tree()
-        self._lookahead = Lookahead(self.kb, self._worth(mission), period=2.0)
+        mission, kb, settings = super().tree(), self.kb, self.robot.settings
+        self._inspect = next(one for one in mission.iterate() if isinstance(one, InspectPipeline))
+        self._seen = deque([(0.0, self.robot.way_m())], SEEN_POINTS)
+        turns_s = settings.spiral_angle_step_rad / (2 * pi) / settings.spiral_period_s
+        views = (kb.configurations[name] for name in kb.components["spiral_search"].configurations)
+        heights = {one.name: float(str(one.parameters["spiral_altitude"])) for one in views}
+        widths = {name: 2 * height * tan(settings.half_view_angle_rad) * turns_s for name, height in heights.items()}
+        self._search = Gain("search_pipeline", widths, 0.5, switching_s=CLIMBING_S)
+        recharge = Errand("recharge", {"battery_level": 1.0}, self._drive_s, self._return_s, 0.2)
+        self._errands = (recharge,) if recharge.action in kb.actions else ()
+        self._lookahead = Lookahead(kb, self._worth, period=2.0)
         return WhatNext("what next", self._lookahead, [mission])
 
     def receive(self, message: Message) -> None:
@@ -56,27 +67,23 @@ class AheadManager(OwnTree):
         super().update()
         self._manager.update()
 
-    def _worth(self, mission: Behaviour) -> Worth:
+    def _worth(self) -> Worth:
         """Return what the mission is worth: metres inspected, or before these metres by which the search widens.
 
         With each turn the spiral widens by what the camera sees across from its altitude; it makes a step in a period.
         """
-        kb, settings = self.kb, self.robot.settings
-        inspect = next(one for one in mission.iterate() if isinstance(one, InspectPipeline))
-        home_m = hypot(settings.start_x_m - settings.station_x_m, settings.start_y_m - settings.station_y_m)
-        turns_s = settings.spiral_angle_step_rad / (2 * pi) / settings.spiral_period_s
-        views = (kb.configurations[name] for name in kb.components["spiral_search"].configurations)
-        heights = {one.name: float(str(one.parameters["spiral_altitude"])) for one in views}
-        search = {name: 2 * height * tan(settings.half_view_angle_rad) * turns_s for name, height in heights.items()}
+        gain, way_m = self._search, self.robot.way_m()
+        if self.percepts.holds("pipeline_found"):
+            if self._inspect.inspected_m > self._seen[-1][0]:
+                self._seen.append((self._inspect.inspected_m, way_m))
+            (before_m, before), (now_m, now) = self._seen[0], self._seen[-1]
+            away = (now - before) / (now_m - before_m) if len(self._seen) == SEEN_POINTS else 0.0
+            gain = Gain("inspect_pipeline", FOLLOWING_M_S, 0.1, away * FOLLOWING_M_S)
+        return Worth(self.robot.deadline_s, (gain,), self._errands, away=way_m, unit="m")
 
-        def drive_s(away: float) -> float:
-            return settings.recharge_period_s + away / (TRANSIT_SHARE * settings.speed_limit_m_s)
+    def _drive_s(self, away: float) -> float:
+        settings = self.robot.settings
+        return settings.recharge_period_s + away / (TRANSIT_SHARE * settings.speed_limit_m_s)
 
-        is_found = partial(self.percepts.holds, "pipeline_found")
-        gains = (
-            Gain("search_pipeline", search, 0.5, switching_s=CLIMBING_S, possible=lambda: not is_found()),
-            Gain("inspect_pipeline", FOLLOWING_M_S, 0.1, away=FOLLOWING_M_S, possible=is_found),
-        )
-        recharge = Errand("recharge", {"battery_level": 1.0}, drive_s, lambda away: drive_s(away) + SETTLING_S, 0.2)
-        errands = (recharge,) if recharge.action in kb.actions else ()
-        return Worth(self.robot.deadline_s, gains, errands, away=lambda: home_m + inspect.inspected_m, unit="m")
+    def _return_s(self, away: float) -> float:
+        return self._drive_s(away) + SETTLING_S

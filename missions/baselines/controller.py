@@ -62,7 +62,9 @@ class BaselineController(Controller):
         self.inputs = {f"input_from_paper_{name}": options[name] for name in inputs}
         self._world, self._class, self._percepts = world, manager, Percepts()
         phases = rng.random(2).tolist()
-        self.robot = Robot(mission, world.managed, world.settings, rng, lambda: world.now, options, deadline_s)
+        self.robot = Robot(
+            mission, world.managed, world.settings, rng, lambda: world.now, options, deadline_s, world.way_m
+        )
         self._manager = self._ask(manager, self.robot)
         self._mission_timer = _Timer(world.settings.mission_period_s, phases[0])
         self._manager_timer = _Timer(self._ask(_checked, self._manager.period_s), phases[1])

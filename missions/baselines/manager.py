@@ -34,6 +34,7 @@ class Robot:
         reported: last published word by component, e.g. {"c_thruster_1": "FALSE"}.
         noticed: how often something else was published, by key, e.g. {"pipeline_found": 1}.
         deadline_s: when the mission ends at the latest [s].
+        way_m: says how far it is from the station, by its own odometry [m].
         tasks: every task that was begun, in order.
     """
 
@@ -46,11 +47,12 @@ class Robot:
         clock: Callable[[], float],
         options: Mapping[str, float] | None = None,
         deadline_s: float = inf,
+        way_m: Callable[[], float] = lambda: 0.0,
     ) -> None:
         from suave_env.components import Agenda
 
         self.mission, self.settings, self.rng, self.options = mission, settings, rng, options or {}
-        self.deadline_s = deadline_s
+        self.deadline_s, self.way_m = deadline_s, way_m
         self.measured: dict[str, float] = {}
         self.reported: dict[str, str] = {}
         self.noticed: dict[str, int] = {}

@@ -1,5 +1,6 @@
 """The simulated sea as a world of missions; the simulator is imported when a mission is run in it, not before."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
@@ -81,6 +82,11 @@ class Sea(World):
             "search altitude [m]": seen.spiral_altitude if "spiral_search" in seen.active else float("nan"),
         }
         return Sample(seen.time, (seen.x, seen.y, seen.z), signals)
+
+    def way_m(self) -> float:
+        """Return how far the vehicle is from the station [m]."""
+        seen = self._env.observe()
+        return math.dist((seen.x, seen.y), self._env.station[:2])
 
     def disturbances(self) -> list[tuple[float, str]]:
         return [(one.time, one.text) for one in self._env.disturbances]

@@ -47,9 +47,8 @@ def dock(there=5.0, back=5.0, spread=0.0):
 def test_charge_is_filled_when_the_next_one_lasts_to_the_end_and_it_is_said_why():
     kb, clock = mower()
     away = [0.0]
-    lookahead = Lookahead(
-        kb, Worth(130.0, (Gain("mow", 2.0, 0.1, away=0.1),), (dock(),), away=lambda: away[0], unit="m2")
-    )
+    gains = (Gain("mow", 2.0, 0.1, away=0.1),)
+    lookahead = Lookahead(kb, lambda: Worth(130.0, gains, (dock(),), away=away[0], unit="m2"))
     while lookahead.update().action == "mow":
         assert lookahead.latest.low < lookahead.latest.worth < lookahead.latest.high
         clock.now += 1.0
@@ -116,8 +115,8 @@ def test_no_other_course_gains_more(steps, level, there, back, drain, away_m_s):
 
 def test_what_is_to_be_kept_is_left_at_the_end_of_an_errand_at_the_worse_end():
     kb, clock = mower()
-    worth = Worth(30.0, (Gain("mow", 1.0, away=1.0),), (dock(1.0, 1.0, 0.5),), {"charge": 0.4}, lambda: clock.now)
-    lookahead = Lookahead(kb, worth)
+    stated = (Gain("mow", 1.0, away=1.0),), (dock(1.0, 1.0, 0.5),), {"charge": 0.4}
+    lookahead = Lookahead(kb, lambda: Worth(30.0, *stated, clock.now))
     while lookahead.update().action == "mow":
         clock.now += 1.0
         kb.measure("charge", 1.0 - DRAIN * clock.now)
