@@ -226,10 +226,9 @@ def test_events_are_published_as_the_original_compares_them(robot):
 
 def test_unknown_keys_of_diagnostics_are_counted_each_as_one_kind(robot):
     with bridged(robot) as (kb, bridge):
-        for value in range(5):
-            until(lambda n=value: bridge.heard > n, turn=lambda v=value: robot.diagnose(enrgy=v / 10))
+        values = iter(range(10**6))
+        until(lambda: sum(bridge.refused.values()) >= 5, turn=lambda: robot.diagnose(enrgy=next(values)))
         assert list(bridge.refused) == ["enrgy: unknown attribute 'enrgy'; did you mean 'energy'?"]
-        assert sum(bridge.refused.values()) == bridge.heard
         assert kb.attributes["energy"].value is None
 
 
