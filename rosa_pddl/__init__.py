@@ -1,5 +1,6 @@
 """What to do next: a replanning executor of PDDL plans on unified-planning, itself a py_trees behaviour."""
 
+from rosa_pddl.belief import LastingFeasibility
 from rosa_pddl.certificate import Certificate, certificate
 from rosa_pddl.domain import Domain, Feasibility, Schema, State, Step, TimedStep
 from rosa_pddl.engines.unified_planning import register_engine
@@ -35,6 +36,7 @@ __all__ = [
     "Goal",
     "GoalError",
     "Goals",
+    "LastingFeasibility",
     "MissingBehaviourError",
     "Outcome",
     "PddlError",

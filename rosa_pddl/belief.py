@@ -11,8 +11,9 @@ from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from math import isfinite
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
+from kb import KnowledgeBase
 from kb.events import Log
 from kb.explanation.reasons import Explanation
 from rosa_pddl.domain import Domain, Feasibility, State, Step, UpThing, exact, head_of, number_fact, numbers_in
@@ -227,6 +228,47 @@ class Belief:
 
 def _names_in(fact: str) -> list[str]:
     return fact.replace("(", " ").replace(")", " ").split()
+
+
+class LastingFeasibility:
+    """A knowledge base in which an action counts as feasible only if it stays so for as long as its steps take.
+
+    That is as far as is known, see `KnowledgeBase.feasible_until`. To begin, the worse ends of what is forecast count,
+    and once it was too short it has to last a tenth longer. While it is required, what is expected counts, for what is
+    left of its time. So a forecast that wavers changes no plan. All else is asked of the knowledge base itself.
+    """
+
+    def __init__(self, kb: KnowledgeBase, domain: Domain) -> None:
+        schemas = domain.schema_of.values()
+        steps = {
+            one: [domain.duration_s(each.name) for each in schemas if domain.may_do(each, one)] for one in kb.actions
+        }
+        self._kb, self._takes_s = kb, {action: max(durations, default=0.0) for action, durations in steps.items()}
+        self._known: dict[str, tuple[object, str]] = {}
+
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401  # whatever a knowledge base offers
+        return getattr(self._kb, name)
+
+    def is_feasible(self, action: str) -> bool:
+        """Tell whether an action can be done now, and finished."""
+        return self._kb.is_feasible(action) and not self._why_too_short(action)
+
+    def why(self, action: str) -> str:
+        """Say in a sentence why an action is as it is."""
+        return (self._kb.is_feasible(action) and self._why_too_short(action)) or self._kb.why(action)
+
+    def _why_too_short(self, action: str) -> str:
+        now = self._kb.now, self._kb.log.last
+        at, before = self._known.get(action, (None, ""))
+        if at != now:
+            began = [one.start for one in self._kb.required_actions if one.action == action]
+            left = self._takes_s.get(action, 0.0) - sum(now[0] - start for start in began)
+            left *= 1.1 if before and not began else 1.0
+            until = self._kb.feasible_until(action, max(left, 0.0))
+            is_short = (until.at if began else until.earliest) is not None
+            before = f"{action} takes {left:.3g} s and is {until}" if is_short else ""
+            self._known[action] = now, before
+        return before
 
 
 class FeasibilityEvents:
