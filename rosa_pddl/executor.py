@@ -248,9 +248,7 @@ class PlanExecutor(Behaviour):
     def holds(self, text: str) -> bool:
         """Whether a condition such as `(and (lit hall) (>= (fuel rover) 20))` holds now, as it is believed.
 
-        Raises:
-            PddlError: the text is no PDDL.
-            UnknownNameError: it mentions what the domain does not have.
+        PddlError says that it is no PDDL, UnknownNameError that it mentions what there is not.
         """
         with lock_of(self._domain):
             asked = [one.expression for one in conditions(self._domain, text)]
@@ -261,19 +259,11 @@ class PlanExecutor(Behaviour):
         return self._domain.objects_of(self._domain.spelling("type", type_name, type_name))
 
     def add_object(self, name: str, type_name: str) -> None:
-        """Take in an object that has appeared; facts of it may be sensed from then on. Call it between ticks.
-
-        Raises:
-            UnknownNameError: there is no such type, or the name is taken or none.
-        """
+        """Take in an object that has appeared, between ticks; UnknownNameError says why that cannot be."""
         self._use(with_object(self._domain, name, type_name))
 
     def remove_object(self, name: str) -> None:
-        """Forget an object that is gone: steps that are done with it are stopped, plans with it given up.
-
-        Raises:
-            UnknownNameError: there is no such object, or it is a ROSA action.
-        """
+        """Forget an object that is gone, between ticks, and stop what is done with it; UnknownNameError says why not."""
         domain = without_object(self._domain, name)
         self._release([one for one in self._running if name in one.step.arguments])
         self._use(domain)
