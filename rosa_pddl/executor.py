@@ -263,7 +263,7 @@ class PlanExecutor(Behaviour):
         self._use(with_object(self._domain, name, type_name))
 
     def remove_object(self, name: str) -> None:
-        """Forget an object that is gone, between ticks, and stop what is done with it; UnknownNameError says why not."""
+        """Forget an object that is gone, between ticks, and stop what is done with it, or UnknownNameError says why."""
         domain = without_object(self._domain, name)
         self._release([one for one in self._running if name in one.step.arguments])
         self._use(domain)
