@@ -19,7 +19,9 @@ def verify(
     most: Annotated[int, typer.Option(help="So many situations at most.")] = 100_000,
     seconds: Annotated[float, typer.Option(help="For so long at most [s].")] = 60.0,
     json: Annotated[Path | None, typer.Option(help="Write what was found.")] = None,
-    report: Annotated[Path | None, typer.Option(help="Write the page of the first story.")] = None,
+    report: Annotated[
+        Path | None, typer.Option(help="Write a page: of the first story, or how the goal is reached.")
+    ] = None,
     test: Annotated[Path | None, typer.Option(help="Write the first story as a test for pytest.")] = None,
 ) -> None:
     """Say what holds in everything that can happen; exit with 0 if all of it does, as far as was explored."""
@@ -38,9 +40,9 @@ def verify(
     if json is not None:
         with OutputFile(json) as file:
             file.finish(as_json(proof.as_data()))
-    shown = next((one for one in proof.broken if one.trail is not None), None)
-    if report is not None and shown is not None:
-        proof.story(shown, report)
+    shown = proof.shown
+    if report is not None:
+        proof.report(report)
     if test is not None and shown is not None and shown.trail is not None:
         imports = "from missions.engine.registry import find_mission\nfrom missions.proof.verification import setup_of"
         made = f"setup_of(find_mission({mission!r}), {task!r}, {', '.join(f'{k}={v}' for k, v in options.items())})"

@@ -58,12 +58,21 @@ class Proof:
         """What does not hold."""
         return tuple(one for one in self.findings if one.holds is False)
 
-    def story(self, finding: Finding, page: str | Path | None = None) -> Story | None:
-        """Return the story that shows that something does not hold, if one does; with its page if asked for."""
-        if finding.trail is None:
-            return None
-        told = [f"{finding.name}: {finding.what}", *map(str, self.consequences)]
-        return play(self.setup, finding.trail, page, told)
+    @property
+    def shown(self) -> Finding | None:
+        """The first of what does not hold that a story shows."""
+        return next((one for one in self.broken if one.trail is not None), None)
+
+    def story(self, finding: Finding) -> Story | None:
+        """Return the story that shows that something does not hold, if one does."""
+        return None if finding.trail is None else play(self.setup, finding.trail)
+
+    def report(self, path: str | Path) -> None:
+        """Write a page of the first story of what does not hold, or else of how the goal is reached; with all findings."""
+        told = [f"{one.name}: {one.what}" for one in self.broken]
+        goals = Graph(self.found).goals if self.shown is None else set()
+        way = self.found.path(min(goals)) if goals else ()
+        play(self.setup, (self.shown and self.shown.trail) or way, path, [*told, *map(str, self.consequences)])
 
     def __str__(self) -> str:
         found = self.found

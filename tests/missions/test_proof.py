@@ -187,11 +187,12 @@ def test_saved_test_fails_while_the_bug_is_there():
 
 
 def test_command_tells_what_holds_and_writes_it(tmp_path):
-    path = tmp_path / "proof.json"
-    done = CliRunner().invoke(cli.app, ["verify", "suave", "--json", str(path)])
+    path, page = tmp_path / "proof.json", tmp_path / "proof.html"
+    done = CliRunner().invoke(cli.app, ["verify", "suave", "--json", str(path), "--report", str(page)])
     assert done.exit_code == 0, done.output
     assert "yes  every adaptation of the model can occur" in done.output
     assert "follow_pipeline fails: reaches nothing" in done.output
+    assert "follow_pipeline fails: reaches nothing" in page.read_text()
     written = json.loads(path.read_text())
     assert written["finished"]
     assert all(one["holds"] for one in written["findings"])
