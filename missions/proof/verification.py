@@ -68,7 +68,7 @@ class Proof:
         return None if finding.trail is None else play(self.setup, finding.trail)
 
     def report(self, path: str | Path) -> None:
-        """Write a page of the first story of what does not hold, or else of how the goal is reached; with all findings."""
+        """Write a page of the first story of what does not hold, or of how the goal is reached; with all findings."""
         told = [f"{one.name}: {one.what}" for one in self.broken]
         goals = Graph(self.found).goals if self.shown is None else set()
         way = self.found.path(min(goals)) if goals else ()
