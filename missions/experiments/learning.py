@@ -195,8 +195,17 @@ def _by_action(slopes: _Slopes) -> dict[str, Spread]:
 
 
 def learn(runs: Iterable[Experience], model: Model, mission: Mission | None = None) -> list[Suggestion]:
-    """Return what runs tell of a model, and of how long a mission says that actions take."""
+    """Return what runs tell of a model, and of how long a mission says that actions take.
+
+    Raises:
+        MissionError: a run is of another robot: an action of it is not in the model.
+    """
     known = list(runs)
+    for run in known:
+        for action in {event.subject: None for event in run.events if event.verb == "request_action"}:
+            if action not in model.actions:
+                there = ", ".join(model.actions)
+                raise MissionError(f"in {run.name} {action} is done, which is no action of {model.name}: {there}")
     spans = [spans_of(one) for one in known]
     slopes = _slopes(spans)
     return [
@@ -367,8 +376,10 @@ def read_runs(paths: Iterable[Path]) -> Iterator[Experience]:
 
 
 def _recorded(path: Path) -> Iterator[Experience]:
-    from missions.wires.bags import read_bag
+    from missions.wires.bags import is_bag, read_bag
 
+    if path.exists() and not is_bag(path):
+        raise MissionError(f"{path} does not hold what was known and decided; record runs to FILE.mcap")
     bag = read_bag(path)
     yield from [Experience(path.name, bag.events, bag.messages)] if bag.events else []
 

@@ -142,6 +142,8 @@ def test_recordings_and_campaigns_are_learned_from_on_the_command_line(tmp_path,
         (("learn", "nothing.mcap", "--model", "suave_extended"), "nothing.mcap"),
         (("learn", "run.mcap", "--model", "suave_extendet"), "suave_extended"),
         (("learn", "run.mcap", "--model", "suave", "--take", "worth"), "what can be changed is rate"),
+        (("learn", "run.mcap", "--model", "uav"), "no action of uav"),
+        (("learn", "two.toml", "--model", "suave"), "record runs to FILE.mcap"),
     ):
         code, _, said = called(capsys, monkeypatch, *wrong)
         assert code != 0
