@@ -200,7 +200,8 @@ class AdaptationLog:
     @property
     def is_at_rest(self) -> bool:
         """Whether nothing is under way that the next tick or turn of the manager may end."""
-        return not (self._task or self._under_way or self._ended or self._began or self._made or self._to_answer)
+        decided = self._task or self._under_way or self._ended or self._began or self._made or self._to_answer
+        return not decided and len(self._plans()) == self._plans_seen
 
     def finish(self) -> None:
         """Tell of an action that was given up and that none has followed; called when a run ends short of its goal."""
