@@ -6,7 +6,7 @@ state of the knowledge base; a tick is run in each state of both, for all answer
 """
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple
 
@@ -20,7 +20,7 @@ from kb.execution.safeguards import Budgets
 from kb.manager import Planner
 from missions.proof.leaves import Answer, Choices, Leaf, take_over
 from missions.proof.memory import Content, Memory
-from missions.proof.surroundings import Change, Surroundings
+from missions.proof.surroundings import STALE, Change, Surroundings
 from rosa_bt import ForAction, RosaAction, TreeRunner
 from rosa_bt.behaviours import kept
 
@@ -322,7 +322,19 @@ class Exploration:
 
     def _tick(self, place: int) -> None:
         """Tick in a moment with every combination of answers."""
-        rig, (tree, known), (before, move) = self.rig, self.moments[place], self.origins[place]
+        before, move = self.origins[place]
+        for after_tree, after, answers in self._outcomes(self.moments[place]):
+            step = Step(move.changes, answers, (move.is_late, False))
+            settled = self._settle(after, before, step)
+            for reached in dict.fromkeys((settled, after) if self._slow else (settled,)):
+                late = Step(step.changes, step.answers, (move.is_late, reached != settled))
+                number = self._reach(Situation(after_tree, reached), before, late)
+                self.ticks[place].append(Tick(number, step.answers, late.late[1]))
+                self.transitions += 1
+
+    def _outcomes(self, moment: Situation) -> Iterator[tuple[int, int, tuple[Answer, ...]]]:
+        """Yield the states of tree and knowledge base after a tick, for all answers."""
+        rig, (tree, known) = self.rig, moment
         scripts: list[tuple[Answer, ...]] = [()]
         while scripts:
             self._known.write(known)
@@ -331,14 +343,28 @@ class Exploration:
             last = rig.kb.log.last
             rig.runner.tick()
             scripts += rig.choices.others()
-            after_tree, after = self._tree.read(), self._after_tick(known, last)
-            step = Step(move.changes, tuple(rig.choices.taken), (move.is_late, False))
-            settled = self._settle(after, before, step)
-            for reached in dict.fromkeys((settled, after) if self._slow else (settled,)):
-                late = Step(step.changes, step.answers, (move.is_late, reached != settled))
-                number = self._reach(Situation(after_tree, reached), before, late)
-                self.ticks[place].append(Tick(number, step.answers, late.late[1]))
-                self.transitions += 1
+            yield self._tree.read(), self._after_tick(known, last), tuple(rig.choices.taken)
+
+    def succeeds_anew(self, facts: Known, goal: Predicate | None) -> bool:
+        """Tell whether the mission, begun anew while these facts hold, can reach its goal as long as they do."""
+        rig, faults, ticked = self.rig, dict(self.faults), set(self.rig.ticked)
+        self._known.write(self.situations[0].known)
+        for change in (*(Change(name, True) for name in facts.failed), *(Change(*one) for one in facts.values)):  # type: ignore[arg-type]  # or None
+            if change.to not in (None, STALE):
+                change.tell(rig.kb)
+        pending = [Situation(self.situations[0].tree, self._settle(self._known.read(), 0, Step()))]
+        seen, is_reached = set(pending), False
+        while pending and not is_reached:
+            for tree, after, _ in self._outcomes(pending.pop()):
+                following = Situation(tree, self._settle(after, 0, Step()))
+                if following not in seen:
+                    seen.add(following)
+                    pending.append(following)
+                    self._known.write(following.known)
+                    self._tree.write(tree)
+                    is_reached |= rig.root.status is Status.SUCCESS if goal is None else goal(rig)
+        self.faults, rig.ticked = faults, ticked
+        return is_reached
 
     def _reach(self, situation: Situation, before: int, step: Step) -> int:
         number = self._numbers.setdefault(situation, len(self.situations))

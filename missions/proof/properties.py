@@ -90,6 +90,7 @@ class Graph:
     """What was explored, with the questions that properties ask of it."""
 
     def __init__(self, found: Exploration, goal: Predicate | None = None) -> None:
+        self.goal = goal
         self.found, self.every = found, range(len(found.situations))
         ended = (one for one in self.every if found.doing[found.situations[one].tree].status is Status.SUCCESS)
         self.goals = set(ended) if goal is None else found.holds[goal]
@@ -199,13 +200,16 @@ def _together(found: Exploration, groups: Iterable[set[str]]) -> Wrong | None:
 
 
 def _stuck(graph: Graph) -> Wrong | None:
-    """Compare situations in which the same facts hold: from one the goal is reached while they do, from another not."""
+    """Look for a situation from which the goal is not reached while facts stand, but begun anew with them it is."""
     good = graph.reaching(graph.goals | graph.found.unexplored, still=True)
     known = [graph.found.known[one.known] for one in graph.found.situations]
     facts = [(one.failed, one.values) for one in known]
     possible = {facts[number] for number in graph.reaching(graph.goals, still=True)}
-    bad = next((one for one in graph.every if one not in good and facts[one] in possible), None)
-    return None if bad is None else ("it is not then, but elsewhere with the same facts it is", graph.found.path(bad))
+    first = {facts[one]: one for one in reversed(graph.every) if one not in good and facts[one] in possible}
+    for bad in sorted(first.values()):
+        if graph.found.succeeds_anew(known[bad], graph.goal):
+            return "it is not then, but begun anew with the same facts it is", graph.found.path(bad)
+    return None
 
 
 def _wavering(graph: Graph) -> Wrong | None:

@@ -430,6 +430,21 @@ MUTANTS = [
     ),
 ]
 
+
+def fetching_model():
+    model = Model("fetcher")
+    for action, part in (("drive", "wheels"), ("look", "camera")):
+        component = model.component(part, kind="lifecycle")
+        model.action(action, requires=[model.function(f"can {action}").design(f"by {part}", [component]).function])
+    return model
+
+
+def _fetch(kb):
+    """Drive there, and then look: when the wheels have failed since, that is still possible."""
+    children = [Act("drive", kb, "drive"), Act("look", kb, "look")]
+    return until(Sequence("fetch", memory=True, children=children))
+
+
 CORRECT = [
     Case("either", lambda kb: either(kb)),
     Case("gives way", _give_way),
@@ -470,6 +485,12 @@ CORRECT = [
     Case(
         "beside a watch",
         lambda kb: either(kb, Parallel("p", ParallelPolicy.SuccessOnOne(), [explore(kb), Running("watch")])),
+    ),
+    Case(
+        "steps that need what has failed since",
+        _fetch,
+        fetching_model,
+        given={"start": {}, "failing": None, "exclusive": ()},
     ),
     Case("more light", lambda kb: either(kb), rover_model(dark=2.0)),
     Case("only charges if it has to", lambda kb: either(kb), wanted=(ONLY_IF_NEEDED, ENOUGH, STILL, DAY), given=WORKS),

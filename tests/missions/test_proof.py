@@ -52,7 +52,7 @@ def test_seeded_bug_is_found_and_its_story_is_replayed(name):
     assert any(story for _, story in stories) or found.trail is None
 
 
-@pytest.mark.parametrize("name", ["either", "waits for the robot"])
+@pytest.mark.parametrize("name", ["either", "steps that need what has failed since"])
 def test_correct_mission_has_nothing_wrong(name):
     proof = proof_of(name)
     assert proof.found.is_finished
