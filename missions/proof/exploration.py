@@ -349,7 +349,7 @@ class Exploration:
         """Tell whether the mission, begun anew while these facts hold, can reach its goal as long as they do."""
         rig, faults, ticked = self.rig, dict(self.faults), set(self.rig.ticked)
         self._known.write(self.situations[0].known)
-        for change in (*(Change(name, True) for name in facts.failed), *(Change(*one) for one in facts.values)):  # type: ignore[arg-type]  # or None
+        for change in (*(Change(name, True) for name in facts.failed), *(Change(*one) for one in facts.values)):  # type: ignore[arg-type]  # None is left out
             if change.to not in (None, STALE):
                 change.tell(rig.kb)
         pending = [Situation(self.situations[0].tree, self._settle(self._known.read(), 0, Step()))]
