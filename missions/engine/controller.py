@@ -322,7 +322,7 @@ def build_task(
         if not isinstance(root, Behaviour):
             raise MissionError(f"the tree of mission {mission.name} is {root!r}, not a py_trees behaviour")
         plans = _Plans(root)
-        return TaskLayer(root, plans.catch_up, plans, is_planned=isinstance(_bare(root), Planning))
+        return TaskLayer(root, plans.catch_up, plans, is_planned=isinstance(_bare(root), Waiting))
     return _planning(mission, kb, percepts, clock, planning_delay_s)
 
 
