@@ -25,7 +25,7 @@ DRAIN_1_S = -1 / 200
 CLIMBING_S = 1.5
 """By how much a step of the spiral takes longer when its altitude changes by a metre."""
 SEEN_POINTS = 6
-"""By how many points of the pipeline, reached one after the other, it is judged whether it leads to the station."""
+"""By how many points reached it is judged whether the pipeline leads to the station; before, that it leads away."""
 SETTLING_S = 10.0
 """From the end of a drive back until the follower counts again."""
 
@@ -77,7 +77,7 @@ class AheadManager(OwnTree):
             if self._inspect.inspected_m > self._seen[-1][0]:
                 self._seen.append((self._inspect.inspected_m, way_m))
             (before_m, before), (now_m, now) = self._seen[0], self._seen[-1]
-            away = (now - before) / (now_m - before_m) if len(self._seen) == SEEN_POINTS else 0.0
+            away = (now - before) / (now_m - before_m) if len(self._seen) == SEEN_POINTS else 1.0
             gain = Gain("inspect_pipeline", FOLLOWING_M_S, 0.1, away * FOLLOWING_M_S)
         return Worth(self.robot.deadline_s, (gain,), self._errands, away=way_m, unit="m")
 
