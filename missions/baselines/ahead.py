@@ -54,7 +54,7 @@ class AheadManager(OwnTree):
         widths = {name: 2 * height * tan(settings.half_view_angle_rad) * turns_s for name, height in heights.items()}
         self._search = Gain("search_pipeline", widths, 0.5, switching_s=CLIMBING_S)
         recharge = Errand("recharge", {"battery_level": 1.0}, self._drive_s, self._return_s, 0.2)
-        self._errands = (recharge,) if recharge.action in kb.actions else ()
+        self._errands: tuple[Errand, ...] = (recharge,) if recharge.action in kb.actions else ()
         self._lookahead = Lookahead(kb, self._worth, period=2.0)
         return WhatNext("what next", self._lookahead, [mission])
 
@@ -71,15 +71,17 @@ class AheadManager(OwnTree):
         """Return what the mission is worth: metres inspected, or before these metres by which the search widens.
 
         With each turn the spiral widens by what the camera sees across from its altitude; it makes a step in a period.
+        No search is cut short for a recharge before it has to be: nobody knows how near it is to its end.
         """
         gain, way_m = self._search, self.robot.way_m()
+        errands: tuple[Errand, ...] = ()
         if self.percepts.holds("pipeline_found"):
             if self._inspect.inspected_m > self._seen[-1][0]:
                 self._seen.append((self._inspect.inspected_m, way_m))
             (before_m, before), (now_m, now) = self._seen[0], self._seen[-1]
             away = (now - before) / (now_m - before_m) if len(self._seen) == SEEN_POINTS else 1.0
-            gain = Gain("inspect_pipeline", FOLLOWING_M_S, 0.1, away * FOLLOWING_M_S)
-        return Worth(self.robot.deadline_s, (gain,), self._errands, away=way_m, unit="m")
+            gain, errands = Gain("inspect_pipeline", FOLLOWING_M_S, 0.1, away * FOLLOWING_M_S), self._errands
+        return Worth(self.robot.deadline_s, (gain,), errands, away=way_m, unit="m")
 
     def _drive_s(self, away: float) -> float:
         settings = self.robot.settings
