@@ -33,7 +33,7 @@ Factory = Callable[[Step], Behaviour]
 _MOST_ROUNDS = 8
 
 
-class _RunningStep:
+class RunningStep:
     """A step that runs, by its number in the plan that is executed; None if it is of an earlier one.
 
     It is listed where it is owned before its behaviour is made, so that an interrupt at any instant leaves it to be
@@ -109,7 +109,7 @@ class _Interlude:
     def __init__(self, factory: Factory | None, parent: Behaviour) -> None:
         self._factory, self._parent = factory, parent
         self._after: Step | None = None
-        self._running: list[_RunningStep] = []
+        self._running: list[RunningStep] = []
 
     @property
     def behaviours(self) -> list[Behaviour]:
@@ -121,7 +121,7 @@ class _Interlude:
     def tick(self, arguments: Mapping[str, object]) -> list[Behaviour]:
         """Tick it, and begin it if that is due; return the nodes that were ticked. Once it has ended, that is it."""
         if self._factory is not None and self._after is not None:
-            self._running.append(_RunningStep(self._after, None, 0.0))
+            self._running.append(RunningStep(self._after, None, 0.0))
             self._after = None
             self._running[-1].begin(self._factory, self._parent, arguments)
         if not self._running:
@@ -226,7 +226,7 @@ class PlanExecutor(Behaviour):
         )
         self._setbacks = self._replanning.setbacks
         self._setup_arguments: dict[str, object] = {}
-        self._running: list[_RunningStep] = []
+        self._running: list[RunningStep] = []
         self._interlude = _Interlude(meanwhile, self)
         self._ended_meanwhile: list[Step] = []
         self._plan: PlanExecution | None = None
@@ -318,6 +318,10 @@ class PlanExecutor(Behaviour):
         """
         self._client.catch_up()
 
+    def wait_no_more(self) -> None:
+        """Take all pauses as over, and what failed as mended: the next tick may plan, and begin any step."""
+        self._replanning.wait_no_more()
+
     def setup(self, **kwargs: object) -> None:
         """Let the planner prepare, and keep the arguments for the steps; called once before the first tick."""
         self._setup_arguments = kwargs
@@ -386,7 +390,7 @@ class PlanExecutor(Behaviour):
         while self._tick_steps(self._start_ready()):
             pass
         state = self._belief.observe()
-        self._expected = (state, self._belief.numbers)
+        self._expected = (state, self._belief.numbers) if self._policy.eager else None
         return self._conclude(state)
 
     def _watch(self, state: State) -> None:
@@ -480,7 +484,7 @@ class PlanExecutor(Behaviour):
         if found is None:
             return
         plan = self._with_what_ended(found.plan)
-        kept: dict[int, _RunningStep] = {}
+        kept: dict[int, RunningStep] = {}
         for running in self._running:
             number = plan.starts_with(running.step)
             if number is not None:
@@ -510,8 +514,8 @@ class PlanExecutor(Behaviour):
                 plan = plan.with_event(StepEvent(number, False), StepEvent(number, True))
         return plan
 
-    def _start_ready(self) -> tuple[_RunningStep, ...]:
-        begun: list[_RunningStep] = []
+    def _start_ready(self) -> tuple[RunningStep, ...]:
+        begun: list[RunningStep] = []
         while self._plan is not None and self._plan.startable:
             state = self._belief.observe()
             if self._monitor.is_over(state, self.goals, self._plan):
@@ -526,9 +530,9 @@ class PlanExecutor(Behaviour):
             begun.append(self._begin(self._plan, rested[0], state))
         return tuple(begun)
 
-    def _begin(self, plan: PlanExecution, number: int, state: State) -> _RunningStep:
+    def _begin(self, plan: PlanExecution, number: int, state: State) -> RunningStep:
         step = plan.steps[number]
-        running = _RunningStep(step, number, self._clock())
+        running = RunningStep(step, number, self._clock())
         self._running.append(running)
         running.begin(self._factories[step.schema], self, self._setup_arguments)
         self._belief.start(running, step, state)
@@ -536,7 +540,7 @@ class PlanExecutor(Behaviour):
         self._plan = plan.with_event(StepEvent(number, False))
         return running
 
-    def _tick_steps(self, steps: tuple[_RunningStep, ...]) -> bool:
+    def _tick_steps(self, steps: tuple[RunningStep, ...]) -> bool:
         """Tick steps; return whether one has ended well, so that others may start."""
         any_ended = False
         for running in steps:
@@ -555,7 +559,7 @@ class PlanExecutor(Behaviour):
             any_ended |= wrong is None
         return any_ended
 
-    def _ended(self, running: _RunningStep) -> str | None:
+    def _ended(self, running: RunningStep) -> str | None:
         """Believe the effects of a step that succeeded; or say why it cannot have."""
         step, state = running.step, self._belief.observe()
         missing = missing_at_end(self._domain, step, state)
@@ -567,7 +571,8 @@ class PlanExecutor(Behaviour):
         self._release([running])
         if self._plan is not None and running.number is not None:
             self._plan = self._plan.with_event(StepEvent(running.number, True))
-        self._ended_meanwhile.append(step)
+        if self._client.is_under_way:
+            self._ended_meanwhile.append(step)
         unmet = self._effects.ended(step, state)
         if unmet and self._plan is not None:
             self._rely_no_more(replace(self._plan, domain=self._effects.domain), unmet)
@@ -582,7 +587,7 @@ class PlanExecutor(Behaviour):
         else:
             self._plan = plan
 
-    def _release(self, steps: Iterable[_RunningStep]) -> None:
+    def _release(self, steps: Iterable[RunningStep]) -> None:
         """Stop steps if they still run, take back what was believed because they had started, and release them."""
         for running in tuple(steps):
             running.release()

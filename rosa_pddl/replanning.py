@@ -131,6 +131,9 @@ class Setbacks:
     def forget(self, what: Step | None) -> None:
         self._failed.pop(what, None)
 
+    def clear(self) -> None:
+        self._failed.clear()
+
     def count(self, what: Step | None) -> int:
         return self._failed.get(what, (0, 0.0))[0]
 
@@ -391,6 +394,11 @@ class Replanning:
             self._client.give_up()
             self._diagnosis = None
             self.want(Decision("the objects changed", is_needed=True))
+
+    def wait_no_more(self) -> None:
+        """Forget when it was asked last, and what has failed."""
+        self._last_asked_s = None
+        self.setbacks.clear()
 
     @property
     def is_busy(self) -> bool:

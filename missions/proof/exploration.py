@@ -20,6 +20,7 @@ from kb.execution.safeguards import Budgets
 from kb.manager import Planner
 from missions.proof.leaves import Answer, Choices, Leaf, take_over
 from missions.proof.memory import Content, Memory
+from missions.proof.planned import nodes
 from missions.proof.surroundings import STALE, Change, Surroundings
 from rosa_bt import ForAction, RosaAction, TreeRunner
 from rosa_bt.behaviours import kept
@@ -29,6 +30,10 @@ Predicate = Callable[["Rig"], bool]
 
 _MOST_TURNS: Final = 20
 """So many turns of the manager settle everything, or it never comes to rest."""
+
+
+_AT_A_TIME: Final = 64
+"""So many situations are gone on from before it is looked whether there is time for more."""
 
 
 class _Robot:
@@ -106,7 +111,7 @@ class Rig(VisitorBase):
         self.letters = take_over(self.root, self.kb, setup.leaves, self.surroundings.values, self.choices)
         self.runner = TreeRunner(self.root, clock=lambda: self.clock)
         self.runner.tree.add_visitor(self)
-        self.doing = [one for one in self.root.iterate() if isinstance(one, RosaAction | ForAction)]
+        self.doing = [one for one in nodes(self.root) if isinstance(one, RosaAction | ForAction)]
         self.ticked: set[Behaviour] = set()
 
     def run(self, behaviour: Behaviour) -> None:
@@ -270,7 +275,8 @@ class Exploration:
         begun = time.perf_counter()
         while self._waiting and len(self.situations) < most and time.perf_counter() < begun + seconds:
             layer, self._waiting = self._waiting, []
-            self._round(layer, most, begun + seconds)
+            for first in range(0, len(layer), _AT_A_TIME):
+                self._round(layer[first : first + _AT_A_TIME], most, begun + seconds)
         self.is_finished = not self._waiting
         self.seconds += time.perf_counter() - begun
         return self

@@ -14,9 +14,11 @@ from kb import KnowledgeBase, UnknownName
 from kb.status import OPERATORS
 from kb.views import ConstraintView
 from missions.engine.mission import Condition
+from missions.proof.planned import nodes
 from missions.testing.scripted import LETTERS
 from rosa_bt import RosaAction
 from rosa_bt.behaviours import KbBehaviour
+from rosa_pddl import PlanExecutor
 
 Answer = tuple[str, str]
 """The name of a leaf, and the letter of what it returned: R, S or F."""
@@ -118,7 +120,7 @@ def take_over(
     Raises:
         UnknownName: something is declared of a leaf that the tree does not have.
     """
-    leaves = [one for one in root.iterate() if not one.children]
+    leaves = [one for one in nodes(root) if not one.children and not isinstance(one, PlanExecutor)]
     for name in declared:
         if name not in {leaf.name for leaf in leaves}:
             raise UnknownName("leaf", name, dict.fromkeys(leaf.name for leaf in leaves))

@@ -34,21 +34,29 @@ from missions.engine.mission import MissionError
 from rosa_bt.behaviours import ActionRequest
 from rosa_bt.composites import DoUntilUnfeasible, SafeSwitch
 from rosa_bt.decorators import ForAction, UntilSuccess
+from rosa_pddl import Domain, PlanExecutor, Planner
+from rosa_pddl.belief import Belief, FeasibilityEvents
+from rosa_pddl.executor import RunningStep
+from rosa_pddl.goals import Goals, PlanningTask, Relevance
+from rosa_pddl.plan_monitor import PlanMonitor
+from rosa_pddl.replanning import Decision, Replanning, Setbacks
+from rosa_pddl.resource_usage import ResourceUsage
 
 Content = tuple[Any, ...]
 """What one object holds, or all of them; equal contents decide alike."""
 
 _ATOMS: Final = (int, float, str, bytes, bool, type(None), type, Enum, UUID)
-_FIXED: Final = (Model, Network, Node, Element)
+_FIXED: Final = (Model, Network, Node, Element, Domain)
 """What does not change while a mission runs; it may be held anew by whoever remembers something."""
 _LEFT: Final = (
     *(*_FIXED, Log, Publisher, History, HistoryView, Views, Overlay, Alarms, logging.Logger, types.ModuleType),
     *(types.FunctionType, types.BuiltinFunctionType, types.MethodType, types.GeneratorType, functools.partial),
-    *(weakref.ref, types.MappingProxyType),
+    *(weakref.ref, types.MappingProxyType, Planner, Goals, PlanMonitor, PlanningTask, Relevance, ResourceUsage),
+    FeasibilityEvents,
 )
 """What is left as it is: it does not change, or what it holds decides nothing."""
 _IDLE: Final[Mapping[type, str]] = {
-    Behaviour: "iterator feedback_message logger id known _saved_s",
+    Behaviour: "iterator feedback_message logger id known _saved_s tick stop",
     ActionRequest: "_since",
     Knowledge: "changed_by feasibility revision now pending _before _amended _is_laid _layer serials in_words",
     State: "reasons histories version visited",
@@ -56,8 +64,14 @@ _IDLE: Final[Mapping[type, str]] = {
     Records: "requests plans processes attempts answers ended last_end begins rejected _full",
     StagedExecutor: "_known _plan _stages _stage _failed _commanded _paused",
     RequiredAction: "number cause start",
+    PlanExecutor: "_cause _took_s _findings _ticked _found_valid _factories _setup_arguments _policy",
+    Replanning: "records _last_asked_s",
+    Setbacks: "_failed",
+    Decision: "reason cause",
+    RunningStep: "began_s",
+    Belief: "_taken_in passed_over",
 }
-"""What decides nothing: the past, and what is said of it. A plan has ended whenever a state is read."""
+"""What decides nothing: the past, what is said of it, and guards. A plan has ended whenever a state is read."""
 _REPLACED: Final[Mapping[type, str]] = {Marked: "_own", Records: "open_plans"}
 """Containers that are replaced by others now and then, and that nobody else holds."""
 _UNORDERED: Final = (Marked, Measurements, State)
@@ -94,6 +108,7 @@ class Memory:
         self._numbers: dict[int, int] = {}
         self._cells: list[_Cell] = []
         self._pool: dict[Any, Any] = {}
+        self._shared: dict[Any, Any] = {}  # what is one thing wherever it is held
         self._is_reduced = reduced
         for one in apart:
             self._note(one)
@@ -210,13 +225,16 @@ class Memory:
             return (type(value).__name__, self._held(value))
         if isinstance(value, tuple):
             return ("made", kind, tuple([self._of(one) for one in value]))
-        if isinstance(value, _FIXED) or (not isinstance(value, _LEFT) and _is_value(value)):
+        if isinstance(value, _FIXED) or (not isinstance(value, _LEFT) and kind not in _IDLE and _is_value(value)):
             return ("value", value)
         named, idle = _attributes(value), _names(_IDLE, kind)
         if not named or isinstance(value, _LEFT) or hasattr(value, "__next__"):
             raise MissionError(f"{value!r:.120} came to be while the mission ran and cannot be restored")
         held = [(name, self._of(one) if name not in idle else one and type(one)()) for name, one in named.items()]
-        return ("object", kind, tuple(held))
+        content = ("object", kind, tuple(held))
+        if kind is RunningStep:
+            self._shared[content] = value
+        return content
 
     def _decoded(self, content: Any) -> Any:  # noqa: ANN401  # what was encoded
         if type(content) is not tuple:
@@ -229,7 +247,7 @@ class Memory:
         if kind == "made":
             return tuple.__new__(first, map(self._decoded, rest[0]))
         if kind == "object":
-            made = object.__new__(first)
+            made = self._shared.get(content) or object.__new__(first)
             for name, value in rest[0]:
                 object.__setattr__(made, name, self._decoded(value))
             return made

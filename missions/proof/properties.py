@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from py_trees.common import Status
 
 from missions.proof.exploration import Exploration, Predicate, Step
+from missions.proof.planned import nodes
 
 Wrong = tuple[str, Sequence[Step] | None]
 """What is wrong, in words, and the rounds that lead there, if a story shows it."""
@@ -236,7 +237,9 @@ def _wavering(graph: Graph) -> Wrong | None:
 
 
 def _unreached(found: Exploration) -> Wrong | None:
-    names = [one.name for one in found.rig.root.iterate() if one not in found.rig.ticked]
+    missing = [one.name for one in found.rig.root.iterate() if one not in found.rig.ticked]
+    ticked = {one.name for one in found.rig.ticked}  # of the steps of plans one of each kind will do
+    names = dict.fromkeys([*missing, *(one.name for one in nodes(found.rig.root) if one.name not in ticked)])
     return (f"never ticked: {', '.join(names)}", None) if names else None
 
 

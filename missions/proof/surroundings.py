@@ -12,6 +12,7 @@ from py_trees.behaviour import Behaviour
 from kb import Event, KnowledgeBase
 from kb.elements import Constraint
 from kb.status import OPERATORS
+from missions.proof.planned import nodes
 from rosa_bt.behaviours import HasStatus, Measurement
 
 STALE = "stale"
@@ -73,7 +74,7 @@ class Surroundings:
         self.values = {name: _distinct(asked[name], *_range(kb, name)) for name in kb.attributes if asked[name]}
         self.worst = {name: min(found, key=partial(_satisfied, asked[name])) for name, found in self.values.items()}
         names = list(kb.components) if failing is None else [kb.components[one].name for one in failing]
-        asking = [one.port_arguments.get("element") for one in root.iterate() if isinstance(one, HasStatus)]
+        asking = [one.port_arguments.get("element") for one in nodes(root) if isinstance(one, HasStatus)]
         named = {str(getattr(one, "name", one)) for one in asking}
         self.alike = _alike(kb, names, named) if symmetric else [(one,) for one in names]
         self._ageing = [name for name in self.values if kb.model.attributes[name].max_age != inf]
@@ -119,7 +120,7 @@ def _thresholds(kb: KnowledgeBase, root: Behaviour) -> defaultdict[str, set[tupl
             for one in (view.element for view in element.constraints):
                 assert isinstance(one, Constraint)
                 found[one.attribute] |= {(one.operator, one.value + side * one.hysteresis) for side in (1, 0, -1)}
-    for leaf in root.iterate():
+    for leaf in nodes(root):
         if isinstance(leaf, Measurement):
             given = leaf.port_arguments
             if None not in (given["attribute"], given["operator"], given["value"]):

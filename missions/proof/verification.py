@@ -10,9 +10,10 @@ from typing import Any
 from py_trees.behaviour import Behaviour
 
 from kb import KnowledgeBase, Model
-from missions.engine.controller import build_task
-from missions.engine.mission import Mission, MissionError, Percepts
+from missions.engine.controller import build_task, check_task
+from missions.engine.mission import Mission, Percepts
 from missions.proof.exploration import Exploration, Predicate, Setup
+from missions.proof.planned import planned
 from missions.proof.properties import Finding, Graph, Property, check
 from missions.proof.story import Story, play
 from missions.proof.surroundings import Change
@@ -150,9 +151,10 @@ def verify(
 
 
 def setup_of(mission: Mission, task: str = "bt", *, slow: bool = False, **given: Any) -> Setup:  # noqa: ANN401  # of Surroundings
-    """Return what is explored of a mission: its tree; plans are certified by `rosa plan --certificate`."""
-    if task != "bt":
-        raise MissionError(f"{mission.name} is verified with its tree; its plans: `rosa plan --certificate`")
+    """Return what is explored of a mission: its tree, or its plan executor."""
+    check_task(task)
+    if task == "pddl":
+        return Setup(mission.model, planned(mission), surroundings=given, slow=slow)
 
     def build(kb: KnowledgeBase) -> Behaviour:
         return build_task(task, mission, kb, Percepts(), lambda: kb.now, 0.0).root
@@ -192,4 +194,5 @@ def _consequence(graph: Graph, facts: Sequence[Change]) -> Consequence:
     reached = graph.reaching(graph.goals & within, within=within)
     actions = sorted({one for number in within for one in found.known[found.situations[number].known].required})
     reaches = "nothing" if not reached else "the goal" if reached >= within else "the goal from some situations"
-    return Consequence(tuple(map(str, facts)), reaches if within else "not explored", tuple(actions))
+    is_known = within and (reached or found.is_finished)
+    return Consequence(tuple(map(str, facts)), reaches if is_known else "not explored", tuple(actions))

@@ -5,22 +5,29 @@ The whole of the mutants and of the twin's missions is in tests/benchmarks/test_
 
 import json
 from contextlib import nullcontext
+from dataclasses import replace
 
 import pytest
-from proof_mutants import CORRECT, FULL, MUTANTS, Act, either, rover_model, until
+from proof_mutants import CORRECT, FULL, MUTANTS, Act, Keeps, either, rover_model, until
 from proof_twin import agree
 from typer.testing import CliRunner
 
 from kb import Model, UnknownName
 from missions import cli
+from missions.engine.declared import by_schema
 from missions.engine.mission import MissionError
 from missions.proof import Leaf, eventually, leads_to, never, verify
-from missions.proof.exploration import Exploration, Setup
+from missions.proof.exploration import Exploration, Rig, Setup
 from missions.proof.memory import Memory
+from missions.proof.planned import nodes
 from missions.proof.story import as_test, replayed
+from missions.proof.verification import prove, setup_of
+from missions.suave.tree import InspectPipeline, SearchPipeline
 from missions.suave_extended import MISSION
+from missions.suave_extended.tree import Recharge
 from rosa_bt import do_until_unfeasible
 from rosa_bt.decorators import UntilSuccess
+from rosa_pddl import PlanExecutor
 
 NAMED = {case.name: case for case in (*MUTANTS, *CORRECT)}
 
@@ -212,3 +219,59 @@ def test_command_fails_and_writes_page_and_test_of_the_first_story(tmp_path, mon
     assert "NO   nothing is requested while unfeasible" in done.output
     assert "explore is still requested" in page.read_text()
     assert "setup_of(find_mission('broken_rover:MISSION')" in test.read_text()
+
+
+def seen_of_a_plan(rig):
+    (executor,) = (one for one in nodes(rig.root) if isinstance(one, PlanExecutor))
+    tables = (rig.kb.actions, rig.kb.designs, rig.kb.components)
+    statuses = [(name, str(one.status)) for table in tables for name, one in table.items()]
+    running = sorted(one.action for one in rig.doing if one.status.name == "RUNNING")
+    plan = (executor.current_steps, executor.remaining_steps, executor.state)
+    return rig.root.status, plan, rig.required, rig.unfeasible, running, statuses
+
+
+def test_plan_executor_put_into_a_situation_is_as_after_the_rounds_that_lead_there():
+    setup = setup_of(MISSION, "pddl")
+    found = Exploration(setup).explore(most=120)
+    assert any(found.path(number)[-1].answers == (("search", "F"),) for number in range(1, len(found.situations)))
+    for number in range(0, len(found.situations), 5):
+        anew = Rig(setup)
+        anew.begin()
+        for second, step in enumerate(found.path(number), start=1):
+            anew.clock = float(second)
+            for change in step.changes:
+                change.tell(anew.kb)
+            anew.settle()
+            anew.choices.begin(step.answers)
+            anew.runner.tick()
+            anew.settle()
+            assert tuple(anew.choices.taken) == step.answers
+        assert seen_of_a_plan(anew) == seen_of_a_plan(found.load(number))
+
+
+def test_plans_of_a_mission_are_verified():
+    done = CliRunner().invoke(cli.app, ["verify", "suave", "--task", "pddl"])
+    assert done.exit_code == 0, done.output
+    assert "yes  every node of the tree can be reached" in done.output
+    assert "spiral_search fails: reaches the goal from some situations" in done.output
+
+
+class KeepsSearching(Keeps, SearchPipeline):
+    def __init__(self, kb, percepts):
+        SearchPipeline.__init__(self, kb, percepts)
+
+
+class FindsNothing(SearchPipeline):
+    schema = replace(SearchPipeline.schema, end_effects=())
+
+
+@pytest.mark.parametrize(
+    ("search", "broken"), [(KeepsSearching, "every request is released"), (FindsNothing, "the goal is reached")]
+)
+def test_bug_of_a_planned_mission_is_found_and_its_story_is_replayed(search, broken):
+    proof = prove(setup_of(replace(MISSION, actions=by_schema(search, InspectPipeline, Recharge)), "pddl"), 150, 60.0)
+    found = next((one for one in proof.findings if one.name.startswith(broken)), None)
+    assert found.holds is not True
+    for one in proof.broken:
+        if one.trail is not None:
+            assert replayed(proof.setup, proof.story(one), one.trail) == proof.story(one).trace

@@ -1,0 +1,95 @@
+"""A plan executor as it is explored: plans are there in the tick, behaviours are made once, and pauses are over."""
+
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future
+from inspect import signature
+
+from py_trees.behaviour import Behaviour
+from py_trees.common import Status
+from py_trees.decorators import Decorator, FailureIsRunning
+
+from kb import KnowledgeBase
+from missions.engine.declared import mission_domain
+from missions.engine.mission import Mission, Percepts
+from rosa_pddl import Domain, PlanExecutor, Planner, PlanningResult, Step
+from rosa_pddl.grounding import Grounded
+from rosa_pddl.planner import awaited
+from rosa_pddl.problem import Problem, initial_state
+
+
+class _AtOnce:
+    """A planner whose answer is there when it was asked, however long that took."""
+
+    def __init__(self, planner: Planner) -> None:
+        self._planner, self.timeout_s = planner, planner.timeout_s
+
+    def start(self, problem: Problem) -> "Future[PlanningResult]":
+        found = self._planner.start(problem)
+        awaited(found, self.timeout_s)
+        return found
+
+
+class Planned(Decorator):
+    """A plan executor of which every pause is over before the next tick, and what failed is planned with again.
+
+    Attributes:
+        steps: the behaviours of all steps that plans may have.
+    """
+
+    def __init__(self, executor: PlanExecutor, steps: Mapping[Step, Behaviour]) -> None:
+        super().__init__(f"until {executor.name} is done", FailureIsRunning("until the goal holds", executor))
+        self.steps, self._executor = tuple(steps.values()), executor
+
+    def tick(self) -> Iterator[Behaviour]:
+        """Tick as if all that the executor waits for were over."""
+        self._executor.wait_no_more()
+        yield from super().tick()
+
+    def update(self) -> Status:
+        """Return what the executor comes to; how a step ended decides nothing any more."""
+        for one in self.steps:
+            one.status = one.status if one.status is Status.RUNNING else Status.INVALID
+        return self.decorated.status
+
+
+def nodes(root: Behaviour) -> list[Behaviour]:
+    """Return the nodes of a tree, with those of all steps that its plans may have."""
+    every = list(root.iterate())
+    steps = [step for one in every if isinstance(one, Planned) for step in one.steps]
+    return list(dict.fromkeys([*every, *(node for step in steps for node in step.iterate())]))
+
+
+def planned(mission: Mission) -> Callable[[KnowledgeBase], Behaviour]:
+    """Return what makes the plan executor of a mission; what its steps bring about is believed, nothing is sensed."""
+    domain = mission_domain(mission)
+    made = Planner(mission.engines[0], fallback=mission.engines[1:]) if mission.engines else Planner()
+    planner, steps = _AtOnce(made), _steps(domain)
+
+    def build(kb: KnowledgeBase) -> Behaviour:
+        behaviours = {step: _behaviour(mission, kb, step) for step in steps}
+        executor = PlanExecutor(
+            f"plan for {mission.name}",
+            kb=kb,
+            domain=domain,
+            behaviours=dict.fromkeys(mission.actions, behaviours.__getitem__),
+            sense=dict,
+            clock=lambda: kb.now,
+            planner=planner,
+            delay_s=None,
+        )
+        return Planned(executor, behaviours)
+
+    return build
+
+
+def _steps(domain: Domain) -> list[Step]:
+    """Return all steps that can be reached from how the problem begins, whatever becomes feasible."""
+    feasible = map(domain.feasible_atom, domain.rosa_actions if domain.tracks_feasibility else ())
+    first = initial_state(domain).union(feasible)
+    task = Grounded(domain, first, (first,), lambda instances: None)
+    return [task.step(number) for number in range(task.size)]
+
+
+def _behaviour(mission: Mission, kb: KnowledgeBase, step: Step) -> Behaviour:
+    action = mission.actions[step.schema]
+    return action(kb, Percepts(), **({"step": step} if "step" in signature(action).parameters else {}))
