@@ -170,8 +170,7 @@ class Belief:
             used = [self._usage.value(amount, numbers) for amount in self._usage.uses_of(step)]
         except UnsupportedPddlError:
             return known  # nothing can be planned within limits of which nothing is known
-        for resource, amount in zip(self.domain.limited, used, strict=True):
-            key = f"({resource.name})"
+        for key, amount in zip(map("({})".format, self.domain.limited), used, strict=True):
             if amount and key not in self._sensed.numbers:
                 known = {**known, key: float(numbers.get(key, 0) + amount)}
         return known

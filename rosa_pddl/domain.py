@@ -47,6 +47,7 @@ class Schema:
         start, over_all, end: conditions that hold then, as unified-planning expressions.
         start_effects, end_effects: what becomes so then, as unified-planning effects.
         action: the parameter (`?a` without the mark) or constant that is the ROSA action; None if there is none.
+        uses: by how much it increases what is only used up, as unified-planning expressions by the number's name.
     """
 
     name: str
@@ -57,6 +58,7 @@ class Schema:
     start_effects: tuple[UpThing, ...]
     end_effects: tuple[UpThing, ...]
     action: str | None
+    uses: Mapping[str, UpThing] = field(default_factory=dict, hash=False)
 
 
 @dataclass(frozen=True)
@@ -97,31 +99,6 @@ class TimedStep:
         return self.start_s + self.duration_s
 
 
-@dataclass(frozen=True)
-class Limit:
-    """How much of a resource may be used up in all, with what was used before; strict if so much is too much."""
-
-    amount: UpThing
-    is_strict: bool = False
-
-
-@dataclass(frozen=True)
-class Resource:
-    """A number that actions only increase, such as `(energy_used)`, and what limits it.
-
-    Args:
-        name: as the file spells it.
-        fluent: the number as unified-planning's expression.
-        uses: by how much PDDL actions increase it, as unified-planning's expressions; others leave it as it is.
-        limits: which all hold in the end, and so all along.
-    """
-
-    name: str
-    fluent: UpThing
-    uses: Mapping[str, UpThing] = field(hash=False)
-    limits: tuple[Limit, ...] = ()
-
-
 @dataclass(frozen=True, eq=False)
 class Domain:
     """What `load_domain` returns; never changes.
@@ -142,7 +119,7 @@ class Domain:
         oversights: what may be one in the files, in sentences, such as a misspelt requirement.
         derived: for the name of a derived predicate, in lower case, its variables and the condition that it stands for.
         computed: the names of the numbers that conditions compare and effects change; their values are part of a state.
-        resources: what actions use up; the limits stand here, and neither in `goals` nor in those of `up_problem`.
+        limits: what may be used up in all, such as `(<= (energy_used) 5)`; no goals of `up_problem`.
     """
 
     name: str
@@ -158,7 +135,7 @@ class Domain:
     places: Mapping[tuple[str, str], tuple[str, int]] = field(repr=False)
     types: Mapping[str, tuple[str, ...]] = field(repr=False)
     oversights: tuple[str, ...] = ()
-    resources: tuple[Resource, ...] = ()
+    limits: tuple[UpThing, ...] = ()
     computed: frozenset[str] = frozenset()
     derived: dict[str, tuple[tuple[UpThing, ...], UpThing]] = field(default_factory=dict, repr=False)
     _atoms: dict[str, str] = field(default_factory=dict, init=False, repr=False)
@@ -212,9 +189,9 @@ class Domain:
         return self._atoms[text]
 
     @property
-    def limited(self) -> tuple[Resource, ...]:
-        """The resources that have a limit."""
-        return tuple(resource for resource in self.resources if resource.limits)
+    def limited(self) -> tuple[str, ...]:
+        """The names of the numbers that have a limit."""
+        return tuple(dict.fromkeys(self.outside[one.arg(0).fluent().name] for one in self.limits))
 
     def feasible_atom(self, action: str) -> str:
         """Return the atom that says that a ROSA action is feasible."""

@@ -18,9 +18,11 @@ from rosa_pddl.instances import (
     ActionPattern,
     Node,
     bound,
+    bound_number,
     compiled,
     conjuncts_of,
     joined,
+    numeric_facts,
     patterns_of,
     reach,
     row_of,
@@ -30,7 +32,7 @@ from rosa_pddl.invariants import Change as Swap
 from rosa_pddl.invariants import groups
 from rosa_pddl.outcomes import Outcome, Trouble
 from rosa_pddl.problem import Problem, lock_of
-from rosa_pddl.resource_usage import Numbers, ResourceUsage, Sum, whole
+from rosa_pddl.resource_usage import Numbers, ResourceUsage, whole
 from rosa_pddl.search import Change, Fact, Number, Operation, Rule, Task, TaskGraph, Test
 
 # Fast Downward adds up costs in 32 bits; this leaves room for plans of a thousand of the dearest steps.
@@ -68,8 +70,8 @@ class _Ready:
     lasting: frozenset[str]
     missing: frozenset[str]
     operation: Operation
-    cost: Sum
-    uses: tuple[Sum, ...]
+    cost: Number
+    uses: tuple[Number, ...]
 
     @cached_property
     def text(self) -> str:
@@ -195,7 +197,7 @@ class Grounded:
         self._frozen_atoms = self._possible - self._variables.places.keys()
         self._is_conditional = any(given for one in self._operators for given, *_ in one.operation.effects)
         amounts = [amount for one in self._operators for amount in (one.cost, *one.uses)]
-        self._mentioned = tuple(dict.fromkeys(text for amount in amounts for _, text in amount.terms))
+        self._mentioned = tuple(dict.fromkeys(text for amount in amounts for text in numeric_facts(amount)))
         self._ready = lru_cache(maxsize=64)(self._ready_with)
         self._graph = lru_cache(maxsize=4)(self._graph_of)
         self._wanted = lru_cache(maxsize=64)(self._compiled_goal)
@@ -278,7 +280,7 @@ class Grounded:
                 condition = self._bound(effect.condition, inner)
                 text = text_of_row(effect.name, bound(effect.words, inner))
                 if condition is not False and (effect.kind != "delete" or text in self._possible):
-                    effects.append((condition, effect.kind, text, self._bound_number(effect.amount, inner)))
+                    effects.append((condition, effect.kind, text, bound_number(effect.amount, inner)))
         made = {text for condition, kind, text, _ in effects if kind == "add" and condition is True}
         deleted = {text for _, kind, text, _ in effects if kind == "delete"} - made
         kept = [
@@ -308,15 +310,7 @@ class Grounded:
             return (one == other) is parts[0]
         if head in ("and", "or"):
             return joined(head == "and", [self._bound(part, row, state) for part in parts])
-        return head, *(self._bound_number(part, row) for part in parts)
-
-    def _bound_number(self, number: object, row: Sequence[str]) -> object:
-        if not isinstance(number, tuple):
-            return number
-        head, *parts = number
-        if head == "number":
-            return head, text_of_row(parts[0], bound(parts[1], row))
-        return head, *(self._bound_number(part, row) for part in parts)
+        return head, *(bound_number(part, row) for part in parts)
 
     def _encoded(self, instances: Sequence["_Instance"]) -> _Variables:
         variables = _Variables()
@@ -375,11 +369,11 @@ class Grounded:
         if not isinstance(number, tuple):
             return number  # type: ignore[return-value]  # it is exact
         head, *parts = number
-        if head == "number" and parts[0] in self._numbers:
+        if head == "n" and parts[0] in self._numbers:
             return "n", self._numbers[parts[0]]
-        if head == "number" and known is None:
+        if head == "n" and known is None:
             self._constants[parts[0]] = self._known.get(parts[0])
-        if head == "number":
+        if head == "n":
             return (self._known if known is None else known).get(parts[0])
         return head, *(self._number(part, known) for part in parts)
 
@@ -422,9 +416,8 @@ class Grounded:
         numbers = {text: value for text, value in zip(self._mentioned, mentioned, strict=True) if value is not None}
         ready = self._weighed(fitted.frozen, weights)
         amounts = [self._values_of([one.cost for one in ready], "costs", numbers)]
-        for index, resource in enumerate(self.domain.limited):
-            uses = [one.uses[index] for one in ready]
-            amounts.append(self._values_of(uses, f"uses of {resource.name}", numbers))
+        for index, name in enumerate(self.domain.limited):
+            amounts.append(self._values_of([one.uses[index] for one in ready], f"uses of {name}", numbers))
         columns, (_, *scales) = zip(*map(whole, amounts), strict=True)
         operations = [
             Operation(*one.operation[:3], cost, tuple(more), *one.operation[5:])
@@ -437,11 +430,11 @@ class Grounded:
         is_guided = math.prod(map(float, sizes)) > _FEWEST_STATES
         return TaskGraph(task, is_guided=is_guided), task, tuple(scales)
 
-    def _values_of(self, sums: Sequence[Sum], what: str, numbers: Numbers) -> list[Exact]:
-        amounts = [self._usage.value(one, numbers) if one.terms else one.constant for one in sums]
+    def _values_of(self, made_of: Sequence[Number], what: str, numbers: Numbers) -> list[Exact]:
+        amounts = [self._usage.value(one, numbers) for one in made_of]
         least = min(amounts, default=0)
         if least < 0:
-            terms = " + ".join(text for _, text in sums[amounts.index(least)].terms)
+            terms = " + ".join(numeric_facts(made_of[amounts.index(least)]))
             message = f"{terms} comes to {float(least):g}; {what} are 0 or more"
             raise UnsupportedPddlError(message, self.domain.problem_file)
         return amounts
@@ -454,11 +447,13 @@ class Grounded:
         if not times:
             return possible
         left = [one for one in possible if times.get(one.step, 1)]
-        return tuple([replace(one, cost=one.cost.times(times[one.step])) if one.step in times else one for one in left])
+        return tuple(
+            [replace(one, cost=("*", times[one.step], one.cost)) if one.step in times else one for one in left]
+        )
 
-    def _whole_costs(self, sums: Sequence[Sum], numbers: Numbers) -> tuple[list[int], list[Exact]]:
+    def _whole_costs(self, made_of: Sequence[Number], numbers: Numbers) -> tuple[list[int], list[Exact]]:
         """Return costs as whole numbers for Fast Downward, and what is lost if they must be rounded down for that."""
-        costs = self._values_of(sums, "costs", numbers)
+        costs = self._values_of(made_of, "costs", numbers)
         written, _ = whole(costs)
         if max(written, default=0) <= _MOST_COST:
             return written, [0] * len(costs)

@@ -11,6 +11,7 @@ from itertools import product
 from typing import Any, NamedTuple, TypeAlias
 
 from rosa_pddl.domain import Domain, UpThing, exact
+from rosa_pddl.search import Number
 
 Node: TypeAlias = bool | tuple[Any, ...]
 """A condition in negation normal form: `("atom", truth, name, words)`, `("same", truth, one, other)`,
@@ -31,7 +32,7 @@ class Effect(NamedTuple):
     kind: str
     name: str
     words: tuple[Word, ...]
-    amount: object = None
+    amount: Number = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,12 +82,12 @@ def compiled(domain: Domain, formula: UpThing, scope: Mapping[str, Word], truth:
     return (_NEGATED[kind], right, left) if kind != "=" else ("!=", left, right)
 
 
-def compiled_number(domain: Domain, number: UpThing, scope: Mapping[str, Word]) -> object:
-    """Return a number as itself, `("number", name, words)`, or an operator with its parts."""
+def compiled_number(domain: Domain, number: UpThing, scope: Mapping[str, Word]) -> Number:
+    """Return a number as itself, `("n", name, words)`, or an operator with its parts."""
     if number.is_constant():
         return exact(Fraction(number.constant_value()))
     if number.is_fluent_exp():
-        return "number", domain.outside[number.fluent().name], _words(domain, number, scope)
+        return "n", domain.outside[number.fluent().name], _words(domain, number, scope)
     return _ARITHMETIC[number.node_type.name], *(compiled_number(domain, one, scope) for one in number.args)
 
 
@@ -123,6 +124,26 @@ def _words(domain: Domain, thing: UpThing, scope: Mapping[str, Word]) -> tuple[W
 
 def bound(words: tuple[Word, ...], row: Sequence[str]) -> Row:
     return tuple([word if isinstance(word, str) else row[word] for word in words])
+
+
+def bound_number(number: Number, row: Sequence[str]) -> Number:
+    """Return a number with its variables replaced by what they are bound to: of numeric facts `("n", text)`."""
+    if not isinstance(number, tuple):
+        return number
+    head, *parts = number
+    if head == "n":
+        return head, text_of_row(parts[0], bound(parts[1], row))
+    return head, *(bound_number(part, row) for part in parts)
+
+
+def numeric_facts(number: Number) -> Iterator[str]:
+    """Yield the numeric facts that a number is made of: their texts, or their names if it is not bound."""
+    if isinstance(number, tuple):
+        head, *parts = number
+        if head == "n":
+            yield parts[0]
+        for part in parts if head != "n" else ():
+            yield from numeric_facts(part)
 
 
 def row_of(atom: str) -> tuple[str, Row]:

@@ -11,9 +11,11 @@ from rosa_pddl.belief import ExpectedEffects
 from rosa_pddl.domain import Domain, Feasibility, State, Step, TimedStep, exact, head_of
 from rosa_pddl.exceptions import UnsupportedPddlError
 from rosa_pddl.goals import Goal, Goals
+from rosa_pddl.instances import numeric_facts
 from rosa_pddl.outcomes import PlanningResult
 from rosa_pddl.problem import Problem
-from rosa_pddl.resource_usage import Remaining, ResourceUsage, sum_of
+from rosa_pddl.resource_usage import Remaining, ResourceUsage
+from rosa_pddl.search import note_signs
 from rosa_pddl.validate import (
     SAME_TIME_S,
     StepEvent,
@@ -251,21 +253,22 @@ class ResourceLimits:
     def __init__(self, domain: Domain) -> None:
         self._domain, self._usage = domain, ResourceUsage(domain)
         self._stated = self._usage.numbers(Problem(domain, frozenset()))
-        limited = domain.limited
-        used = [sum_of(domain, amount) for resource in limited for amount in resource.uses.values()]
-        limits = [limit.amount for resource in limited for limit in resource.limits]
-        self._used = frozenset(head_of(text) for amount in used for _, text in amount.terms)
+        used = [amount for each in self._usage.uses for amount in each.values()]
+        limits = [amount for each in self._usage.limits.values() for amount, _ in each]
+        self._used = frozenset(name for amount in used for name in numeric_facts(amount))
         # a limit on the whole grows when less was used up before
-        limiting = [sum_of(domain, one) for one in (*limits, *(each.fluent for each in limited))]
-        self._limiting = frozenset(text for one in limiting for _, text in one.terms)
-        self._only_grow = all(factor >= 0 for amount in used for factor, _ in amount.terms)
+        self._limiting = frozenset([*self._usage.limits, *(text for one in limits for text in numeric_facts(one))])
+        signs: dict[str, set[int]] = {name: set() for name in self._used}
+        for amount in used:
+            note_signs(amount, 1, signs)
+        self._only_grow = all(found == {1} for found in signs.values())
 
     def overspent(self, steps: Iterable[Step], numbers: _Numbers) -> str | None:
         """Return which limit steps break, in words; None if they keep them all."""
-        if not self._domain.limited:
+        if not self._domain.limits:
             return None
         listed = tuple(steps)
-        used = {text for step in listed for amount in self._usage.uses_of(step) for _, text in amount.terms}
+        used = {text for step in listed for amount in self._usage.uses_of(step) for text in numeric_facts(amount)}
         try:
             return self._usage.overspent(self._asked(numbers, self._limiting | used), listed)
         except UnsupportedPddlError:  # what is done without a plan, where a number is not known
@@ -273,7 +276,7 @@ class ResourceLimits:
 
     def leave_no_more(self, now: _Numbers, then: _Numbers) -> bool:
         """Whether what is impossible with some numbers is so with others: no limit leaves more, no step uses less."""
-        if now is then or not self._domain.limited:
+        if now is then or not self._domain.limits:
             return True
         try:
             before, after = self._left(then), self._left(now)

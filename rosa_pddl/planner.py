@@ -368,7 +368,7 @@ class _Portfolio:
         return self._settings.engine if way in ("warm", "cold") else way
 
     def _answer(self, way: str, deadline: float) -> PlanningResult:
-        limited = ", ".join(resource.name for resource in self._problem.domain.limited)
+        limited = ", ".join(self._problem.domain.limited)
         if limited and self._engine_of(way) in fast_downward.SEARCHES:
             message = f"Fast Downward keeps no limits (of {limited}); Planner({LABEL_SETTING!r}) does"
             raise Trouble(Outcome.UNSUPPORTED, message)
@@ -440,11 +440,11 @@ class _Portfolio:
         remaining = usage_of(self._problem.domain).remaining(self._numbers)
         amounts = [Fraction(int(one), scale) for one, scale in zip(least, scales, strict=True)]
         broken = [
-            f"{resource.name} takes {float(amount):.12g} at least, {float(left.amount):.12g} are left"
-            for resource, amount, left in zip(limited, amounts, remaining, strict=True)
+            f"{name} takes {float(amount):.12g} at least, {float(left.amount):.12g} are left"
+            for name, amount, left in zip(limited, amounts, remaining, strict=True)
             if left.is_exceeded_by(amount)
         ]
-        together = f"no plan keeps the limits of {', '.join(resource.name for resource in limited)}"
+        together = f"no plan keeps the limits of {', '.join(limited)}"
         return PlanningResult(Outcome.UNSOLVABLE_PROVEN, message="; ".join(broken) or together)
 
     def _by_fast_downward(self, grounded: Grounded, deadline: float, engine: str) -> PlanningResult:
@@ -478,7 +478,7 @@ class _Portfolio:
             wrong = schedule_flaw(domain, answer.schedule, problem.state, problem.wanted)
         else:
             wrong = flaw(domain, answer.steps, problem.state, problem.wanted)
-        if wrong is None and domain.limited:
+        if wrong is None and domain.limits:
             wrong = usage_of(domain).overspent(problem, answer.steps)
         if wrong is not None:
             message = f"{self._engine_of(way)} returned a plan that does not work: {wrong}"

@@ -1,7 +1,7 @@
 """From what the knowledge base says and the mission senses to the problem that a planner gets."""
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from threading import RLock
@@ -59,7 +59,7 @@ class Problem:
             expression = self.domain.expression(self.domain.atom(text))
             if problem.has_fluent(expression.fluent().name):
                 problem.set_initial_value(expression, exact(value))
-        for goal in (*self.wanted, *limits_of(self.domain)):
+        for goal in (*self.wanted, *self.domain.limits):
             problem.add_goal(goal)
         return problem
 
@@ -75,18 +75,6 @@ def unlock(domain: Domain) -> None:
     with suppress(RuntimeError):  # so it is not locked by this one
         while True:
             lock.release()
-
-
-def limits_of(domain: Domain) -> Iterator[UpThing]:
-    manager = domain.up_problem.environment.expression_manager
-    for resource in domain.limited:
-        for limit in resource.limits:
-            compare = manager.LT if limit.is_strict else manager.LE
-            yield compare(resource.fluent, limit.amount)
-
-
-def unlimited(domain: Domain) -> Domain:
-    return replace(domain, resources=tuple(replace(one, limits=()) for one in domain.resources))
 
 
 def with_object(domain: Domain, name: str, type_name: str) -> Domain:
@@ -168,7 +156,7 @@ def _sequential(domain: Domain) -> UpThing:
     problem = UpProblem(read.name, read.environment, initial_defaults=defaults)
     there = [one for one in read.all_objects if domain.outside[one.name] in domain.types]
     problem.add_objects(there)
-    has_numbers = action_costs(domain) is not None or bool(domain.limited or domain.computed)
+    has_numbers = action_costs(domain) is not None or bool(domain.limits or domain.computed)
     for fluent in read.fluents:
         # numbers that nothing needs would only keep engines from taking the problem
         if fluent.type.is_bool_type() or has_numbers:
@@ -227,9 +215,9 @@ def _instantaneous(action: UpThing, domain: Domain) -> UpThing:
         message = f"the effects of {schema.name} contradict one another when it is made instantaneous: {error}"
         file, line = domain.places.get(("action", schema.name), (domain.file, None))
         raise UnsupportedPddlError(message, file, line) from error
-    for resource in domain.limited:
-        if schema.name in resource.uses:
-            made.add_increase_effect(resource.fluent, resource.uses[schema.name])
+    for name in domain.limited:
+        if name in schema.uses:
+            made.add_increase_effect(domain.expression(f"({name})"), schema.uses[name])
     return made
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from rosa_pddl.domain import ACTION_TYPE, FEASIBLE, Domain, Limit, Resource, Schema, UpThing, conjuncts
+from rosa_pddl.domain import ACTION_TYPE, FEASIBLE, Domain, Schema, UpThing, conjuncts
 from rosa_pddl.exceptions import UnknownNameError, nearest
 from rosa_pddl.formulas import CHANGES, COMPARISONS, Formulas, Scope, numbers_of
 from rosa_pddl.number_uses import NumberUses, parts_of, sides_of
@@ -118,9 +118,8 @@ class _Reader:
         self._lineages: dict[str, tuple[str, ...]] = {}
         self._schemas: dict[str, Schema] = {}
         self._costs: dict[UpThing, UpThing] = {}
-        self._uses: dict[UpThing, dict[str, UpThing]] = {}
         self._rises: dict[UpThing, dict[UpThing, UpThing]] = {}
-        self._limits: dict[UpThing, list[Limit]] = {}
+        self._limits: list[UpThing] = []
         self._uses_of_numbers = NumberUses(domain, problem)
         self._draft = Domain(
             computed=self._uses_of_numbers.computed,
@@ -179,12 +178,8 @@ class _Reader:
                 *(note for one in (domain, problem) for note in (*doubtful_requirements(one), *glued_types(one))),
                 *self._again,
             ),
-            resources=tuple(map(self._resource, dict.fromkeys((*self._uses, *self._limits)))),
+            limits=tuple(self._limits),
         )
-
-    def _resource(self, fluent: UpThing) -> Resource:
-        uses, limits = self._uses.get(fluent, {}), tuple(self._limits.get(fluent, ()))
-        return Resource(self._outside[fluent.fluent().name], fluent, uses, limits)
 
     def _unknown(self, source: Source, node: Node, message: str) -> Exception:
         is_object = node.lower == "object" and not self._has_object
@@ -294,8 +289,6 @@ class _Reader:
             self._costs[action] = reader.cost
         for used, amount in reader.rises.items():
             self._rises.setdefault(used, {})[action] = amount
-            if self._outside[used.fluent().name].lower() in self._uses_of_numbers.resources:
-                self._uses.setdefault(used, {})[name] = amount
         self._up_problem.add_action(action)
         schema = _schema_of(action, self._draft)
         does = self._actions.get(name)
@@ -309,7 +302,10 @@ class _Reader:
                 reader.require(listed("over", "all", needed) if node.head == ":durative-action" else needed, node)
                 schema = _schema_of(action, self._draft)
             schema = replace(schema, action=does.removeprefix("?"))
-        self._schemas[name] = schema
+        rises = {self._outside[used.fluent().name]: amount for used, amount in reader.rises.items()}
+        resources = self._uses_of_numbers.resources
+        uses = {used: amount for used, amount in rises.items() if used.lower() in resources}
+        self._schemas[name] = replace(schema, uses=uses)
 
     def _read_fact(self, node: Node) -> None:
         formulas, source = self._problem, self._problem.source
@@ -331,16 +327,13 @@ class _Reader:
         """Take in a part of the goal; return whether it is a condition, not a limit."""
         formulas = self._problem
         with _located(formulas.source, node):
-            if node.head not in COMPARISONS or len(node.children) != 3:
-                self._up_problem.add_goal(formulas.condition(node, {}, "the goal"))
-                return True
-            left, right = sides_of(node)
-            if left.head not in self._uses_of_numbers.resources:
+            is_pair = node.head in COMPARISONS and len(node.children) == 3
+            if not is_pair or sides_of(node)[0].head not in self._uses_of_numbers.resources:
                 self._up_problem.add_goal(formulas.condition(node, {}, "the goal"))
                 return True
             compare = formulas.manager.LT if node.head in ("<", ">") else formulas.manager.LE
-            limit = compare(formulas.atom(left, {}), formulas.number(right, {}))
-            self._limits.setdefault(limit.arg(0), []).append(Limit(limit.arg(1), limit.is_lt()))
+            left, right = sides_of(node)
+            self._limits.append(compare(formulas.atom(left, {}), formulas.number(right, {})))
             return False
 
     def _read_metric(self) -> None:
@@ -614,5 +607,5 @@ def _schema_of(action: UpThing, domain: Domain) -> Schema:
     name, conditions = outside[action.name], parts["start"] + parts["over_all"] + parts["end"]
     parameters = tuple((parameter.name, outside[parameter.type.name]) for parameter in action.parameters)
     rosa_action = _rosa_action_of(name, conditions, action.parameters, outside)
-    held = {when: tuple(found) for when, found in parts.items()}
+    held: dict[str, UpThing] = {when: tuple(found) for when, found in parts.items()}
     return Schema(name=name, parameters=parameters, action=rosa_action, **held)

@@ -16,7 +16,7 @@ from rosa_pddl.goals import Goal, Goals, PlanningTask, Relevance
 from rosa_pddl.outcomes import Outcome, PlanningResult
 from rosa_pddl.plan_monitor import Clash, PlanExecution, PlanMonitor
 from rosa_pddl.planner import awaited
-from rosa_pddl.problem import Problem, unlimited
+from rosa_pddl.problem import Problem
 from rosa_pddl.validate import missing_at_start
 
 _LOG = logging.getLogger(__name__)
@@ -276,8 +276,8 @@ def diagnosis(problem: Problem, goals: Sequence[Condition | Goal], *, is_thoroug
             found.append(f"unfeasible now: {', '.join(out)}; there would be a plan if {needed or 'they'} were feasible")
         elif not outcome.is_trouble:
             found.append("there would be no plan even if every action were feasible")
-    if limited := ", ".join(resource.name for resource in domain.limited):
-        outcome = (yield replace(problem, domain=unlimited(domain))).outcome
+    if limited := ", ".join(domain.limited):
+        outcome = (yield replace(problem, domain=replace(domain, limits=()))).outcome
         if not outcome.is_trouble:
             would = "would" if outcome.is_solved else "would not"
             found.append(f"there {would} be a plan without the limits of {limited}")

@@ -10,7 +10,7 @@ input; it imports nothing but the standard library.
 import marshal
 import operator
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from fractions import Fraction
 from functools import reduce
 from heapq import heapify, heappop, heappush
@@ -331,7 +331,7 @@ def _hold(facts: Sequence[Fact], state: Sequence[int]) -> bool:
 
 def _pass(tests: Sequence[Test], state: Sequence[int]) -> bool:
     for kind, one, other in tests:
-        left, right = _value(one, state), _value(other, state)
+        left, right = value_of(one, state), value_of(other, state)
         if left is None or right is None or not _COMPARED[kind](left, right):
             return False
     return True
@@ -341,20 +341,21 @@ def _change(changes: Sequence[Change], state: State, after: list[int]) -> bool:
     """Put the new values of numbers in; return whether all that is to be changed is known."""
     for needs, tests, place, is_rise, amount in changes:
         if _hold(needs, state) and _pass(tests, state):
-            value = _value(amount, state)
+            value = value_of(amount, state)
             if value is None or (is_rise and after[place] is None):
                 return False
             after[place] = after[place] + value if is_rise else value
     return True
 
 
-def _value(number: Number, state: Sequence[int]) -> "Any":  # noqa: ANN401  # whole, a fraction, or unknown
+def value_of(number: Number, state: Any) -> Any:  # noqa: ANN401  # whole, a fraction, or unknown
+    """Return a number as it is in a state, or by the values of the places; None if it is unknown."""
     if not isinstance(number, tuple):
         return number
     head, *parts = number
     if head == "n":
         return state[parts[0]]
-    values = [_value(part, state) for part in parts]
+    values = [value_of(part, state) for part in parts]
     if None in values or (head == "/" and 0 in values[1:]):
         return None
     return reduce(_COMPUTED[head], values)
@@ -371,28 +372,28 @@ def _directions(task: Task) -> dict[int, int]:
     signs: dict[int, set[int]] = {-1 - place: set() for place in range(task.numbers)}
     for kind, one, other in asked:
         for number, sign in ((one, 1), (other, -1)):
-            _note(number, sign if kind in ("<", "<=") else 0, signs)
+            note_signs(number, sign if kind in ("<", "<=") else 0, signs)
     given = {variable for one in task.operations for needs, variable, _ in one.effects for variable, _ in needs}
     derived = {rule.variable for rule in task.rules}
     for change in changes:
         # what one number does to another, or whether anything changes, is not looked into
-        _note(change.amount, 0, signs)
+        note_signs(change.amount, 0, signs)
         given |= {variable for variable, _ in change.needs}
         for _, one, other in change.tests:
-            _note(("+", one, other), 0, signs)
+            note_signs(("+", one, other), 0, signs)
     if given & derived:
         return {}
     return {place: min(found, default=0) for place, found in signs.items() if len(found) < 2 and 0 not in found}
 
 
-def _note(number: Number, sign: int, signs: dict[int, set[int]]) -> None:
+def note_signs(number: Number, sign: int, signs: Mapping[Any, set[int]]) -> None:
     """Note whether what a number is made of makes it greater (1) or smaller (-1), or may do either (0)."""
     if isinstance(number, tuple):
         head, *parts = number
         if head == "n":
             signs[parts[0]].add(sign)
         for at, part in enumerate(parts if head != "n" else ()):
-            _note(part, sign if head == "+" else (-sign if at else sign) if head == "-" else 0, signs)
+            note_signs(part, sign if head == "+" else (-sign if at else sign) if head == "-" else 0, signs)
 
 
 def _by_need(task: Task) -> dict[Fact | None, list[tuple[int, Operation]]]:

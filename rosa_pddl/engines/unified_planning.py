@@ -13,7 +13,7 @@ from rosa_pddl.engines.fast_downward import SEARCHES
 from rosa_pddl.engines.processes import ProcessHandle
 from rosa_pddl.exceptions import nearest
 from rosa_pddl.outcomes import Outcome, PlanningResult, Trouble
-from rosa_pddl.problem import Problem, limits_of, lock_of
+from rosa_pddl.problem import Problem, lock_of
 
 LABEL_SETTING = "label-setting"
 """The engine that is the exact search, within limits."""
@@ -139,6 +139,6 @@ def _timed(problem: Problem) -> UpThing:
         read.clear_goals()
         for goal in problem.goals:
             read.add_goal(goal)
-    for limit in limits_of(domain):
+    for limit in domain.limits:
         read.add_goal(limit)
     return read

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pddl_world import ROOMS_DOMAIN, ROOMS_PROBLEM, FakeKb, load_mission, load_text
 
-from rosa_pddl import Outcome, Planner, Problem, UnsupportedPddlError, feasible_atoms, initial_state
+from rosa_pddl import Outcome, Planner, Problem, UnsupportedPddlError, feasible_atoms, initial_state, parse_domain
 from rosa_pddl.engines import fast_downward as downward
 from rosa_pddl.validate import ended, flaw, goal_holds, missing_at_start, started
 
@@ -85,6 +85,21 @@ COSTS_PROBLEM = "(define (problem p) (:domain tour) (:init (= (total-cost) 0)) (
 def test_the_cheapest_plan_if_there_is_a_metric_the_shortest_if_not(metric, expected, tmp_path):
     domain = load_text(tmp_path, COSTS, COSTS_PROBLEM % metric)
     assert names(Planner().plan(Problem(domain, initial_state(domain)))) == expected
+
+
+@pytest.mark.parametrize(("speed", "expected"), [(0.1, ["walk"]), (0.3, ["drive"])])
+def test_costs_are_computed_from_numbers_as_they_are_now(speed, expected):
+    domain = parse_domain(
+        """(define (domain d) (:predicates (there)) (:functions (total-cost) (way) (speed) (effort))
+        (:action walk :parameters () :effect (and (there) (increase (total-cost) (* (way) (effort)))))
+        (:action drive :parameters () :effect (and (there) (increase (total-cost) (/ (way) (speed))))))""",
+        """(define (problem p) (:domain d) (:init (= (way) 3) (= (effort) 4)) (:goal (there))
+        (:metric minimize (total-cost)))""",
+    )
+    found = Planner().plan(Problem(domain, frozenset(), costs={"(speed)": speed}))
+    assert (names(found), found.cost) == (expected, 12.0 if speed == 0.1 else 10.0)
+    stuck = Planner().plan(Problem(domain, frozenset(), costs={"(speed)": 0}))
+    assert (stuck.outcome, "divided by nothing: (way), (speed)" in stuck.message) == (Outcome.UNSUPPORTED, True)
 
 
 def test_durations_as_metric_come_down_to_the_number_of_steps(tmp_path):
