@@ -539,8 +539,8 @@ def _is_folder(file: Path) -> bool:
 def _suffix(file: Path) -> str:
     suffix = file.suffix.lower()
     if suffix not in SUFFIXES:
-        given = f"the suffix {file.suffix!r}" if file.suffix else "no suffix"
-        raise ModelFileError(f"{given} says no format of models; there are {', '.join(SUFFIXES)}", str(file))
+        given = f"in {file.suffix!r}" if file.suffix else "without a suffix"
+        raise ModelFileError(f"the name of a model's file ends in {' or '.join(SUFFIXES)}, this one {given}", str(file))
     return suffix
 
 

@@ -44,4 +44,4 @@ def learn(
             changed += 1
     if apply is not None:
         known.save(apply)
-        console.print(f"{changed} changes, written to {apply}", markup=False, highlight=False)
+        console.print(f"{changed} change{'s' * (changed != 1)}, written to {apply}", markup=False, highlight=False)

@@ -13,7 +13,7 @@ import numpy
 from missions.baselines import OURS
 from missions.engine.mission import MissionError
 from missions.experiments.campaign import files_tried
-from missions.experiments.comparison import SEARCH, Comparison, comparisons
+from missions.experiments.comparison import SEARCH, Comparison, Group, comparisons
 from missions.experiments.figures import distribution, reaction_histograms
 from missions.experiments.results import Kept
 from missions.experiments.statistics import Interval, contrast, holm, interval_of_mean, interval_of_sd, two_clusters
@@ -217,9 +217,11 @@ def _add_contrasts(document: Document, comparison: Comparison, headlines: Mappin
 
 def _add_all(document: Document, comparison: Comparison) -> None:
     document.heading("All figures", 3)
-    document.text("Mean ± standard deviation.")
+    document.text("Mean ± standard deviation; with the number of runs, where not all of them have the figure.")
     figures = [name for name in comparison.figures if not name.startswith("reaction_")]
-    rows = [[name, *(_mean_sd([*group.values(name).values()]) for group in comparison.groups)] for name in figures]
+    rows = [
+        [name, *(_figure(group, [*group.values(name).values()]) for group in comparison.groups)] for name in figures
+    ]
     document.table(["figure", *(group.label for group in comparison.groups)], rows)
 
 
@@ -291,6 +293,11 @@ def _estimates(values: Sequence[float]) -> list[str]:
 
 def _interval(one: Interval, format_: str) -> str:
     return f"{one.estimate:{format_}} [{one.low:{format_}}, {one.high:{format_}}]"
+
+
+def _figure(group: Group, values: Sequence[float]) -> str:
+    """A mean of the runs that reached something is no mean of all: it says of how many."""
+    return _mean_sd(values) + (f" ({len(values)})" if 0 < len(values) < len(group.records) else "")
 
 
 def _mean_sd(values: Sequence[float]) -> str:

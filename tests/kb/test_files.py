@@ -216,7 +216,7 @@ def test_save_into_a_folder_that_is_not_there_is_an_error(tmp_path):
 
 def test_unknown_suffix_is_an_error_that_lists_the_formats(tmp_path):
     for act in (Model("rover").save, Model.load):
-        with pytest.raises(ModelFileError, match=r"'\.doc'.*there are \.tql"):
+        with pytest.raises(ModelFileError, match=r"ends in \.tql or .*, this one in '\.doc'"):
             act(tmp_path / "rover.doc")
 
 

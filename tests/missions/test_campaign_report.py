@@ -147,14 +147,15 @@ def test_mission_of_ones_own_is_reported_by_its_own_figures(tmp_path):
         record = {
             **{"run": run.name, "mission": run.mission, "manager": "ours", "task": "bt", "seed": run.seed},
             **{"settings": dict(run.settings), "outcome": "explored_all", "duration_s": 90.0 + run.seed},
-            **{"explored_m": 100.0, "reactions": []},
+            **{"explored_m": 100.0, "done_s": 50.0 if run.seed else None, "reactions": []},
         }
         return Outcome(run, provenance()["code"], record, {})
 
     write_report(kept(tmp_path / "c", change, campaign), tmp_path)
     text = (tmp_path / "report.md").read_text()
     assert text.count("## rover:MISSION with energy = ") == 2
-    assert "100.00 ± 0.00" in text
+    assert "100.00 ± 0.00 |" in text
+    assert "50.00 ± 0.00 (2) |" in text
     assert "search time" not in text.split("## How it was computed")[0]
     assert (tmp_path / "rover_MISSION_with_energy_1_explored_m.png").exists()
 

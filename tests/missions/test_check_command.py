@@ -245,6 +245,7 @@ def test_tree_may_be_given_as_something_that_needs_nothing():
         (["explorer.tql", "--pddl", "nowhere.pddl"], "nowhere.pddl: cannot read this PDDL file"),
         (["explorer.tql", "--pddl", "broken.tql"], "broken.tql:"),
         (["explorer.tql", "--plan"], "--plan"),
+        (["rover:MISSION"], "the name of a model's file ends in .tql or .owl, this one without a suffix"),
     ],
 )
 def test_wrong_use_is_one_clear_message_and_exits_with_2(rosa, tmp_path, arguments, message):
