@@ -13,7 +13,7 @@ import numpy
 from missions.baselines import OURS
 from missions.engine.mission import MissionError
 from missions.experiments.campaign import files_tried
-from missions.experiments.comparison import SEARCH, Comparison, Group, comparisons
+from missions.experiments.comparison import SEARCH, Comparison, comparisons
 from missions.experiments.figures import distribution, reaction_histograms
 from missions.experiments.results import Kept
 from missions.experiments.statistics import Interval, contrast, holm, interval_of_mean, interval_of_sd, two_clusters
@@ -220,7 +220,8 @@ def _add_all(document: Document, comparison: Comparison) -> None:
     document.text("Mean ± standard deviation; with the number of runs, where not all of them have the figure.")
     figures = [name for name in comparison.figures if not name.startswith("reaction_")]
     rows = [
-        [name, *(_figure(group, [*group.values(name).values()]) for group in comparison.groups)] for name in figures
+        [name, *(_mean_sd([*group.values(name).values()], len(group.records)) for group in comparison.groups)]
+        for name in figures
     ]
     document.table(["figure", *(group.label for group in comparison.groups)], rows)
 
@@ -295,16 +296,12 @@ def _interval(one: Interval, format_: str) -> str:
     return f"{one.estimate:{format_}} [{one.low:{format_}}, {one.high:{format_}}]"
 
 
-def _figure(group: Group, values: Sequence[float]) -> str:
-    """A mean of the runs that reached something is no mean of all: it says of how many."""
-    return _mean_sd(values) + (f" ({len(values)})" if 0 < len(values) < len(group.records) else "")
-
-
-def _mean_sd(values: Sequence[float]) -> str:
+def _mean_sd(values: Sequence[float], runs: int = 0) -> str:
     if not values:
         return NONE
     sample = numpy.asarray(values)
-    return f"{sample.mean():.2f}" + (f" ± {sample.std(ddof=1):.2f}" if sample.size > 1 else "")
+    spread = f" ± {sample.std(ddof=1):.2f}" if sample.size > 1 else ""
+    return f"{sample.mean():.2f}{spread}" + (f" ({sample.size})" if sample.size < runs else "")
 
 
 def _p(p: float) -> str:
