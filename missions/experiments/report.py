@@ -219,10 +219,7 @@ def _add_all(document: Document, comparison: Comparison) -> None:
     document.heading("All figures", 3)
     document.text("Mean ± standard deviation; with the number of runs, where not all of them have the figure.")
     figures = [name for name in comparison.figures if not name.startswith("reaction_")]
-    rows = [
-        [name, *(_mean_sd([*group.values(name).values()], len(group.records)) for group in comparison.groups)]
-        for name in figures
-    ]
+    rows = [[key, *(_mean_sd([*g.values(key).values()], len(g.records)) for g in comparison.groups)] for key in figures]
     document.table(["figure", *(group.label for group in comparison.groups)], rows)
 
 
@@ -299,9 +296,8 @@ def _interval(one: Interval, format_: str) -> str:
 def _mean_sd(values: Sequence[float], runs: int = 0) -> str:
     if not values:
         return NONE
-    sample = numpy.asarray(values)
-    spread = f" ± {sample.std(ddof=1):.2f}" if sample.size > 1 else ""
-    return f"{sample.mean():.2f}{spread}" + (f" ({sample.size})" if sample.size < runs else "")
+    sample, n = numpy.asarray(values), len(values)
+    return f"{sample.mean():.2f}" + (f" ± {sample.std(ddof=1):.2f}" if n > 1 else "") + f" ({n})" * (n < runs)
 
 
 def _p(p: float) -> str:
