@@ -303,9 +303,8 @@ class PlanMonitor:
 
     def __init__(self, effects: ExpectedEffects, numbers: Callable[[], _Numbers]) -> None:
         self._effects, self._numbers = effects, numbers
-        domain = effects.domain
-        self._limits = ResourceLimits(domain)
-        self._usage = ResourceUsage(domain)
+        self._limits = ResourceLimits(effects.domain)
+        self._usage = ResourceUsage(effects.domain)
 
     def is_no_easier(self, then: _Numbers) -> bool:
         """Whether what could not be reached with some numbers cannot be reached now, by its limits."""

@@ -43,10 +43,7 @@ _LONG_S = 1e6
 
 
 class LabelSetting(engines.Engine, OneshotPlannerMixin):  # type: ignore[misc]  # unified-planning ships no types
-    """Plans of least cost within limits of resources, exactly.
-
-    A resource is a numeric fluent without parameters that actions only increase, by sums of constants and of fluents
-    that no action changes; the goal limits it by `LE(resource, limit)` or `LT`. Other numbers may be costs only.
+    """Plans of least cost, exactly; what actions use up may be limited by the goal, and numbers may rise and fall.
 
     Args:
         memory_mb: how much data the search may hold [MB].
@@ -67,7 +64,7 @@ class LabelSetting(engines.Engine, OneshotPlannerMixin):  # type: ignore[misc]  
 
     @staticmethod
     def supports(problem_kind: ProblemKind) -> bool:
-        """Whether problems of a kind may be asked; of numbers only those named above are planned with."""
+        """Whether problems of a kind may be asked."""
         return bool(problem_kind <= LabelSetting.supported_kind())
 
     @staticmethod
@@ -76,9 +73,8 @@ class LabelSetting(engines.Engine, OneshotPlannerMixin):  # type: ignore[misc]  
 
     @staticmethod
     def get_credits(**_: object) -> engines.Credits:
-        summary = "Plans of least cost within limits of resources, by label setting"
-        details = f"{summary}, on tasks that Fast Downward translates."
-        return engines.Credits(LABEL_SETTING, "rosa-taca", "", "", "Apache-2.0", f"{summary}.", details)
+        summary = "Plans of least cost within limits of resources, by label setting."
+        return engines.Credits(LABEL_SETTING, "rosa-taca", "", "", "Apache-2.0", summary, summary)
 
     def _solve(
         self,
