@@ -67,7 +67,9 @@ class FeasibleUntil(NamedTuple):
         if self.at == self.now:
             return f"unfeasible now: {self.reason}"
         if at:
-            return f"unfeasible in {at} s ({earliest or at} to {latest or f'more than {self.within:g}'}): {self.reason}"
+            between = f"{earliest or at} to {latest or f'more than {self.within:g}'}"
+            exactly = "how exactly is not known" if self.earliest == self.at == self.latest else between
+            return f"unfeasible in {at} s ({exactly}): {self.reason}"
         first = f", unfeasible in {earliest} s at the earliest: {self.reason}" if earliest else ""
         return f"feasible for {self.within:g} s, as far as is known{first}"
 

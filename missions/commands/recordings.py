@@ -36,6 +36,7 @@ def replay(
     """
     from missions.engine.mission import MissionError
     from missions.engine.recording import read_recording
+    from missions.engine.registry import MISSIONS
     from missions.testing.recorded import replay as decide
     from missions.wires.bags import Bag, is_bag, read_bag
 
@@ -46,6 +47,8 @@ def replay(
         asked = mission or run.get("mission")
         if not asked:
             raise MissionError(f"{recording} does not say which mission it is of; name one with --mission")
+        if not mission and asked not in MISSIONS and ":" not in asked:
+            raise MissionError(f"{recording} is of a mission {asked!r} of your own; name it with --mission module:NAME")
         page = _Page(run.get("seed"))
         watch = None if report is None else page.begin
         source = bag if is_bag(recording) else bag.messages

@@ -5,7 +5,9 @@ from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from math import isfinite
+from pathlib import Path
 from time import perf_counter
+from traceback import extract_tb
 from typing import TYPE_CHECKING, NamedTuple
 
 from kb import DiagnosticProblem, KnowledgeBase, KnowledgeBaseError, Model, RequiredAction
@@ -278,8 +280,9 @@ class MissionRun:
         except (MissionError, KnowledgeBaseError):
             raise
         except Exception as error:  # whatever an author's world may raise
-            failed = f"the world of mission {name} failed after {before:.1f} s"
-            raise MissionError(f"{failed}: {type(error).__name__}: {error}") from error
+            failed = f"the world of mission {name} failed after {before:.1f} s: {type(error).__name__}: {error}"
+            frame = extract_tb(error.__traceback__)[-1]
+            raise MissionError(f"{failed}; {Path(frame.filename).name}, line {frame.lineno}") from error
         now = world.now
         if not isfinite(now) or now < before:
             raise MissionError(f"the world of mission {name} shows {now!r} s after {before!r} s; its time has to pass")

@@ -137,7 +137,7 @@ class Rosbridge:
             except Exception as error:  # refused, unknown, no WebSocket, wrong token: all are tried again
                 if str(error) != last:
                     last = str(error)
-                    self._tell(False, f"no connection to {self._url}: {last}")
+                    self._tell(False, f"no connection to {self._url}: {last}; it is tried again")
                 self._closing.wait(wait_s)
                 wait_s = min(2 * wait_s, _LONGEST_WAIT_S)
 

@@ -255,6 +255,13 @@ def test_recording_without_a_mission_asks_for_one(drop, tmp_path):
     assert "--mission" in str(done.exception)
 
 
+def test_recording_of_ones_own_mission_says_how_to_name_it(tmp_path):
+    (tmp_path / "own.jsonl").write_text('{"run": {"mission": "greenhouse"}, "status": [], "time": 0.0}\n')
+    done = CliRunner().invoke(cli.app, ["replay", str(tmp_path / "own.jsonl")])
+    assert isinstance(done.exception, MissionError)
+    assert str(done.exception).endswith("is of a mission 'greenhouse' of your own; name it with --mission module:NAME")
+
+
 def test_every_prefix_is_read_up_to_there_and_decided_alike(drop, tmp_path):
     whole, data, rng = read_bag(drop), drop.read_bytes(), random.Random(7)
     cut = tmp_path / "cut.mcap"

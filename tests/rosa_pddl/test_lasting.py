@@ -124,7 +124,7 @@ def test_what_was_too_short_has_to_last_a_tenth_longer(diver):
     lasting = LastingFeasibility(one.kb, one.executor._domain)
     assert not lasting.is_feasible("inspect")
     assert lasting.why("inspect").startswith(
-        "inspect takes 20 s and is unfeasible in 19.9 s (19.9 to 19.9): energy falls"
+        "inspect takes 20 s and is unfeasible in 19.9 s (how exactly is not known): energy falls"
     )
     for energy, is_enough in ((0.46, False), (0.475, True), (0.46, True)):
         one.now += 1.0
