@@ -29,7 +29,7 @@ LEARNING += 440  # 137 of its own; 303 that planning and worth left it short of;
 PROOF = 800
 PROOF += 840 + 670  # 840 of its own: memory, properties and stories; 670 that others left it short of; to be folded
 PROOF += 132  # plan executors are explored; to be folded
-ADOPTION = 300 + 7  # a newcomer's: which line of a world failed, whose recording it is, how exactly a rate is known
+ADOPTION = 300 + 8  # a newcomer's: which line of a world failed, whose recording it is, how exactly a rate is known
 MOST_LINES = {
     "product": sum((REBUILT, TRUST, PAGE, CONNECTIONS, TREES, PLANNING, FORECASTS, WORTH, LEARNING, PROOF, ADOPTION)),
     "kb": 12_275 + TRUST + FORECASTS,
