@@ -27,7 +27,8 @@ class Planner(Protocol):
     """Decides which designs and configurations to select.
 
     One that can be tried in a dry run has a method `choose(kb)` too: it returns the `Choice` that `plan` would select,
-    or None, and changes nothing, neither in the knowledge base nor in itself.
+    or None, and changes nothing, neither in the knowledge base nor in itself. One that may choose anew because time
+    has passed has an attribute `is_waiting`: while it is true, `plan` is called at every update.
     """
 
     def plan(self, kb: KnowledgeBase) -> ReconfigurationPlan | None:
@@ -136,6 +137,8 @@ class ConfigurationManager:
             plan = self._planned(revision)
             is_vetoed = gate is not None and gate.check()
             self._planned_at = kb.revision if is_vetoed else revision
+            if getattr(self._planner, "is_waiting", False):
+                self._planned_at = -1
         self._executor.execute(kb)
         return plan
 

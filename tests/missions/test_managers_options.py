@@ -2,9 +2,12 @@
 
 from time import perf_counter
 
+import numpy
 import pytest
 
+from kb import ConfigurationManager, KnowledgeBase, Model
 from missions.baselines import Manager, Setting, open_run
+from missions.baselines.policies import Random
 from missions.baselines.rosa import CONFIGURING, FETCHING, INSERTING, PLANNING
 from missions.engine.mission import MissionError
 from missions.engine.registry import find_mission
@@ -41,6 +44,32 @@ def slow(**arguments):
     run.run()
     (change,) = run.world.history
     return run, change.time - run.controller.robot.tasks[0].start
+
+
+class Managed:
+    def activate(self, component): ...
+
+    def deactivate(self, component): ...
+
+    def set_parameters(self, component, parameters): ...
+
+
+def test_random_policy_chooses_anew_because_time_has_passed():
+    model = Model("rover")
+    camera = model.component("camera", kind="lifecycle")
+    camera.configuration("day", {"rate": 1})
+    camera.configuration("night", {"rate": 2})
+    model.function("see").design("by_camera", [camera])
+    model.action("look", requires=["see"])
+    now = [0.0]
+    kb = KnowledgeBase(model, clock=lambda: now[0])
+    manager = ConfigurationManager(kb, Managed(), planner=Random(model, numpy.random.default_rng(0), {"period_s": 1.0}))
+    kb.request_action("look")
+    for _ in range(200):  # nothing is measured meanwhile
+        manager.update()
+        now[0] += 0.1
+    assert {name for plan in kb.plans for name in plan.parameters} == {"day", "night"}
+    assert len(kb.plans) > 2
 
 
 def test_thinking_takes_no_simulated_time():
