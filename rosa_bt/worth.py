@@ -146,12 +146,8 @@ class Lookahead:
             self._begun = None
             with kb.reading() as state:  # what somebody else has said meanwhile stands
                 nodes = [state.network.actions[name] for name in put_off if name in state.network.actions]
-                own = [one.name for one in nodes if state.asserted[one.index] is Status.UNFEASIBLE]
-                own = [
-                    name
-                    for name in own
-                    if state.reason("asserted", state.network.actions[name]).text == self.latest.reason
-                ]
+                said = [one for one in nodes if state.asserted[one.index] is Status.UNFEASIBLE]
+                own = [one.name for one in said if state.reason("asserted", one).text == self.latest.reason]
             for name in own:
                 kb.retract_status(kb.actions[name])
         elif kb.revision == revision and kb.now < time + self._period:
@@ -257,6 +253,8 @@ def _rates(gain: Gain) -> list[tuple[str, float]]:
 
 
 _Levels = tuple[float, ...]
+
+
 _Slopes = list[tuple[float, ...]]
 """How fast each level changes [1/s]: at the low end of the interval, as expected, at the high end."""
 

@@ -10,6 +10,7 @@ from kb.network import Node
 from kb.reconfiguration import by_whole, reselect
 from kb.state import Overlay, State
 from kb.status import Status
+from kb.views import ConfigurationView, DesignView
 
 
 class Choice(NamedTuple):
@@ -123,7 +124,7 @@ def summed_weights(preferences: Iterable[str | Mapping[str, float] | None]) -> d
     return {name: weight for name, weight in weights.items() if weight}
 
 
-def by_priority(candidate: FunctionDesign | Configuration) -> tuple[bool, float, str]:
+def by_priority(candidate: FunctionDesign | Configuration | DesignView | ConfigurationView) -> tuple[bool, float, str]:
     """Return the key that sorts: the lowest priority number first, no priority last, ties by name."""
     return candidate.priority is None, candidate.priority or 0, candidate.name
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from kb import KnowledgeBase, Model, ReconfigurationPlan, Status
 from kb.diagnostics import COMPONENT_REPORTS, FAILED
+from kb.planners.choice import by_priority
 from kb.views import ConfigurationView, DesignView
 from missions.engine.mission import MISSION_STATUS, Message, Mission, MissionError, World
 from missions.engine.settings import Setting
@@ -65,7 +66,7 @@ class Policy:
         """Enter what is chosen anew; return what is selected then."""
         selected = next((one for one in parts if one.is_selected), None)
         possible = [one for one in parts if one.status is not Status.UNFEASIBLE]
-        made = self.pick(kb, sorted(possible, key=_rank), selected)
+        made = self.pick(kb, sorted(possible, key=by_priority), selected)
         if made is None or (selected is not None and made.name == selected.name):
             return selected
         chosen[whole] = made.name
@@ -132,10 +133,6 @@ class ByHand(Policy):
 
     def plan(self, kb: KnowledgeBase) -> ReconfigurationPlan | None:
         return None
-
-
-def _rank(part: Part) -> tuple[bool, float, str]:
-    return part.priority is None, part.priority or 0.0, part.name
 
 
 def _unconstrained(model: Model) -> Model:

@@ -1,6 +1,7 @@
 """Actions that have to stay feasible for as long as they take, as far as is known."""
 
 import pytest
+from acting import Act, Clock
 from py_trees.behaviours import Success
 from py_trees.common import Status
 from xml_leaves import wrapped
@@ -9,7 +10,6 @@ from kb import KnowledgeBase, Model
 from rosa_bt import (
     BehaviourRegistry,
     IsActionFeasible,
-    RosaAction,
     TreeChangeError,
     do_until_unfeasible,
     export_xml,
@@ -17,23 +17,6 @@ from rosa_bt import (
     first_feasible,
     load_xml,
 )
-
-
-class Clock:
-    now = 0.0
-
-    def __call__(self):
-        return self.now
-
-
-class Act(RosaAction):
-    """Runs until it is stopped."""
-
-    def __init__(self, kb, action):
-        super().__init__(action, kb, action)
-
-    def update(self):
-        return Status.RUNNING
 
 
 @pytest.fixture

@@ -3,6 +3,7 @@
 import math
 
 import pytest
+from acting import Clock
 from hypothesis import given
 from hypothesis import strategies as st
 from py_trees.behaviours import Failure, Running, StatusQueue, Success
@@ -26,13 +27,6 @@ from rosa_bt import (
     switch_safely,
 )
 from rosa_bt.idioms import unguarded
-
-
-class Clock:
-    now = 0.0
-
-    def __call__(self):
-        return self.now
 
 
 class Robot:

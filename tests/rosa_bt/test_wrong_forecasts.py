@@ -5,11 +5,11 @@ import math
 from random import Random
 
 import pytest
-from py_trees.common import Status
+from acting import Act, Clock
 
 from kb import KnowledgeBase, Model
 from kb.elements import Rate
-from rosa_bt import RosaAction, do_until_unfeasible
+from rosa_bt import do_until_unfeasible
 
 CASES = 1000
 
@@ -39,23 +39,6 @@ def raising(samples, time):
 
 
 WAYS = ("", "constant", "trend", "periodic", biased, pessimist, spiky, dead, nonsense, raising)
-
-
-class Clock:
-    now = 0.0
-
-    def __call__(self):
-        return self.now
-
-
-class Act(RosaAction):
-    """Runs until it is stopped."""
-
-    def __init__(self, kb, action):
-        super().__init__(action, kb, action)
-
-    def update(self):
-        return Status.RUNNING
 
 
 def robot(chance):
