@@ -1,8 +1,5 @@
 """What a plan executor is to reach, which may change while it runs, and what a planner is asked for that.
 
-What of a goal no action changes is looked up before: of `(forall (?s - sample) (imply (wanted ?s) (analysed ?s)))` a
-conjunction of what is to be analysed is left, when what is wanted is for others to say.
-
 Soft goals become costs (Keyder and Geffner, "Soft goals can be compiled away", JAIR 36, 2009): when all else is done, a
 plan either collects each one that holds, for nothing, or forgoes it at the cost of its worth. The cheapest plan then is
 the one with the best net benefit, so that any planner that heeds costs will do.
@@ -10,18 +7,14 @@ the one with the best net benefit, so that any planner that heeds costs will do.
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from numbers import Real
 
 from rosa_pddl.belief import ExpectedEffects
-from rosa_pddl.domain import FEASIBLE, Domain, Schema, State, Step, UpThing, conjuncts, exact, head_of
+from rosa_pddl.domain import FEASIBLE, Domain, Schema, State, Step, UpThing, exact, head_of
 from rosa_pddl.exceptions import GoalError, nearest
 from rosa_pddl.formulas import Condition, conditions
 from rosa_pddl.outcomes import PlanningResult
 from rosa_pddl.problem import Problem, action_costs, lock_of
-from rosa_pddl.validate import mentioned_atoms
-
-_MOST_REMEMBERED = 64
 
 
 @dataclass(frozen=True)
@@ -199,43 +192,6 @@ def _atoms_in(formula: UpThing) -> Iterable[UpThing]:
     return found
 
 
-class GoalSimplifier:
-    """Leaves of goals what actions have to bring about."""
-
-    def __init__(self, domain: Domain) -> None:
-        self._domain = domain
-        self._changed = {
-            domain.outside[effect.fluent.fluent().name]
-            for schema in domain.schema_of.values()
-            for effect in schema.start_effects + schema.end_effects
-        }
-        self._lasting: dict[UpThing, tuple[str, ...]] = {}
-        self._substituted = lru_cache(_MOST_REMEMBERED)(self._substitute)
-
-    def simplified(self, goals: Iterable[UpThing], state: State) -> tuple[UpThing, ...]:
-        """Return goals that hold after a plan from a state exactly if the given ones do; no conjunction among them."""
-        return tuple(part for goal in goals for part in self._rest(goal, state))
-
-    def _rest(self, goal: UpThing, state: State) -> tuple[UpThing, ...]:
-        if goal not in self._lasting:
-            atoms = mentioned_atoms(self._domain, [goal], (), {})
-            kept = self._changed | self._domain.computed
-            self._lasting[goal] = tuple(sorted({atom for atom in atoms if head_of(atom) not in kept}))
-        lasting = tuple((atom, atom in state) for atom in self._lasting[goal])
-        return self._substituted(goal, lasting) if lasting else (goal,)
-
-    def _substitute(self, goal: UpThing, known: tuple[tuple[str, bool], ...]) -> tuple[UpThing, ...]:
-        from unified_planning.model.walkers import ExpressionQuantifiersRemover
-
-        problem, manager = self._domain.up_problem, self._domain.up_problem.environment.expression_manager
-        with lock_of(self._domain):
-            ground = ExpressionQuantifiersRemover(problem.environment).remove_quantifiers(goal, problem)
-            values = {self._domain.expression(atom): manager.Bool(holds) for atom, holds in known}
-            rest = ground.substitute(values).simplify()
-        # planners say better than nothing at all why there is no plan
-        return (goal,) if rest.is_false() else tuple(conjuncts([rest]))
-
-
 class SoftGoals:
     """Goals that may be given up, compiled into a domain with actions that collect or forgo each.
 
@@ -339,13 +295,12 @@ class PlanningTask:
 
     def __init__(self, effects: ExpectedEffects, numbers: Callable[[], Mapping[str, float]]) -> None:
         self._effects, self._numbers = effects, numbers
-        self._simplifier = GoalSimplifier(effects.domain)
         self._soft: tuple[Domain, tuple[Goal, ...], SoftGoals] | None = None
 
     def problem(self, state: State, goals: Goals, weights: Mapping[Step, int] | None = None) -> Problem:
         """Return what to ask the planner; refuse soft goals if the metric is no action cost."""
         times = weights or {}
-        hard = self._simplifier.simplified((goal.expression for goal in goals.hard), state)
+        hard = tuple(goal.expression for goal in goals.hard)
         if not goals.soft:
             return Problem(self._effects.domain, state, hard, self._numbers(), times)
         soft = self._softened(goals.soft)

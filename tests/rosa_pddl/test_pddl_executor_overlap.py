@@ -51,7 +51,7 @@ def rig(tmp_path_factory):
 
 @pytest.fixture
 def world(rig):
-    return World(rig, Planner("aries", overlapping=True))
+    return World(rig, Planner("aries", 300.0, overlapping=True))
 
 
 def times(world, what):
@@ -103,7 +103,7 @@ def test_a_light_that_goes_out_too_early_stops_what_needs_it(world):
 
 def test_two_runs_with_overlapping_steps_are_the_same(rig):
     def run():
-        world = World(rig, Planner("aries", overlapping=True))
+        world = World(rig, Planner("aries", 300.0, overlapping=True))
         world.ticks = {"light": 20, "mend": 10, "wash": 5}
         world.run()
         return world.log
@@ -134,7 +134,7 @@ def cellar():
 
 @pytest.mark.parametrize("ticks", [{"light": 8, "mend": 5}, {"light": 12, "mend": 10}])
 def test_a_match_is_not_lit_before_the_fuse_box_is_free(cellar, ticks):
-    world = World(cellar, Planner("aries", overlapping=True))
+    world = World(cellar, Planner("aries", 300.0, overlapping=True))
     world.ticks = ticks
     assert world.run() is Status.SUCCESS
     assert len(world.executor.plans) == 1
