@@ -18,7 +18,7 @@ from kb.events import Log
 from kb.explanation.reasons import Explanation
 from rosa_pddl.domain import Domain, Feasibility, State, Step, UpThing, exact, head_of, number_fact, numbers_in
 from rosa_pddl.exceptions import SensingError, UnknownObjectError, UnsupportedPddlError
-from rosa_pddl.problem import Problem, feasible_atoms, initial_state, lock_of, with_costs, without_feasibility
+from rosa_pddl.problem import Problem, feasible_atoms, initial_state, lock_of, parameters_of, without_feasibility
 from rosa_pddl.resource_usage import ResourceUsage
 from rosa_pddl.validate import affected_atoms, binding_of, changes, ended, started
 
@@ -384,40 +384,26 @@ def _causes(kb: Feasibility, action: str) -> frozenset[str]:
 
 
 def _without_effects(domain: Domain, unmet: Iterable[tuple[Step, str]]) -> Domain:
-    """Return a domain in which some steps are not expected to make some actions feasible.
-
-    What is translated for Fast Downward gets conditions that say for which objects that is; they vanish when it is
-    translated. Temporal engines seldom know such conditions, so for them the effect is left out for all objects.
-    """
-    problem, schemas = domain.up_problem.clone(), dict(domain.schema_of)
+    """Return a domain in which some steps are not expected to make some actions feasible."""
+    schemas = dict(domain.schema_of)
     for step, action in unmet:
-        schema, up_action = schemas[step.schema], problem.action(domain.inside["action", step.schema.lower()])
-        limited = partial(_limited, domain, up_action, step, action)
+        schema, limited = schemas[step.schema], partial(_limited, domain, step, action)
         schemas[step.schema] = replace(
             schema,
             start_effects=tuple(map(limited, schema.start_effects)),
             end_effects=tuple(map(limited, schema.end_effects)),
         )
-        effects = up_action.effects
-        for listed in effects.values() if isinstance(effects, dict) else [effects]:
-            listed[:] = [effect for effect in listed if not _makes_feasible(domain, effect, step, action)]
-    with_costs(domain, problem)
-    return replace(domain, up_problem=problem, schema_of=schemas)
+    return replace(domain, schema_of=schemas)
 
 
-def _makes_feasible(domain: Domain, effect: UpThing, step: Step, action: str) -> bool:
-    if not effect.fluent.type.is_bool_type() or effect.value.is_false():
-        return False
-    return domain.feasible_atom(action) in affected_atoms(domain, [effect], binding_of(domain, step))
-
-
-def _limited(domain: Domain, up_action: UpThing, step: Step, action: str, effect: UpThing) -> UpThing:
+def _limited(domain: Domain, step: Step, action: str, effect: UpThing) -> UpThing:
     """Return an effect that does not come about for the objects of a step, if it makes a ROSA action feasible there."""
-    if not _makes_feasible(domain, effect, step, action):
+    affected = affected_atoms(domain, [effect], binding_of(domain, step))
+    if not domain.makes_feasible(effect) or domain.feasible_atom(action) not in affected:
         return effect
-    manager = domain.up_problem.environment.expression_manager
-    things = [domain.up_problem.object(domain.inside["object", name.lower()]) for name in (*step.arguments, action)]
-    places = [*(manager.ParameterExp(one) for one in up_action.parameters), effect.fluent.arg(0)]
+    problem, manager = domain.up_problem, domain.up_problem.environment.expression_manager
+    things = [problem.object(domain.inside["object", name.lower()]) for name in (*step.arguments, action)]
+    places = [*parameters_of(domain, domain.schema_of[step.schema]), effect.fluent.arg(0)]
     same = [manager.Equals(place, manager.ObjectExp(thing)) for place, thing in zip(places, things, strict=True)]
     made = effect.clone()
     made.set_condition(manager.And(effect.condition, manager.Not(manager.And(same))))

@@ -48,6 +48,8 @@ class Schema:
         start_effects, end_effects: what becomes so then, as unified-planning effects.
         action: the parameter (`?a` without the mark) or constant that is the ROSA action; None if there is none.
         uses: by how much it increases what is only used up, as unified-planning expressions by the number's name.
+        cost: what it adds to the metric, as unified-planning's expression; None for nothing.
+        duration: unified-planning's interval of how long it may take [s]; None for an instant.
     """
 
     name: str
@@ -59,6 +61,8 @@ class Schema:
     end_effects: tuple[UpThing, ...]
     action: str | None
     uses: Mapping[str, UpThing] = field(default_factory=dict, hash=False)
+    cost: UpThing = None
+    duration: UpThing = None
 
 
 @dataclass(frozen=True)
@@ -109,7 +113,7 @@ class Domain:
         problem_file: the problem file.
         rosa_actions: names of the objects of type `action`, in the order of the files.
         schemas: names of the PDDL actions, in the order of the file.
-        up_problem: the same as unified-planning's `Problem`, in the names of `inside`.
+        up_problem: unified-planning's `Problem` without actions and metric, in the names of `inside`.
         schema_of: the PDDL actions by name.
         outside: the files' spelling by the unique name that unified-planning was given.
         inside: the reverse, by kind (predicate, object, action) and lower-case name.
@@ -119,6 +123,7 @@ class Domain:
         oversights: what may be one in the files, in sentences, such as a misspelt requirement.
         derived: for the name of a derived predicate, in lower case, its variables and the condition that it stands for.
         computed: the names of the numbers that conditions compare and effects change; their values are part of a state.
+        metric: `cost`, `makespan`, or empty for the number of steps.
         limits: what may be used up in all, such as `(<= (energy_used) 5)`; no goals of `up_problem`.
     """
 
@@ -135,6 +140,7 @@ class Domain:
     places: Mapping[tuple[str, str], tuple[str, int]] = field(repr=False)
     types: Mapping[str, tuple[str, ...]] = field(repr=False)
     oversights: tuple[str, ...] = ()
+    metric: str = ""
     limits: tuple[UpThing, ...] = ()
     computed: frozenset[str] = frozenset()
     derived: dict[str, tuple[tuple[UpThing, ...], UpThing]] = field(default_factory=dict, repr=False)
@@ -210,13 +216,16 @@ class Domain:
 
     def duration_s(self, schema: str) -> float:
         """Return how long an action is declared to take at least [s]; 0 if it is no number, or it is an instant."""
-        action = self.up_problem.action(self.inside["action", schema.lower()])
-        lower = action.duration.lower if hasattr(action, "duration") else None
-        return float(lower.constant_value()) if lower is not None and lower.is_constant() else 0.0
+        duration = self.schema_of[schema].duration
+        return float(duration.lower.constant_value()) if duration and duration.lower.is_constant() else 0.0
 
     def is_feasibility(self, atom: str) -> bool:
         """Whether an atom says that a ROSA action is feasible."""
         return atom[1:-1].lower().split()[0] == FEASIBLE
+
+    def makes_feasible(self, effect: UpThing) -> bool:
+        """Whether an effect may make ROSA actions feasible."""
+        return self.outside[effect.fluent.fluent().name].lower() == FEASIBLE and not effect.value.is_false()
 
     def objects_of(self, type_name: str) -> tuple[str, ...]:
         """Return the objects of a type or of its subtypes, in the order of the files."""

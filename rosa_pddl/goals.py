@@ -14,7 +14,7 @@ from rosa_pddl.domain import FEASIBLE, Domain, Schema, State, Step, UpThing, exa
 from rosa_pddl.exceptions import GoalError, nearest
 from rosa_pddl.formulas import Condition, conditions
 from rosa_pddl.outcomes import PlanningResult
-from rosa_pddl.problem import Problem, action_costs, lock_of
+from rosa_pddl.problem import Problem, lock_of
 
 
 @dataclass(frozen=True)
@@ -199,26 +199,23 @@ class SoftGoals:
     """
 
     def __init__(self, base: Domain, goals: tuple[Goal, ...]) -> None:
-        from unified_planning.model.metrics import MinimizeActionCosts
-
         self._base, self._problem = base, base.up_problem.clone()
-        self._manager = self._problem.environment.expression_manager
-        self._schemas = dict(base.schema_of)
+        manager = self._problem.environment.expression_manager
         self._inside, self._outside = dict(base.inside), dict(base.outside)
-        self._costs: dict[UpThing, UpThing] = self._given_costs()
+        settling, each = self._fluent("settling"), None if base.metric == "cost" else manager.Int(1)
+        never = manager.Not(settling)  # no action but those that settle may follow one that settles
+        self._schemas = {
+            name: replace(one, start=(*one.start, never), over_all=(*one.over_all, never), cost=one.cost or each)
+            for name, one in base.schema_of.items()
+        }
         self._collected_by: dict[str, Goal] = {}
-        settling = self._fluent("settling")
-        self._forbid(settling)
-        self.goal: UpThing = self._manager.TRUE()
+        self.goal: UpThing = manager.TRUE()
         for number, goal in enumerate(goals):
             this = self._fluent(f"settled_{number}")
-            collect = self._action(f"collect_{number}", (self.goal, goal.expression), (settling, this))
+            collect = self._action(f"collect_{number}", (self.goal, goal.expression), (settling, this), 0)
             self._collected_by[collect] = goal
             self._action(f"forgo_{number}", (self.goal,), (settling, this), goal.worth or 0.0)
             self.goal = this
-        self._problem.clear_quality_metrics()
-        metric = MinimizeActionCosts(self._costs, self._manager.Int(0), self._problem.environment)
-        self._problem.add_quality_metric(metric)
         self.domain = replace(
             base,
             schemas=tuple(self._schemas),
@@ -226,6 +223,7 @@ class SoftGoals:
             up_problem=self._problem,
             inside=self._inside,
             outside=self._outside,
+            metric="cost",
         )
 
     def kept(self, result: PlanningResult) -> tuple[PlanningResult, tuple[Goal, ...]]:
@@ -236,57 +234,23 @@ class SoftGoals:
         reached = tuple(self._collected_by[step.schema] for step in result.steps if step.schema in self._collected_by)
         return replace(result, steps=steps, schedule=schedule), reached
 
-    def _given_costs(self) -> dict[UpThing, UpThing]:
-        given, zero, one = action_costs(self._base), self._manager.Int(0), self._manager.Int(1)
-        known = self._base.up_problem.action
-        return {
-            action: one if given is None else given.get_action_cost(known(action.name)) or zero
-            for action in self._problem.actions
-        }
-
-    def _forbid(self, settling: UpThing) -> None:
-        """No action but those that settle may follow one that settles."""
-        from unified_planning.model import ClosedTimeInterval, EndTiming, StartTiming
-
-        never = self._manager.Not(settling)
-        for action in self._problem.actions:
-            schema = self._schemas[self._outside[action.name]]
-            if hasattr(action, "add_precondition"):
-                action.add_precondition(never)
-                self._schemas[schema.name] = replace(schema, start=(*schema.start, never))
-            else:
-                action.add_condition(ClosedTimeInterval(StartTiming(), EndTiming()), never)
-                self._schemas[schema.name] = replace(schema, over_all=(*schema.over_all, never))
-
     def _fluent(self, name: str) -> UpThing:
-        unique = self._unique(name)
-        self._outside[unique] = unique
-        self._inside["predicate", unique] = unique
+        unique = self._unique("predicate", name)
         return self._problem.add_fluent(unique, default_initial_value=False)()
 
-    def _action(self, name: str, needed: tuple[UpThing, ...], made: tuple[UpThing, ...], cost: float = 0.0) -> str:
-        from unified_planning.model import InstantaneousAction
+    def _action(self, name: str, needed: tuple[UpThing, ...], made: tuple[UpThing, ...], cost: float) -> str:
+        from unified_planning.model import Effect
 
-        unique = self._unique(name)
-        action = InstantaneousAction(unique, _env=self._problem.environment)
-        for condition in needed:
-            action.add_precondition(condition)
-        for fluent in made:
-            action.add_effect(fluent, True)
-        self._problem.add_action(action)
-        self._costs[action] = self._number(cost)
-        self._outside[unique] = unique
-        self._inside["action", unique] = unique
-        self._schemas[unique] = Schema(unique, (), needed, (), (), (), tuple(action.effects), None)
+        unique, manager = self._unique("action", name), self._problem.environment.expression_manager
+        effects = tuple(Effect(fluent, manager.TRUE(), manager.TRUE()) for fluent in made)
+        price = manager.auto_promote(exact(cost))[0]
+        self._schemas[unique] = Schema(unique, (), needed, (), (), (), effects, None, cost=price)
         return unique
 
-    def _number(self, value: float) -> UpThing:
-        number = exact(value)
-        return self._manager.Int(number) if isinstance(number, int) else self._manager.Real(number)
-
-    def _unique(self, name: str) -> str:
+    def _unique(self, kind: str, name: str) -> str:
         while name in self._outside:
             name += "_"
+        self._outside[name] = self._inside[kind, name] = name
         return name
 
 

@@ -45,8 +45,8 @@ _MOST_INSTANCES = 1_000_000
 _MOST_DOMAINS, _MOST_STATES = 8, 8
 _TRUTHS = ("add", "delete")
 _LOOKS_S = 0.05
-# unified-planning's problem of steps that follow one another, what they cost and use up, and its actions as patterns
-_INSTANTANEOUS: "WeakKeyDictionary[Domain, tuple[UpThing, ResourceUsage, tuple[ActionPattern, ...]]]"
+# what steps that follow one another cost and use up, and their actions as patterns
+_INSTANTANEOUS: "WeakKeyDictionary[Domain, tuple[ResourceUsage, tuple[ActionPattern, ...]]]"
 _INSTANTANEOUS = WeakKeyDictionary()
 
 
@@ -178,7 +178,7 @@ class Grounded:
 
     def __init__(self, domain: Domain, base: State, states: Sequence[State], go_on: Callable[[int], None]) -> None:
         self.domain, self.base, self.states = domain, base, tuple(states)
-        _, self._usage, patterns = _instantaneous(domain)
+        self._usage, patterns = _instantaneous(domain)
         self._reach = reach(patterns, [row_of(atom) for atom in sorted(base)], go_on)
         self._asked = frozenset(name for pattern in patterns for name in _names(pattern))
         self._possible = frozenset(text_of_row(name, row) for name, rows in self._reach.rows.items() for row in rows)
@@ -505,17 +505,17 @@ def _literals(node: Node) -> Iterator[tuple[str, bool]]:
 # ---------------------------------------------------------------- kept
 
 
-def _instantaneous(domain: Domain) -> tuple[UpThing, ResourceUsage, tuple[ActionPattern, ...]]:
+def _instantaneous(domain: Domain) -> tuple[ResourceUsage, tuple[ActionPattern, ...]]:
     with lock_of(domain):
         if domain not in _INSTANTANEOUS:
-            up_problem = Problem(domain, frozenset()).build()
-            _INSTANTANEOUS[domain] = up_problem, ResourceUsage(domain), patterns_of(domain, up_problem)
+            actions = Problem(domain, frozenset()).build().actions
+            _INSTANTANEOUS[domain] = ResourceUsage(domain), patterns_of(domain, actions)
         return _INSTANTANEOUS[domain]
 
 
 def usage_of(domain: Domain) -> ResourceUsage:
     """Return what steps cost and use up; UnsupportedPddlError says that they cannot follow one another."""
-    return _instantaneous(domain)[1]
+    return _instantaneous(domain)[0]
 
 
 def grounded(

@@ -155,9 +155,8 @@ def text_of_row(name: str, row: Row) -> str:
     return f"({name} {' '.join(row)})" if row else f"({name})"
 
 
-def patterns_of(domain: Domain, up_problem: UpThing) -> tuple[ActionPattern, ...]:
-    """Return the instantaneous actions of unified-planning's problem."""
-    actions = up_problem.actions
+def patterns_of(domain: Domain, actions: Iterable[UpThing]) -> tuple[ActionPattern, ...]:
+    """Return instantaneous actions of unified-planning as patterns."""
     return tuple([_pattern(domain, domain.outside[one.name], one.preconditions, one.effects) for one in actions])
 
 

@@ -1,13 +1,24 @@
 """From what the knowledge base says and the mission senses to the problem that a planner gets."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from threading import RLock
 from weakref import WeakKeyDictionary
 
-from rosa_pddl.domain import ACTION_TYPE, Domain, Feasibility, State, Step, UpThing, exact, head_of, number_fact
+from rosa_pddl.domain import (
+    ACTION_TYPE,
+    Domain,
+    Feasibility,
+    Schema,
+    State,
+    Step,
+    UpThing,
+    exact,
+    head_of,
+    number_fact,
+)
 from rosa_pddl.exceptions import UnknownNameError, UnsupportedPddlError, nearest
 from rosa_pddl.validate import text_of
 
@@ -50,17 +61,38 @@ class Problem:
         """The goals: its own, or else those of the domain's problem file."""
         return tuple(self.domain.up_problem.goals) if self.goals is None else self.goals
 
-    def build(self) -> UpThing:
-        """Make the same for unified-planning, with every action instantaneous; refuse a metric that this breaks."""
-        problem = _sequential(self.domain)
+    def build(self, *, overlapping: bool = False) -> UpThing:
+        """Make the same for unified-planning: if steps may not overlap, every action is an instant."""
+        from unified_planning.model import Problem as UpProblem
+        from unified_planning.model.metrics import MinimizeActionCosts, MinimizeMakespan
+
+        domain, read = self.domain, self.domain.up_problem
+        manager, environment = read.environment.expression_manager, read.environment
+        defaults = {environment.type_manager.BoolType(): manager.FALSE()}
+        problem = UpProblem(read.name, environment, initial_defaults=defaults)
+        problem.add_objects([one for one in read.all_objects if domain.outside[one.name] in domain.types])
+        # numbers that nothing needs would only keep engines from taking the problem
+        has_numbers = overlapping or domain.metric == "cost" or bool(domain.limits or domain.computed)
+        problem.add_fluents([one for one in read.fluents if one.type.is_bool_type() or has_numbers])
+        for expression, value in read.explicit_initial_values.items():
+            if not value.is_bool_constant() and has_numbers and all(map(problem.has_object, _names(expression))):
+                problem.set_initial_value(expression, value)
         for fact in sorted(self.state):
-            problem.set_initial_value(*self.domain.stated(fact))
-        for text, value in sorted(self.costs.items()):
-            expression = self.domain.expression(self.domain.atom(text))
+            problem.set_initial_value(*domain.stated(fact))
+        for text, number in sorted(self.costs.items()):
+            expression = domain.expression(domain.atom(text))
             if problem.has_fluent(expression.fluent().name):
-                problem.set_initial_value(expression, exact(value))
-        for goal in (*self.wanted, *self.domain.limits):
-            problem.add_goal(goal)
+                problem.set_initial_value(expression, exact(number))
+        for goal in (*self.wanted, *domain.limits):
+            problem.add_goal(_without_quantifiers(goal, problem) if overlapping else goal)
+        make = _durative if overlapping else _instantaneous
+        actions = {make(schema, domain): schema.cost for schema in domain.schema_of.values()}
+        problem.add_actions(actions)
+        if domain.metric == "cost":
+            costs = {action: cost for action, cost in actions.items() if cost is not None}
+            problem.add_quality_metric(MinimizeActionCosts(costs, manager.Int(0), environment))
+        elif domain.metric and overlapping:
+            problem.add_quality_metric(MinimizeMakespan(environment))
         return problem
 
 
@@ -101,7 +133,6 @@ def with_object(domain: Domain, name: str, type_name: str) -> Domain:
         inside += "_object"
     problem = domain.up_problem.clone()
     problem.add_object(inside, up_types[kind])
-    with_costs(domain, problem)
     return replace(
         domain,
         up_problem=problem,
@@ -146,59 +177,66 @@ def without_feasibility(domain: Domain, state: State) -> State:
     return frozenset(atom for atom in state if not domain.is_feasibility(atom))
 
 
-def _sequential(domain: Domain) -> UpThing:
-    """Make the problem without initial facts, its actions instantaneous."""
-    from unified_planning.model import Problem as UpProblem
-
-    read = domain.up_problem
-    false = read.environment.expression_manager.FALSE()
-    defaults = {read.environment.type_manager.BoolType(): false}
-    problem = UpProblem(read.name, read.environment, initial_defaults=defaults)
-    there = [one for one in read.all_objects if domain.outside[one.name] in domain.types]
-    problem.add_objects(there)
-    has_numbers = action_costs(domain) is not None or bool(domain.limits or domain.computed)
-    for fluent in read.fluents:
-        # numbers that nothing needs would only keep engines from taking the problem
-        if fluent.type.is_bool_type() or has_numbers:
-            problem.add_fluent(fluent)
-    for expression, value in read.explicit_initial_values.items():
-        if not value.is_bool_constant() and has_numbers and all(one.object() in there for one in expression.args):
-            problem.set_initial_value(expression, value)
-    problem.add_actions([_instantaneous(action, domain) for action in read.actions])
-    with_costs(domain, problem)
-    return problem
+def _names(expression: UpThing) -> list[str]:
+    return [one.object().name for one in expression.args]
 
 
-def action_costs(domain: Domain) -> UpThing:
-    """Return the action costs to minimise; None for the number of steps, which stands in for a makespan too."""
-    metrics = domain.up_problem.quality_metrics
-    if not metrics or metrics[0].is_minimize_makespan() or metrics[0].is_minimize_sequential_plan_length():
-        return None
-    if metrics[0].is_minimize_action_costs():
-        return metrics[0]
-    message = f"the metric '{metrics[0]}' cannot be planned for; expected none, (total-cost) or (total-time)"
-    file, line = domain.places.get(("section", ":metric"), (domain.problem_file, None))
-    raise UnsupportedPddlError(message, file, line)
+def _without_quantifiers(goal: UpThing, problem: UpThing) -> UpThing:
+    """Return a goal as temporal engines know it."""
+    from unified_planning.model.walkers import ExpressionQuantifiersRemover
+
+    return ExpressionQuantifiersRemover(problem.environment).remove_quantifiers(goal, problem).simplify()
 
 
-def with_costs(domain: Domain, problem: UpThing) -> None:
-    """Give a problem with actions of the same names the costs of a domain; unified-planning keeps them by action."""
-    from unified_planning.model.metrics import MinimizeActionCosts
+def parameters_of(domain: Domain, schema: Schema) -> list[UpThing]:
+    """Return the parameters of an action as unified-planning's expressions."""
+    from unified_planning.model import Parameter
 
-    given = action_costs(domain)
-    if given is not None:
-        costs = {problem.action(action.name): cost for action, cost in given.costs.items()}
-        problem.clear_quality_metrics()
-        problem.add_quality_metric(MinimizeActionCosts(costs, given.default, problem.environment))
+    types, environment = {one.name: one for one in domain.up_problem.user_types}, domain.up_problem.environment
+    kinds = ((name, types[domain.inside.get(("type", kind.lower()), kind.lower())]) for name, kind in schema.parameters)
+    return [environment.expression_manager.ParameterExp(Parameter(name, kind, environment)) for name, kind in kinds]
 
 
-def _instantaneous(action: UpThing, domain: Domain) -> UpThing:
+def _made(kind: type, schema: Schema, domain: Domain) -> UpThing:
+    parameters = {one.parameter().name: one.type for one in parameters_of(domain, schema)}
+    return kind(domain.inside["action", schema.name.lower()], parameters, domain.up_problem.environment)
+
+
+def _add_effects(action: UpThing, effects: Iterable[UpThing], *when: UpThing) -> None:
+    for one in effects:
+        kind = "" if one.is_assignment() else f"{one.kind.name.lower()}_"
+        getattr(action, f"add_{kind}effect")(*when, one.fluent, one.value, one.condition, one.forall)
+
+
+def _durative(schema: Schema, domain: Domain) -> UpThing:
+    """Make an action with its duration.
+
+    Temporal engines seldom know effects on conditions, so what makes an action feasible only at times is left out.
+    """
+    from unified_planning.model import DurativeAction, EndTiming, OpenTimeInterval, StartTiming
+
+    if schema.duration is None:
+        return _instantaneous(schema, domain)
+    made, start, end = _made(DurativeAction, schema, domain), StartTiming(), EndTiming()
+    made.set_duration_constraint(schema.duration)
+    whole = OpenTimeInterval(start, end)
+    for when, conditions in ((start, schema.start), (whole, schema.over_all), (end, schema.end)):
+        for condition in conditions:
+            made.add_condition(when, condition)
+    for when, effects in ((start, schema.start_effects), (end, schema.end_effects)):
+        always = (one for one in effects if one.condition.is_true() or not domain.makes_feasible(one))
+        _add_effects(made, always, when)
+    for name in domain.limited:
+        if name in schema.uses:
+            made.add_increase_effect(end, domain.expression(f"({name})"), schema.uses[name])
+    return made
+
+
+def _instantaneous(schema: Schema, domain: Domain) -> UpThing:
     from unified_planning.exceptions import UPException
     from unified_planning.model import InstantaneousAction
 
-    schema = domain.schema_of[domain.outside[action.name]]
-    parameters = {parameter.name: parameter.type for parameter in action.parameters}
-    made = InstantaneousAction(action.name, parameters, action.environment)
+    made = _made(InstantaneousAction, schema, domain)
     # what its own effects at start make true is no condition; what those at end overwrite is no effect
     brought = {(one.fluent, one.value.is_true()) for one in schema.start_effects if _is_certain(one)}
     overwritten = {one.fluent for one in schema.end_effects if _is_certain(one) and one.is_assignment()}
@@ -208,9 +246,7 @@ def _instantaneous(action: UpThing, domain: Domain) -> UpThing:
     for condition in (*schema.start, *later):
         made.add_precondition(condition)
     try:
-        for effect in (*lasting, *schema.end_effects):
-            kind = "" if effect.is_assignment() else f"{effect.kind.name.lower()}_"
-            getattr(made, f"add_{kind}effect")(effect.fluent, effect.value, effect.condition, effect.forall)
+        _add_effects(made, (*lasting, *schema.end_effects))
     except UPException as error:
         message = f"the effects of {schema.name} contradict one another when it is made instantaneous: {error}"
         file, line = domain.places.get(("action", schema.name), (domain.file, None))

@@ -117,8 +117,8 @@ class _Reader:
         self._places: dict[tuple[str, str], tuple[str, int]] = {}
         self._lineages: dict[str, tuple[str, ...]] = {}
         self._schemas: dict[str, Schema] = {}
-        self._costs: dict[UpThing, UpThing] = {}
-        self._rises: dict[UpThing, dict[UpThing, UpThing]] = {}
+        self._costs: dict[str, UpThing] = {}
+        self._rises: dict[UpThing, dict[str, UpThing]] = {}
         self._limits: list[UpThing] = []
         self._uses_of_numbers = NumberUses(domain, problem)
         self._draft = Domain(
@@ -167,13 +167,14 @@ class _Reader:
                 self._read_fact(fact)
         goals = [goal for node in section(problem, ":goal") for goal in parts_of(node)]
         texts = [str(goal) for goal in goals if self._read_goal(goal)]
-        self._read_metric()
+        metric = self._read_metric()
         self._places |= {("section", node.head): (problem.file, node.line) for node in problem.root.children[2:]}
         return replace(
             self._draft,
             rosa_actions=tuple(name for name, lineage in self._lineages.items() if ACTION_TYPE in lineage),
             schemas=tuple(self._schemas),
             goals=tuple(texts),
+            metric=metric,
             oversights=(
                 *(note for one in (domain, problem) for note in (*doubtful_requirements(one), *glued_types(one))),
                 *self._again,
@@ -286,10 +287,9 @@ class _Reader:
         reader = _ActionReader(self._domain, action, self._uses_of_numbers, name, has_cost=self._has_cost)
         reader.read(node, parts)
         if reader.cost is not None:
-            self._costs[action] = reader.cost
+            self._costs[name] = reader.cost
         for used, amount in reader.rises.items():
-            self._rises.setdefault(used, {})[action] = amount
-        self._up_problem.add_action(action)
+            self._rises.setdefault(used, {})[name] = amount
         schema = _schema_of(action, self._draft)
         does = self._actions.get(name)
         if does is not None:
@@ -336,19 +336,16 @@ class _Reader:
             self._limits.append(compare(formulas.atom(left, {}), formulas.number(right, {})))
             return False
 
-    def _read_metric(self) -> None:
-        from unified_planning.model.metrics import MinimizeActionCosts, MinimizeMakespan
-
-        environment, source = self._up_problem.environment, self._problem.source
-        for node in section(source, ":metric")[1:]:
+    def _read_metric(self) -> str:
+        for node in section(self._problem.source, ":metric")[1:]:
             if node.head == "total-time":
-                self._up_problem.add_quality_metric(MinimizeMakespan(environment))
-            else:
-                nothing = environment.expression_manager.Int(0)
-                costs = self._minimized(node)
-                self._up_problem.add_quality_metric(MinimizeActionCosts(costs, nothing, environment))
+                return "makespan"
+            for name, cost in self._minimized(node).items():
+                self._schemas[name] = replace(self._schemas[name], cost=cost)
+            return "cost"
+        return ""
 
-    def _minimized(self, node: Node) -> dict[UpThing, UpThing]:
+    def _minimized(self, node: Node) -> dict[str, UpThing]:
         """Return what each action adds to a metric: numbers that only rise, their sums, and those times a constant."""
         source, manager = self._problem.source, self._up_problem.environment.expression_manager
         head, parts = node.head, node.children[1:]
@@ -371,8 +368,8 @@ class _Reader:
         )
         raise source.unsupported(node, f"{message} that actions only increase, by what none changes; here: {names}")
 
-    def _summed(self, parts: Iterable[Mapping[UpThing, UpThing]]) -> dict[UpThing, UpThing]:
-        manager, found = self._up_problem.environment.expression_manager, dict[UpThing, UpThing]()
+    def _summed(self, parts: Iterable[Mapping[str, UpThing]]) -> dict[str, UpThing]:
+        manager, found = self._up_problem.environment.expression_manager, dict[str, UpThing]()
         for part in parts:
             for action, amount in part.items():
                 found[action] = manager.Plus(found[action], amount) if action in found else amount
@@ -608,4 +605,6 @@ def _schema_of(action: UpThing, domain: Domain) -> Schema:
     parameters = tuple((parameter.name, outside[parameter.type.name]) for parameter in action.parameters)
     rosa_action = _rosa_action_of(name, conditions, action.parameters, outside)
     held: dict[str, UpThing] = {when: tuple(found) for when, found in parts.items()}
-    return Schema(name=name, parameters=parameters, action=rosa_action, **held)
+    return Schema(
+        name=name, parameters=parameters, action=rosa_action, duration=getattr(action, "duration", None), **held
+    )

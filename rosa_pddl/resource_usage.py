@@ -8,7 +8,7 @@ from typing import TypeAlias
 from rosa_pddl.domain import Domain, Exact, Step, UpThing, exact
 from rosa_pddl.exceptions import UnsupportedPddlError, nearest
 from rosa_pddl.instances import bound_number, compiled_number, numeric_facts
-from rosa_pddl.problem import Problem, action_costs
+from rosa_pddl.problem import Problem
 from rosa_pddl.search import Number, value_of
 from rosa_pddl.validate import text_of
 
@@ -35,8 +35,8 @@ class Remaining:
 class ResourceUsage:
     """What the steps of a domain cost, and what they use up of its limited resources, in the order of `domain.limited`.
 
-    A step costs what the metric says, or 1 if there is none. UnsupportedPddlError is raised where the metric cannot be
-    kept, or a number has no value, or none that is finite.
+    A step costs what the metric says, or 1 if there is none. UnsupportedPddlError is raised where a number has no
+    value, or none that is finite.
 
     Attributes:
         uses: what each action uses up of each, with its parameters.
@@ -48,13 +48,10 @@ class ResourceUsage:
         values = domain.up_problem.explicit_initial_values.items()
         numeric = [(one, value.constant_value()) for one, value in values if not value.is_bool_constant()]
         self._in_file = {text_of(domain, one, {}): exact(value) for one, value in numeric}
-        metric = action_costs(domain)
-        self._costs: dict[str, Number] = {}
-        for action in domain.up_problem.actions:
-            cost = None if metric is None else metric.get_action_cost(action)
-            schema = domain.schema_of[domain.outside[action.name]]
-            fixed = 1 if metric is None else 0
-            self._costs[schema.name] = fixed if cost is None else _compiled(domain, cost, schema.parameters)
+        self._costs: dict[str, Number] = dict.fromkeys(domain.schema_of, 0 if domain.metric == "cost" else 1)
+        for schema in domain.schema_of.values():
+            if schema.cost is not None:
+                self._costs[schema.name] = _compiled(domain, schema.cost, schema.parameters)
         self.uses: list[dict[str, Number]] = [
             {
                 one.name: _compiled(domain, one.uses[name], one.parameters)

@@ -161,10 +161,10 @@ def schedule_flaw(
 
 def _lasts_as_declared(domain: Domain, timed: TimedStep) -> bool:
     """Whether a step lasts as its action says; durations that are computed from numeric facts are not looked at."""
-    action = domain.up_problem.action(domain.inside["action", timed.step.schema.lower()])
-    if not hasattr(action, "duration"):
+    duration = domain.schema_of[timed.step.schema].duration
+    if duration is None:
         return timed.duration_s == 0.0
-    lower, upper = action.duration.lower, action.duration.upper
+    lower, upper = duration.lower, duration.upper
     least = float(lower.constant_value()) if lower.is_constant() else 0.0
     most = float(upper.constant_value()) if upper.is_constant() else timed.duration_s
     return least - SAME_TIME_S <= timed.duration_s <= most + SAME_TIME_S and timed.duration_s > 0.0

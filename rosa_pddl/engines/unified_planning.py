@@ -85,7 +85,7 @@ def asked(
     If steps may overlap, their durations are kept, else each is an instant.
     """
     with lock_of(problem.domain):
-        up_problem = _timed(problem) if overlapping else problem.build()
+        up_problem = problem.build(overlapping=overlapping)
         supported = up_problem.environment.factory.engine(engine).supported_kind()
         unsupported = up_problem.kind.features - supported.features
         if unsupported:
@@ -123,22 +123,3 @@ def _timed_step(
     outside = problem.domain.outside
     step = problem.domain.step(outside[action], [outside[name] for name in objects])
     return TimedStep(step, float(start_s), float(duration_s))
-
-
-def _timed(problem: Problem) -> UpThing:
-    """Make the problem for unified-planning with the durations of its actions."""
-    domain = problem.domain
-    read = domain.up_problem.clone()
-    constants = read.environment.expression_manager
-    for expression, value in list(read.explicit_initial_values.items()):
-        if value.is_bool_constant():
-            read.set_initial_value(expression, constants.FALSE())
-    for fact in sorted(problem.state):
-        read.set_initial_value(*domain.stated(fact))
-    if problem.goals is not None:
-        read.clear_goals()
-        for goal in problem.goals:
-            read.add_goal(goal)
-    for limit in domain.limits:
-        read.add_goal(limit)
-    return read

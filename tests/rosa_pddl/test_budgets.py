@@ -275,8 +275,7 @@ def exhausted(domain):
         which = dict(zip("xy", step.arguments, strict=True))[expression.arg(0).parameter().name]
         return Fraction(told[expression.fluent().name][which])
 
-    metric = domain.up_problem.quality_metrics[0]
-    price = {step: amount(metric.get_action_cost(domain.up_problem.action(step.schema)), step) for step in steps}
+    price = {step: amount(domain.schema_of[step.schema].cost, step) for step in steps}
     uses = {
         step: [amount(domain.schema_of[step.schema].uses.get(one), step) for one in domain.limited] for step in steps
     }

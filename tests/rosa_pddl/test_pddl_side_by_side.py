@@ -134,7 +134,7 @@ def test_steps_that_share_a_component_follow_one_another(pair, kb, most):
 
 
 def test_a_temporal_goal_that_nothing_brings_about_is_proven_unsolvable(pair):
-    planner = Planner("aries", overlapping=True)
+    planner = Planner("aries", 300.0, overlapping=True)
     result = planner.plan(Problem(pair, initial_state(pair)))
     assert result.outcome is Outcome.UNSOLVABLE_PROVEN
     assert "ever undone" in result.message

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from pddl_world import as_global, load_text
 
 from rosa_pddl import Problem, TimedStep, initial_state, schedule_flaw
-from rosa_pddl.engines.unified_planning import _timed
 from rosa_pddl.validate import ended, flaw, missing_at_start, started
 
 
@@ -48,7 +47,7 @@ def accepts_schedule(problem, schedule):
     from unified_planning.engines.plan_validator import TimeTriggeredPlanValidator
     from unified_planning.plans import TimeTriggeredPlan
 
-    up_problem = _timed(problem)
+    up_problem = problem.build(overlapping=True)
     timed = [
         (
             Fraction(one.start_s).limit_denominator(1000),
