@@ -1,11 +1,12 @@
 """The sub-commands of `rosa`, a file each; what a command works with is imported when it is called."""
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-__all__ = ["FAILED", "MISSION", "WRONG_USE", "complain", "open_console"]
+__all__ = ["FAILED", "MISSION", "WRONG_USE", "assignments", "complain", "open_console"]
 
 FAILED: Final = 1
 """Exit status if it was done, but did not do what it was for."""
@@ -21,6 +22,19 @@ def open_console() -> "Console":
     console = Console(emoji=False)
     console.soft_wrap = not console.is_terminal
     return console
+
+
+def assignments(texts: Iterable[str], option: str, form: str = "NAME=VALUE") -> dict[str, str]:
+    """Return what an option gives by name, several times; MissionError if it is not of that form."""
+    from missions.engine.mission import MissionError
+
+    values = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not equals or not name:
+            raise MissionError(f"{option} takes {form}, not {text!r}")
+        values[name.strip()] = value.strip()
+    return values
 
 
 def complain(text: str) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from missions.commands import open_console
+from missions.commands import assignments, open_console
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -116,16 +116,10 @@ def robot_of(
 def _settings(config: Path | None, url: str | None, attributes: list[str]) -> "BridgeSettings":
     from dataclasses import replace
 
-    from missions.engine.mission import MissionError
     from missions.wires.bridge import BridgeSettings
 
     settings = BridgeSettings() if config is None else BridgeSettings.load(config)
-    given = {}
-    for text in attributes:
-        name, equals, place = text.partition("=")
-        if not equals or not name or not place:
-            raise MissionError(f"--attribute takes NAME=/TOPIC.FIELD, not {text!r}")
-        given[name] = place
+    given = assignments(attributes, "--attribute", "NAME=/TOPIC.FIELD")
     return replace(settings, url=url or settings.url, attributes={**settings.attributes, **given})
 
 

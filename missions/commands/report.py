@@ -21,6 +21,9 @@ def report(
     pages: Annotated[
         bool, typer.Option("--pages", help="Of a campaign: do the runs that stand out again, for a page of each.")
     ] = False,
+    figures: Annotated[
+        list[str] | None, typer.Option("--figure", help="Of a campaign: compare by this; may be given several times.")
+    ] = None,
 ) -> None:
     """Say what came of a campaign, as report.md and report.html; or show a run, or two side by side, as a page.
 
@@ -40,7 +43,7 @@ def report(
             import scipy  # noqa: F401  # found out before anything is written
         from missions.experiments.report import write_report as write_campaign  # draws: only if there is something
 
-        for path in write_campaign(kept, out or sources[0] / "report", pages=pages):
+        for path in write_campaign(kept, out or sources[0] / "report", pages=pages, figures=figures or ()):
             if path.stem == "report":
                 typer.echo(path)
         return
@@ -54,7 +57,7 @@ def report(
 def _page_of(path: Path) -> "Recorded":
     from missions.views import report
 
-    if path.suffix != ".mcap":
+    if path.suffix not in (".mcap", ".jsonl"):
         return report.read_page(path)
     from missions.wires.bags import read_page
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from missions.commands import FAILED, MISSION, open_console
+from missions.commands import FAILED, MISSION, assignments, open_console
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -82,7 +82,7 @@ def run(
         with needs("plot", "a picture of the run"):
             import matplotlib  # noqa: F401  # it is found out before the run that it is missing
     found = find_mission(mission)
-    changed = _assignments(settings or []) | ({} if rules is None else {"rules": rules})
+    changed = assignments(settings or [], "--set") | ({} if rules is None else {"rules": rules})
     _, of_mission = own_values(options_of(manager, found), changed)
     run_settings, _ = split_settings(found, of_mission)
     console = open_console()
@@ -183,15 +183,3 @@ def _publish(run: "MissionRun", port: int, stack: ExitStack) -> None:
     if not isinstance(run.controller, RosaController):
         raise MissionError(f"manager {run.manager} ticks no tree that Groot2 could watch")
     stack.callback(Groot2Publisher(run.controller.tree, port).close)
-
-
-def _assignments(texts: list[str]) -> dict[str, str]:
-    from missions.engine.mission import MissionError
-
-    values = {}
-    for text in texts:
-        name, equals, value = text.partition("=")
-        if not equals or not name:
-            raise MissionError(f"--set takes NAME=VALUE, not {text!r}")
-        values[name.strip()] = value.strip()
-    return values

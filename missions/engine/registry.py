@@ -7,6 +7,7 @@ from traceback import extract_tb
 from typing import Any, TypeVar
 
 from missions.engine.mission import Mission, MissionError
+from missions.engine.settings import near
 
 T = TypeVar("T")
 
@@ -45,9 +46,16 @@ class Registry(Mapping[str, T]):
     def _imported(self, name: str, home: str) -> Any:  # noqa: ANN401  # whatever a registry holds
         module, _, attribute = home.partition(":")
         try:
-            return getattr(import_module(module), attribute)
+            found = import_module(module)
+            if not hasattr(found, attribute):
+                close = near(attribute, vars(found)) or [one for one in vars(found) if one.isupper()]
+                did = f"; did you mean {' or '.join(f'{module}:{one}' for one in close)}?" if close else ""
+                raise MissionError(f"{module} has no {attribute!r}{did}")
+            return getattr(found, attribute)
         except Exception as error:  # whatever an author's module may raise
             said = str(error) if isinstance(error, MissionError) else f"{type(error).__name__}: {error}"
+            if isinstance(error, ModuleNotFoundError) and error.name == module.partition(".")[0]:
+                said = f"there is no module {module} here in {Path.cwd()}, nor among what is installed"
             files = tuple(f"/{module.replace('.', '/')}{end}" for end in (".py", "/__init__.py"))
             places = [one for one in extract_tb(error.__traceback__) if one.filename.endswith(files)]
             where = "".join(f" ({Path(one.filename).name}, line {one.lineno})" for one in places[-1:])

@@ -4,7 +4,6 @@ import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, fields
-from difflib import get_close_matches
 from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,7 +13,7 @@ from missions.baselines.registry import check_run
 from missions.engine.controller import check_task
 from missions.engine.mission import Mission, MissionError, split_settings
 from missions.engine.registry import find_mission
-from missions.engine.settings import own_values, read_values
+from missions.engine.settings import near, own_values, read_values
 from missions.extras import needs
 
 Settings = Mapping[str, str]
@@ -140,8 +139,8 @@ def from_data(data: Mapping[str, Any], source: str) -> Campaign:
     known = [*(one.name for one in fields(Campaign)), "rules"]
     for key in data:
         if key not in known:
-            near = get_close_matches(key, known, n=1)
-            hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(known)}"
+            close = near(key, known)
+            hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(known)}"
             raise MissionError(f"{source}: unknown key {key!r}; {hint}")
     if "missions" not in data:
         raise MissionError(f'{source} says no missions; add, for example, missions = ["suave"]')

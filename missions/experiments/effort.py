@@ -6,14 +6,13 @@ a model has a statement for each.
 
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass
 from itertools import product
 from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeVar
 
 from py_trees.behaviour import Behaviour
 
-from kb import KnowledgeBase, Model, UnknownName
+from kb import KnowledgeBase, Model
 from kb.elements import Attribute, Component, Function
 from kb.files import SUFFIXES
 from missions.agv.model import agv_model
@@ -159,13 +158,15 @@ class ModelEffort(NamedTuple):
     published: Parts | None
 
 
-@dataclass(frozen=True, slots=True)
-class TreeCount:
-    """How large the tree of the manager `bt` is."""
+class TreeEffort(NamedTuple):
+    """How large the tree of the manager `bt` is, beside the paper's counts: None where it has none."""
 
+    name: str
     nodes: int  # of the whole tree, task and adaptation
     task_nodes: int  # of the mission's own tree, which has the task only
     modes: int  # modes and the values in them, of the functions whose component the mission has
+    published: Parts | None
+    published_task: int | None
 
     @property
     def adaptation_nodes(self) -> int:
@@ -176,31 +177,15 @@ class TreeCount:
         return self.adaptation_nodes + self.modes
 
 
-class TreeEffort(NamedTuple):
-    """What is counted of the tree that manages a mission, beside the paper's: None where it has none."""
-
-    name: str
-    counted: TreeCount
-    published: Parts | None
-    published_task: int | None
-
-
-@dataclass(frozen=True, slots=True)
-class LawPoint:
-    """A generated model of one action: its adaptations, and its elements as counted and as the published law says."""
-
-    structural: int
-    parameter: int
-    total: int
-    law: int
-
-
 class Survey(NamedTuple):
-    """All that is counted: models as asked for, trees of those that the manager `bt` can run, generated models."""
+    """All that is counted: models as asked for, trees of those that the manager `bt` can run, generated models.
+
+    Of a generated model of one action: its adaptations, and its elements as counted and as the published law says.
+    """
 
     models: tuple[ModelEffort, ...]
     trees: tuple[TreeEffort, ...]
-    points: tuple[LawPoint, ...]
+    points: tuple[Mapping[str, int], ...]
 
 
 def survey(names: Iterable[str] = ()) -> Survey:
@@ -214,17 +199,18 @@ def survey(names: Iterable[str] = ()) -> Survey:
         MissionError, KnowledgeBaseError, RosaPddlError: one is unknown, or cannot be read or built.
     """
     asked = dict.fromkeys(names) or dict.fromkeys(MISSIONS)
-    found = {name: None if Path(name).suffix.lower() in SUFFIXES else _mission(name) for name in asked}
+    found = {name: None if Path(name).suffix.lower() in SUFFIXES else find_mission(name) for name in asked}
     made = {name: _model(name, one) if one else Model.load(name.split(",")) for name, one in found.items()}
     models = [ModelEffort(name, count(model), MODELS.get(name)) for name, model in made.items()]
-    counted = {name: count_tree(one) for name, one in found.items() if one is not None and one.world is SEA}
-    trees = [TreeEffort(name, one, TREES.get(name), TASK_NODES.get(name)) for name, one in counted.items()]
-    adaptations = product(range(MOST_ADAPTATIONS + 1), repeat=2)
-    points = [LawPoint(one, two, count(generated_model(one, two)).total, law(one, two)) for one, two in adaptations]
+    trees = [count_tree(one, name) for name, one in found.items() if one is not None and one.world is SEA]
+    points = [
+        {"structural": one, "parameter": two, "total": count(generated_model(one, two)).total, "law": law(one, two)}
+        for one, two in product(range(MOST_ADAPTATIONS + 1), repeat=2)
+    ]
     return Survey(tuple(models), tuple(trees), tuple(points))
 
 
-def count_tree(mission: Mission) -> TreeCount:
+def count_tree(mission: Mission, name: str) -> TreeEffort:
     """Count the nodes of the tree that the manager `bt` builds for a mission in the sea, and its modes."""
     run = open_run(mission, manager=TreeManager)
     assert isinstance(run.controller, BaselineController)
@@ -239,7 +225,8 @@ def count_tree(mission: Mission) -> TreeCount:
     functions = tomllib.loads(MODES_FILE.read_text(encoding="utf-8")).values()
     needed = [one for one in functions if one["component"] in model.components]
     modes = sum(1 + len(values) for one in needed for values in one["modes"].values())
-    return TreeCount(sum(1 for _ in tree.iterate()), sum(1 for _ in task.iterate()), modes)
+    nodes, task_nodes = (sum(1 for _ in root.iterate()) for root in (tree, task))
+    return TreeEffort(name, nodes, task_nodes, modes, TREES.get(name), TASK_NODES.get(name))
 
 
 def as_data(found: Survey) -> dict[str, Any]:
@@ -251,22 +238,20 @@ def as_data(found: Survey) -> dict[str, Any]:
         published = _parts_data(model.published, "entities", "relations")
         models.append({"name": model.name, **totals, **kinds, "published": published})
     for tree in found.trees:
-        counts = {**asdict(tree.counted), "total": tree.counted.total, "published_task_nodes": tree.published_task}
+        counts: dict[str, int | None] = {
+            "nodes": tree.nodes,
+            "task_nodes": tree.task_nodes,
+            "modes": tree.modes,
+            "total": tree.total,
+        }
+        counts["published_task_nodes"] = tree.published_task
         published = _parts_data(tree.published, "nodes", "modes")
         trees.append({"name": tree.name, **counts, "published": published})
-    generated = [asdict(one) for one in found.points]
-    return {"rule": RULE, "models": models, "trees": trees, "generated": generated}
+    return {"rule": RULE, "models": models, "trees": trees, "generated": list(found.points)}
 
 
 def _parts_data(parts: Parts | None, first: str, second: str) -> dict[str, int] | None:
     return None if parts is None else {first: parts.first, second: parts.second, "total": parts.total}
-
-
-def _mission(name: str) -> Mission:
-    if ":" not in name and name not in MISSIONS:
-        how = f"one of your own is given as module:NAME, a model as a file ({', '.join(SUFFIXES)})"
-        raise MissionError(f"{UnknownName('mission', name, MISSIONS)}; {how}")
-    return find_mission(name)
 
 
 def _model(name: str, mission: Mission) -> Model:
@@ -293,7 +278,6 @@ TREES_DIFFER: Final = (
     "py_trees and the same for both missions, so that suave has the branch that recharges, too.\n"
     "* modes: recharging adds 8, as published; what the 2 more in each published count are is not known."
 )
-LAW_IN_WORDS: Final = "linear law: 10 + 6 for each structural + 3 for each parameter adaptation of an action"
 
 
 def lines_of(found: Survey) -> Iterator[str]:
@@ -301,8 +285,9 @@ def lines_of(found: Survey) -> Iterator[str]:
     yield from _table(_models(found.models), about, DIFFERS)
     if found.trees:
         yield from _table(_trees(found.trees), [TREE_RULE], TREES_DIFFER)
-    on_it = sum(one.total == one.law for one in found.points)
-    yield f"{LAW_IN_WORDS}; of {len(found.points)} generated models, {on_it} have just that\n"
+    on_it = sum(one["total"] == one["law"] for one in found.points)
+    law_in_words = "linear law: 10 + 6 for each structural + 3 for each parameter adaptation of an action"
+    yield f"{law_in_words}; of {len(found.points)} generated models, {on_it} have just that\n"
 
 
 def _table(rows: list[list[str]], about: list[str], differs: str) -> Iterator[str]:
@@ -324,10 +309,10 @@ def _models(models: tuple[ModelEffort, ...]) -> list[list[str]]:
 def _trees(trees: tuple[TreeEffort, ...]) -> list[list[str]]:
     rows = [["managed by a tree", "nodes", "of the task", "left", "modes", "total", "published"]]
     for one in trees:
-        numbers = one.counted.adaptation_nodes, one.counted.modes
-        task = f"{one.counted.task_nodes}" + ("" if one.published_task is None else f" ({one.published_task})")
-        left = map(str, (*numbers, one.counted.total))
-        rows.append([_short(one.name), str(one.counted.nodes), task, *left, _published(one, numbers)])
+        numbers = one.adaptation_nodes, one.modes
+        task = f"{one.task_nodes}" + ("" if one.published_task is None else f" ({one.published_task})")
+        left = map(str, (*numbers, one.total))
+        rows.append([_short(one.name), str(one.nodes), task, *left, _published(one, numbers)])
     return rows
 
 

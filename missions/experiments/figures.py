@@ -21,12 +21,8 @@ BINS, LOG_BINS = 40, 36
 STYLE: Final[dict[Any, Any]] = {
     **{"font.family": "DejaVu Sans", "font.size": 8.5, "text.color": INK, "text.parse_math": False},
     **{"axes.edgecolor": FAINT, "axes.linewidth": 0.7, "axes.spines.top": False, "axes.spines.right": False},
-    **{
-        "axes.titlesize": 9,
-        "axes.titlelocation": "left",
-        "hatch.linewidth": 0.6,
-        "figure.constrained_layout.w_pad": 0.1,
-    },
+    **{"axes.titlesize": 9, "axes.titlelocation": "left", "hatch.linewidth": 0.6},
+    **{"figure.constrained_layout.w_pad": 0.1},
     **{"svg.hashsalt": "rosa", "legend.frameon": False, "legend.handlelength": 1.2, "legend.borderaxespad": 0},
 }
 

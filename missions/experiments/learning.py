@@ -129,8 +129,8 @@ class _Span:
                     yield name, slope
 
 
-def spans_of(one: Experience) -> list[_Span]:
-    """Return a run in parts in each of which the same was done and chosen."""
+def spans_of(one: Experience, model: Model) -> list[_Span]:
+    """Return a run in parts in each of which the same was done and chosen, as far as that was in use."""
     said = deque((float(message["time"]), *pair) for message in one.messages for pair in _numbers(message))
     spans, doing, chosen = [_Span(frozenset(), frozenset())], dict[str, None](), dict[str, None]()
     for event in one.events:
@@ -144,7 +144,10 @@ def spans_of(one: Experience) -> list[_Span]:
         for _, name, is_so in event.effects:
             (chosen.setdefault if is_so else chosen.pop)(name, None)
         if event.effects or event.verb in ("request_action", "cancel_action", "finish_plan"):
-            spans.append(_Span(frozenset(doing), frozenset(chosen)))
+            designs = [model.designs[name] for name in chosen if name in model.designs]
+            in_use = {name for design in designs for name in (design.name, *design.components)}
+            idle = {one.name for one in model.configurations.values() if one.component not in in_use}
+            spans.append(_Span(frozenset(doing), frozenset(chosen.keys() - idle)))
     for late in said:
         _add(spans[-1], *late)
     return spans
@@ -206,7 +209,7 @@ def learn(runs: Iterable[Experience], model: Model, mission: Mission | None = No
             if action not in model.actions:
                 there = ", ".join(model.actions)
                 raise MissionError(f"in {run.name} {action} is done, which is no action of {model.name}: {there}")
-    spans = [spans_of(one) for one in known]
+    spans = [spans_of(one, model) for one in known]
     slopes = _slopes(spans)
     return [
         *(one for attribute in model.attributes.values() for one in _rates(attribute, slopes[attribute.name])),
@@ -376,10 +379,8 @@ def read_runs(paths: Iterable[Path]) -> Iterator[Experience]:
 
 
 def _recorded(path: Path) -> Iterator[Experience]:
-    from missions.wires.bags import is_bag, read_bag
+    from missions.wires.bags import read_bag
 
-    if path.exists() and not is_bag(path):
-        raise MissionError(f"{path} does not hold what was known and decided; record runs to FILE.mcap")
     bag = read_bag(path)
     yield from [Experience(path.name, bag.events, bag.messages)] if bag.events else []
 

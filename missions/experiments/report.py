@@ -78,22 +78,30 @@ CLEAR = 3.5
 """Separation of two clusters: above that of the halves of an even spread."""
 
 
-def write_report(kept: Kept, folder: Path, *, pages: bool = False) -> list[Path]:
+def write_report(kept: Kept, folder: Path, *, pages: bool = False, figures: Sequence[str] = ()) -> list[Path]:
     """Write the report on a campaign as report.md and report.html with their pictures, and return the files.
 
-    With pages, the runs that stand out are done again, and each has a page to click through.
+    With pages, the runs that stand out are done again, and each has a page to click through. The figures are those that
+    managers are compared by; by default the published ones, or else the first two.
+
+    Raises:
+        MissionError: there is nothing to report, or no mission has such a figure.
     """
     parts = list(comparisons(kept))
     if not parts:
         ended = f"all of its {len(kept.crashed)} runs crashed" if kept.crashed else "none of its runs is done"
         raise MissionError(f"there is nothing to report of {kept.campaign.name}: {ended}")
+    known = dict.fromkeys(name for one in parts for name in one.figures)
+    for name in figures:
+        if name not in known:
+            raise MissionError(f"no run has a figure {name!r}; there are {', '.join(known)}")
     document = Document(f"Campaign {kept.campaign.name}")
     _introduce(document, kept)
     for comparison in parts:
         document.heading(comparison.title)
-        _add_comparison(document, comparison)
+        _add_comparison(document, comparison, _headlines(comparison, figures))
     if pages:
-        _add_standouts(document, parts)
+        _add_standouts(document, parts, figures)
     _add_crashes(document, kept)
     _add_speed(document, parts)
     _add_method(document, searches=any(map(_is_search, parts)))
@@ -117,9 +125,13 @@ def _introduce(document: Document, kept: Kept) -> None:
         document.text(f"{kept.missing} runs are still to be done: what follows is of those that are done.")
 
 
-def _add_comparison(document: Document, comparison: Comparison) -> None:
-    headlines = {name: label for name, label in HEADLINES.items() if name in comparison.figures}
-    headlines = headlines or {name: name for name in comparison.figures[:2]}
+def _headlines(comparison: Comparison, asked: Sequence[str]) -> Mapping[str, str]:
+    """Return the figures by which managers are compared, each with what it is called."""
+    names = [name for name in asked or HEADLINES if name in comparison.figures] or comparison.figures[:2]
+    return {name: HEADLINES.get(name, name) for name in names}
+
+
+def _add_comparison(document: Document, comparison: Comparison, headlines: Mapping[str, str]) -> None:
     stem = re.sub(r"\W+", "_", comparison.title).strip("_")
     _add_headlines(document, comparison, headlines)
     for name, label in headlines.items():
@@ -223,7 +235,7 @@ def _add_all(document: Document, comparison: Comparison) -> None:
     document.table(["figure", *(group.label for group in comparison.groups)], rows)
 
 
-def _add_standouts(document: Document, parts: Sequence[Comparison]) -> None:
+def _add_standouts(document: Document, parts: Sequence[Comparison], figures: Sequence[str]) -> None:
     """Add pages of the runs with the lowest and the highest figure of each group, and links to them."""
     from missions.views.report import report
     from missions.views.run_recorder import record
@@ -231,7 +243,7 @@ def _add_standouts(document: Document, parts: Sequence[Comparison]) -> None:
     document.heading("Runs that stand out")
     links = []
     for comparison, group in [(one, group) for one in parts for group in one.groups]:
-        figure = next((name for name in (*HEADLINES, *comparison.figures) if group.values(name)), None)
+        figure = next((name for name in _headlines(comparison, figures) if group.values(name)), None)
         values = {} if figure is None else group.values(figure)
         for word, choose in (("lowest", min), ("highest", max)):
             if values:

@@ -19,6 +19,7 @@ from missions.engine.registry import find_mission
 from missions.engine.runner import MissionRun
 from missions.experiments.campaign import PlannedRun
 from missions.experiments.results import CRASHED, Outcome, Store, provenance, read_store, write_tables
+from missions.extras import needs
 from missions.views.output import as_json, summary
 
 if TYPE_CHECKING:
@@ -137,11 +138,9 @@ class Cluster(Workers):
         MissionError: there is no scheduler, no worker, or one that lacks a module or has other versions.
     """
 
-    def __init__(self, address: str, campaign_needs: Sequence[str] = ()) -> None:
-        try:
+    def __init__(self, address: str, modules: Sequence[str] = ()) -> None:
+        with needs("cluster", "--cluster"):
             from distributed import Client, KilledWorker
-        except ImportError as error:
-            raise MissionError("--cluster needs the extra: pip install rosa-taca[cluster]") from error
         self._address = address
         self.killed = (KilledWorker,)
         try:
@@ -150,7 +149,7 @@ class Cluster(Workers):
             advice = f"start one with `dask scheduler`, and workers with `dask worker {address} --nthreads 1`"
             raise MissionError(f"there is no scheduler at {address}: {error}; {advice}") from error
         try:
-            self._check(campaign_needs)
+            self._check(modules)
         except BaseException:
             self.close()
             raise
@@ -169,11 +168,11 @@ class Cluster(Workers):
     def close(self) -> None:
         self._client.close()
 
-    def _check(self, needs: Sequence[str]) -> None:
+    def _check(self, modules: Sequence[str]) -> None:
         """Ask every worker for its versions: one that lacks the package would never answer to anything else."""
         if not self.count:
             raise MissionError(f"the scheduler at {self._address} has no workers; start some with `dask worker`")
-        answers = self._client.run(_probe(tuple(needs)), on_error="return")
+        answers = self._client.run(_probe(tuple(modules)), on_error="return")
         for worker, answer in sorted(answers.items()):
             if isinstance(answer, Exception):
                 raise MissionError(f"worker {worker} cannot do missions: {type(answer).__name__}: {answer}")
@@ -246,7 +245,7 @@ def _end_with(parent: int) -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
-def _probe(needs: tuple[str, ...]) -> Callable[[], dict[str, str]]:
+def _probe(modules: tuple[str, ...]) -> Callable[[], dict[str, str]]:
     """Return a question to a worker that reaches it even if it lacks the package: it travels as code, not by name."""
 
     def probe() -> dict[str, str]:
@@ -254,7 +253,7 @@ def _probe(needs: tuple[str, ...]) -> Callable[[], dict[str, str]]:
 
         from missions.experiments.results import provenance
 
-        for name in needs:
+        for name in modules:
             import_module(name)
         return dict(provenance())
 

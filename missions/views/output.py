@@ -18,18 +18,9 @@ from missions.engine.runner import MissionRun
 
 COUNTS: Final = ("times", "samples", "points", "percent")
 UNITS: Final = {
-    **{name: name for name in ("s", "ms", "min", "h", "m", "mm", "cm", "km", "rad", "deg", "kg", *COUNTS)},
-    **{
-        "j": "J",
-        "kj": "kJ",
-        "w": "W",
-        "wh": "Wh",
-        "v": "V",
-        "hz": "Hz",
-        "percent": "%",
-        "m_s": "m/s",
-        "rad_s": "rad/s",
-    },
+    **{name: name for name in ("s", "ms", "min", "h", "m", "mm", "cm", "km", "l", "rad", "deg", "kg", *COUNTS)},
+    **{"j": "J", "kj": "kJ", "w": "W", "wh": "Wh", "v": "V", "hz": "Hz", "percent": "%"},
+    **{"m_s": "m/s", "rad_s": "rad/s"},
 }
 """How a unit is written that is the end of a figure's name."""
 

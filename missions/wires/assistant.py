@@ -7,6 +7,7 @@ import logging
 from collections.abc import Callable, Mapping
 from functools import wraps
 from hmac import compare_digest
+from importlib.metadata import version
 from inspect import signature
 from typing import TYPE_CHECKING, Any, Final
 
@@ -155,7 +156,7 @@ def mcp_server(assistant: Assistant, *, allow_actions: bool = False) -> "MCPServ
                 said = f"{wrong['loc'][0]} of {name} is {given}; it takes {', '.join(map(str, takes.values()))}"
                 raise ToolError(said) from None
 
-    server = Server("rosa-taca", instructions=INSTRUCTIONS)
+    server = Server("rosa-taca", version=version("rosa-taca"), instructions=INSTRUCTIONS)
     for tool in tools.values():
         server.tool(tool.__name__)(_answering(tool))
     return server

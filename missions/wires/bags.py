@@ -198,6 +198,10 @@ class Reader:
         self._path = Path(path)
         if not self._path.exists():
             raise MissionError(f"there is no recording {path}; name a file .mcap or .db3, or the folder of a rosbag2")
+        if not is_bag(path):
+            is_heard = "holds what was heard only, for `rosa replay` and tests" if self._path.suffix == ".jsonl" else ""
+            holds = is_heard or "is no recording (.mcap, .db3, or the folder of a rosbag2)"
+            raise MissionError(f"{path} {holds}; `rosa run MISSION --record FILE.mcap` also keeps what was decided")
         self.cut = ""
         self.problems: Counter[str] = Counter()
         self._types = ros.types()

@@ -63,6 +63,7 @@ class Rosbridge:
         self._url, self._headers = url, {"Authorization": f"Bearer {token}"} if token else {}
         self._lock, self._ids, self._closing = Lock(), count(1), Event()
         self._peer: Peer | None = None
+        self._trouble = ""
         self._subscribed: dict[str, tuple[str, list[Heard]]] = {}
         self._advertised: dict[str, str] = {}
         self._served: dict[str, tuple[str, Answer]] = {}
@@ -112,6 +113,8 @@ class Rosbridge:
         self._watching.append(changed)
         if self.is_connected:
             changed(True, f"connected to {self._url}")
+        elif self._trouble:
+            changed(False, self._trouble)
 
     def close(self) -> None:
         self._closing.set()
@@ -126,18 +129,20 @@ class Rosbridge:
         return peer is not None
 
     def _run(self) -> None:
-        wait_s, self._away_since, last = _FIRST_WAIT_S, time.monotonic(), ""
+        wait_s, self._away_since = _FIRST_WAIT_S, time.monotonic()
         while not self._closing.is_set():
             try:
                 with self._connect(
                     self._url, additional_headers=self._headers, max_size=LARGEST, open_timeout=5, close_timeout=1
                 ) as socket:
-                    wait_s, last = _FIRST_WAIT_S, ""
+                    wait_s, self._trouble = _FIRST_WAIT_S, ""
                     self._talk(socket)
             except Exception as error:  # refused, unknown, no WebSocket, wrong token: all are tried again
-                if str(error) != last:
-                    last = str(error)
-                    self._tell(False, f"no connection to {self._url}: {last}; it is tried again")
+                said = f"no connection to {self._url}: {error or type(error).__name__}; it is tried again, every "
+                said += f"{_LONGEST_WAIT_S:g} s at last: is a rosbridge started there, and is it that address (--url)?"
+                if said != self._trouble:
+                    self._trouble = said
+                    self._tell(False, said)
                 self._closing.wait(wait_s)
                 wait_s = min(2 * wait_s, _LONGEST_WAIT_S)
 

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from functools import partial
+from importlib.metadata import version
 from urllib.error import HTTPError, URLError
 from urllib.request import Request, urlopen
 
@@ -155,9 +156,11 @@ def test_program_serves_over_stdio():
     async def ask():
         program = StdioServerParameters(command=sys.executable, args=["-m", "missions", "mcp", "suave_extended"])
         async with Client(partial(stdio_client, program)()) as client:
-            return text_of(await client.call_tool("why", {"element": "recharge"}))
+            return client.server_info.version, text_of(await client.call_tool("why", {"element": "recharge"}))
 
-    assert "recharge" in anyio.run(ask)
+    told, answer = anyio.run(ask)
+    assert told == version("rosa-taca")
+    assert "recharge" in answer
 
 
 def test_http_needs_a_token(kb):

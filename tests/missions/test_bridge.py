@@ -4,6 +4,7 @@ import json
 import random
 import time
 from contextlib import contextmanager, suppress
+from threading import Event
 
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
@@ -314,6 +315,12 @@ def test_call_without_a_connection_or_a_server_fails_at_once(robot):
     node = Rosbridge("ws://127.0.0.1:9")
     with pytest.raises(RosError, match="no connection"):
         node.call("/camera/get_state", "", {}).result(1)
+    for _ in range(2):  # who asks later is told, too, why there is none, and where it is sought
+        told, texts = Event(), []
+        node.watch(lambda _, text, told=told, texts=texts: (texts.append(text), told.set()))
+        assert told.wait(60.0)
+        assert "no connection to ws://127.0.0.1:9: " in texts[0]
+        assert "refused" in texts[0]
     node.close()
     with pytest.raises(RosError, match="nobody serves"):
         robot.server.call("/nowhere", "", {}).result(1)

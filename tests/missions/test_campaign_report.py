@@ -158,6 +158,11 @@ def test_mission_of_ones_own_is_reported_by_its_own_figures(tmp_path):
     assert "50.00 ± 0.00 (2) |" in text
     assert "search time" not in text.split("## How it was computed")[0]
     assert (tmp_path / "rover_MISSION_with_energy_1_explored_m.png").exists()
+    store = read_store(tmp_path / "c")
+    write_report(store, tmp_path, figures=["done_s"])
+    assert "| manager | runs | goal reached | done_s: mean [95 %] | sd [95 %] |" in (tmp_path / "report.md").read_text()
+    with pytest.raises(MissionError, match="no run has a figure 'done'; there are duration_s, explored_m, done_s"):
+        write_report(store, tmp_path, figures=["done"])
 
 
 def test_single_run_has_no_spread(tmp_path):

@@ -7,7 +7,7 @@ from kb import KnowledgeBase, Model
 from missions.agv.model import DRAW_W, DRIVING_W
 from missions.baselines import open_run
 from missions.engine.registry import find_mission
-from missions.experiments.learning import Experience, Spread, learn
+from missions.experiments.learning import Experience, Spread, learn, spans_of
 
 
 def experiences(mission, count, **settings):
@@ -143,8 +143,27 @@ def test_recordings_and_campaigns_are_learned_from_on_the_command_line(tmp_path,
         (("learn", "run.mcap", "--model", "suave_extendet"), "suave_extended"),
         (("learn", "run.mcap", "--model", "suave", "--take", "worth"), "what can be changed is rate"),
         (("learn", "run.mcap", "--model", "uav"), "no action of uav"),
-        (("learn", "two.toml", "--model", "suave"), "record runs to FILE.mcap"),
+        (("learn", "two.toml", "--model", "suave"), "--record FILE.mcap` also keeps what was decided"),
     ):
         code, _, said = called(capsys, monkeypatch, *wrong)
         assert code != 0
         assert words in said
+
+
+def test_configuration_of_a_component_that_no_selected_design_uses_is_not_named():
+    model = Model("rover")
+    light = model.environmental_attribute("light")
+    camera, lidar = model.component("camera", kind="lifecycle"), model.component("lidar", kind="lifecycle")
+    camera.configuration("night", {"exposure_s": 0.2})
+    lidar.configuration("slow", {"rate": 1})
+    see = model.function("see")
+    see.design("by_camera", [camera], priority=1, constraints=[light >= 0.1])
+    see.design("by_lidar", [lidar], priority=2)
+    model.action("explore", requires=[see])
+    kb = KnowledgeBase(model, clock=lambda: 0.0)
+    kb.request_action("explore")
+    kb.finish_plan(kb.select({"see": "by_camera"}, {"camera": "night"}), "completed")
+    kb.measure("light", 0.0)
+    kb.finish_plan(kb.select({"see": "by_lidar"}, {"lidar": "slow"}), "completed")
+    assert kb.configurations["night"].is_selected  # of a component that nothing uses now
+    assert spans_of(Experience("one", list(kb.log)), model)[-1].chosen == {"by_lidar", "slow"}

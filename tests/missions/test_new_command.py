@@ -188,8 +188,8 @@ def test_units_are_those_of_attributes_and_of_ends_that_are_units(new):
     model = find_mission(f"{new()}:MISSION").model()
     model.quality_attribute("tank_level", unit="l")
     model.quality_attribute("time_left_s", unit="min")
-    shown = [figure_in_words(name, 4.5, model)[:2] for name in ("battery_left", "tank_level", "time_left_s")]
-    assert shown == [("battery left", ""), ("tank level", "l"), ("time left s", "min")]
+    shown = [figure_in_words(name, 4.5, model)[:2] for name in ("battery_left", "tank_level", "time_left_s", "used_l")]
+    assert shown == [("battery left", ""), ("tank level", "l"), ("time left s", "min"), ("used", "l")]
     assert figure_in_words("mean_speed_m_s", 0.25, model) == ("mean speed", "m/s", "0.25")
     assert figure_in_words("hits_on_wall", 3.0, model) == ("hits on wall", "", "3")
 

@@ -360,6 +360,7 @@ def malformed(drop, folder):
     (folder / "noise.mcap").write_bytes(data[:8] + random.Random(3).randbytes(5000))
     (folder / "empty.db3").write_bytes(b"")
     (folder / "text.db3").write_text("no database")
+    (folder / "heard.jsonl").write_text('{"time": 0.0, "status": []}')
     sqlite3.connect(folder / "other.db3").execute("create table cakes (name)").connection.close()
     (folder / "nothing").mkdir()
     (folder / "wrong").mkdir()
@@ -377,6 +378,7 @@ def test_malformed_recordings_get_a_clear_word(drop, tmp_path):
             read_bag(path)
         assert path.name in str(error.value)
         assert "\n" not in str(error.value)
+        assert ("holds what was heard only, for `rosa replay`" in str(error.value)) is (path.suffix == ".jsonl")
 
 
 def test_flipped_bytes_lose_no_more_than_what_follows(drop, tmp_path):
